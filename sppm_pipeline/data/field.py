@@ -1,0 +1,77 @@
+"""The scalar field whose negative part is solid."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.noun import Noun
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.grid import Grid
+
+__all__ = ["ScalarField"]
+
+
+class ScalarField(Noun, ABC):
+    """A field ``G - C`` over a lattice of unit cells: negative inside the solid, positive in pores and tunnels.
+
+    It is no distance. Positions are in cell edges, measured from the lattice origin; `edge_mm` and `origin_mm` say
+    where that is in the world. Nothing is computed before somebody samples it.
+
+    Attributes
+    ----------
+    cells : tuple of 3 ints
+        Extent of the described region.
+    periodic : bool
+        Whether the region repeats for ever; otherwise the field is defined in ``[0, cells]``.
+    """
+
+    @property
+    @abstractmethod
+    def cells(self) -> tuple[int, int, int]: ...
+
+    @property
+    @abstractmethod
+    def periodic(self) -> bool: ...
+
+    @property
+    def edge_mm(self) -> float | None:
+        """Edge of a cell in millimetres; None if it has no physical size."""
+        return None
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        """Position of the lattice origin in the world."""
+        return (0.0, 0.0, 0.0)
+
+    @abstractmethod
+    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        """Values at the points of `grid` (cell edges), (nz, ny, nx) float32, C-contiguous.
+
+        A sample depends on its position alone: not on the number of threads, nor on how a large grid is cut.
+        """
+
+    def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
+        """1 where the field is negative, else 0, (nz, ny, nx) uint8; faster than `sample` where a class can."""
+        return (self.sample(grid, threads) < 0).view(np.uint8)
+
+    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.uint8]:
+        """`solid` for the layers start <= k < stop of a larger grid; classes may keep what the whole grid needs."""
+        return self.solid(grid.layers(start, stop), threads)
+
+    def physical_edge(self) -> float:
+        """`edge_mm`, or an error for those who need a size.
+
+        Raises
+        ------
+        DesignError
+            If the cell has no physical size.
+        """
+        if self.edge_mm is None:
+            raise DesignError(
+                "the cell has no physical size, so that millimetres mean nothing to it",
+                hint="give the first sampling stage `edge: 7.5 mm`, or lay the cell with a `tile` stage and its `cell`",
+            )
+        return self.edge_mm

@@ -1,0 +1,105 @@
+"""Lengths as users write them, and the cell that relates them to the unit cube."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from sppm_pipeline.data.noun import Noun
+from sppm_pipeline.errors import ConfigError
+
+__all__ = ["UNITS_IN_MM", "Cell", "Length", "parse_length"]
+
+UNITS_IN_MM = {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+
+_LENGTH = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ]*)\s*")
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length as written: a value and, if one was given, a physical unit.
+
+    Attributes
+    ----------
+    value : float
+    unit : str or None
+        A key of `UNITS_IN_MM`; None means the documented unit of the option.
+    """
+
+    value: float
+    unit: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.value:g} {self.unit}" if self.unit else f"{self.value:g}"
+
+    def mm(self) -> float:
+        """The length in millimetres; a bare number is millimetres."""
+        return self.value * (UNITS_IN_MM[self.unit] if self.unit else 1.0)
+
+
+def parse_length(value: object) -> Length:
+    """Read ``7.5``, ``"7.5 mm"`` or ``"50 um"``.
+
+    Raises
+    ------
+    ValueError
+        If the value is no finite number, or the unit is unknown.
+    """
+    if isinstance(value, Length):
+        return value
+    if isinstance(value, bool):
+        raise ValueError(f"expected a length such as 0.16 or '7.5 mm', got {str(value).lower()}")
+    if isinstance(value, (int, float)):
+        number, unit = float(value), None
+    else:
+        match = _LENGTH.fullmatch(value) if isinstance(value, str) else None
+        if not match:
+            raise ValueError(f"expected a length such as 0.16 or '7.5 mm', got {value!r}")
+        number, unit = float(match[1]), match[2] or None
+        if unit is not None and unit not in UNITS_IN_MM:
+            raise ValueError(f"unknown unit {unit!r} in {value!r}; known: {', '.join(UNITS_IN_MM)}")
+    if not math.isfinite(number):
+        raise ValueError(f"a length must be finite, got {value!r}")
+    return Length(number, unit)
+
+
+@dataclass(frozen=True)
+class Cell(Noun):
+    """The periodic cube in which pores are designed.
+
+    Inside the program a cell is the unit cube; `edge` says how long that cube's edge is in the lengths that the
+    user writes: 1 for cell edges, 2 for the paper's [-1, 1]^3, 7.5 with unit mm for a physical cell.
+
+    Attributes
+    ----------
+    edge : float
+        Edge length in the user's lengths.
+    physical : bool
+        Whether the user's lengths are millimetres.
+    """
+
+    edge: float = 1.0
+    physical: bool = False
+
+    def fraction(self, length: Length) -> float:
+        """`length` in cell edges.
+
+        Raises
+        ------
+        ConfigError
+            If the length has a physical unit and the cell has no physical size.
+        """
+        if length.unit is None:
+            return length.value / self.edge
+        if not self.physical:
+            raise ConfigError(
+                f"the length {length} has a physical unit, but the cell has no physical size",
+                hint="give the first sampling stage the size of the cell, for example `edge: 7.5 mm`, "
+                "or write the length without a unit, in cell edges",
+            )
+        return length.mm() / self.edge
+
+    def summary(self) -> dict[str, object]:
+        """Edge and its unit."""
+        return {"edge": self.edge, "unit": "mm" if self.physical else "cell lengths"}

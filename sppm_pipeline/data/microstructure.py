@@ -1,0 +1,182 @@
+"""The microstructure: kernels of all interiors and faces, and the level at which their sum is cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.length import Cell
+from sppm_pipeline.data.noun import frozen
+from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.numerics.assembly.pieces import Pieces
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.kernels.kernels import Kernels
+
+__all__ = ["CUTOFF", "Microstructure", "pieces_from_graph"]
+
+CUTOFF = 1e-5
+"""Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Microstructure(ScalarField):
+    """Kernels of K interiors and of coloured faces, cut at one level (paper, eq. 3-5).
+
+    With one interior and at most one colour it is a periodic cell and can be sampled; with more it is the material
+    of a tile set, which a tiling lays out.
+
+    Attributes
+    ----------
+    cell : Cell
+    graph : TunnelGraph
+        The pores and tunnels the kernels stand for.
+    pieces : Pieces
+        Kernels by interior, face and connector; cell edges.
+    level : float
+        The level C: solid where the sum is smaller.
+    """
+
+    cell: Cell
+    graph: TunnelGraph
+    pieces: Pieces
+    level: float
+    banks: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
+    """Sampled patches, kept by those who lay the microstructure out; the level does not enter them."""
+
+    def check(self) -> None:
+        """The level is a positive number."""
+        if not 0 < self.level < np.inf:
+            raise ValueError(f"the level must be positive and finite, got {self.level}")
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return (1, 1, 1)
+
+    @property
+    def periodic(self) -> bool:
+        return True
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.cell.edge if self.cell.physical else None
+
+    @property
+    def interiors(self) -> int:
+        """K."""
+        return self.graph.pores.interiors
+
+    @property
+    def colors(self) -> tuple[int, int, int]:
+        """Number of face patterns perpendicular to x, y, z."""
+        return self.graph.pores.colors
+
+    def face_ids(self, colors: tuple[int, int, int]) -> tuple[int, int, int]:
+        """`colors` as tilings hold them: -1 along an axis without face patterns."""
+        x, y, z = (k if there else -1 for k, there in zip(colors, self.colors, strict=True))
+        return (x, y, z)
+
+    def with_level(self, level: float) -> Microstructure:
+        """The same kernels cut at another level."""
+        return replace(self, level=float(level))
+
+    def alone(self, interior: int, colors: tuple[int, int, int]) -> PeriodicTile:
+        """Interior t with faces of the given colours on both opposite sides, repeated for ever."""
+        return PeriodicTile(self, interior, colors)
+
+    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        if self.interiors > 1 or max(self.colors) > 1:
+            raise ValueError("a microstructure with several interiors or colours has to be laid out to be sampled")
+        return self.alone(0, (0, 0, 0)).sample(grid, threads)
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers of pores and tunnels and the level."""
+        return {**self.graph.pores.summary(), **self.graph.summary(), "level": self.level}
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicTile(ScalarField):
+    """One tile of a microstructure among copies of itself."""
+
+    micro: Microstructure
+    interior: int
+    colors: tuple[int, int, int]
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return (1, 1, 1)
+
+    @property
+    def periodic(self) -> bool:
+        return True
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.micro.edge_mm
+
+    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        from sppm_pipeline.numerics.assembly.gather import sample_exact
+
+        values = sample_exact(self.micro.pieces, self.arrays(), grid, CUTOFF, threads)
+        values -= np.float32(self.micro.level)
+        return values
+
+    def arrays(self) -> TilingArrays:
+        """The periodic tiling of this one tile."""
+        return lone_periodic_cell(self.interior, self.micro.face_ids(self.colors))
+
+
+def pieces_from_graph(
+    graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], squared: bool
+) -> Pieces:
+    """Sort the kernels of all pores and tunnels by the piece they belong to.
+
+    Parameters
+    ----------
+    graph : TunnelGraph
+    omega : (n,) float64, 1 / cell edge^2
+        One for each pore.
+    mu : (m,) float64, 1 / cell edge, or 1 / cell edge^2 if `squared`
+        One for each tunnel.
+    squared : bool
+        Whether tunnel distances are squared.
+    """
+    pores = graph.pores
+    starts, ends = graph.segments()
+    a, b = pores.piece[graph.edges].T
+    axis_of_piece = pores.axis_of_piece()
+
+    def kernels(pore_mask: NDArray[np.bool_], tunnel_mask: NDArray[np.bool_]) -> Kernels:
+        return Kernels(
+            frozen(pores.centers[pore_mask]),
+            frozen(omega[pore_mask]),
+            frozen(starts[tunnel_mask]),
+            frozen(ends[tunnel_mask]),
+            frozen(mu[tunnel_mask]),
+            squared,
+        )
+
+    def whole(piece: int) -> Kernels:
+        return kernels(pores.piece == piece, (a == piece) & (b == piece))
+
+    none = np.zeros(len(pores.centers), bool)
+    connectors = {}
+    crossing = np.flatnonzero(a != b)
+    keys = np.stack(
+        [a[crossing], axis_of_piece[b[crossing]], graph.shift[crossing].sum(1), b[crossing]], 1
+    )  # interior, axis, side, face piece
+    for key in np.unique(keys, axis=0):
+        t, axis, side, piece = (int(v) for v in key)
+        mask = np.zeros(len(graph.edges), bool)
+        mask[crossing[(keys == key).all(1)]] = True
+        color = piece - pores.face_piece(axis, 0)
+        connectors[(t, axis, side, color)] = kernels(none, mask)
+    return Pieces(
+        tuple(whole(t) for t in range(pores.interiors)),
+        tuple(tuple(whole(pores.face_piece(x, k)) for k in range(pores.colors[x])) for x in range(3)),  # type: ignore[arg-type]
+        connectors,
+    )

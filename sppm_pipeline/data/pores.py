@@ -1,0 +1,106 @@
+"""Pores of a cell, or of all the interiors and coloured faces of a tile set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import Cell
+from sppm_pipeline.data.noun import Noun, frozen
+
+__all__ = ["PoreSet"]
+
+
+@dataclass(frozen=True, eq=False)
+class PoreSet(Noun):
+    """Pore centres, grouped by the piece of the cell they belong to.
+
+    Pieces are numbered: interior t is piece t; the face pattern perpendicular to `axis` with colour k is piece
+    ``interiors + sum(colors[:axis]) + k``. A face pore is listed once, in the plane coordinate 0 of its axis; its
+    twin on the opposite face is its image at coordinate 1 (paper, section 2.1, "Boundary Periodicity Regulation").
+
+    Attributes
+    ----------
+    cell : Cell
+    centers : (n, 3) float64, cell edges
+    piece : (n,) int32
+    interiors : int
+    colors : tuple of 3 ints
+        Number of face patterns perpendicular to x, y, z; zeros where no pores were put on faces.
+    spacing : float or None
+        Smallest distance the sampler kept between pores, cell edges.
+    """
+
+    cell: Cell
+    centers: NDArray[np.float64]
+    piece: NDArray[np.int32]
+    interiors: int = 1
+    colors: tuple[int, int, int] = (0, 0, 0)
+    spacing: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centers", frozen(np.asarray(self.centers, np.float64).reshape(-1, 3)))
+        object.__setattr__(self, "piece", frozen(np.asarray(self.piece, np.int32)))
+
+    def check(self) -> None:
+        """Shapes, finiteness, range of the pieces, faces lying in their planes."""
+        if self.piece.shape != (len(self.centers),):
+            raise ValueError(f"{len(self.centers)} pores but {self.piece.shape} piece numbers")
+        if not np.isfinite(self.centers).all():
+            raise ValueError("pore centres must be finite")
+        if len(self.piece) and not 0 <= self.piece.min() <= self.piece.max() < self.interiors + sum(self.colors):
+            raise ValueError("a pore belongs to a piece that does not exist")
+        for axis in range(3):
+            on_face = self.axis_of_piece()[self.piece] == axis
+            if on_face.any() and np.abs(self.centers[on_face, axis]).max() > 0:
+                raise ValueError(f"face pores perpendicular to axis {axis} must have coordinate 0 there")
+
+    @property
+    def has_faces(self) -> bool:
+        """Whether pores were put on the faces of the cell."""
+        return sum(self.colors) > 0
+
+    def axis_of_piece(self) -> NDArray[np.int64]:
+        """For each piece its face axis 0, 1, 2, or -1 for interiors."""
+        return np.repeat([-1, 0, 1, 2], [self.interiors, *self.colors])
+
+    def face_piece(self, axis: int, color: int) -> int:
+        """Piece number of a face pattern."""
+        return self.interiors + sum(self.colors[:axis]) + color
+
+    def indices(self, piece: int) -> NDArray[np.int64]:
+        """Indices of the pores of one piece."""
+        return np.flatnonzero(self.piece == piece)
+
+    def of_piece(self, piece: int) -> NDArray[np.float64]:
+        """Centres of one piece, (k, 3)."""
+        return self.centers[self.piece == piece]  # type: ignore[no-any-return]
+
+    def extended(self, centers: NDArray[np.float64], piece: NDArray[np.int32], **changes: Any) -> PoreSet:
+        """The same set with more pores."""
+        values: dict[str, Any] = {
+            "cell": self.cell, "interiors": self.interiors, "colors": self.colors, "spacing": self.spacing
+        } | changes  # fmt: skip
+        return PoreSet(
+            centers=np.concatenate([self.centers, centers]), piece=np.concatenate([self.piece, piece]), **values
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Counts; `pores_per_cell` is the mean number of pores of one cell, each face counted once."""
+        on_face = self.piece >= self.interiors
+        faces = sum(
+            float((self.axis_of_piece()[self.piece] == axis).sum()) / self.colors[axis]
+            for axis in range(3)
+            if self.colors[axis]
+        )
+        return {
+            "pores": len(self.centers),
+            "face_pores": int(on_face.sum()),
+            "interiors": self.interiors,
+            "colors": list(self.colors),
+            "pores_per_cell": faces + float((~on_face).sum()) / self.interiors,
+            "spacing": self.spacing,
+        }

@@ -1,0 +1,190 @@
+"""Cells laid side by side, as one field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.microstructure import CUTOFF
+from sppm_pipeline.data.tileset import TileSet
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.grid import Grid
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.assembly.patches import PatchBank
+
+__all__ = ["RepeatedField", "Tiling"]
+
+PATCH_MEMORY = 256 * 2**20
+"""Bytes that cached patches may take; a larger bank falls back to summing kernels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tiling(ScalarField):
+    """The content of every cell of a lattice; the field is the sum of all kernels of all cells, shared faces once.
+
+    Sampled on a grid that is commensurate with the cells it adds up cached patches; on any other grid it sums the
+    kernels themselves. Both agree within the stated cut-off.
+
+    Attributes
+    ----------
+    tileset : TileSet
+    arrays : TilingArrays
+        Interiors and face colours of the lattice.
+    edge : float or None
+        Cell edge, mm.
+    origin : tuple of 3 floats
+        World position of the low corner of cell (0, 0, 0), mm.
+    """
+
+    tileset: TileSet
+    arrays: TilingArrays
+    edge: float | None
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return self.arrays.interior.shape  # type: ignore[return-value]
+
+    @property
+    def periodic(self) -> bool:
+        return self.arrays.periodic
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.edge
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.origin
+
+    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        level = np.float32(self.tileset.micro.level)
+        window = self._window(grid)
+        if window is None:
+            from sppm_pipeline.numerics.assembly.gather import sample_exact
+
+            values = sample_exact(self.tileset.micro.pieces, self.arrays, grid, CUTOFF, threads)
+        else:
+            from sppm_pipeline.numerics.assembly.overlap_add import assemble
+
+            bank, z, x, y = window
+            values = assemble(bank, self.arrays, *z, *x, *y, threads=threads)
+        values -= level
+        return values
+
+    def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
+        window = self._window(grid)
+        if window is None:
+            return super().solid(grid, threads)
+        from sppm_pipeline.numerics.assembly.overlap_add import assemble_solid
+
+        bank, z, x, y = window
+        return assemble_solid(bank, self.arrays, self.tileset.micro.level, *z, *x, *y, threads=threads)
+
+    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.uint8]:
+        if self._window(grid) is not None:
+            return self.solid(grid.layers(start, stop), threads)
+        from sppm_pipeline.numerics.assembly.gather import sample_exact
+
+        micro = self.tileset.micro
+        values = sample_exact(micro.pieces, self.arrays, grid, CUTOFF, threads, start, stop)
+        return (values < np.float32(micro.level)).view(np.uint8)
+
+    def _window(self, grid: Grid) -> tuple[PatchBank, tuple[int, int], tuple[int, int], tuple[int, int]] | None:
+        """The patch bank and the window of voxel indices that `grid` stands for, or None if it is not commensurate."""
+        per_cell, first, offset = [], [], []
+        for axis in range(3):
+            n = round(1 / grid.spacing[axis])
+            if n < 2 or abs(n * grid.spacing[axis] - 1) > 1e-9:
+                return None
+            place = grid.origin[axis] * n
+            shift = place - np.floor(place + 1e-6)
+            if abs(shift) > 1e-6 and abs(shift - 0.5) > 1e-6:
+                return None
+            per_cell.append(n)
+            offset.append(0.5 if shift > 0.25 else 0.0)
+            first.append(round(place - offset[-1]))
+        if len(set(offset)) > 1 or len(set(per_cell)) > 1:
+            return None
+        bank = self._bank(per_cell[0], offset[0])
+        if bank is None:
+            return None
+        x, y, z = ((first[a], first[a] + grid.shape[a]) for a in range(3))
+        return bank, z, x, y
+
+    def _bank(self, n: int, offset: float) -> PatchBank | None:
+        """Patches at n samples a cell edge; kept with the microstructure, as they do not depend on the level."""
+        from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes
+
+        micro, kept = self.tileset.micro, self.tileset.micro.banks
+        key = (self.tileset.kind, self.tileset.palette_colors, n, offset)
+        if key not in kept:
+            combinations = self.tileset.combinations()
+            arguments = {"offset": offset, "cutoff": CUTOFF}
+            if self.tileset.kind == "fresh" or predicted_bytes(micro.pieces, n, combinations, **arguments) > PATCH_MEMORY:
+                kept[key] = None
+            else:
+                kept[key] = build_bank(micro.pieces, n, combinations, **arguments)
+        return kept[key]
+
+    def summary(self) -> dict[str, Any]:
+        """Size of the lattice and number of filled cells."""
+        return {
+            "lattice": list(self.cells),
+            "filled_cells": int((self.arrays.interior >= 0).sum()),
+            "cell_mm": self.edge,
+            "interiors_used": len(np.unique(self.arrays.interior[self.arrays.interior >= 0])),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedField(ScalarField):
+    """Any periodic field, taken as the content of a whole lattice.
+
+    Attributes
+    ----------
+    base : ScalarField
+        Periodic with one cell.
+    extent : tuple of 3 ints
+        Cells of the lattice.
+    edge : float or None
+        Cell edge, mm.
+    origin : tuple of 3 floats
+        World position of the low corner of cell (0, 0, 0), mm.
+    """
+
+    base: ScalarField
+    extent: tuple[int, int, int]
+    edge: float | None
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return self.extent
+
+    @property
+    def periodic(self) -> bool:
+        return True
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.edge
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.origin
+
+    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        return self.base.sample(grid, threads)
+
+    def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
+        return self.base.solid(grid, threads)
+
+    def summary(self) -> dict[str, Any]:
+        """Size of the lattice."""
+        return {"lattice": list(self.extent), "cell_mm": self.edge}

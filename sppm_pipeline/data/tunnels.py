@@ -1,0 +1,66 @@
+"""Tunnels: the edges between pores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.noun import Noun, frozen
+from sppm_pipeline.data.pores import PoreSet
+
+__all__ = ["TunnelGraph"]
+
+
+@dataclass(frozen=True, eq=False)
+class TunnelGraph(Noun):
+    """Edges between the pores of a `PoreSet`.
+
+    Edge (i, j) with shift s is the tunnel from pore i to the image of pore j at ``centers[j] + s``. An edge inside one
+    interior or one face pattern belongs to that piece; an edge from an interior pore i to a face pore j is a
+    connector, with shift 1 along the axis of the face if it ends on the high side of the cell.
+
+    Attributes
+    ----------
+    pores : PoreSet
+    edges : (m, 2) int64
+    shift : (m, 3) int64
+        Whole cells.
+    """
+
+    pores: PoreSet
+    edges: NDArray[np.int64]
+    shift: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "edges", frozen(np.asarray(self.edges, np.int64).reshape(-1, 2)))
+        object.__setattr__(self, "shift", frozen(np.asarray(self.shift, np.int64).reshape(-1, 3)))
+
+    def check(self) -> None:
+        """Indices in range, one shift an edge, connectors pointing from interior to face."""
+        if self.shift.shape != (len(self.edges), 3):
+            raise ValueError(f"{len(self.edges)} tunnels but shifts of shape {self.shift.shape}")
+        if len(self.edges) and not 0 <= self.edges.min() <= self.edges.max() < len(self.pores.centers):
+            raise ValueError("a tunnel names a pore that does not exist")
+        a, b = self.pores.piece[self.edges].T
+        wrong = (a != b) & ~((a < self.pores.interiors) & (b >= self.pores.interiors))
+        if wrong.any():
+            raise ValueError("a tunnel between two pieces must lead from an interior pore to a face pore")
+
+    def segments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Start and end points of all tunnels, each (m, 3), cell edges."""
+        start = self.pores.centers[self.edges[:, 0]]
+        return start, self.pores.centers[self.edges[:, 1]] + self.shift
+
+    def summary(self) -> dict[str, Any]:
+        """Counts and lengths; the samplers' connectivity statistics are reported by the connecting stage."""
+        start, end = self.segments()
+        length = np.sqrt(((end - start) ** 2).sum(1))
+        a, b = self.pores.piece[self.edges].T
+        return {
+            "tunnels": len(self.edges),
+            "connectors": int((a != b).sum()),
+            "mean_tunnel_length": float(length.mean()) if len(length) else None,
+        }

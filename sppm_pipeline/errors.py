@@ -1,0 +1,128 @@
+"""The exception tree. Every error a user can cause derives from `SppmError` and knows its exit code.
+
+::
+
+    SppmError
+    ├── ConfigError         2   the YAML file or the command line is wrong
+    │   └── WiringError     2   the stages do not fit together
+    ├── InputError          3   an input file can't be used (a broken mesh, a truncated image)
+    ├── DesignError         3   a design can't be satisfied (impossible packing, unreachable porosity, no valid draw)
+    ├── PluginError         4   a plugin failed to load, or broke its contract
+    ├── ResourceError       5   disk, memory or a permission is missing
+    └── NativeCrash         6   a native library died
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = [
+    "ConfigError",
+    "ConfigErrors",
+    "DesignError",
+    "InputError",
+    "NativeCrash",
+    "PluginError",
+    "Position",
+    "ResourceError",
+    "SppmError",
+    "WiringError",
+]
+
+
+@dataclass(frozen=True)
+class Position:
+    """A place in a text file; line and column count from 1."""
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+class SppmError(Exception):
+    """Base of all errors that a user can cause or cure.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong: the value, what is allowed.
+    hint : str, optional
+        What to do next; printed on a line of its own.
+    where : Position, optional
+        The place in the configuration. The engine fills it in for errors raised inside a stage.
+    stage : str, optional
+        The id of the stage. The engine fills it in.
+    """
+
+    exit_code = 1
+
+    def __init__(
+        self, message: str, *, hint: str | None = None, where: Position | None = None, stage: str | None = None
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+        self.where = where
+        self.stage = stage
+
+    def __str__(self) -> str:
+        place = f"{self.where}: " if self.where else ""
+        stage = f"stage {self.stage!r}: " if self.stage else ""
+        hint = f"\n  hint: {self.hint}" if self.hint else ""
+        return f"{place}{stage}{self.message}{hint}"
+
+
+class ConfigError(SppmError):
+    """The configuration or the command line is wrong."""
+
+    exit_code = 2
+
+
+class ConfigErrors(ConfigError):
+    """Several configuration errors found in one pass, reported together, in the order of the file."""
+
+    def __init__(self, errors: list[ConfigError]) -> None:
+        if not errors:
+            raise ValueError("ConfigErrors needs at least one error")
+        super().__init__(f"{len(errors)} error(s)")
+        self.errors = tuple(errors)
+
+    def __str__(self) -> str:
+        return "\n".join(str(error) for error in self.errors)
+
+
+class WiringError(ConfigError):
+    """A stage needs an input that no earlier stage makes, or more than one reading is possible."""
+
+
+class InputError(SppmError):
+    """An input file can't be used."""
+
+    exit_code = 3
+
+
+class DesignError(SppmError):
+    """The design can't be satisfied; the message names the best that was reached."""
+
+    exit_code = 3
+
+
+class PluginError(SppmError):
+    """A plugin failed to load, raised, or broke its contract."""
+
+    exit_code = 4
+
+
+class ResourceError(SppmError):
+    """Disk, memory or a permission is missing."""
+
+    exit_code = 5
+
+
+class NativeCrash(SppmError):
+    """A native library died by a signal."""
+
+    exit_code = 6

@@ -1,0 +1,133 @@
+"""Base class of samplers: one method throws the pores of one interior."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import Cell, Length
+from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.stage import Context, Stage, option
+
+__all__ = ["InteriorBox", "Sampler", "start_of"]
+
+
+class InteriorBox(NamedTuple):
+    """Where a sampler puts the pores of one interior.
+
+    Attributes
+    ----------
+    lower, upper : (3,) float64, cell edges
+    periodic : bool
+        Whether the box is the whole cell and repeats; then pores near opposite faces are neighbours.
+    obstacles : (k, 3) float64
+        Pores that are there already, all images included.
+    cell : Cell
+        Turns the user's lengths into cell edges.
+    spacing : float or None
+        Spacing of the pores thrown before, cell edges.
+    face_pores : int
+        Pores on the faces of one cell, opposite faces counted once.
+    """
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    periodic: bool
+    obstacles: NDArray[np.float64]
+    cell: Cell
+    spacing: float | None
+    face_pores: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampler(Stage):
+    """Base of samplers that fill the interior of a cell: implement `throw`, or replace `run`.
+
+    `run` calls `throw` once for each interior wanted, each with its own generator. Where pores lie on the faces, the
+    interior is the box ``[gap, 1 - gap]^3``, otherwise the whole periodic cell.
+    """
+
+    edge: Length | None = option(
+        None, help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted", above=0
+    )
+    gap: Length | None = option(
+        None,
+        help="distance d from the faces to the box of the interior pores; the spacing of the pores if omitted",
+        unit="cell lengths",
+        minimum=0,
+    )
+
+    @abstractmethod
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
+        """Pores of one interior, (n, 3) float64 in cell edges."""
+
+    def wished_spacing(self, cell: Cell) -> float | None:
+        """The spacing this sampler keeps, cell edges, if it keeps one."""
+        return None
+
+    def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
+        """Throw the pores of all interiors."""
+        cell, base = start_of(self.edge, pores, context.palette.interiors)
+        spacing = self.wished_spacing(cell) or base.spacing
+        gap = cell.fraction(self.gap) if self.gap is not None else (spacing or 0.0) if base.has_faces else 0.0
+        if gap >= 0.5:
+            raise DesignError(
+                f"the gap of {gap:g} cell edges leaves no interior; it must be below 0.5",
+                hint="give a smaller `gap` or a smaller spacing",
+            )
+        images = _face_images(base)
+        face_pores = sum(len(base.of_piece(base.face_piece(axis, 0))) for axis in range(3) if base.colors[axis])
+        centers, piece = [], []
+        for t in range(base.interiors):
+            own = base.of_piece(t)
+            box = InteriorBox(
+                lower=np.full(3, gap),
+                upper=np.full(3, 1 - gap),
+                periodic=not base.has_faces,
+                obstacles=np.concatenate([own, images]),
+                cell=cell,
+                spacing=spacing,
+                face_pores=face_pores,
+            )
+            thrown = np.asarray(self.throw(context.rng(t), box), np.float64)
+            if thrown.ndim != 2 or thrown.shape[1] != 3 or not np.isfinite(thrown).all():
+                raise ValueError(f"{self.name}.throw must return finite points of shape (n, 3), got {thrown.shape}")
+            centers.append(thrown)
+            piece.append(np.full(len(thrown), t, np.int32))
+            if base.interiors > 1:
+                context.progress(t + 1, base.interiors, "interiors")
+        return base.extended(np.concatenate(centers), np.concatenate(piece), spacing=spacing)
+
+
+def start_of(edge: Length | None, pores: PoreSet | None, interiors: int) -> tuple[Cell, PoreSet]:
+    """The cell and the pores a sampler starts from.
+
+    Raises
+    ------
+    DesignError
+        If `edge` contradicts the cell of the pores thrown before.
+    """
+    cell = Cell(edge.mm(), True) if edge and edge.unit else Cell(edge.value if edge else 1.0)
+    if pores is None:
+        return cell, PoreSet(cell=cell, centers=np.zeros((0, 3)), piece=np.zeros(0, np.int32), interiors=interiors)
+    if edge is not None and cell != pores.cell:
+        raise DesignError(
+            f"`edge` is {edge}, but the pores thrown before live in a cell with edge {pores.cell.edge:g}",
+            hint="give `edge` once, on the first sampling stage of the recipe",
+        )
+    return pores.cell, pores
+
+
+def _face_images(pores: PoreSet) -> NDArray[np.float64]:
+    """Face pores of all colours on both opposite faces, (k, 3)."""
+    axis = pores.axis_of_piece()[pores.piece]
+    on_face = axis >= 0
+    low = pores.centers[on_face]
+    return np.concatenate([low, low + np.eye(3)[axis[on_face]]])
+
+

@@ -1,0 +1,118 @@
+"""Base class of tile rules: one method chooses the content of all cells."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.tileset import TileSet
+from sppm_pipeline.data.tiling import Tiling
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Context, Stage, option
+
+__all__ = ["Lattice", "Tiler", "lattice_for"]
+
+
+class Lattice(NamedTuple):
+    """The cells a tiler has to fill.
+
+    Attributes
+    ----------
+    mask : (nx, ny, nz) bool
+        Which cells are needed.
+    edge : float or None
+        Cell edge, mm.
+    origin : tuple of 3 floats
+        World position of the low corner of cell (0, 0, 0), mm.
+    """
+
+    mask: NDArray[np.bool_]
+    edge: float | None
+    origin: tuple[float, float, float]
+
+
+def lattice_for(
+    cell: Length | None, cells: tuple[int, int, int] | None, cover: SurfaceMesh | None, own_edge: float | None
+) -> Lattice:
+    """The lattice that covers a part, or a box of cells.
+
+    Raises
+    ------
+    ConfigError
+        If neither a part nor a number of cells is given, or the size of a cell is missing.
+    """
+    edge = cell.mm() if cell is not None else own_edge
+    if cells is not None:
+        return Lattice(np.ones(cells, bool), edge, (0.0, 0.0, 0.0))
+    if cover is None:
+        raise ConfigError(
+            "there is no part to cover and no number of cells",
+            hint="read a mesh before this stage, or give `cells: [4, 4, 4]`",
+        )
+    if edge is None:
+        raise ConfigError("the size of a cell is missing", hint="give `cell: 7.5 mm`, or `edge` on the sampling stage")
+    from sppm_pipeline.numerics.domain.cover import cells_touched
+
+    lower, upper = cover.lower, cover.upper
+    # centred, so that opposite sides of a symmetric part are cut alike
+    count = np.maximum(np.ceil((upper - lower) / edge - 1e-9), 1).astype(int)
+    origin = (lower + upper - count * edge) / 2
+    mask = cells_touched(cover.vertices, cover.faces.astype(np.int64), origin, edge, (count[0], count[1], count[2]))
+    return Lattice(mask, edge, (float(origin[0]), float(origin[1]), float(origin[2])))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tiler(Stage):
+    """Base of tile rules: implement `lay`; `run` finds the cells that are needed."""
+
+    cell: Length | None = option(
+        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", above=0
+    )
+    cells: tuple[int, int, int] | None = option(
+        None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
+    )
+    kinds: ClassVar[tuple[str, ...]] = ("wang",)
+
+    @abstractmethod
+    def lay(
+        self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
+    ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
+        """Choose the content of all cells in `mask`.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+        mask : (nx, ny, nz) bool
+        tileset : TileSet
+
+        Returns
+        -------
+        interior : (nx, ny, nz) int32
+            Interior of each cell, -1 where `mask` is False.
+        faces : tuple of 3 int32 arrays
+            Face colours; the array of axis a has one more entry along a: plane i is the low side of cell i. -1
+            where no cell touches.
+        """
+
+    def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
+        """Lay the cells."""
+        from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+
+        if tileset.kind not in self.kinds:
+            raise ConfigError(
+                f"{self.name} lays tile sets of kind {' or '.join(self.kinds)}, this one is of kind {tileset.kind!r}",
+                hint=f"use `tile.{KIND_TO_RULE[tileset.kind]}`, or draw the set with another `tileset` stage",
+            )
+        lattice = lattice_for(self.cell, self.cells, cover, tileset.micro.edge_mm)
+        interior, faces = self.lay(context.rng(), lattice.mask, tileset)
+        return Tiling(tileset, TilingArrays(interior, faces, False), lattice.edge, lattice.origin)
+
+
+KIND_TO_RULE = {"wang": "wang_3color", "free": "free_faces", "corner": "corner_colors"}
+"""The built-in rule for each kind of tile set."""

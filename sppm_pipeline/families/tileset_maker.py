@@ -1,0 +1,104 @@
+"""Base class of tile set stages: draw a recipe for many interiors and colours, and set one level for all."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.microstructure import Microstructure
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.tileset import TileSet
+from sppm_pipeline.data.tiling import Tiling
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.stage import Context, Recipe, Stage, option
+
+__all__ = ["TileSetMaker"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileSetMaker(Stage):
+    """Base of tile set stages: say what has to be drawn and how it is laid out on trial.
+
+    The field of a tiling is one sum cut at one level, or it would jump at the faces. So the tiles of a set share their
+    level, their mean porosity is the wished one, and each single tile keeps its own porosity, which is reported.
+    """
+
+    kind: ClassVar[str]
+
+    porosity: float | None = option(
+        None, help="mean porosity of the set, reached by the level; the recipe's own level if omitted", above=0, below=1
+    )
+    resolution: int = option(
+        32, help="voxels along a cell edge when porosity is measured", unit="voxels", minimum=8, maximum=256
+    )
+    tolerance: float = option(
+        0.001, help="largest error of the porosity, checked on an independent, finer grid", above=0, below=0.5
+    )
+
+    @abstractmethod
+    def palette(self) -> Palette:
+        """What the recipe has to supply."""
+
+    @abstractmethod
+    def trial(self) -> list[TilingArrays]:
+        """Periodic layouts in which porosity is measured; together they show every interior."""
+
+    @abstractmethod
+    def palette_size(self) -> int:
+        """The number of colours that `TileSet.palette_colors` states."""
+
+    def run(self, context: Context, recipe: Recipe) -> TileSet:
+        """Draw the set and, if a porosity is wished, choose its level."""
+        from sppm_pipeline.numerics.porosity.level import level_for_porosity
+
+        micro = recipe.run(context, palette=self.palette())
+        if not isinstance(micro, Microstructure):
+            raise ConfigError(
+                f"the recipe {recipe.name!r} makes a {type(micro).__name__}; a tile set needs a Microstructure",
+                hint="end the recipe with `field.gaussian` or another stage that sums kernels",
+            )
+        n, trial = self.resolution, self.trial()
+        if self.porosity is not None:
+            sums = np.concatenate([g.ravel() for g in self._fields(context, micro, trial, n)])
+            micro = micro.with_level(level_for_porosity(sums + np.float32(micro.level), self.porosity).level)
+            fine = self._porosities(context, micro, trial, n + n // 2 + 1)
+            error = abs(float(np.mean(np.concatenate(fine))) - self.porosity)
+            context.report(porosity_error=error, checked_at=n + n // 2 + 1)
+            if error > self.tolerance:
+                raise DesignError(
+                    f"the porosity on a grid of {n + n // 2 + 1} voxels a cell edge differs by {error:.5f} from "
+                    f"the wished {self.porosity:g}; allowed are {self.tolerance:g}",
+                    hint=f"measure on a finer grid, for example `resolution: {2 * n}`",
+                )
+        shares = self._porosities(context, micro, trial, n)
+        interiors = np.concatenate([arrays.interior.ravel() for arrays in trial])
+        count = np.bincount(interiors, minlength=micro.interiors)
+        mean = np.bincount(interiors, np.concatenate(shares), micro.interiors) / np.maximum(count, 1)
+        return TileSet(micro, self.kind, self.palette_size(), tuple(float(v) for v in mean[count > 0]))
+
+    def _fields(
+        self, context: Context, micro: Microstructure, trial: list[TilingArrays], n: int
+    ) -> list[NDArray[np.float32]]:
+        """G - C of each trial layout, (nz, ny, nx) each."""
+        tileset = TileSet(micro, self.kind, self.palette_size())
+        return [
+            Tiling(tileset, arrays, None).sample(cell_centres(n, arrays.interior.shape), context.threads)  # type: ignore[arg-type]
+            for arrays in trial
+        ]
+
+    def _porosities(
+        self, context: Context, micro: Microstructure, trial: list[TilingArrays], n: int
+    ) -> list[NDArray[np.float64]]:
+        """Porosity of each cell of each trial layout, in the order of ``interior.ravel()``."""
+        found = []
+        for arrays, g in zip(trial, self._fields(context, micro, trial, n), strict=True):
+            nx, ny, nz = arrays.interior.shape
+            void = (g >= 0).reshape(nz, n, ny, n, nx, n).mean((1, 3, 5))
+            found.append(np.transpose(void, (2, 1, 0)).ravel())
+        return found

@@ -1,0 +1,198 @@
+"""What a stage is and what it may ask of its surroundings.
+
+A stage is a frozen, keyword-only dataclass. Its fields are its options, each declared once with `option`; the parser,
+the command line help, the reference pages and the JSON Schema all come from there. The annotated signature of `run` is
+its list of ports: a required port is annotated with a noun, an optional one with ``Noun | None``, a port that takes one
+of several nouns with ``A | B``, a recipe with ``Recipe``. What `run` returns is what the stage makes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.errors import DesignError
+
+__all__ = [
+    "FAMILIES",
+    "Context",
+    "OptionSpec",
+    "Recipe",
+    "Rejected",
+    "Stage",
+    "option",
+]
+
+FAMILIES: Mapping[str, str] = {
+    "read": "a file or a primitive becomes a noun",
+    "sample": "pores are thrown",
+    "connect": "pores are joined by tunnels",
+    "field": "pores and tunnels become a field",
+    "tune": "a recipe is repeated until it meets a target",
+    "tileset": "a recipe is drawn for many interiors and face colours",
+    "tile": "cells are laid into a part",
+    "fill": "a part is cut from the tiling",
+    "extract": "a field becomes a triangle mesh",
+    "mesh": "a triangle mesh becomes a volume mesh",
+    "homogenize": "effective properties are computed",
+    "check": "something is measured, and may be rejected",
+    "slice": "a field or mesh becomes a stack of layers",
+    "write": "a noun becomes files",
+}
+
+
+class Rejected(DesignError):
+    """A draw does not meet a check; `tune.retry` draws again, elsewhere it ends the run."""
+
+
+@dataclass(frozen=True)
+class OptionSpec:
+    """The single declaration of an option: what the parser checks and every reference prints.
+
+    Attributes
+    ----------
+    help : str
+        One sentence.
+    unit : str or None
+        Unit of a bare number, for instance "cell lengths" or "mm".
+    minimum, maximum : float or None
+        Inclusive bounds; of the value of a `Length`, of each element of a tuple.
+    above, below : float or None
+        Exclusive bounds.
+    choices : tuple of str
+        Allowed words.
+    """
+
+    help: str
+    unit: str | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    below: float | None = None
+    choices: tuple[str, ...] = ()
+
+
+def option(
+    default: Any = dataclasses.MISSING,
+    *,
+    help: str,
+    unit: str | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    above: float | None = None,
+    below: float | None = None,
+    choices: Iterable[str] = (),
+) -> Any:
+    """Declare an option of a stage; without `default` the option is required.
+
+    The type comes from the annotation: bool, int, float, str, `pathlib.Path` (an input file, taken relative to the
+    configuration file), `Length`, ``tuple[int, int]``, ``tuple[float, ...]``, and any of these ``| None``.
+    """
+    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices))
+    return dataclasses.field(default=default, metadata={"option": spec})
+
+
+class Context(ABC):
+    """What a running stage may ask of its surroundings; the engine implements it.
+
+    Attributes
+    ----------
+    threads : int
+        How many threads the stage may use; results must not depend on it.
+    palette : Palette
+        How many interiors and face colours are wanted; one of each outside tile sets.
+    """
+
+    threads: int
+    palette: Palette
+
+    @abstractmethod
+    def rng(self, *key: int) -> np.random.Generator:
+        """A generator that depends only on the run's seed, the stage's path, the attempt and `key`."""
+
+    @abstractmethod
+    def report(self, **values: Any) -> None:
+        """Add JSON-ready numbers to the stage's summary in the run record."""
+
+    @abstractmethod
+    def progress(self, done: float, total: float, what: str = "") -> None:
+        """Tell how far the work is; cheap enough to be called for every layer."""
+
+    @abstractmethod
+    def warn(self, message: str) -> None:
+        """Tell the user something that does not stop the run; it is kept in the run record."""
+
+    @abstractmethod
+    def output(self, name: str) -> Path:
+        """A path for a final file or folder of this stage.
+
+        It lies in a staging area and is moved to ``<run directory>/<name>`` when the stage has ended well.
+
+        Raises
+        ------
+        ConfigError
+            If the name leaves the run directory or another stage writes it too.
+        """
+
+
+class Recipe(ABC):
+    """A named sub-pipeline handed to a stage that repeats it."""
+
+    name: str
+
+    @abstractmethod
+    def run(
+        self,
+        context: Context,
+        *,
+        palette: Palette | None = None,
+        attempt: int = 0,
+        options: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> Any:
+        """Run the sub-pipeline and return what its last stage makes.
+
+        Parameters
+        ----------
+        context : Context
+            The context of the calling stage.
+        palette : Palette, optional
+            What samplers and connectors have to supply.
+        attempt : int
+            A different attempt draws different random numbers.
+        options : mapping of stage id or name to mapping of option to value, optional
+            Options that replace those in the file.
+        """
+
+    @abstractmethod
+    def options(self) -> Mapping[str, Mapping[str, Any]]:
+        """Options of each stage of the recipe by stage id, defaults included."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage(ABC):
+    """Base of all stages; see the module's docstring for how one is written.
+
+    Attributes
+    ----------
+    name : str
+        ``family.name``; also the file, the YAML prefix and the reference page.
+    version : int
+        Raised when results change for equal options, so that kept results are not reused.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int] = 1
+
+    @abstractmethod
+    def run(self, context: Context, *inputs: Any) -> Any:
+        """Do the work; subclasses state their ports and result by annotation."""
+
+    def check_options(self) -> None:  # noqa: B027 - most stages have nothing to add
+        """Raise `ConfigError` if options contradict each other; called before any work starts."""

@@ -1,0 +1,48 @@
+"""The built-in stages. They register through the same hook as those of strangers, by name, so that none is imported early."""
+
+from __future__ import annotations
+
+from sppm_pipeline.hookspecs import hookimpl
+
+__all__ = ["BUILT_IN", "sppm_stages"]
+
+BUILT_IN = {
+    "read.mesh": "ReadMesh",
+    "read.primitive": "ReadPrimitive",
+    "sample.mirrored_faces": "MirroredFaces",
+    "sample.dart_throwing": "DartThrowing",
+    "sample.elimination": "Elimination",
+    "connect.mst": "MinimumSpanningTree",
+    "connect.mbdst": "BoundedDegreeSubgraph",
+    "field.gaussian": "GaussianField",
+    "tune.porosity": "TunePorosity",
+    "tune.retry": "Retry",
+    "tileset.wang_3color": "WangTileSet",
+    "tileset.free_faces": "FreeFacesTileSet",
+    "tileset.corner_colors": "CornerColorsTileSet",
+    "tile.periodic": "PeriodicTiling",
+    "tile.wang_3color": "WangTiling",
+    "tile.free_faces": "FreeFacesTiling",
+    "tile.corner_colors": "CornerColorsTiling",
+    "tile.fresh": "FreshTiling",
+    "fill.implicit": "ImplicitFill",
+    "extract.marching_cubes": "MarchingCubes",
+    "check.connectivity": "CheckConnectivity",
+    "check.porosity": "CheckPorosity",
+    "check.residual_periodicity": "CheckResidualPeriodicity",
+    "slice.field": "SliceField",
+    "write.png": "WritePng",
+    "write.stl": "WriteStl",
+    "write.ply": "WritePly",
+    "write.obj": "WriteObj",
+    "write.graph": "WriteGraph",
+    "write.picture": "WritePicture",
+    "write.chart": "WriteChart",
+}
+"""Stage name -> class name; the file follows from the name."""
+
+
+@hookimpl
+def sppm_stages() -> dict[str, str]:
+    """All built-in stages, by the place of their class."""
+    return {name: f"sppm_pipeline.stages.{name}:{cls}" for name, cls in BUILT_IN.items()}

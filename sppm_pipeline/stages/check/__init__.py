@@ -1,0 +1,1 @@
+"""Something is measured, and may be rejected."""

@@ -1,0 +1,76 @@
+"""``check.connectivity``: is the solid one piece, and the void?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.cleaned import CleanedField
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.stage import Context, Rejected, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckConnectivity(Stage):
+    """Report, for solid and void, the components, whether the largest runs through in x, y and z, and the rest.
+
+    A periodic cell is labelled on the torus, where opposite faces are one; so removing everything but the largest
+    component keeps it periodic. The paper labels without wrapping and calls a cell erroneous if a component that had
+    to be removed touches its surface; that is ``islands: reject``, to be used inside ``tune.retry``.
+    """
+
+    name: ClassVar[str] = "check.connectivity"
+
+    resolution: int = option(48, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=512)
+    islands: str = option(
+        "remove",
+        help="remove them, reject the cell as the paper does, or keep and only report them",
+        choices=("remove", "reject", "keep"),
+    )
+    bicontinuous: bool = option(False, help="reject a structure whose solid or void does not run through in x, y and z")
+
+    def run(self, context: Context, field: ScalarField) -> ScalarField:
+        """Label both phases; the result is the field, without islands if they are removed."""
+        from sppm_pipeline.numerics.connectivity.islands import keep_largest, loose_parts
+        from sppm_pipeline.numerics.connectivity.percolation import phase_report
+
+        n = self.resolution
+        solid = field.solid(cell_centres(n, field.cells), context.threads)
+        periodic = (field.periodic,) * 3
+        through = True
+        for phase, zeros in (("solid", False), ("void", True)):
+            report = phase_report(solid, periodic, 6, zeros=zeros)
+            through &= all(report.wraps)
+            context.report(
+                **{
+                    f"{phase}_components": report.components,
+                    f"{phase}_wraps": list(report.wraps),
+                    f"{phase}_removed_share": report.removed_share,
+                }
+            )
+        context.report(porosity=1 - float(solid.mean()))
+        if self.islands == "reject":
+            loose = loose_parts(solid)
+            context.report(islands_at_surface=loose.at_boundary)
+            if loose.at_boundary:
+                raise Rejected(f"{loose.at_boundary} islands lie at the surface of the cell")
+        if self.bicontinuous and not through:
+            raise Rejected("solid and void do not both run through in x, y and z")
+        if self.islands == "keep":
+            return field
+        floating = solid & ~keep_largest(solid, periodic)
+        if not floating.any():
+            return field
+        return CleanedField(field, _grown(floating, field.periodic), n)
+
+
+def _grown(mask: NDArray[Any], periodic: bool) -> NDArray[np.uint8]:
+    """The mask and all voxels beside it."""
+    grown = np.pad(mask.astype(np.uint8), 1, mode="wrap" if periodic else "edge")
+    for axis in range(3):
+        grown = grown | np.roll(grown, 1, axis) | np.roll(grown, -1, axis)
+    return np.ascontiguousarray(grown[1:-1, 1:-1, 1:-1])

@@ -1,0 +1,34 @@
+"""``check.porosity``: the share of void."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.stage import Context, Rejected, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckPorosity(Stage):
+    """Measure the porosity of a field on a grid of voxel centres; reject it outside of given bounds."""
+
+    name: ClassVar[str] = "check.porosity"
+
+    resolution: int = option(48, help="voxels along a cell edge", unit="voxels", minimum=2, maximum=1024)
+    minimum: float = option(0.0, help="smallest porosity accepted", minimum=0, maximum=1)
+    maximum: float = option(1.0, help="largest porosity accepted", minimum=0, maximum=1)
+
+    def run(self, context: Context, field: ScalarField) -> None:
+        """Count, one layer of cells after the other."""
+        n, (nx, ny, nz) = self.resolution, field.cells
+        h = 1.0 / n
+        solid = 0
+        for k in range(nz):
+            solid += int(field.solid(Grid((h / 2, h / 2, k + h / 2), (h,) * 3, (nx * n, ny * n, n)), context.threads).sum())
+            context.progress(k + 1, nz, "layers of cells")
+        porosity = 1 - solid / (nx * ny * nz * n**3)
+        context.report(porosity=porosity)
+        if not self.minimum <= porosity <= self.maximum:
+            raise Rejected(f"the porosity is {porosity:.4f}; accepted are {self.minimum:g} to {self.maximum:g}")

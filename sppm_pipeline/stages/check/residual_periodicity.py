@@ -1,0 +1,39 @@
+"""``check.residual_periodicity``: how much of an assembly still repeats from cell to cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.tiling import RepeatedField, Tiling
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckResidualPeriodicity(Stage):
+    """Report the Bragg share and the axis correlation of an assembly, so that one sees what a tile rule buys.
+
+    The Bragg share is the part of the variance that repeats from cell to cell: 1 for one repeated cell, 0 for an
+    assembly without memory of its lattice. The axis correlation compares each cell with its neighbours.
+    """
+
+    name: ClassVar[str] = "check.residual_periodicity"
+
+    resolution: int = option(16, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=128)
+
+    def run(self, context: Context, tiling: Tiling | RepeatedField) -> None:
+        """Sample the whole assembly and compare its cells."""
+        from sppm_pipeline.numerics.tiling.residual import axis_correlation, bragg_share
+
+        if isinstance(tiling, Tiling) and (tiling.arrays.interior < 0).any():
+            raise DesignError(
+                "residual periodicity is defined for a full box of cells; this tiling has empty ones",
+                hint="lay the same tile set with `cells: [8, 8, 8]` and measure that",
+            )
+        if max(tiling.cells) < 2:
+            raise DesignError("residual periodicity needs at least two cells along some axis")
+        solid = tiling.solid(cell_centres(self.resolution, tiling.cells), context.threads).transpose(2, 1, 0)
+        correlation = axis_correlation(solid, tiling.cells)
+        context.report(bragg_share=bragg_share(solid, tiling.cells), axis_correlation=correlation.mean)

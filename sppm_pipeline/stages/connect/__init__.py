@@ -1,0 +1,1 @@
+"""Pores are joined by tunnels."""

@@ -1,0 +1,23 @@
+"""``connect.mst``: the minimum spanning tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.families import Connector, Piece
+
+
+@dataclass(frozen=True, kw_only=True)
+class MinimumSpanningTree(Connector):
+    """Join pores by the shortest tree (the traditional way that the paper compares with)."""
+
+    name: ClassVar[str] = "connect.mst"
+
+    def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        from sppm_pipeline.numerics.connecting.trees import minimum_spanning_tree
+
+        return minimum_spanning_tree(piece.points, periodic=piece.periodic)

@@ -1,0 +1,67 @@
+"""``extract.marching_cubes``: a triangle mesh of a field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.part import Part
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarchingCubes(Stage):
+    """Extract the boundary of the solid: closed, oriented outward, without degenerate triangles.
+
+    Cells and tilings are capped at the border of their box. With ``backend: reference`` scikit-image's independent
+    implementation is used, slower, for comparison.
+    """
+
+    name: ClassVar[str] = "extract.marching_cubes"
+
+    resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=1024)
+    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
+
+    def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
+        """Sample the nodes of a grid and extract the surface, in mm (cell edges for a cell without a size)."""
+        from sppm_pipeline.numerics.connectivity.islands import keep_largest
+        from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
+
+        n, h = self.resolution, 1.0 / self.resolution
+        if isinstance(field, Part):
+            edge = field.physical_edge()
+            low = np.floor((field.domain.lower - field.origin_mm) / edge * n).astype(int) - 1
+            high = np.ceil((field.domain.upper - field.origin_mm) / edge * n).astype(int) + 1
+        else:
+            low, high = np.zeros(3, int), np.array(field.cells) * n
+        nx, ny, nz = (int(v) for v in high - low + 1)
+        x, y, z = (float(v) * h for v in low)
+        values = field.sample(Grid((x, y, z), (h, h, h), (nx, ny, nz)), context.threads)
+        if self.islands == "remove":
+            solid = values < 0
+            kept = keep_largest(solid, (False, False, False))
+            removed = solid & ~kept
+            if removed.any():
+                np.negative(values, out=values, where=removed)
+            context.report(removed_share=float(removed.sum()) / max(1, int(solid.sum())))
+        if not (values < 0).any():
+            raise DesignError("there is no solid to mesh", hint="lower the porosity or the level")
+        if self.backend == "reference":
+            from sppm_pipeline.numerics.surface.reference import marching_cubes_reference
+
+            padded = np.pad(values, 1, constant_values=1.0)
+            vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
+        else:
+            vertices, faces = capped_marching_cubes(values, 0.0, (x, y, z), (h, h, h))
+        scale = field.edge_mm if field.edge_mm is not None else 1.0
+        if field.edge_mm is None:
+            context.warn("the cell has no physical size: one cell edge is written as 1 mm")
+        placed = np.asarray(vertices, np.float64) * scale + np.array(field.origin_mm)
+        return SurfaceMesh(placed, faces, name="surface")

@@ -1,0 +1,1 @@
+"""Pores and tunnels become a field."""

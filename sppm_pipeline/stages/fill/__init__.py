@@ -1,0 +1,1 @@
+"""A part is cut from the tiling."""

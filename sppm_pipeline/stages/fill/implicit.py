@@ -1,0 +1,32 @@
+"""``fill.implicit``: microstructure AND part, decided point by point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.part import Part
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImplicitFill(Stage):
+    """Intersect the implicit fields of the microstructure and of the part (paper, "Mesh-free Slicing").
+
+    Nothing is computed here; layers, meshes and pictures evaluate the part where they need it.
+    """
+
+    name: ClassVar[str] = "fill.implicit"
+
+    skin: Length | None = option(None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0)
+    islands: str = option(
+        "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
+    )
+
+    def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> Part:
+        """Put the two together."""
+        field.physical_edge()
+        return Part(field, domain, self.skin.mm() if self.skin else 0.0, self.islands)

@@ -1,0 +1,111 @@
+"""``read.mesh``: the part to fill, from a mesh file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import UNITS_IN_MM, Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.stage import Context, Stage, option
+
+LARGEST_FILE = 2 * 2**30
+"""Bytes; larger files are refused before they are read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadMesh(Stage):
+    """Read an STL, OBJ, PLY or OFF file, turn, scale and place it, and judge whether it encloses a volume.
+
+    First the mesh is turned, then scaled, then placed.
+    """
+
+    name: ClassVar[str] = "read.mesh"
+
+    path: Path = option(help="file to read: .stl, .obj, .ply or .off")
+    unit: str = option("mm", help="unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))
+    turn: tuple[float, float, float] = option(
+        (0.0, 0.0, 0.0), help="angles about x, then y, then z", unit="degrees", minimum=-360, maximum=360
+    )
+    scale: float | None = option(None, help="factor of all lengths", above=0)
+    height: Length | None = option(None, help="scale the part to this size along z", unit="mm", above=0)
+    place: str = option(
+        "keep",
+        help="where the part goes: as in the file, low corner at the origin, or standing centred on the origin",
+        choices=("keep", "corner", "center"),
+    )
+    accept: str = option(
+        "closed",
+        help="closed: refuse a mesh with holes or faces wound against each other; any: fill what signed crossings call "
+        "inside, with a warning",
+        choices=("closed", "any"),
+    )
+
+    def check_options(self) -> None:
+        if self.scale is not None and self.height is not None:
+            raise ConfigError("`scale` and `height` exclude each other")
+
+    def run(self, context: Context) -> SurfaceMesh:
+        """Read the file."""
+        from sppm_pipeline.formats.detect import decode_mesh
+        from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+
+        try:
+            size = self.path.stat().st_size
+            if size > LARGEST_FILE:
+                raise InputError(f"{self.path} has {size} bytes; the limit is {LARGEST_FILE}")
+            data = self.path.read_bytes()
+        except OSError as error:
+            raise InputError(
+                f"cannot read {self.path}: {error.strerror or error}", hint="check the path and the permissions"
+            ) from error
+        vertices, faces = decode_mesh(data, self.path.name)
+        vertices = vertices * UNITS_IN_MM[self.unit] @ _rotation(self.turn).T
+        used = vertices[np.unique(faces)]
+        lower, upper = used.min(0), used.max(0)
+        extent = upper - lower
+        if not (extent > 0).all():
+            raise InputError(f"{self.path.name} is flat: its size is {extent[0]:g} x {extent[1]:g} x {extent[2]:g} mm")
+        factor = self.height.mm() / extent[2] if self.height is not None else self.scale or 1.0
+        offset = {
+            "keep": np.zeros(3),
+            "corner": -lower * factor,
+            "center": -np.array([(lower[0] + upper[0]) / 2, (lower[1] + upper[1]) / 2, lower[2]]) * factor,
+        }[self.place]
+        vertices = vertices * factor + offset
+        counts, enclosed = edge_counts(faces), volume(vertices, faces)
+        context.report(closed=counts.closed, boundary_edges=counts.boundary)
+        if counts.bounds_solid and enclosed < 0:
+            context.warn("the mesh was wound inside out; its faces have been turned")
+            faces = faces[:, ::-1]
+        if not counts.bounds_solid:
+            message = (
+                f"{self.path.name} does not bound a volume: {counts.boundary} open edges, {counts.non_manifold} edges of "
+                f"three or more triangles, {counts.unbalanced} edges where the winding does not match"
+            )
+            if self.accept == "closed":
+                raise InputError(
+                    message,
+                    hint="repair the mesh, or give `accept: any` to fill what signed crossings call inside",
+                )
+            context.warn(message)
+        return SurfaceMesh(vertices, faces, name=self.path.name)
+
+
+def _rotation(degrees: tuple[float, float, float]) -> NDArray[np.float64]:
+    """Turn about x, then y, then z; quarter turns are exact."""
+    total = np.eye(3)
+    for axis, angle in enumerate(degrees):
+        quarter = angle % 360
+        exact = {0.0: (1.0, 0.0), 90.0: (0.0, 1.0), 180.0: (-1.0, 0.0), 270.0: (0.0, -1.0)}
+        c, s = exact.get(quarter, (float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))))
+        turn = np.eye(3)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
+        total = turn @ total
+    return total

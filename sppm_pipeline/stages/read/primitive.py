@@ -1,0 +1,33 @@
+"""``read.primitive``: a part without a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.stage import Context, Stage, option
+
+SHAPES = ("box", "ball", "cylinder", "torus", "torus_knot")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadPrimitive(Stage):
+    """Make a watertight mesh of a simple body standing on the build plate, centred on the z axis."""
+
+    name: ClassVar[str] = "read.primitive"
+
+    shape: str = option(help="which body", choices=SHAPES)
+    size: tuple[Length, Length, Length] = option(help="box that the body just fills, along x, y, z", unit="mm", above=0)
+    facets: int = option(128, help="straight edges around a full turn of a round body", minimum=8, maximum=4096)
+
+    def run(self, context: Context) -> SurfaceMesh:
+        """Make the mesh."""
+        from sppm_pipeline.numerics.domain.primitives import primitive_mesh
+
+        sx, sy, sz = (length.mm() for length in self.size)
+        vertices, faces = primitive_mesh(self.shape, self.facets)
+        lower, upper = vertices.min(0), vertices.max(0)
+        placed = (vertices - (lower + upper) / 2) / (upper - lower) * [sx, sy, sz] + [0, 0, sz / 2]
+        return SurfaceMesh(placed, faces, name=self.shape)

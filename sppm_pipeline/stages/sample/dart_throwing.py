@@ -1,0 +1,87 @@
+"""``sample.dart_throwing``: blue noise in the interior of the cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import Cell, Length
+from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import InteriorBox, Sampler
+from sppm_pipeline.stage import Context, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class DartThrowing(Sampler):
+    """Throw pores one after the other, discarding those closer than the spacing (paper, "Stochasticity of SPPM").
+
+    Above three quarters of the packing limit darts are thrown only where there still is room (active voxels), which
+    draws from the same distribution without waiting for a lucky dart.
+    """
+
+    name: ClassVar[str] = "sample.dart_throwing"
+
+    count: int | None = option(None, help="pores of one interior", minimum=0)
+    total: int | None = option(None, help="pores of one cell; those on its faces are taken off", minimum=2)
+    spacing: Length | None = option(
+        None, help="smallest distance between pores; that of the face pores if omitted", unit="cell lengths", above=0
+    )
+    share: float | None = option(
+        None, help="fill up to this share of the most that the spacing allows; 1 until nothing fits", above=0, maximum=1
+    )
+    clear_faces: bool = option(True, help="keep the spacing between interior pores and face pores, too")
+
+    def check_options(self) -> None:
+        if self.count is not None and self.total is not None:
+            raise ConfigError("`count` and `total` exclude each other")
+        if self.count is None and self.total is None and self.share is None:
+            raise ConfigError("give the number of pores (`count` or `total`), or a `share` to fill up to")
+
+    def wished_spacing(self, cell: Cell) -> float | None:
+        return None if self.spacing is None else cell.fraction(self.spacing)
+
+    def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
+        """Throw the pores of all interiors."""
+        thrown = super().run(context, pores)
+        from sppm_pipeline.numerics.sampling.capacity import box_capacity
+
+        gap = 0.0 if not thrown.has_faces else self._gap(thrown)
+        inside = int((thrown.piece < thrown.interiors).sum()) / thrown.interiors
+        if thrown.spacing:
+            capacity = box_capacity((1 - 2 * gap,) * 3, thrown.spacing, periodic=not thrown.has_faces)
+            context.report(interior_packing_share=inside / capacity)
+        return thrown
+
+    def _gap(self, pores: PoreSet) -> float:
+        return pores.cell.fraction(self.gap) if self.gap is not None else (pores.spacing or 0.0)
+
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
+        from sppm_pipeline.numerics.sampling.capacity import largest_spacing
+        from sppm_pipeline.numerics.sampling.darts import throw
+
+        count = self.count
+        if self.total is not None:
+            count = max(self.total - box.face_pores, 0)
+        spacing = box.spacing
+        share = self.share if count is None else None
+        if spacing is None:
+            if self.share is None or count is None:
+                raise ConfigError("the spacing is missing", hint="give `spacing`, or `total` with `share`")
+            # at share s of the packing limit a count n needs the spacing at which n / s pores are the limit
+            sides = tuple(float(v) for v in box.upper - box.lower)
+            spacing = largest_spacing(count / self.share, sides, periodic=box.periodic)
+        return throw(
+            rng,
+            count,
+            spacing,
+            box.lower,
+            box.upper,
+            periodic=(box.periodic,) * 3,
+            obstacles=box.obstacles if self.clear_faces else None,
+            obstacle_images=box.periodic,
+            share=share,
+        )

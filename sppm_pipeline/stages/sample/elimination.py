@@ -1,0 +1,32 @@
+"""``sample.elimination``: exactly n well-spaced pores, without a wished spacing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.families import InteriorBox, Sampler
+from sppm_pipeline.stage import option
+
+
+@dataclass(frozen=True, kw_only=True)
+class Elimination(Sampler):
+    """Weighted sample elimination (Yuksel 2015): many uniform candidates, the most crowded removed until n are left.
+
+    It always ends with the wished number and needs no spacing; it keeps away from face pores only through `gap`.
+    """
+
+    name: ClassVar[str] = "sample.elimination"
+
+    count: int = option(help="pores of one interior", minimum=1)
+    candidates: float = option(5.0, help="candidates thrown for each pore kept", minimum=2, maximum=100)
+
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
+        from sppm_pipeline.numerics.sampling.elimination import eliminate
+
+        return eliminate(
+            rng, self.count, box.lower, box.upper, periodic=(box.periodic,) * 3, oversampling=self.candidates
+        )

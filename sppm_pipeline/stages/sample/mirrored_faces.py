@@ -1,0 +1,105 @@
+"""``sample.mirrored_faces``: equal pores on opposite faces, so that the cell is periodic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import start_of
+from sppm_pipeline.stage import Context, Stage, option
+
+MOST_TOGETHER = 16
+"""Colours thrown against each other; more patterns keep a margin that makes them independent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MirroredFaces(Stage):
+    """Throw pores on the faces of the cell; opposite faces carry the same pattern (paper, "Boundary Periodicity").
+
+    Each pattern keeps the spacing to itself, repeated in its plane, and to the patterns of the perpendicular faces of
+    every colour. With several colours pores also keep a margin from the border of the face, so that four cells of any
+    colours may meet at an edge.
+    """
+
+    name: ClassVar[str] = "sample.mirrored_faces"
+
+    count: int | None = option(None, help="face pores of one cell, three faces counted once each", minimum=0)
+    total: int | None = option(
+        None, help="pores of one cell, faces and interior; the faces get their share at equal packing", minimum=2
+    )
+    spacing: Length | None = option(None, help="smallest distance between pores", unit="cell lengths", above=0)
+    share: float | None = option(
+        None, help="packing: pores as a share of the most that the spacing allows", above=0, maximum=1
+    )
+    margin: Length | None = option(
+        None,
+        help="distance of face pores from the border of the face; with several colours at least half the spacing",
+        unit="cell lengths",
+        minimum=0,
+    )
+    edge: Length | None = option(
+        None, help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted", above=0
+    )
+
+    def check_options(self) -> None:
+        if self.count is not None and self.total is not None:
+            raise ConfigError("`count` and `total` exclude each other")
+        given = sum(v is not None for v in (self.spacing, self.share, self.count if self.total is None else self.total))
+        if given != 2:
+            raise ConfigError(
+                "give two of: the number of pores (`count` or `total`), `spacing`, `share`",
+                hint="for example `count: 18` and `spacing: 0.16`, or `total: 110` and `share: 0.5`",
+            )
+
+    def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
+        """Throw the patterns of all colours."""
+        from sppm_pipeline.numerics.sampling.faces import mirrored_faces
+        from sppm_pipeline.numerics.sampling.split import split_between_faces_and_interior
+
+        cell, base = start_of(self.edge, pores, context.palette.interiors)
+        if base.has_faces:
+            raise ConfigError("the faces carry pores already", hint="use one face sampler a recipe")
+        colors = context.palette.colors
+        count, spacing = split_between_faces_and_interior(
+            total=self.total,
+            face_count=self.count,
+            spacing=None if self.spacing is None else cell.fraction(self.spacing),
+            share=self.share,
+            colors=max(colors),
+        )
+        margin = None if self.margin is None else cell.fraction(self.margin)
+        if max(colors) <= MOST_TOGETHER and len(set(colors)) == 1:
+            patterns = mirrored_faces(context.rng(), None, spacing, colors[0], margin=margin, total=count)
+        else:
+            patterns = self._apart(context, count, spacing, colors, margin)
+        flat = [pattern for per_axis in patterns for pattern in per_axis]
+        piece = np.repeat(np.arange(len(flat)) + base.interiors, [len(p) for p in flat]).astype(np.int32)
+        return base.extended(np.concatenate(flat), piece, colors=colors, spacing=spacing)
+
+    def _apart(
+        self, context: Context, count: int, spacing: float, colors: tuple[int, int, int], margin: float | None
+    ) -> list[list[NDArray[np.float64]]]:
+        """Patterns so far from the border of the face that those of perpendicular faces need not be looked at."""
+        from sppm_pipeline.numerics.sampling.darts import throw
+        from sppm_pipeline.numerics.sampling.faces import face_counts
+
+        free = spacing / np.sqrt(2)
+        if margin is not None and margin < free:
+            raise ConfigError(
+                f"the margin of {margin:g} cell edges is too small for this many face patterns; the least is {free:.4g}"
+            )
+        lower, upper = np.full(3, margin or free), np.full(3, 1 - (margin or free))
+        patterns = []
+        for axis, counts in enumerate(face_counts(count, max(colors))):
+            low, high = lower.copy(), upper.copy()
+            low[axis] = high[axis] = 0.0
+            patterns.append(
+                [throw(context.rng(axis, k), int(counts[k]), spacing, low, high) for k in range(colors[axis])]
+            )
+        return patterns

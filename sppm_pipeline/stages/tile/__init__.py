@@ -1,0 +1,1 @@
+"""Cells are laid into a part."""

@@ -1,0 +1,27 @@
+"""``tile.corner_colors``: corner colours by a hash of the place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.tileset import TileSet
+from sppm_pipeline.families import Tiler
+
+
+@dataclass(frozen=True, kw_only=True)
+class CornerColorsTiling(Tiler):
+    """Draw the colour of every lattice corner by a hash of its place; faces follow from their four corners."""
+
+    name: ClassVar[str] = "tile.corner_colors"
+    kinds: ClassVar[tuple[str, ...]] = ("corner",)
+
+    def lay(
+        self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
+    ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
+        from sppm_pipeline.numerics.tiling.corners import tile_corners
+
+        return tile_corners(mask, int(rng.integers(2**62)), tileset.palette_colors, tileset.micro.interiors)

@@ -1,0 +1,27 @@
+"""``tile.free_faces``: colours and interiors by a hash of the place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.tileset import TileSet
+from sppm_pipeline.families import Tiler
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeFacesTiling(Tiler):
+    """Draw every interior and every face colour by a fixed integer hash of its place: any cell is known at once."""
+
+    name: ClassVar[str] = "tile.free_faces"
+    kinds: ClassVar[tuple[str, ...]] = ("free",)
+
+    def lay(
+        self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
+    ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
+        from sppm_pipeline.numerics.tiling.hashed import tile_hashed
+
+        return tile_hashed(mask, int(rng.integers(2**62)), tileset.micro.interiors, tileset.palette_colors)

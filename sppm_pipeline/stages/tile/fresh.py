@@ -1,0 +1,101 @@
+"""``tile.fresh``: no cell and no face is used twice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.microstructure import Microstructure
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.tileset import TileSet
+from sppm_pipeline.data.tiling import Tiling
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import lattice_for
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.stage import Context, Recipe, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreshTiling(Stage):
+    """Draw new interiors and faces for every cell of the part: nothing repeats, at the price of drawing every cell.
+
+    An extension of the paper. Kernel lists take some kilobytes a cell; fields are summed from the kernels, as caching
+    patches that are used once would gain nothing.
+    """
+
+    name: ClassVar[str] = "tile.fresh"
+
+    cell: Length | None = option(
+        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", above=0
+    )
+    cells: tuple[int, int, int] | None = option(
+        None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
+    )
+    porosity: float | None = option(
+        None, help="porosity of the assembly, reached by the level; the recipe's own level if omitted", above=0, below=1
+    )
+    resolution: int = option(
+        32, help="voxels along a cell edge when porosity is measured", unit="voxels", minimum=8, maximum=256
+    )
+    limit: int = option(20_000, help="most cells that are drawn", minimum=1)
+
+    def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
+        """Number the cells and faces, then draw them all."""
+        from sppm_pipeline.numerics.porosity.level import level_for_porosity
+        from sppm_pipeline.numerics.tiling.fresh import tile_fresh
+
+        lattice = lattice_for(self.cell, self.cells, cover, None)
+        wanted = int(lattice.mask.sum())
+        if wanted > self.limit:
+            raise DesignError(
+                f"the part takes {wanted} cells, and each would be drawn anew; the limit is {self.limit}",
+                hint=f"give larger cells, raise `limit: {wanted}`, or use `tileset.free_faces` with many interiors",
+            )
+        interior, faces = tile_fresh(lattice.mask)
+        colors = tuple(int(f.max()) + 1 for f in faces)
+        palette = Palette(wanted, (colors[0], colors[1], colors[2]), _meetings(interior, faces))
+        micro = recipe.run(context, palette=palette)
+        if not isinstance(micro, Microstructure):
+            raise ConfigError(
+                f"the recipe {recipe.name!r} makes a {type(micro).__name__}; fresh cells need a Microstructure",
+                hint="end the recipe with `field.gaussian`",
+            )
+        edge = lattice.edge if lattice.edge is not None else micro.edge_mm
+        tiling = Tiling(TileSet(micro, "fresh", 0), TilingArrays(interior, faces, False), edge, lattice.origin)
+        if self.porosity is None:
+            return tiling
+        # some cells, spread over the part, stand for all
+        chosen = np.argwhere(lattice.mask)[:: max(1, wanted // 64)]
+        h = 1.0 / self.resolution
+        sums = np.concatenate(
+            [
+                tiling.sample(
+                    Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (self.resolution,) * 3), context.threads
+                ).ravel()
+                for x, y, z in chosen.astype(float)
+            ]
+        )
+        micro = micro.with_level(level_for_porosity(sums + np.float32(micro.level), self.porosity).level)
+        return Tiling(TileSet(micro, "fresh", 0), tiling.arrays, edge, lattice.origin)
+
+
+def _meetings(
+    interior: NDArray[np.int32], faces: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+) -> NDArray[np.int64]:
+    """Rows (interior, axis, side, face) of all meetings in the lattice."""
+    rows = []
+    filled = interior >= 0
+    for axis in range(3):
+        for side in range(2):
+            planes = [slice(None)] * 3
+            planes[axis] = slice(1, None) if side else slice(None, -1)
+            own = interior[filled]
+            face = faces[axis][tuple(planes)][filled]
+            rows.append(np.stack([own, np.full_like(own, axis), np.full_like(own, side), face], 1))
+    return np.concatenate(rows).astype(np.int64)

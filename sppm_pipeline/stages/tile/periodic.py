@@ -1,0 +1,65 @@
+"""``tile.periodic``: one cell, repeated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.microstructure import Microstructure
+from sppm_pipeline.data.tileset import TileSet
+from sppm_pipeline.data.tiling import RepeatedField, Tiling
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import lattice_for
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicTiling(Stage):
+    """Repeat one periodic cell, or one tile of the paper's set, through a part."""
+
+    name: ClassVar[str] = "tile.periodic"
+
+    cell: Length | None = option(
+        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", above=0
+    )
+    cells: tuple[int, int, int] | None = option(
+        None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
+    )
+    tile: int = option(0, help="which tile of a tile set is repeated", minimum=0)
+
+    def run(
+        self, context: Context, source: TileSet | ScalarField, cover: SurfaceMesh | None
+    ) -> Tiling | RepeatedField:
+        """Lay the cells."""
+        if isinstance(source, TileSet):
+            if source.kind != "wang":
+                raise ConfigError("only tiles of a `tileset.wang_3color` are periodic cells")
+            if self.tile >= source.micro.interiors:
+                raise ConfigError(f"there is no tile {self.tile}; the set has {source.micro.interiors}")
+            tileset, c = source, source.palette_colors
+            interior, colors = self.tile, (self.tile // c**2, self.tile // c % c, self.tile % c)
+        elif isinstance(source, Microstructure):
+            tileset, interior, colors = TileSet(source, "wang", 1), 0, (0, 0, 0)
+        else:
+            if not source.periodic:
+                raise ConfigError(f"a {type(source).__name__} does not repeat")
+            lattice = lattice_for(self.cell, self.cells, cover, source.edge_mm)
+            nx, ny, nz = lattice.mask.shape
+            return RepeatedField(source, (nx, ny, nz), lattice.edge, lattice.origin)
+        lattice = lattice_for(self.cell, self.cells, cover, tileset.micro.edge_mm)
+        faces = []
+        for axis in range(3):
+            shape = list(lattice.mask.shape)
+            shape[axis] += 1
+            color = colors[axis] if tileset.micro.colors[axis] else -1
+            faces.append(np.full(shape, color, np.int32))
+        arrays = TilingArrays(
+            np.full(lattice.mask.shape, interior, np.int32), (faces[0], faces[1], faces[2]), self.cells is not None
+        )
+        return Tiling(tileset, arrays, lattice.edge, lattice.origin)

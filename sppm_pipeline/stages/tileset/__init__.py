@@ -1,0 +1,1 @@
+"""A recipe is drawn for many interiors and face colours."""

@@ -1,0 +1,43 @@
+"""``tileset.corner_colors``: face patterns named by the colours of their corners."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.families import TileSetMaker
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.stage import option
+
+
+@dataclass(frozen=True, kw_only=True)
+class CornerColorsTileSet(TileSetMaker):
+    """Corner cubes (Lagae and Dutre 2006): each lattice corner has one of c colours, each face one of c^4 patterns.
+
+    Neighbours that only touch at an edge or corner are thereby constrained, too, and far more patterns occur than
+    with coloured faces. An extension of the paper.
+    """
+
+    name: ClassVar[str] = "tileset.corner_colors"
+    kind: ClassVar[str] = "corner"
+
+    colors: int = option(2, help="number of corner colours c", minimum=1, maximum=3)
+    interiors: int = option(64, help="number of interiors K", minimum=1, maximum=1024)
+
+    def palette_size(self) -> int:
+        return self.colors
+
+    def palette(self) -> Palette:
+        return Palette(self.interiors, (self.colors**4,) * 3)
+
+    def trial(self) -> list[TilingArrays]:
+        """One periodic layout by the hash, large enough to show every interior in turn."""
+        from sppm_pipeline.numerics.tiling.corners import tile_corners
+
+        side = max(2, int(np.ceil(self.interiors ** (1 / 3))))
+        interior, faces = tile_corners(np.ones((side,) * 3, bool), 0, self.colors, self.interiors, periodic=True)
+        interior = (np.arange(interior.size, dtype=np.int32) % self.interiors).reshape(interior.shape)
+        return [TilingArrays(interior, faces, True)]

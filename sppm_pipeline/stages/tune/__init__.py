@@ -1,0 +1,1 @@
+"""A recipe is repeated until it meets a target."""

@@ -1,0 +1,60 @@
+"""``write.chart``: a diagram of a sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.table import Table
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteChart(Stage):
+    """Draw one column of a sweep over another: as points, as boxes for equal x, with a fitted line if wished."""
+
+    name: ClassVar[str] = "write.chart"
+
+    path: str = option("chart.png", help="picture to write")
+    x: str = option(help="column along the axis")
+    y: str = option(help="column upward")
+    kind: str = option("points", help="how the values are shown", choices=("points", "boxes"))
+    line: bool = option(False, help="draw the least-squares line through all points and report it")
+    title: str = option("", help="text above the diagram")
+    x_label: str = option("", help="text below the axis; the column's name if empty")
+    y_label: str = option("", help="text beside the axis; the column's name if empty")
+
+    def run(self, context: Context, table: Table) -> None:
+        """Draw the diagram."""
+        from PIL import Image
+
+        from sppm_pipeline.numerics.picture.charts import draw_chart
+        from sppm_pipeline.numerics.porosity.line import fit_line
+
+        x, y = (self._column(table, name) for name in (self.x, self.y))
+        good = np.isfinite(x) & np.isfinite(y)
+        if good.sum() < 2:
+            raise ConfigError(f"columns {self.x!r} and {self.y!r} have fewer than two rows with numbers in both")
+        fitted = None
+        if self.line:
+            line = fit_line(x[good], y[good])
+            fitted = (line.slope, line.intercept)
+            context.report(slope=line.slope, intercept=line.intercept, r_squared=line.r_squared)
+        picture = draw_chart(
+            x[good],
+            y[good],
+            boxes=self.kind == "boxes",
+            line=fitted,
+            title=self.title,
+            x_label=self.x_label or self.x,
+            y_label=self.y_label or self.y,
+        )
+        Image.fromarray(picture).save(context.output(self.path))
+
+    def _column(self, table: Table, name: str) -> np.ndarray:
+        if name not in table.columns:
+            raise ConfigError(f"the sweep has no column {name!r}", hint="there are " + ", ".join(sorted(table.columns)))
+        return np.array([np.nan if v is None or isinstance(v, str) else float(v) for v in table.columns[name]])

@@ -1,0 +1,45 @@
+"""``write.graph``: pores and tunnels as a graph file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.microstructure import Microstructure
+from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteGraph(Stage):
+    """Write pores and tunnels as GraphML or node-link JSON, and report degrees, bridges and loops."""
+
+    name: ClassVar[str] = "write.graph"
+
+    path: str = option("graph.graphml", help="file to write, .graphml or .json")
+
+    def check_options(self) -> None:
+        if not self.path.endswith((".graphml", ".json")):
+            raise ConfigError(f"{self.path!r} must end in .graphml or .json")
+
+    def run(self, context: Context, source: TunnelGraph | Microstructure) -> None:
+        """Write the file."""
+        import networkx
+
+        from sppm_pipeline.numerics.connecting.export import to_networkx
+        from sppm_pipeline.numerics.connecting.statistics import graph_statistics
+
+        graph = source.graph if isinstance(source, Microstructure) else source
+        pores = graph.pores
+        axis = pores.axis_of_piece()[pores.piece]
+        region = ["interior" if a < 0 else f"face_{'xyz'[a]}" for a in axis]
+        exported = to_networkx(pores.centers, graph.edges, graph.shift, region)
+        target = context.output(self.path)
+        if self.path.endswith(".json"):
+            text = json.dumps(networkx.node_link_data(exported, edges="edges"), indent=1, sort_keys=True)
+            target.write_text(text + "\n", encoding="utf-8")
+        else:
+            networkx.write_graphml(exported, target)
+        context.report(**graph_statistics(len(pores.centers), graph.edges, graph.shift, pores.centers))
