@@ -1,0 +1,344 @@
+"""Floating islands of a part whose layers come slab by slab and are never all in memory.
+
+Islands have to be removed on the assembly, never per tile: what floats in a tile may be held by its neighbour. So the
+part is gone through twice. The first pass gives every two-dimensional component of a layer an *id*: the smallest id
+that it touches in the layer below, or a new one. Ids that turn out to be one component are united, and voxels are
+counted per id. The second pass meets the same layers, derives the same ids in the same way, without any union, and
+looks up whether they stay.
+
+Kept between layers are the runs of one layer and their ids; besides, some forty bytes per id until `finish`, and one
+byte afterwards. A new id is needed only where a two-dimensional component lies on nothing below: a few per cell.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.connectivity.islands import clear_runs
+from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_root, find_runs, join_rows, neighbour_reach
+
+__all__ = ["IslandFilter", "IslandStatistics"]
+
+
+class IslandStatistics(NamedTuple):
+    """What the first pass found.
+
+    Attributes
+    ----------
+    layers : int
+        Number of layers seen.
+    voxels : int
+        Voxels of the phase.
+    components : int
+        Number of connected components.
+    kept : int
+        How many of them stay.
+    largest_share : float
+        Share of the phase that is in the largest component.
+    removed_share : float
+        Share of the phase that is removed.
+    spans : 3 bools
+        Whether the largest component reaches, along x, y, z, from the first to the last voxel of the whole phase.
+    """
+
+    layers: int
+    voxels: int
+    components: int
+    kept: int
+    largest_share: float
+    removed_share: float
+    spans: tuple[bool, bool, bool]
+
+
+class IslandFilter:
+    """Remove floating islands in two passes over the same slabs.
+
+    Call `observe` for every slab in the order of z, `finish` once, then `clear` for every slab in the same order (the
+    slabs may be cut differently). The result is that of labelling all layers at once.
+
+    Parameters
+    ----------
+    ny, nx : int
+        Size of a layer.
+    connectivity : {6, 26}
+        Neighbours across faces, or across faces, edges and corners.
+    """
+
+    def __init__(self, ny: int, nx: int, connectivity: int = 6) -> None:
+        self._shape = (ny, nx)
+        self._reach = neighbour_reach(connectivity)
+        self._layers = 0
+        self._parent = np.zeros(1024, dtype=np.int32)
+        self._voxels = np.zeros(1024, dtype=np.int64)
+        # x low, x high, y low, y high, z low, z high; the highs are inclusive
+        self._boxes = np.zeros((1024, 6), dtype=np.int32)
+        self._verdict: NDArray[np.bool_] | None = None
+        self._rewind()
+
+    def _rewind(self) -> None:
+        ny, nx = self._shape
+        self._below = Runs((1, ny, nx), np.zeros(ny + 1, dtype=np.int64), np.zeros(0, dtype=np.int32))
+        self._ids_below = np.zeros(0, dtype=np.int32)
+        self._n_ids = 0
+        self._z = 0
+
+    def _bytes(self, slab: NDArray[np.bool_] | NDArray[np.uint8]) -> NDArray[np.uint8]:
+        if slab.ndim != 3 or slab.shape[1:] != self._shape:
+            raise ValueError(f"a slab is (nz, {self._shape[0]}, {self._shape[1]}), not {slab.shape}")
+        return as_bytes(slab)
+
+    def _advance(self, layer: NDArray[np.uint8], joining: bool) -> Runs:
+        """Find the runs of the next layer and their ids; unite ids if `joining`."""
+        runs = find_runs(layer)
+        if joining and self._n_ids + runs.n_runs > self._parent.size:
+            room = ((0, self._n_ids + 2 * runs.n_runs),)
+            self._parent = np.pad(self._parent, room)
+            self._voxels = np.pad(self._voxels, room)
+            self._boxes = np.pad(self._boxes, (*room, (0, 0)))
+        ids = np.empty(runs.n_runs, dtype=np.int32)
+        self._n_ids = _layer_ids(
+            runs.rows,
+            runs.bounds,
+            self._below.rows,
+            self._below.bounds,
+            self._ids_below,
+            ids,
+            self._parent,
+            self._n_ids,
+            self._reach,
+            joining,
+        )
+        self._below, self._ids_below = runs, ids
+        self._z += 1
+        return runs
+
+    def observe(self, slab: NDArray[np.bool_] | NDArray[np.uint8]) -> None:
+        """First pass: take in the next layers.
+
+        Parameters
+        ----------
+        slab : (nz, ny, nx) bool or uint8
+            Anything but 0 belongs to the phase.
+        """
+        if self._verdict is not None:
+            raise ValueError("observe comes before finish")
+        layers = self._bytes(slab)
+        for k in range(layers.shape[0]):
+            known = self._n_ids
+            runs = self._advance(layers[k : k + 1], joining=True)
+            _count_runs(
+                runs.rows, runs.bounds, self._ids_below, known, self._n_ids, self._z - 1, self._voxels, self._boxes
+            )
+        self._layers = self._z
+
+    def finish(self, keep: Literal["largest"] | float = "largest") -> IslandStatistics:
+        """Decide what stays; `clear` may follow.
+
+        Parameters
+        ----------
+        keep : "largest" or float
+            Keep the largest component only (the first of equals), or all that hold at least this share of the phase.
+
+        Returns
+        -------
+        IslandStatistics
+
+        Raises
+        ------
+        ValueError
+            If the share is not in (0, 1].
+        """
+        if keep != "largest" and not 0 < keep <= 1:
+            raise ValueError(f"the share of the phase that a kept component holds is in (0, 1], not {keep}")
+        if self._verdict is not None:
+            raise ValueError("finish comes once")
+        root = self._parent[: self._n_ids]
+        _resolve(root, self._voxels, self._boxes)
+        is_root = root == np.arange(root.size, dtype=np.int32)
+        sizes = np.where(is_root, self._voxels[: root.size], 0)
+        total = int(sizes.sum())
+        if total == 0:
+            self._verdict = np.zeros(0, dtype=np.bool_)
+            self._rewind()
+            return IslandStatistics(self._layers, 0, 0, 0, 0.0, 0.0, (False, False, False))
+        largest = int(np.argmax(sizes))
+        if keep == "largest":
+            kept = np.arange(root.size) == largest
+        else:
+            kept = is_root & (sizes >= keep * total)
+        self._verdict = kept[root]
+        boxes = self._boxes[: root.size][is_root]
+        own = self._boxes[largest]
+        x, y, z = (
+            bool(own[2 * a] == boxes[:, 2 * a].min() and own[2 * a + 1] == boxes[:, 2 * a + 1].max()) for a in range(3)
+        )
+        statistics = IslandStatistics(
+            layers=self._layers,
+            voxels=total,
+            components=int(np.count_nonzero(is_root)),
+            kept=int(np.count_nonzero(kept)),
+            largest_share=int(sizes[largest]) / total,
+            removed_share=int(sizes[~kept].sum()) / total,
+            spans=(x, y, z),
+        )
+        self._parent, self._voxels, self._boxes = (
+            np.zeros(0, dtype=np.int32),
+            np.zeros(0, dtype=np.int64),
+            np.zeros((0, 6), dtype=np.int32),
+        )
+        self._rewind()
+        return statistics
+
+    def clear(
+        self, slab: NDArray[np.bool_] | NDArray[np.uint8], out: NDArray[np.uint8] | None = None
+    ) -> NDArray[np.uint8]:
+        """Second pass: take the islands out of the next layers.
+
+        Parameters
+        ----------
+        slab : (nz, ny, nx) bool or uint8
+            The same layers, in the same order, as in the first pass.
+        out : (nz, ny, nx) uint8, C-contiguous, optional
+            Where the result goes; may be `slab` itself, which saves a copy.
+
+        Returns
+        -------
+        (nz, ny, nx) uint8
+            The slab with 0 in the voxels of islands.
+
+        Raises
+        ------
+        InputError
+            If the layers are not those of the first pass, as far as that shows.
+        """
+        if self._verdict is None:
+            raise ValueError("clear comes after finish")
+        layers = self._bytes(slab)
+        if out is None:
+            out = layers.copy()
+        elif out is not slab:
+            out[...] = layers
+        if self._z + layers.shape[0] > self._layers:
+            raise InputError(f"the second pass has more layers than the first, which had {self._layers}")
+        for k in range(layers.shape[0]):
+            runs = self._advance(layers[k : k + 1], joining=False)
+            if self._n_ids > self._verdict.size:
+                raise InputError(
+                    f"layer {self._z - 1} of the second pass is not that of the first",
+                    hint="both passes must make the same layers from the same input",
+                )
+            clear_runs(runs.rows, runs.bounds, self._verdict[self._ids_below], out[k : k + 1].view(np.uint8))
+        return out
+
+
+@kernel
+def _layer_ids(
+    rows: NDArray[np.int64],
+    bounds: NDArray[np.int32],
+    rows_below: NDArray[np.int64],
+    bounds_below: NDArray[np.int32],
+    ids_below: NDArray[np.int32],
+    ids: NDArray[np.int32],
+    parent: NDArray[np.int32],
+    n_ids: int,
+    reach: int,
+    joining: bool,
+) -> int:
+    """Write the id of each run of a layer into `ids`; returns the number of ids so far."""
+    ny = rows.size - 1
+    n_runs = bounds.size // 2
+    local = np.arange(n_runs).astype(np.int32)
+    for y in range(1, ny):
+        join_rows(bounds, rows[y], rows[y + 1], rows[y - 1], rows[y], reach, local)
+    for r in range(n_runs):
+        local[r] = local[local[r]]  # a parent is never after its child
+        ids[r] = -1
+    # unions go on while the smallest id of a component is still sought: the order doesn't matter
+    for y in range(ny):
+        for dy in range(-reach, reach + 1):
+            if y + dy < 0 or y + dy >= ny:
+                continue
+            a, a_stop = rows[y], rows[y + 1]
+            b, b_stop = rows_below[y + dy], rows_below[y + dy + 1]
+            while a < a_stop and b < b_stop:
+                if bounds[2 * a + 1] + reach <= bounds_below[2 * b]:
+                    a += 1
+                elif bounds_below[2 * b + 1] + reach <= bounds[2 * a]:
+                    b += 1
+                else:
+                    c = local[a]
+                    mine, other = ids[c], ids_below[b]
+                    if mine != other:
+                        if mine < 0:
+                            ids[c] = other
+                        else:
+                            if joining:
+                                root_a = find_root(parent, mine)
+                                root_b = find_root(parent, other)
+                                if root_a < root_b:
+                                    parent[root_b] = root_a
+                                elif root_b < root_a:
+                                    parent[root_a] = root_b
+                            ids[c] = min(mine, other)
+                    if bounds[2 * a + 1] < bounds_below[2 * b + 1]:
+                        a += 1
+                    else:
+                        b += 1
+    for r in range(n_runs):
+        if local[r] == r:
+            if ids[r] < 0:
+                ids[r] = n_ids
+                if joining:
+                    parent[n_ids] = n_ids
+                n_ids += 1
+        else:
+            ids[r] = ids[local[r]]
+    return n_ids
+
+
+@kernel
+def _count_runs(
+    rows: NDArray[np.int64],
+    bounds: NDArray[np.int32],
+    ids: NDArray[np.int32],
+    known: int,
+    n_ids: int,
+    z: int,
+    voxels: NDArray[np.int64],
+    boxes: NDArray[np.int32],
+) -> None:
+    """Add a layer's voxels to the counts and bounding boxes of its ids; ids from `known` on are new."""
+    for i in range(known, n_ids):
+        voxels[i] = 0
+        for axis in range(3):
+            boxes[i, 2 * axis] = 2147483647
+            boxes[i, 2 * axis + 1] = -1
+    for y in range(rows.size - 1):
+        for r in range(rows[y], rows[y + 1]):
+            i = ids[r]
+            box = boxes[i]
+            voxels[i] += bounds[2 * r + 1] - bounds[2 * r]
+            box[0] = min(box[0], bounds[2 * r])
+            box[1] = max(box[1], bounds[2 * r + 1] - 1)
+            box[2] = min(box[2], y)
+            box[3] = max(box[3], y)
+            box[4] = min(box[4], z)
+            box[5] = z
+
+
+@kernel
+def _resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
+    """Point every id at its root and gather counts and bounding boxes there."""
+    for i in range(parent.size):
+        root = parent[parent[i]]  # a parent is never after its child
+        parent[i] = root
+        if root != i:
+            voxels[root] += voxels[i]
+            for axis in range(3):
+                boxes[root, 2 * axis] = min(boxes[root, 2 * axis], boxes[i, 2 * axis])
+                boxes[root, 2 * axis + 1] = max(boxes[root, 2 * axis + 1], boxes[i, 2 * axis + 1])

@@ -1,0 +1,187 @@
+"""Primitive bodies as watertight triangle meshes, wound outwards, vertices on the surface."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.domain.primitives import torus_knot_curve
+
+__all__ = ["ball_mesh", "box_mesh", "cylinder_mesh", "torus_knot_mesh", "torus_mesh"]
+
+Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+Point = tuple[float, float, float]
+
+
+def _at_least(least: int, **counts: int) -> None:
+    for name, value in counts.items():
+        if value < least:
+            raise ValueError(f"{name} is at least {least}, not {value}")
+
+
+def box_mesh(centre: Point, size: Point) -> Mesh:
+    """An axis-aligned box: 8 vertices, 12 triangles.
+
+    Parameters
+    ----------
+    centre : 3 floats
+    size : 3 floats
+        Edge lengths.
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+    faces : (m, 3) int32
+    """
+    corners = np.array([(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+    quads = np.array([(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)])
+    return corners * np.asarray(size) + np.asarray(centre), _split(quads)
+
+
+def _split(quads: NDArray[np.integer]) -> NDArray[np.int32]:
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
+
+
+def _wrap(rows: int, columns: int) -> NDArray[np.int32]:
+    """Triangles of a closed grid of rows x columns vertices, both directions periodic."""
+    i, j = (v.ravel() for v in np.indices((rows, columns)))
+    right, up = (j + 1) % columns, (i + 1) % rows
+    return _split(np.stack([i * columns + j, i * columns + right, up * columns + right, up * columns + j], axis=1))
+
+
+def ball_mesh(centre: Point, radius: float, subdivisions: int = 3) -> Mesh:
+    """A ball: an icosahedron whose triangles are split in four `subdivisions` times; 20 * 4^s triangles.
+
+    Parameters
+    ----------
+    centre : 3 floats
+    radius : float
+    subdivisions : int
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+    faces : (m, 3) int32
+    """
+    _at_least(0, subdivisions=subdivisions)
+    golden = (1 + 5**0.5) / 2
+    points = np.array(
+        [
+            [(-1, golden, 0), (1, golden, 0), (-1, -golden, 0), (1, -golden, 0)],
+            [(0, -1, golden), (0, 1, golden), (0, -1, -golden), (0, 1, -golden)],
+            [(golden, 0, -1), (golden, 0, 1), (-golden, 0, -1), (-golden, 0, 1)],
+        ]
+    ).reshape(-1, 3)
+    faces = np.array(
+        [
+            [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11)],
+            [(1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8)],
+            [(3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9)],
+            [(4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)],
+        ]
+    ).reshape(-1, 3)
+    for _ in range(subdivisions):
+        ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+        edges, middle = np.unique(ends, axis=0, return_inverse=True)
+        ab, bc, ca = (len(points) + middle.reshape(-1, 3)).T
+        a, b, c = faces.T
+        points = np.concatenate([points, points[edges].mean(axis=1)])
+        faces = np.concatenate([np.stack(f, axis=1) for f in [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]])
+    points = points * (radius / np.linalg.norm(points, axis=1, keepdims=True)) + np.asarray(centre)
+    return points, faces.astype(np.int32)
+
+
+def cylinder_mesh(centre: Point, radius: float, height: float, segments: int = 64) -> Mesh:
+    """An upright prism with `segments` sides, inscribed in a cylinder along z; `centre` is its middle.
+
+    Parameters
+    ----------
+    centre : 3 floats
+    radius, height : float
+    segments : int
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+    faces : (m, 3) int32
+    """
+    _at_least(3, segments=segments)
+    angle = np.arange(segments) * (2 * np.pi / segments)
+    circle = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    rings = [np.column_stack([circle, np.full(segments, z)]) for z in (-height / 2, height / 2)]
+    vertices = np.concatenate([*rings, [(0, 0, -height / 2), (0, 0, height / 2)]]) + np.asarray(centre)
+    i = np.arange(segments)
+    j = (i + 1) % segments
+    side = _split(np.stack([i, j, j + segments, i + segments], axis=1))
+    floor = np.stack([j, i, np.full(segments, 2 * segments)], axis=1)
+    ceiling = np.stack([i + segments, j + segments, np.full(segments, 2 * segments + 1)], axis=1)
+    return vertices, np.concatenate([side, floor, ceiling]).astype(np.int32)
+
+
+def torus_mesh(centre: Point, radius: float, tube: float, segments: int = 96, sides: int = 48) -> Mesh:
+    """A torus around the z axis, `segments` along the ring and `sides` around the tube.
+
+    Parameters
+    ----------
+    centre : 3 floats
+    radius : float
+        From the centre to the middle of the tube.
+    tube : float
+        Radius of the tube; smaller than `radius`, or the mesh meets itself.
+    segments, sides : int
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+    faces : (m, 3) int32
+    """
+    _at_least(3, segments=segments, sides=sides)
+    around = (np.arange(segments) * (2 * np.pi / segments))[:, None]
+    across = (np.arange(sides) * (2 * np.pi / sides))[None, :]
+    r = radius + tube * np.cos(across)
+    height = np.broadcast_to(tube * np.sin(across), (segments, sides))
+    points = np.stack([r * np.cos(around), r * np.sin(around), height], axis=2)
+    return points.reshape(-1, 3) + np.asarray(centre), _wrap(segments, sides)[:, ::-1].copy()
+
+
+def torus_knot_mesh(
+    centre: Point,
+    turns: tuple[int, int] = (2, 3),
+    radius: float = 1.0,
+    swing: float = 0.4,
+    tube: float = 0.2,
+    segments: int = 512,
+    sides: int = 32,
+) -> Mesh:
+    """A tube around a torus knot.
+
+    Parameters
+    ----------
+    centre : 3 floats
+    turns, radius, swing
+        The curve, see `sppm_pipeline.numerics.domain.primitives.torus_knot_curve`.
+    tube : float
+        Radius of the tube.
+    segments, sides : int
+        Vertices along the curve and around the tube.
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+    faces : (m, 3) int32
+    """
+    _at_least(3, segments=segments, sides=sides)
+    curve = torus_knot_curve(turns, radius, swing, segments)
+    tangent = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    # the normal of the torus turns with the curve and comes back to itself, so the last ring fits the first
+    t = np.arange(segments) * (2 * np.pi / segments)
+    ring = np.stack([np.cos(turns[0] * t), np.sin(turns[0] * t), np.zeros(segments)], axis=1) * radius
+    outwards = curve - ring
+    outwards -= (outwards * tangent).sum(axis=1, keepdims=True) * tangent
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    sidewards = np.cross(tangent, outwards)
+    angle = np.arange(sides) * (2 * np.pi / sides)
+    rim = np.cos(angle)[None, :, None] * outwards[:, None] + np.sin(angle)[None, :, None] * sidewards[:, None]
+    points = curve[:, None] + tube * rim
+    return points.reshape(-1, 3) + np.asarray(centre), _wrap(segments, sides)

@@ -1,0 +1,132 @@
+"""The straight line from the number of pores to the porosity (paper, section 2.3, figure 'porosity with n')."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sppm_pipeline.errors import DesignError
+
+__all__ = ["PorosityLine", "count_for_porosity", "fit_line", "predict_porosity"]
+
+
+class PorosityLine(NamedTuple):
+    """A fitted line; plain numbers, so that `PorosityLine(*values)` and `_asdict` carry it to a file and back.
+
+    Attributes
+    ----------
+    slope : float
+        Porosity per pore.
+    intercept : float
+        Porosity at n = 0 (an extrapolation).
+    r_squared : float
+        Share of the variance of the porosity that the line explains.
+    residual_sd : float
+        Standard deviation of the residuals, with two degrees of freedom taken by the line; 0 for two samples.
+    largest_residual : float
+        Largest distance of a sample from the line.
+    n_min, n_max : int
+        Range of n that was fitted; the line says nothing beyond.
+    samples : int
+        Number of samples.
+    """
+
+    slope: float
+    intercept: float
+    r_squared: float
+    residual_sd: float
+    largest_residual: float
+    n_min: int
+    n_max: int
+    samples: int
+
+
+def fit_line(n: ArrayLike, porosity: ArrayLike) -> PorosityLine:
+    """Fit the line by least squares.
+
+    Parameters
+    ----------
+    n : (m,) integers
+        Number of pores of each sample.
+    porosity : (m,) floats
+        Its porosity.
+
+    Returns
+    -------
+    PorosityLine
+
+    Raises
+    ------
+    ValueError
+        If the arrays differ in length or hold something that is not finite.
+    DesignError
+        If n does not vary, or if the porosity does not grow with it.
+    """
+    count = np.asarray(n, dtype=np.float64)
+    value = np.asarray(porosity, dtype=np.float64)
+    if count.ndim != 1 or count.shape != value.shape or not (np.isfinite(count).all() and np.isfinite(value).all()):
+        raise ValueError(f"a line needs two finite arrays of one length, not {count.shape} and {value.shape}")
+    if count.size < 2 or count.min() == count.max():
+        raise DesignError(
+            "a line needs samples with at least two different numbers of pores", hint="widen the range of n"
+        )
+    from_mean = count - count.mean()
+    slope = float(from_mean @ (value - value.mean()) / (from_mean @ from_mean))
+    intercept = float(value.mean() - slope * count.mean())
+    residuals = value - (slope * count + intercept)
+    left = float(residuals @ residuals)
+    total = float(((value - value.mean()) ** 2).sum())
+    if slope <= 0.0:
+        raise DesignError(
+            f"the porosity does not grow with the number of pores (slope {slope:.3g} from {count.size} samples)",
+            hint="widen the range of n, or draw more samples for each n",
+        )
+    return PorosityLine(
+        slope=slope,
+        intercept=intercept,
+        r_squared=1.0 - left / total,
+        residual_sd=math.sqrt(left / (count.size - 2)) if count.size > 2 else 0.0,
+        largest_residual=float(np.abs(residuals).max()),
+        n_min=int(count.min()),
+        n_max=int(count.max()),
+        samples=int(count.size),
+    )
+
+
+def predict_porosity(line: PorosityLine, n: float) -> float:
+    """Porosity on the line at n pores."""
+    return line.slope * n + line.intercept
+
+
+def count_for_porosity(line: PorosityLine, porosity: float) -> int:
+    """The number of pores whose porosity on the line is nearest to a wish.
+
+    Parameters
+    ----------
+    line : PorosityLine
+    porosity : float
+        Wished porosity.
+
+    Returns
+    -------
+    int
+        Within the range that was fitted.
+
+    Raises
+    ------
+    DesignError
+        If the wish lies off the fitted range by more than half a pore; the message names the range that can be
+        reached.
+    """
+    n = (porosity - line.intercept) / line.slope
+    if not line.n_min - 0.5 <= n <= line.n_max + 0.5:
+        low, high = predict_porosity(line, line.n_min), predict_porosity(line, line.n_max)
+        raise DesignError(
+            f"a porosity of {porosity:g} is outside of what the line was fitted to: "
+            f"{low:.4g} to {high:.4g} for {line.n_min} to {line.n_max} pores",
+            hint="wish for a porosity in that range, fit a wider range of n, or change the radii",
+        )
+    return min(max(round(n), line.n_min), line.n_max)
