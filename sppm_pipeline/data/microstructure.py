@@ -130,9 +130,7 @@ class PeriodicTile(ScalarField):
         return lone_periodic_cell(self.interior, self.micro.face_ids(self.colors))
 
 
-def pieces_from_graph(
-    graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], squared: bool
-) -> Pieces:
+def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], squared: bool) -> Pieces:
     """Sort the kernels of all pores and tunnels by the piece they belong to.
 
     Parameters

@@ -62,16 +62,23 @@ class Part(ScalarField):
 
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
         """The larger of the microstructure's field and the signed distance from the domain, in cell edges."""
+        inner, outer = self.sample_apart(grid, threads)
+        return np.maximum(inner, outer, out=inner)
+
+    def sample_apart(self, grid: Grid, threads: int = 1) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The microstructure's field, made solid inside the skin, and the domain's distance in cell edges."""
         from sppm_pipeline.numerics.domain.signed_distance import signed_distance
 
         values = self.field.sample(grid, threads)
-        distance = signed_distance(self.domain.vertices, self.domain.faces, self.in_mm(grid))
+        world = self.in_mm(grid)
+        reach = max(world.spacing) + self.skin_mm
+        distance = signed_distance(self.domain.vertices, self.domain.faces, world, reach)
         edge = np.float32(self.physical_edge())
         if self.skin_mm:
             # inside the skin the field does not matter: solid where the surface is nearer than the skin is thick
             np.minimum(values, (-np.float32(self.skin_mm) - distance) / edge, out=values)
-        np.maximum(values, distance / edge, out=values)
-        return values
+        distance /= edge
+        return values, distance
 
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
         return self.solid_layers(grid, 0, grid.shape[2], threads)
@@ -105,4 +112,9 @@ class Part(ScalarField):
 
     def summary(self) -> dict[str, Any]:
         """The domain's and the lattice's size."""
-        return {"domain": self.domain.summary(), "skin_mm": self.skin_mm, "islands": self.islands, "cells": list(self.cells)}
+        return {
+            "domain": self.domain.summary(),
+            "skin_mm": self.skin_mm,
+            "islands": self.islands,
+            "cells": list(self.cells),
+        }

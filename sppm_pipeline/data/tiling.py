@@ -126,7 +126,10 @@ class Tiling(ScalarField):
         if key not in kept:
             combinations = self.tileset.combinations()
             arguments = {"offset": offset, "cutoff": CUTOFF}
-            if self.tileset.kind == "fresh" or predicted_bytes(micro.pieces, n, combinations, **arguments) > PATCH_MEMORY:
+            if (
+                self.tileset.kind == "fresh"
+                or predicted_bytes(micro.pieces, n, combinations, **arguments) > PATCH_MEMORY
+            ):
                 kept[key] = None
             else:
                 kept[key] = build_bank(micro.pieces, n, combinations, **arguments)

@@ -73,7 +73,9 @@ class Connector(Stage):
         for piece, index in enumerate(members):
             if len(index) > 1:
                 region = "face" if axis_of_piece[piece] >= 0 else "interior"
-                e, s = self.join(context.rng(piece), Piece(pores.centers[index], not pores.has_faces, region, pores.cell))
+                e, s = self.join(
+                    context.rng(piece), Piece(pores.centers[index], not pores.has_faces, region, pores.cell)
+                )
                 edges.append(index[e])
                 shifts.append(s)
             if len(members) > 4:
@@ -88,5 +90,3 @@ class Connector(Stage):
                 edges.append(np.stack([inside[nearest], outside], 1))
                 shifts.append(np.tile(shift, (len(outside), 1)))
         return TunnelGraph(pores, np.concatenate(edges), np.concatenate(shifts))
-
-

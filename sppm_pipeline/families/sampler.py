@@ -129,5 +129,3 @@ def _face_images(pores: PoreSet) -> NDArray[np.float64]:
     on_face = axis >= 0
     low = pores.centers[on_face]
     return np.concatenate([low, low + np.eye(3)[axis[on_face]]])
-
-

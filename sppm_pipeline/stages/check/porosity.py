@@ -26,7 +26,9 @@ class CheckPorosity(Stage):
         h = 1.0 / n
         solid = 0
         for k in range(nz):
-            solid += int(field.solid(Grid((h / 2, h / 2, k + h / 2), (h,) * 3, (nx * n, ny * n, n)), context.threads).sum())
+            solid += int(
+                field.solid(Grid((h / 2, h / 2, k + h / 2), (h,) * 3, (nx * n, ny * n, n)), context.threads).sum()
+            )
             context.progress(k + 1, nz, "layers of cells")
         porosity = 1 - solid / (nx * ny * nz * n**3)
         context.report(porosity=porosity)

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.length import Cell, Length
+from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import Connector, Piece

@@ -34,9 +34,7 @@ class GaussianField(Stage):
     )
     level: float = option(0.25, help="the level C at which the sum is cut", above=0, below=1)
     tunnel: str = option("linear", help="how the distance enters the tunnel kernel", choices=("linear", "squared"))
-    pore_spread: float = option(
-        0.0, help="standard deviation of the logarithm of the pore radii", minimum=0, maximum=1
-    )
+    pore_spread: float = option(0.0, help="standard deviation of the logarithm of the pore radii", minimum=0, maximum=1)
     tunnel_spread: float = option(
         0.0, help="standard deviation of the logarithm of the tunnel radii", minimum=0, maximum=1
     )

@@ -21,7 +21,9 @@ class ImplicitFill(Stage):
 
     name: ClassVar[str] = "fill.implicit"
 
-    skin: Length | None = option(None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0)
+    skin: Length | None = option(
+        None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0
+    )
     islands: str = option(
         "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
     )

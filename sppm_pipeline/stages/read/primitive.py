@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -24,10 +25,21 @@ class ReadPrimitive(Stage):
 
     def run(self, context: Context) -> SurfaceMesh:
         """Make the mesh."""
-        from sppm_pipeline.numerics.domain.primitives import primitive_mesh
+        from sppm_pipeline.numerics.domain import primitive_meshes as make
 
         sx, sy, sz = (length.mm() for length in self.size)
-        vertices, faces = primitive_mesh(self.shape, self.facets)
+        middle, around = (0.0, 0.0, 0.0), self.facets
+        if self.shape == "box":
+            vertices, faces = make.box_mesh(middle, (1.0, 1.0, 1.0))
+        elif self.shape == "ball":
+            # an icosahedron has about five edges around; each subdivision doubles them
+            vertices, faces = make.ball_mesh(middle, 1.0, max(1, round(math.log2(around / 5))))
+        elif self.shape == "cylinder":
+            vertices, faces = make.cylinder_mesh(middle, 1.0, 1.0, around)
+        elif self.shape == "torus":
+            vertices, faces = make.torus_mesh(middle, 1.0, 0.4, around, around // 2)
+        else:
+            vertices, faces = make.torus_knot_mesh(middle, tube=0.35, segments=4 * around, sides=around // 2)
         lower, upper = vertices.min(0), vertices.max(0)
         placed = (vertices - (lower + upper) / 2) / (upper - lower) * [sx, sy, sz] + [0, 0, sz / 2]
         return SurfaceMesh(placed, faces, name=self.shape)

@@ -33,9 +33,7 @@ class PeriodicTiling(Stage):
     )
     tile: int = option(0, help="which tile of a tile set is repeated", minimum=0)
 
-    def run(
-        self, context: Context, source: TileSet | ScalarField, cover: SurfaceMesh | None
-    ) -> Tiling | RepeatedField:
+    def run(self, context: Context, source: TileSet | ScalarField, cover: SurfaceMesh | None) -> Tiling | RepeatedField:
         """Lay the cells."""
         if isinstance(source, TileSet):
             if source.kind != "wang":

@@ -37,9 +37,7 @@ class TunePorosity(Stage):
     )
     samples: int = option(3, help="trial cells for each number of pores on the line", minimum=1, maximum=200)
     resolution: int = option(64, help="voxels along the cell edge", unit="voxels", minimum=8, maximum=512)
-    tolerance: float = option(
-        0.001, help="largest error of the porosity, checked on a finer grid", above=0, below=0.5
-    )
+    tolerance: float = option(0.001, help="largest error of the porosity, checked on a finer grid", above=0, below=0.5)
     evaluations: int = option(40, help="most cells drawn while the gap is searched", minimum=3, maximum=1000)
 
     def run(self, context: Context, recipe: Recipe) -> ScalarField:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
@@ -31,30 +32,29 @@ class WriteChart(Stage):
         """Draw the diagram."""
         from PIL import Image
 
-        from sppm_pipeline.numerics.picture.charts import draw_chart
+        from sppm_pipeline.numerics.picture.charts import chart
+        from sppm_pipeline.numerics.picture.series import Boxes, Line, Points
         from sppm_pipeline.numerics.porosity.line import fit_line
 
         x, y = (self._column(table, name) for name in (self.x, self.y))
         good = np.isfinite(x) & np.isfinite(y)
-        if good.sum() < 2:
+        x, y = x[good], y[good]
+        if len(x) < 2:
             raise ConfigError(f"columns {self.x!r} and {self.y!r} have fewer than two rows with numbers in both")
-        fitted = None
-        if self.line:
-            line = fit_line(x[good], y[good])
-            fitted = (line.slope, line.intercept)
-            context.report(slope=line.slope, intercept=line.intercept, r_squared=line.r_squared)
-        picture = draw_chart(
-            x[good],
-            y[good],
-            boxes=self.kind == "boxes",
-            line=fitted,
-            title=self.title,
-            x_label=self.x_label or self.x,
-            y_label=self.y_label or self.y,
+        places = np.unique(x)
+        shown: list[Boxes | Line | Points] = (
+            [Boxes(places, [y[x == place] for place in places])] if self.kind == "boxes" else [Points(x, y)]
         )
+        if self.line:
+            line = fit_line(x, y)
+            ends = np.array([x.min(), x.max()])
+            label = f"{line.slope:.4g} n + {line.intercept:.4g}, R2 = {line.r_squared:.3f}"
+            shown.append(Line(ends, line.slope * ends + line.intercept, label=label))
+            context.report(slope=line.slope, intercept=line.intercept, r_squared=line.r_squared)
+        picture = chart(shown, title=self.title, x_label=self.x_label or self.x, y_label=self.y_label or self.y)
         Image.fromarray(picture).save(context.output(self.path))
 
-    def _column(self, table: Table, name: str) -> np.ndarray:
+    def _column(self, table: Table, name: str) -> NDArray[np.float64]:
         if name not in table.columns:
             raise ConfigError(f"the sweep has no column {name!r}", hint="there are " + ", ".join(sorted(table.columns)))
         return np.array([np.nan if v is None or isinstance(v, str) else float(v) for v in table.columns[name]])

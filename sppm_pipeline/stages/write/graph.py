@@ -28,18 +28,18 @@ class WriteGraph(Stage):
         """Write the file."""
         import networkx
 
-        from sppm_pipeline.numerics.connecting.export import to_networkx
+        from sppm_pipeline.numerics.connecting.export import networkx_graph
         from sppm_pipeline.numerics.connecting.statistics import graph_statistics
 
         graph = source.graph if isinstance(source, Microstructure) else source
         pores = graph.pores
         axis = pores.axis_of_piece()[pores.piece]
         region = ["interior" if a < 0 else f"face_{'xyz'[a]}" for a in axis]
-        exported = to_networkx(pores.centers, graph.edges, graph.shift, region)
+        exported = networkx_graph(pores.centers, graph.edges, graph.shift, region)
         target = context.output(self.path)
         if self.path.endswith(".json"):
             text = json.dumps(networkx.node_link_data(exported, edges="edges"), indent=1, sort_keys=True)
             target.write_text(text + "\n", encoding="utf-8")
         else:
             networkx.write_graphml(exported, target)
-        context.report(**graph_statistics(len(pores.centers), graph.edges, graph.shift, pores.centers))
+        context.report(**graph_statistics(pores.centers, graph.edges, graph.shift)._asdict())

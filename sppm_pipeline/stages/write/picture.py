@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,14 @@ from sppm_pipeline.data.tileset import TileSet
 from sppm_pipeline.numerics.grid import Grid, cell_nodes
 from sppm_pipeline.stage import Context, Stage, option
 
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.picture.camera import Camera
+
 MOST_SAMPLES = 64_000_000
 """Samples of a field for one picture; finer grids are coarsened, as no pixel would show the difference."""
+
+MOST_TILES = 64
+"""Tiles on a sheet."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +37,9 @@ class WritePicture(Stage):
     )
     size: tuple[int, int] = option((1200, 900), help="width and height", unit="pixels", minimum=16, maximum=8192)
     azimuth: float = option(-60.0, help="direction of view around z", unit="degrees", minimum=-360, maximum=360)
-    elevation: float = option(25.0, help="height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90)
+    elevation: float = option(
+        25.0, help="height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90
+    )
     section: float | None = option(
         None, help="keep only this share along y, the far side, to look inside", above=0, maximum=1
     )
@@ -50,14 +58,12 @@ class WritePicture(Stage):
             picture = self._field(context, what)
         Image.fromarray(picture).save(context.output(self.path))
 
-    def _camera(self) -> object:
+    def _camera(self) -> Camera:
         from sppm_pipeline.numerics.picture.camera import Camera
 
         return Camera(azimuth=self.azimuth, elevation=self.elevation)
 
     def _field(self, context: Context, field: ScalarField) -> NDArray[np.uint8]:
-        from sppm_pipeline.numerics.picture.voxel_view import render_field
-
         low, high = np.zeros(3), np.array(field.cells, float)
         if isinstance(field, Part):
             edge = field.physical_edge()
@@ -73,36 +79,38 @@ class WritePicture(Stage):
         x, y, z = (float(v) / n for v in first)
         grid = Grid((x, y, z), (1 / n,) * 3, (nx, ny, nz))
         if not isinstance(field, Part):
-            return render_field(
-                field.sample(grid, context.threads).transpose(2, 1, 0), camera=self._camera(), size=self.size
-            )
-        from sppm_pipeline.numerics.domain.signed_distance import signed_distance
+            return self._surface(field.sample(grid, context.threads), None, grid, self.size)
+        inner, outer = field.sample_apart(grid, context.threads)
+        return self._surface(inner, outer, grid, self.size)
 
-        outside = signed_distance(field.domain.vertices, field.domain.faces, field.in_mm(grid))
-        # without a skin the two fields are handed over apart, so that the cut surface gets its own colour
-        inner = field.sample(grid, context.threads) if field.skin_mm else field.field.sample(grid, context.threads)
-        return render_field(
-            inner.transpose(2, 1, 0),
-            part=outside.transpose(2, 1, 0) / np.float32(field.physical_edge()),
-            camera=self._camera(),
-            size=self.size,
-        )
+    def _surface(
+        self, inner: NDArray[np.float32], outer: NDArray[np.float32] | None, grid: Grid, size: tuple[int, int]
+    ) -> NDArray[np.uint8]:
+        """The surface of the solid, cut faces in a colour of their own."""
+        from sppm_pipeline.numerics.picture.cut_faces import cut_triangles
+        from sppm_pipeline.numerics.picture.mesh_view import render_mesh
+        from sppm_pipeline.numerics.picture.shading import BONE, CUT
+        from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
+
+        values = inner if outer is None else np.maximum(inner, outer)
+        vertices, faces = capped_marching_cubes(values, 0.0, grid.origin, grid.spacing)
+        cut = cut_triangles(vertices, faces, inner, outer, grid)
+        colors = np.where(cut[:, None], np.array(CUT, np.uint8), np.array(BONE, np.uint8))
+        return render_mesh(vertices, faces, camera=self._camera(), size=size, face_colors=colors)
 
     def _sheet(self, context: Context, tileset: TileSet) -> NDArray[np.uint8]:
         from sppm_pipeline.numerics.picture.plates import contact_sheet
-        from sppm_pipeline.numerics.picture.voxel_view import render_field
 
         pictures, labels = [], []
         c = tileset.palette_colors
-        for t in range(min(tileset.micro.interiors, 64)):
+        shown = min(tileset.micro.interiors, MOST_TILES)
+        for t in range(shown):
             colors = (t // c**2, t // c % c, t % c) if tileset.kind == "wang" else (0, 0, 0)
-            tile = tileset.micro.alone(t, colors)
-            values = tile.sample(cell_nodes(self.resolution), context.threads)
-            pictures.append(render_field(values.transpose(2, 1, 0), camera=self._camera(), size=(300, 270)))
+            grid = cell_nodes(self.resolution)
+            values = tileset.micro.alone(t, colors).sample(grid, context.threads)
+            pictures.append(self._surface(values, None, grid, (300, 270)))
             share = f"  {tileset.porosity[t]:.1%}" if t < len(tileset.porosity) else ""
             name = "".join("xyz"[a] + str(colors[a] + 1) for a in range(3)) if tileset.kind == "wang" else str(t)
             labels.append(name + share)
-            context.progress(t + 1, tileset.micro.interiors, "tiles drawn")
+            context.progress(t + 1, shown, "tiles drawn")
         return contact_sheet(pictures, labels, columns=9 if len(pictures) > 16 else 4)
-
-
