@@ -84,6 +84,11 @@ class Microstructure(ScalarField):
         """The same kernels cut at another level."""
         return replace(self, level=float(level))
 
+    def forget_patches(self, n: int) -> None:
+        """Free the patches sampled at n voxels a cell edge."""
+        for key in [key for key in self.banks if key[2] == n]:
+            del self.banks[key]
+
     def alone(self, interior: int, colors: tuple[int, int, int]) -> PeriodicTile:
         """Interior t with faces of the given colours on both opposite sides, repeated for ever."""
         return PeriodicTile(self, interior, colors)

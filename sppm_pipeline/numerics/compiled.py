@@ -1,7 +1,7 @@
 """How kernels are compiled: one decorator, so that every kernel is cached on disk and releases the GIL.
 
 Kernels are compiled on their first call, not on import, and the machine code is kept in Numba's cache; a caller
-that wants to tell its user about the wait registers a callback with `on_first_compilation`.
+that wants to tell its user about the wait registers a callback with `sppm_pipeline.numerics.notice`.
 """
 
 from __future__ import annotations
@@ -10,16 +10,41 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
-from numba.core import event
+from numba.core import config, event
+
+from sppm_pipeline.numerics.kernel_cache import kernel_cache_folder
+from sppm_pipeline.numerics.notice import first_compilation
+
+setattr(config, "CACHE_DIR", str(kernel_cache_folder()))  # noqa: B010 - Numba declares its settings at run time
+
+
+def _load_numba_without_scipy() -> None:
+    """Load the part of Numba that looks for BLAS, answering its question without the import of scipy.linalg.
+
+    That import takes longer than everything else in a short run, and is there only to tell whether `numpy.dot` can be
+    compiled. If somebody compiles it after all, Numba finds BLAS when it is called.
+    """
+    from numba.np import linalg
+
+    look = linalg.ensure_blas
+    linalg.ensure_blas = lambda: None
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        linalg.ensure_blas = look
+
+
+_load_numba_without_scipy()
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-__all__ = ["inline_kernel", "kernel", "on_first_compilation"]
+__all__ = ["inline_kernel", "kernel"]
 
 
 def kernel(function: F) -> F:
     """Compile `function` on first call with strict IEEE arithmetic, no GIL, cached on disk."""
-    return numba.njit(cache=True, nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    return compiled  # type: ignore[no-any-return]
 
 
 def inline_kernel(function: F) -> F:
@@ -28,22 +53,16 @@ def inline_kernel(function: F) -> F:
     Only the flags that let LLVM vectorise are set: NaN and infinity keep their meaning.
     """
     flags = {"reassoc", "contract", "arcp", "nsz"}
-    return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function)  # type: ignore[no-any-return]
+    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function)
+    return compiled  # type: ignore[no-any-return]
 
 
-class _FirstCompilation(event.Listener):  # type: ignore[misc]
-    def __init__(self, callback: Callable[[], None]) -> None:
-        self._callback: Callable[[], None] | None = callback
-
+class _Compilation(event.Listener):
     def on_start(self, event: Any) -> None:
-        if self._callback is not None:
-            callback, self._callback = self._callback, None
-            callback()
+        first_compilation()
 
     def on_end(self, event: Any) -> None:
         pass
 
 
-def on_first_compilation(callback: Callable[[], None]) -> None:
-    """Call `callback` once, at the moment when a kernel is not found in the cache and has to be compiled."""
-    event.register("numba:compile", _FirstCompilation(callback))
+event.register("numba:compile", _Compilation())  # type: ignore[no-untyped-call]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.domain.primitives import torus_knot_curve
-
-__all__ = ["ball_mesh", "box_mesh", "cylinder_mesh", "torus_knot_mesh", "torus_mesh"]
+__all__ = ["ball_mesh", "box_mesh", "cylinder_mesh", "torus_knot_curve", "torus_knot_mesh", "torus_mesh"]
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 Point = tuple[float, float, float]
@@ -144,6 +144,41 @@ def torus_mesh(centre: Point, radius: float, tube: float, segments: int = 96, si
     return points.reshape(-1, 3) + np.asarray(centre), _wrap(segments, sides)[:, ::-1].copy()
 
 
+def torus_knot_curve(turns: tuple[int, int], radius: float, swing: float, points: int) -> NDArray[np.float64]:
+    """A closed curve that winds `turns[0]` times around the z axis and `turns[1]` times around the torus' ring.
+
+    Parameters
+    ----------
+    turns : (int, int)
+        Without a common divisor, so that the curve is one.
+    radius, swing : float
+        Radii of the torus on which the curve lies: of the ring, and of the tube around it.
+    points : int
+        Number of points; the last is not the first again.
+
+    Returns
+    -------
+    (points, 3) float64
+        Around the origin.
+
+    Raises
+    ------
+    ValueError
+        If the turns have a common divisor or are not positive, or if there are fewer than 3 points.
+    """
+    around, through = turns
+    if min(turns) < 1 or math.gcd(around, through) != 1:
+        raise ValueError(f"a torus knot has two positive numbers of turns without a common divisor, not {turns}")
+    if points < 3:
+        raise ValueError(f"a closed curve has at least 3 points, not {points}")
+    for name, value in (("radius", radius), ("swing", swing)):
+        if not 0 < value < math.inf:
+            raise ValueError(f"{name} is a positive length, not {value}")
+    t = np.arange(points) * (2 * np.pi / points)
+    r = radius + swing * np.cos(through * t)
+    return np.stack([r * np.cos(around * t), r * np.sin(around * t), swing * np.sin(through * t)], axis=1)
+
+
 def torus_knot_mesh(
     centre: Point,
     turns: tuple[int, int] = (2, 3),
@@ -159,7 +194,7 @@ def torus_knot_mesh(
     ----------
     centre : 3 floats
     turns, radius, swing
-        The curve, see `sppm_pipeline.numerics.domain.primitives.torus_knot_curve`.
+        The curve, see `torus_knot_curve`.
     tube : float
         Radius of the tube.
     segments, sides : int

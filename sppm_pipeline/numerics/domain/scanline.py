@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
-from sppm_pipeline.numerics.domain.mesh_measures import as_mesh
+from sppm_pipeline.numerics.domain.mesh_arrays import as_mesh
 from sppm_pipeline.numerics.grid import Grid
 
 __all__ = ["Occupancy", "Scan", "count_inside", "prepare_scan", "scan_layers"]

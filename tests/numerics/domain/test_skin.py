@@ -6,9 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from sppm_pipeline.numerics.domain.primitives import inside_ball, inside_torus
 from sppm_pipeline.numerics.domain.skin import halo_layers, skin_layers
-from sppm_pipeline.numerics.grid import Grid
 
 
 def slow_skin(inside, spacing, thickness):
@@ -40,8 +38,10 @@ def test_slabs_equal_the_distance_transform(seed, spacing, thickness, n):
 @pytest.mark.parametrize("voxels", [1, 3, 7])
 def test_rows_longer_than_a_block(voxels):
     h = 0.1
-    grid = Grid((0.05, 0.05, 0.05), (h, h, h), (300, 40, 30))
-    inside = inside_torus(grid, (15.0, 2.0, 1.5), 12.0, 1.4) | inside_ball(grid, (15, 2, 1.5), 1.9)
+    z, y, x = (np.arange(n) * h + h / 2 - middle for n, middle in ((30, 1.5), (40, 2.0), (300, 15.0)))
+    z, y, x = np.meshgrid(z, y, x, indexing="ij")
+    torus, ball = (np.hypot(x, y) - 12) ** 2 + z**2 <= 1.4**2, x**2 + y**2 + z**2 <= 1.9**2
+    inside = (torus | ball).astype(np.uint8)
     inside[:, 5:35, 2:140] = 1
     expected = slow_skin(inside, (h, h, h), voxels * h)
     found = skin_layers(inside, (h, h, h), voxels * h, 0, 0)

@@ -1,0 +1,284 @@
+"""STL, binary and ASCII. The format knows no shared vertices: equal positions are merged on reading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, as_written, require_content, require_faces, require_room
+from sppm_pipeline.formats.text import (
+    Bytes,
+    as_lines,
+    fail_at,
+    pending_floats,
+    resolve_floats,
+    scan_float,
+    shown,
+    skip_line,
+    skip_token,
+)
+from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.surface.measures import edge_counts
+
+__all__ = ["decode", "encode", "is_ascii", "is_binary"]
+
+_HEADER, _RECORD = 84, 50
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_ROWS_AT_ONCE = 65536
+
+
+def is_binary(data: bytes | memoryview | bytearray) -> bool:
+    """Whether the size is that of the number of triangles in the header (a few stray bytes more are allowed)."""
+    if len(data) < _HEADER:
+        return False
+    return 0 <= len(data) - _HEADER - _RECORD * int.from_bytes(data[80:84], "little") < _RECORD
+
+
+def is_ascii(data: bytes | memoryview | bytearray) -> bool:
+    """Whether it begins like ASCII STL: ``solid``, and ``facet`` or ``endsolid`` soon after, or no byte but text."""
+    head = bytes(data[:4096]).lstrip().lower()
+    if not head.startswith(b"solid"):
+        return False
+    return b"facet" in head or b"endsolid" in head or all(c >= 32 or c in b"\t\r\n\f" for c in head)
+
+
+def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
+    """Read a mesh and merge equal corners, numbered in the order of their first use.
+
+    A file that begins with ``solid`` is binary all the same if its size fits the number of triangles in its header.
+
+    Parameters
+    ----------
+    data : bytes-like
+        The content of the file.
+    name : str
+        How to call the file in messages.
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+        Values of float32 precision from a binary file, full values from an ASCII file. Corners are merged if they are
+        equal as float32; if that leaves the surface open, and merging those that are equal to 2^-24 of the largest
+        coordinate closes it, then those. Of the corners merged the first one is kept.
+    faces : (m, 3) int64
+        Normals and attributes are ignored.
+
+    Raises
+    ------
+    InputError
+        With the line or byte of what is wrong.
+    """
+    require_content(data, name)
+    if not is_binary(data) and is_ascii(data):
+        corners = _ascii_corners(data, name)
+    else:
+        corners = _binary_corners(data, name)
+    # Adding 0 turns -0 into 0, which is the same place with other bits.
+    first, faces = _merged((corners.astype(np.float32) + np.float32(0)).view(np.uint32))
+    faces = faces.reshape(-1, 3)
+    require_faces(name, faces)
+    if not edge_counts(faces).closed:
+        # CAD programs leave noise of 1e-16 where they mean 0, and so rims that are none.
+        step = np.abs(corners).max() / 2**24 or 1.0
+        first_coarse, coarse = _merged(np.rint(corners / step).astype(np.int32).view(np.uint32))
+        coarse = coarse.reshape(-1, 3)
+        if edge_counts(coarse).closed:
+            first, faces = first_coarse, coarse
+    return corners[first], faces
+
+
+def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float64]:
+    if len(data) < _HEADER:
+        raise InputError(
+            f"{name}: {len(data)} bytes are too few for a binary STL, whose header alone takes {_HEADER}, "
+            "and the file does not begin like an ASCII STL",
+            hint="the file is cut off, or no STL",
+        )
+    claimed = int.from_bytes(data[80:84], "little")
+    require_room(name, "triangles", claimed, _RECORD, len(data) - _HEADER, _HEADER)
+    surplus = len(data) - _HEADER - _RECORD * claimed
+    if surplus >= _RECORD:
+        raise InputError(
+            f"{name}: the header (byte 80) claims {claimed} triangles, but {surplus} more bytes follow them",
+            hint="the number of triangles is wrong: write the file again",
+        )
+    records = np.frombuffer(data, _TRIANGLE, claimed, _HEADER)
+    corners = np.ascontiguousarray(records["corners"]).reshape(-1, 3)
+    if not np.isfinite(corners).all():
+        bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=1))[0])
+        raise InputError(
+            f"{name}: triangle {bad // 3} (byte {_HEADER + _RECORD * (bad // 3)}): a coordinate must be finite, "
+            f"not {corners[bad].tolist()}"
+        )
+    return corners.astype(np.float64)
+
+
+def _ascii_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float64]:
+    lines = as_lines(data)
+    status, where, n, _ = _scan(lines, np.empty((0, 3)), pending_floats(0), False)
+    if status == _OK:
+        corners, pending = np.empty((n, 3)), pending_floats(3 * n)
+        status, where, _, n_pending = _scan(lines, corners, pending, True)
+    if status != _OK:
+        fail_at(lines, where, name, _MESSAGES[status].format(word=shown(lines, where)))
+    resolve_floats(lines, pending[:n_pending], corners.reshape(-1), name)
+    too_large = np.abs(corners) > np.finfo(np.float32).max
+    if too_large.any():
+        raise InputError(f"{name}: the coordinate {corners[too_large][0]} is beyond the range of STL (float32)")
+    return corners
+
+
+def _word(text: bytes) -> np.uint64:
+    return np.uint64(int.from_bytes(text, "little"))
+
+
+_SOLID, _FACET, _NORMAL, _OUTER, _LOOP = (_word(word) for word in (b"solid", b"facet", b"normal", b"outer", b"loop"))
+_VERTEX, _ENDLOOP, _ENDFACET = (_word(word) for word in (b"vertex", b"endloop", b"endfacet"))
+_ENDSOLID = _word(b"endsolid")
+_OK, _UNKNOWN, _CORNERS, _CUT_OFF = range(4)
+_MESSAGES = {
+    _UNKNOWN: "{word} is no word of ASCII STL",
+    _CORNERS: "a loop has exactly three vertices",
+    _CUT_OFF: "the file ends within a triangle",
+}
+
+
+@kernel
+def _scan(
+    data: Bytes, corners: NDArray[np.float64], pending: NDArray[np.int64], fill: bool
+) -> tuple[int, int, int, int]:
+    """Walk over the words; count the corners, or fill the array if `fill`.
+
+    Returns the status, the place of the fault, and the numbers of corners and of pending floats.
+    """
+    n, p, in_loop = 0, 0, 0
+    open_loop = False
+    i = 0
+    while True:
+        while i < data.size and data[i] <= 32:
+            i += 1
+        if i >= data.size:
+            break
+        start = i
+        i = max(skip_token(data, i), i + 1)
+        word = np.uint64(0)
+        if i - start <= 8:
+            for k in range(start, i):
+                letter = data[k] + 32 if 65 <= data[k] <= 90 else data[k]
+                word |= np.uint64(letter) << np.uint64(8 * (k - start))
+        values = 0
+        if word == _VERTEX and open_loop:
+            values = 3
+            in_loop += 1
+        elif word == _NORMAL:
+            values = 3
+        elif word == _LOOP:
+            open_loop, in_loop = True, 0
+        elif word == _ENDLOOP:
+            if in_loop != 3 or not open_loop:
+                return _CORNERS, start, n, p
+            open_loop = False
+        elif word in (_SOLID, _ENDSOLID):
+            if open_loop:
+                return _CORNERS, start, n, p
+            i = skip_line(data, i)
+        elif word != _FACET and word != _OUTER and word != _ENDFACET:
+            return _UNKNOWN, start, n, p
+        for c in range(values):
+            while i < data.size and data[i] <= 32:
+                i += 1
+            if i >= data.size:
+                return _CUT_OFF, start, n, p
+            if word == _VERTEX and fill:
+                corners[n, c], end, exact = scan_float(data, i)
+                if not exact:
+                    pending[p, 0], pending[p, 1], pending[p, 2] = 3 * n + c, i, end
+                    p += 1
+                i = max(end, i + 1)
+            else:
+                i = max(skip_token(data, i), i + 1)
+        n += word == _VERTEX
+    if open_loop:
+        return _CUT_OFF, data.size, n, p
+    return _OK, 0, n, p
+
+
+@kernel
+def _merged(bits: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First row of each different row (n, 3), in the order of appearance, and each row's number among them."""
+    size = 16
+    while size < 2 * bits.shape[0]:
+        size *= 2
+    slots = np.full(size, -1, np.int64)
+    first = np.empty(bits.shape[0], np.int64)
+    numbers = np.empty(bits.shape[0], np.int64)
+    mask = np.uint64(size - 1)
+    count = 0
+    for i in range(bits.shape[0]):
+        h = np.uint64(bits[i, 0]) | np.uint64(bits[i, 1]) << np.uint64(32)
+        h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+        h = ((h ^ (h >> np.uint64(32))) + np.uint64(bits[i, 2])) * np.uint64(0x94D049BB133111EB)
+        slot = np.int64((h ^ (h >> np.uint64(31))) & mask)
+        while slots[slot] >= 0:
+            other = first[slots[slot]]
+            if bits[other, 0] == bits[i, 0] and bits[other, 1] == bits[i, 1] and bits[other, 2] == bits[i, 2]:
+                break
+            slot = (slot + 1) & (size - 1)
+        if slots[slot] < 0:
+            slots[slot] = count
+            first[count] = i
+            count += 1
+        numbers[i] = slots[slot]
+    return first[:count], numbers
+
+
+def encode(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Iterator[bytes]:
+    """Write a mesh, (n, 3) and (m, 3), as binary STL, piece by piece.
+
+    Positions are rounded to float32; the normals are those of the rounded triangles, 0 for one without area. The unit
+    is not recorded: STL has none. Same mesh, same bytes.
+
+    Raises
+    ------
+    ValueError
+        If the mesh has 2^32 triangles or more, or a coordinate beyond float32.
+    """
+    points, triangles = as_written(vertices, faces)
+    if points.size and float(np.abs(points).max()) > float(np.finfo(np.float32).max):
+        raise ValueError("a coordinate is beyond the range of STL (float32)")
+    if triangles.shape[0] >= 2**32:
+        raise ValueError("STL counts up to 2^32 - 1 triangles")
+    # A binary STL must not begin with "solid".
+    yield b"binary STL written by sppm".ljust(80) + triangles.shape[0].to_bytes(4, "little")
+    rounded = points.astype(np.float32)
+    words = np.zeros((min(_ROWS_AT_ONCE, triangles.shape[0]), _RECORD // 2), np.uint16)
+    for start in range(0, triangles.shape[0], _ROWS_AT_ONCE):
+        rows = triangles[start : start + _ROWS_AT_ONCE]
+        _put_triangles(words, rounded, rows)
+        yield words[: rows.shape[0]].astype("<u2", copy=False).tobytes()
+
+
+@kernel
+def _put_triangles(words: NDArray[np.uint16], points: NDArray[np.float32], faces: NDArray[np.int32]) -> None:
+    """Records of 25 words of 16 bits: twelve floats would not be aligned in them, their halves are."""
+    numbers = np.empty(12, np.float32)
+    halves = numbers.view(np.uint16)
+    for row in range(faces.shape[0]):
+        for c in range(3):
+            for axis in range(3):
+                numbers[3 + 3 * c + axis] = points[faces[row, c], axis]
+        ux = np.float64(numbers[6]) - np.float64(numbers[3])
+        uy = np.float64(numbers[7]) - np.float64(numbers[4])
+        uz = np.float64(numbers[8]) - np.float64(numbers[5])
+        vx = np.float64(numbers[9]) - np.float64(numbers[3])
+        vy = np.float64(numbers[10]) - np.float64(numbers[4])
+        vz = np.float64(numbers[11]) - np.float64(numbers[5])
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        scale = 1.0 / length if length > 0.0 else 0.0
+        numbers[0], numbers[1], numbers[2] = nx * scale, ny * scale, nz * scale
+        for k in range(24):
+            words[row, k] = halves[k]

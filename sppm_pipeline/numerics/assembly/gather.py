@@ -1,0 +1,189 @@
+"""All kernels of a tiling that reach a box: the exact way to its field, for any grid."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sppm_pipeline.numerics.assembly.contents import (
+    PIECES_A_SITE,
+    PieceNumbers,
+    number_pieces,
+    site_pieces,
+    sites_between,
+)
+from sppm_pipeline.numerics.assembly.pieces import Pieces
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
+from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, reach_boxes
+from sppm_pipeline.numerics.kernels.splat import add_kernels
+
+__all__ = ["kernels_in_box", "sample_exact"]
+
+# Sites whose kernels are gathered at a time: some 10^5 kernels, 50 MB with all temporary arrays.
+_SITES = 600
+
+
+class _Catalogue(NamedTuple):
+    """All kernels of all pieces in one set, where each piece begins, and how far each kernel and piece reaches."""
+
+    numbers: PieceNumbers
+    kernels: Kernels
+    first_pore: NDArray[np.int64]
+    first_tunnel: NDArray[np.int64]
+    pore_boxes: tuple[NDArray[np.float64], NDArray[np.float64]]
+    tunnel_boxes: tuple[NDArray[np.float64], NDArray[np.float64]]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+
+def kernels_in_box(
+    pieces: Pieces, tiling: TilingArrays, lower: ArrayLike, upper: ArrayLike, cutoff: float = DEFAULT_CUTOFF
+) -> Kernels:
+    """All kernels of a tiling that reach a box; only cells near the box are looked at.
+
+    Parameters
+    ----------
+    pieces : Pieces
+        The kernel sets.
+    tiling : TilingArrays
+        Which of them stands where; a periodic tiling repeats for ever.
+    lower, upper : (3,) array_like
+        Corners of the box in cell units; may lie outside of the tiling.
+    cutoff : float
+        A kernel is left out where it stays below the cut-off in the whole box.
+
+    Returns
+    -------
+    Kernels
+        In a fixed order: by lattice site (z, y, x), interior, faces, connectors, place in the piece. The order of two
+        kernels does not depend on the box.
+    """
+    return _gather(_catalogue(pieces, cutoff), tiling, np.asarray(lower, float), np.asarray(upper, float))
+
+
+def sample_exact(
+    pieces: Pieces,
+    tiling: TilingArrays,
+    grid: Grid,
+    cutoff: float = DEFAULT_CUTOFF,
+    threads: int = 1,
+    layer_start: int = 0,
+    layer_stop: int | None = None,
+) -> NDArray[np.float32]:
+    """The field of a tiling on any grid, kernel by kernel.
+
+    Kernels are gathered for a few cells at a time, so memory beyond the result does not grow with the grid.
+
+    Parameters
+    ----------
+    pieces, tiling
+        See `kernels_in_box`.
+    grid : Grid
+        Samples in cell units; the spacing need not divide the cell edge.
+    cutoff : float
+        See `add_kernels`.
+    threads : int
+        Number of threads; the result does not depend on it.
+    layer_start, layer_stop : int
+        Layers of the grid to sample, all by default; a layer's values do not depend on the choice.
+
+    Returns
+    -------
+    (layer_stop - layer_start, ny, nx) float32
+        The field G.
+    """
+    nx, ny, nz = grid.shape
+    layer_stop = nz if layer_stop is None else layer_stop
+    if not 0 <= layer_start <= layer_stop <= nz:
+        raise ValueError(f"layers {layer_start} to {layer_stop} are not all in a grid of {nz} layers")
+    catalogue = _catalogue(pieces, cutoff)
+    out = np.zeros((layer_stop - layer_start, ny, nx), dtype=np.float32)
+    # Half a cell of layers, and bands of rows that depend on the grid alone: the sums are always the same.
+    height = max(1, int(0.5 / grid.spacing[2]))
+    cells_a_row = 2.0 + nx * grid.spacing[0]
+    rows = max(16, int(_SITES / (3.0 * cells_a_row) / grid.spacing[1]))
+    for start in range(layer_start, layer_stop, height):
+        stop = min(start + height, layer_stop)
+        for row in range(0, ny, rows):
+            band = min(row + rows, ny) - row
+            origin = (grid.origin[0], grid.origin[1] + row * grid.spacing[1], grid.origin[2])
+            part = Grid(origin, grid.spacing, (nx, band, nz))
+            span = part.layers(start, stop)
+            lower = np.array(span.origin)
+            upper = lower + np.array(span.spacing) * (np.array(span.shape) - 1)
+            kernels = _gather(catalogue, tiling, lower, upper)
+            block = out[start - layer_start : stop - layer_start]
+            target = block if band == ny else np.zeros((stop - start, band, nx), dtype=np.float32)
+            add_kernels(target, part, kernels, cutoff, threads, first_layer=start)
+            if band < ny:
+                block[:, row : row + band] = target
+    return out
+
+
+def _catalogue(pieces: Pieces, cutoff: float) -> _Catalogue:
+    numbers = number_pieces(pieces)
+    kernels = [k._replace(squared=pieces.squared) if len(k.starts) == 0 else k for k in numbers.kernels]
+    every = concatenated(kernels) if kernels else empty_kernels(pieces.squared)
+    pore_lower, pore_upper, tunnel_lower, tunnel_upper = reach_boxes(every, cutoff)
+    first_pore = np.cumsum([0] + [len(k.centers) for k in kernels])
+    first_tunnel = np.cumsum([0] + [len(k.starts) for k in kernels])
+    lower, upper = np.full((len(kernels), 3), np.inf), np.full((len(kernels), 3), -np.inf)
+    for i in range(len(kernels)):
+        pores, tunnels = slice(*first_pore[i : i + 2]), slice(*first_tunnel[i : i + 2])
+        lower[i] = np.concatenate([pore_lower[pores], tunnel_lower[tunnels], lower[i : i + 1]]).min(axis=0)
+        upper[i] = np.concatenate([pore_upper[pores], tunnel_upper[tunnels], upper[i : i + 1]]).max(axis=0)
+    return _Catalogue(
+        numbers, every, first_pore, first_tunnel, (pore_lower, pore_upper), (tunnel_lower, tunnel_upper), lower, upper
+    )
+
+
+def _gather(
+    catalogue: _Catalogue, tiling: TilingArrays, lower: NDArray[np.float64], upper: NDArray[np.float64]
+) -> Kernels:
+    reaching = np.isfinite(catalogue.lower).all(axis=1)
+    if not reaching.any():
+        return empty_kernels(catalogue.kernels.squared)
+    # Site s is near if the box of reach of a piece, moved by s, meets the box.
+    first = np.ceil(lower - catalogue.upper[reaching].max(axis=0)).astype(np.int64)
+    stop = np.floor(upper - catalogue.lower[reaching].min(axis=0)).astype(np.int64) + 1
+    sites = sites_between(tiling, first, stop)
+    numbers = site_pieces(catalogue.numbers, sites).reshape(-1, PIECES_A_SITE)
+    site, slot = np.nonzero(numbers >= 0)
+    number = numbers[site, slot]
+    z, y, x = np.unravel_index(site, sites.interior.shape)
+    place = (sites.first + np.stack([x, y, z], axis=-1)).astype(np.float64)
+    near = ((catalogue.lower[number] + place <= upper) & (catalogue.upper[number] + place >= lower)).all(axis=1)
+    number, place = number[near], place[near]
+    pore, shift = _expanded(catalogue.first_pore, number, place, catalogue.pore_boxes, lower, upper)
+    tunnel, tunnel_shift = _expanded(catalogue.first_tunnel, number, place, catalogue.tunnel_boxes, lower, upper)
+    every = catalogue.kernels
+    return Kernels(
+        every.centers[pore] + shift,
+        every.omega[pore],
+        every.starts[tunnel] + tunnel_shift,
+        every.ends[tunnel] + tunnel_shift,
+        every.mu[tunnel],
+        every.squared,
+    )
+
+
+def _expanded(
+    begin: NDArray[np.int64],
+    number: NDArray[np.int32],
+    place: NDArray[np.float64],
+    boxes: tuple[NDArray[np.float64], NDArray[np.float64]],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Index and shift of every kernel of the pieces `number` at `place` whose box meets the box."""
+    counts = begin[number + 1] - begin[number]
+    ends = np.cumsum(counts)
+    total = int(ends[-1]) if len(ends) else 0
+    index = np.arange(total) - np.repeat(ends - counts - begin[number], counts)
+    shift = np.repeat(place, counts, axis=0)
+    meets = ((boxes[0][index] + shift <= upper) & (boxes[1][index] + shift >= lower)).all(axis=1)
+    return index[meets], shift[meets]

@@ -1,0 +1,300 @@
+"""The field of a tiling from sampled pieces: patches are added where they overlap.
+
+Each sample is the sum of the patches over it in the order of their sites (z, y, x) and of the pieces of a site. This
+order belongs to the lattice alone, so the bytes of a sample depend neither on the slab or window it is asked for in,
+nor on the number of threads, and they repeat with a periodic tiling.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.assembly.patches import FULL, PatchBank, patches_at
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.compiled import inline_kernel, kernel
+
+__all__ = ["assemble", "assemble_solid"]
+
+# Samples that are summed at a time: 512 kB of float32 stay in the second level cache beside the patches.
+_BLOCK_SAMPLES = 1 << 17
+_SHIFT = np.uint64(4)
+
+
+def assemble(
+    bank: PatchBank,
+    tiling: TilingArrays,
+    layer_start: int,
+    layer_stop: int,
+    x0: int,
+    x1: int,
+    y0: int,
+    y1: int,
+    out: NDArray[np.float32] | None = None,
+    threads: int = 1,
+) -> NDArray[np.float32]:
+    """The field G in a box of samples, layer_start <= k < layer_stop, y0 <= j < y1, x0 <= i < x1.
+
+    Parameters
+    ----------
+    bank : PatchBank
+        Sampled pieces; sample (i, j, k) lies at ``(i + bank.offset) / bank.n`` cell edges, and so on.
+    tiling : TilingArrays
+        Which piece stands where.
+    layer_start, layer_stop, x0, x1, y0, y1 : int
+        The box, as global indices of samples. It may leave the tiling; beyond the reach of its pieces the field is
+        zero, unless the tiling is periodic and repeats.
+    out : (layers, y1 - y0, x1 - x0) float32, C-contiguous, optional
+        Receives the field; what it held is overwritten.
+    threads : int
+        Number of threads; the result does not depend on it.
+
+    Returns
+    -------
+    (layers, y1 - y0, x1 - x0) float32
+        The field.
+
+    Raises
+    ------
+    ValueError
+        If the bank has no patches for a cell near the box, or `out` does not fit.
+    """
+    shape = _shape(layer_start, layer_stop, x0, x1, y0, y1)
+    if bank.solid_level is not None:
+        raise ValueError("an int16 bank tells solid from void only; build one without solid_level")
+    field = np.empty(shape, dtype=np.float32) if out is None else out
+    if field.shape != shape or field.dtype != np.float32 or not field.flags.c_contiguous:
+        raise ValueError(f"out must be a C-contiguous float32 array {shape}")
+    _run(bank, tiling, (x0, y0, layer_start), field, np.empty((1, 1, 1), dtype=np.uint8), False, 0.0, threads)
+    return field
+
+
+def assemble_solid(
+    bank: PatchBank,
+    tiling: TilingArrays,
+    level: float,
+    layer_start: int,
+    layer_stop: int,
+    x0: int,
+    x1: int,
+    y0: int,
+    y1: int,
+    out: NDArray[np.uint8] | None = None,
+    threads: int = 1,
+) -> NDArray[np.uint8]:
+    """Where the field lies below a level: 1 = solid, 0 = void. No layer of the field is held in memory.
+
+    Parameters and errors as for `assemble`; outside of the tiling the field is zero, which counts as solid.
+
+    Parameters
+    ----------
+    level : float
+        The level C; solid is G < C, decided on the float32 values that `assemble` gives. An int16 bank serves the level
+        it was built for.
+    out : (layers, y1 - y0, x1 - x0) uint8, C-contiguous, optional
+        Receives the result.
+
+    Returns
+    -------
+    (layers, y1 - y0, x1 - x0) uint8
+        The solid.
+    """
+    shape = _shape(layer_start, layer_stop, x0, x1, y0, y1)
+    if bank.solid_level is not None and level != bank.solid_level:
+        raise ValueError(f"the int16 bank was built for the level {bank.solid_level!r}, not {level!r}")
+    solid = np.empty(shape, dtype=np.uint8) if out is None else out
+    if solid.shape != shape or solid.dtype != np.uint8 or not solid.flags.c_contiguous:
+        raise ValueError(f"out must be a C-contiguous uint8 array {shape}")
+    _run(bank, tiling, (x0, y0, layer_start), np.empty((1, 1, 1), dtype=np.float32), solid, True, level, threads)
+    return solid
+
+
+def _shape(layer_start: int, layer_stop: int, x0: int, x1: int, y0: int, y1: int) -> tuple[int, int, int]:
+    if layer_stop < layer_start or x1 < x0 or y1 < y0:
+        raise ValueError("the box of samples ends before it begins")
+    return layer_stop - layer_start, y1 - y0, x1 - x0
+
+
+def _run(
+    bank: PatchBank,
+    tiling: TilingArrays,
+    corner: tuple[int, int, int],
+    field: NDArray[np.float32],
+    solid: NDArray[np.uint8],
+    threshold: bool,
+    level: float,
+    threads: int,
+) -> None:
+    """Cut the box into blocks of layers and rows, and fill them."""
+    layers, rows, columns = solid.shape if threshold else field.shape
+    if layers * rows * columns == 0:
+        return
+    start = np.array(corner, dtype=np.int64)
+    stop = start + np.array([columns, rows, layers])
+    low, high = (
+        (bank.low.min(axis=0), (bank.low + bank.size).max(axis=0)) if len(bank.low) else (np.zeros(3), np.zeros(3))
+    )
+    # Site s reaches the box if s n + low < stop and s n + high > start.
+    first_site = np.floor_divide(start - high, bank.n).astype(np.int64) + 1
+    stop_site = -np.floor_divide(low - stop, bank.n).astype(np.int64)
+    sites, begin, patches = patches_at(bank, tiling, first_site, stop_site)
+    # The rows that are summed hold every patch whole; the last one may run over by a block.
+    base = min(int(sites.first[0]) * bank.n + int(low[0]), corner[0])
+    end = max(int(sites.stop[0] - 1) * bank.n + int(high[0]), int(stop[0]))
+    width = end - base
+    block_rows = max(1, _BLOCK_SAMPLES // width)
+    block_layers = max(1, min(layers, round(block_rows**0.5)))
+    block_rows = max(1, min(rows, block_rows // block_layers))
+    down, across = -(-layers // block_layers), -(-rows // block_rows)
+    shape = np.array([layers, rows, columns])
+    kind = np.float32 if bank.solid_level is None else np.int32
+
+    def work(part: range) -> None:
+        _assemble_blocks(
+            part.start,
+            part.stop,
+            across,
+            np.array([block_layers, block_rows, width]),
+            np.zeros(block_layers * block_rows * width, dtype=kind),
+            base,
+            start,
+            shape,
+            field.reshape(-1),
+            solid.reshape(-1),
+            threshold,
+            kind(level) if bank.solid_level is None else kind(FULL),
+            bank.n,
+            sites.first,
+            np.array(sites.interior.shape),
+            begin,
+            patches,
+            bank.low,
+            bank.size,
+            np.array([low[1], high[1], low[2], high[2]], dtype=np.int64),
+            bank.first_row,
+            bank.row_low,
+            bank.row_blocks,
+            bank.row_start,
+            bank.data,
+        )
+
+    blocks = down * across
+    if threads > 1 and blocks > 1:
+        parts = min(blocks, 4 * threads)
+        cuts = [blocks * i // parts for i in range(parts + 1)]
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(work, map(range, cuts[:-1], cuts[1:])))
+    else:
+        work(range(blocks))
+
+
+@inline_kernel
+def _add_rows(
+    rows: NDArray,
+    target: int,
+    stride: int,
+    count: int,
+    row: np.uint64,
+    row_low: NDArray[np.int32],
+    row_blocks: NDArray[np.int32],
+    row_start: NDArray[np.int64],
+    data: NDArray,
+) -> None:
+    """Add `count` rows of a patch, from number `row` on.
+
+    Unsigned indices and whole blocks let the compiler make a vector loop without a scalar remainder.
+    """
+    for i in range(np.uint64(count)):
+        to = np.uint64(target + np.int64(i) * stride + np.int64(row_low[row + i]))
+        source = np.uint64(row_start[row + i])
+        for k in range(np.uint64(row_blocks[row + i]) << _SHIFT):
+            rows[to + k] += data[source + k]
+
+
+@inline_kernel
+def _copy_row(source: NDArray, start: np.uint64, target: NDArray[np.float32], to: np.uint64, count: np.uint64) -> None:
+    for i in range(count):
+        target[to + i] = source[start + i]
+
+
+@inline_kernel
+def _threshold_row(
+    source: NDArray,
+    start: np.uint64,
+    target: NDArray[np.uint8],
+    to: np.uint64,
+    count: np.uint64,
+    level: np.float32 | np.int32,
+) -> None:
+    for i in range(count):
+        target[to + i] = np.uint8(source[start + i] < level)
+
+
+@kernel
+def _assemble_blocks(
+    first_block: int,
+    stop_block: int,
+    across: int,
+    block: NDArray[np.int64],
+    rows: NDArray,
+    base: int,
+    start: NDArray[np.int64],
+    shape: NDArray[np.int64],
+    field: NDArray[np.float32],
+    solid: NDArray[np.uint8],
+    threshold: bool,
+    level: np.float32 | np.int32,
+    n: int,
+    first_site: NDArray[np.int64],
+    site_shape: NDArray[np.int64],
+    begin: NDArray[np.int64],
+    patches: NDArray[np.int32],
+    low: NDArray[np.int32],
+    size: NDArray[np.int32],
+    margins: NDArray[np.int64],
+    first_row: NDArray[np.int64],
+    row_low: NDArray[np.int32],
+    row_blocks: NDArray[np.int32],
+    row_start: NDArray[np.int64],
+    data: NDArray,
+) -> None:
+    """Sum the patches over blocks of rows, and write each block as field or solid."""
+    width = block[2]
+    for number in range(first_block, stop_block):
+        za = start[2] + number // across * block[0]
+        zb = min(za + block[0], start[2] + shape[0])
+        ya = start[1] + number % across * block[1]
+        yb = min(ya + block[1], start[1] + shape[1])
+        rows[:] = 0
+        # Sites whose patches can reach the block: s n + lowest < b and s n + highest > a.
+        sz0 = max((za - margins[3]) // n + 1 - first_site[2], 0)
+        sz1 = min(-((margins[2] - zb) // n) - first_site[2], site_shape[0])
+        sy0 = max((ya - margins[1]) // n + 1 - first_site[1], 0)
+        sy1 = min(-((margins[0] - yb) // n) - first_site[1], site_shape[1])
+        for sz in range(sz0, sz1):
+            for sy in range(sy0, sy1):
+                for sx in range(site_shape[2]):
+                    site = (sz * site_shape[1] + sy) * site_shape[2] + sx
+                    x = (first_site[0] + sx) * n - base
+                    for item in range(begin[site], begin[site + 1]):
+                        p = patches[item]
+                        z_low = (first_site[2] + sz) * n + low[p, 2]
+                        y_low = (first_site[1] + sy) * n + low[p, 1]
+                        y0 = max(ya, y_low)
+                        count = min(yb, y_low + size[p, 1]) - y0
+                        if count <= 0:
+                            continue
+                        for z in range(max(za, z_low), min(zb, z_low + size[p, 2])):
+                            row = first_row[p] + (z - z_low) * size[p, 1] + y0 - y_low
+                            target = ((z - za) * block[1] + y0 - ya) * width + x
+                            _add_rows(rows, target, width, count, np.uint64(row), row_low, row_blocks, row_start, data)
+        for z in range(za, zb):
+            for y in range(ya, yb):
+                source = np.uint64(((z - za) * block[1] + y - ya) * width + start[0] - base)
+                to = np.uint64(((z - start[2]) * shape[1] + y - start[1]) * shape[2])
+                if threshold:
+                    _threshold_row(rows, source, solid, to, np.uint64(shape[2]), level)
+                else:
+                    _copy_row(rows, source, field, to, np.uint64(shape[2]))

@@ -1,0 +1,353 @@
+"""Sampled pieces: each piece of a tile set once, with the margin it reaches into its neighbours.
+
+A patch keeps, row by row, the samples between the first and the last that lie above the cut-off, in blocks of sixteen.
+If only few combinations of an interior and its six face colours occur, an interior, its connectors and its three low
+faces are merged into one patch, which costs about a third of the additions.
+
+A bank that only has to tell solid from void at one level keeps its samples in sixteen bits, cut off at the level: half
+the memory, and sums that are exact whatever their order.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.assembly.contents import PieceNumbers, Sites, number_pieces, site_pieces, sites_between
+from sppm_pipeline.numerics.assembly.pieces import Pieces
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
+from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, check_cutoff, reach_boxes
+from sppm_pipeline.numerics.kernels.rows import LANES
+from sppm_pipeline.numerics.kernels.splat import add_kernels
+
+__all__ = ["FULL", "PatchBank", "build_bank", "patches_at", "predicted_bytes", "used_combinations"]
+
+#: The level in units of an int16 bank. One patch at the level makes a voxel void, so nothing above it is kept.
+FULL = 32767
+
+
+class PatchBank(NamedTuple):
+    """Samples of all pieces at n voxels a cell edge; sample i lies at (i + offset) / n cell edges.
+
+    Attributes
+    ----------
+    n : int
+        Voxels along a cell edge.
+    offset : float
+        0.5 for voxel centres, 0 for voxel corners.
+    cutoff : float
+        Cut-off of the kernels, and below it samples are trimmed from the ends of the rows.
+    numbers : PieceNumbers
+        The pieces.
+    piece : (pieces + 1,) int32
+        Patch of each piece, -1 = the piece is empty, -2 = it has no patch of its own. The last entry is -1.
+    codes, merged : (m,) int64, (m,) int32
+        Sorted codes of the merged combinations, and the patch of each.
+    low, size : (p, 3) int32
+        First sample, relative to the low corner of the cell, and number of samples along x, y, z of each patch.
+    first_row : (p,) int64
+        Where the rows of a patch begin in the row tables; row (z, y) is number ``z size_y + y``.
+    row_low, row_blocks, row_start : (rows,) int32, int32, int64
+        First sample of a row relative to the cell, its length in blocks of 16 samples, and where it begins in `data`.
+    data : (samples,) float32 or int16
+        The samples; int16 in units of ``solid_level / FULL``, and never above FULL.
+    solid_level : float or None
+        The only level that an int16 bank can be asked for; None for float32.
+    """
+
+    n: int
+    offset: float
+    cutoff: float
+    numbers: PieceNumbers
+    piece: NDArray[np.int32]
+    codes: NDArray[np.int64]
+    merged: NDArray[np.int32]
+    low: NDArray[np.int32]
+    size: NDArray[np.int32]
+    first_row: NDArray[np.int64]
+    row_low: NDArray[np.int32]
+    row_blocks: NDArray[np.int32]
+    row_start: NDArray[np.int64]
+    data: NDArray[np.float32] | NDArray[np.int16]
+    solid_level: float | None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the samples and the row tables."""
+        return self.data.nbytes + self.row_low.nbytes + self.row_blocks.nbytes + self.row_start.nbytes
+
+
+def used_combinations(tiling: TilingArrays) -> NDArray[np.int32]:
+    """The combinations of interior and face colours that occur in a tiling.
+
+    Returns
+    -------
+    (m, 7) int32
+        Interior, then the colours of the low and high faces of x, of y, of z; sorted, each once; cells that are
+        not there are left out.
+    """
+    columns = [tiling.interior.ravel()]
+    for axis, faces in enumerate(tiling.faces):
+        last = faces.shape[axis] - 1
+        columns += [np.take(faces, range(last), axis).ravel(), np.take(faces, range(1, last + 1), axis).ravel()]
+    there = columns[0] >= 0
+    rows = np.stack([column[there] for column in columns], axis=-1).astype(np.int64)
+    base = int(rows[:, 1:].max(initial=0)) + 2
+    codes = np.unique(_encode(rows, base))
+    found = np.empty((len(codes), 7), dtype=np.int32)
+    for column in range(6, 0, -1):
+        found[:, column] = codes % base - 1
+        codes = codes // base
+    found[:, 0] = codes - 1
+    return found
+
+
+def _encode(rows: NDArray[np.int64], base: int) -> NDArray[np.int64]:
+    """One number for an interior and six colours -1 <= colour < base - 1; sorts as the rows do."""
+    if (float(rows[..., 0].max(initial=0)) + 2.0) * float(base) ** 6 > 2.0**62:
+        raise ValueError(f"{base - 1} colours are too many for their combinations to be told apart in one number")
+    code = rows[..., 0] + 1
+    for column in range(1, 7):
+        code = code * base + rows[..., column] + 1
+    return code
+
+
+def _base(numbers: PieceNumbers) -> int:
+    return int(numbers.face[0].size)
+
+
+def _parts(pieces: Pieces, combinations: NDArray[np.int32] | None) -> tuple[PieceNumbers, list[int], list[Kernels]]:
+    """The numbered pieces, which of them get patches of their own, and the kernels of the merged patches."""
+    numbers = number_pieces(pieces)
+    if combinations is None:
+        return numbers, list(range(len(numbers.kernels))), []
+    merged = []
+    for interior, *colours in np.asarray(combinations, dtype=np.int64):
+        members = [numbers.interior[interior]]
+        for axis in range(3):
+            low, high = colours[2 * axis : 2 * axis + 2]
+            members += [numbers.face[axis, low], numbers.connector[interior, axis, 0, low]]
+            members += [numbers.connector[interior, axis, 1, high]]
+        merged.append(_joined([numbers.kernels[i] for i in members if i >= 0], pieces.squared))
+    return numbers, sorted(int(i) for i in numbers.face[:, :-1].ravel()), merged
+
+
+def _joined(parts: list[Kernels], squared: bool) -> Kernels:
+    """The kernels of several pieces; pieces without tunnels have no form of their own."""
+    return (
+        concatenated([p._replace(squared=squared) if len(p.starts) == 0 else p for p in parts])
+        if parts
+        else (empty_kernels(squared))
+    )
+
+
+def _box(kernels: Kernels, n: int, offset: float, cutoff: float) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """First sample and number of samples within reach; the length along x is a multiple of 16. None if empty."""
+    pore_lower, pore_upper, tunnel_lower, tunnel_upper = reach_boxes(kernels, cutoff)
+    if len(pore_lower) + len(tunnel_lower) == 0:
+        return None
+    lower = np.concatenate([pore_lower, tunnel_lower]).min(axis=0)
+    upper = np.concatenate([pore_upper, tunnel_upper]).max(axis=0)
+    low = np.ceil(lower * n - offset).astype(np.int64)
+    size = np.maximum(np.floor(upper * n - offset).astype(np.int64) + 1 - low, 1)
+    size[0] = -(-size[0] // LANES) * LANES
+    return low, size
+
+
+def predicted_bytes(
+    pieces: Pieces,
+    n: int,
+    combinations: NDArray[np.int32] | None = None,
+    *,
+    offset: float = 0.5,
+    cutoff: float = DEFAULT_CUTOFF,
+    solid_level: float | None = None,
+) -> int:
+    """Bytes that `build_bank` needs at most, with its working space, for the same arguments; nothing is sampled."""
+    numbers, own, merged = _parts(pieces, combinations)
+    total = largest = 0
+    for kernels in [numbers.kernels[i] for i in own] + merged:
+        box = _box(kernels, n, offset, cutoff)
+        if box is not None:
+            samples = math.prod(int(s) for s in box[1])
+            total += (4 if solid_level is None else 2) * samples + 16 * int(box[1][1] * box[1][2])
+            largest = max(largest, (4 if solid_level is None else 14) * samples)
+    return total + largest
+
+
+def build_bank(
+    pieces: Pieces,
+    n: int,
+    combinations: NDArray[np.int32] | None = None,
+    *,
+    offset: float = 0.5,
+    cutoff: float = DEFAULT_CUTOFF,
+    threads: int = 1,
+    solid_level: float | None = None,
+) -> PatchBank:
+    """Sample the pieces of a tile set.
+
+    Parameters
+    ----------
+    pieces : Pieces
+        The kernel sets, in cell units.
+    n : int
+        Voxels along a cell edge.
+    combinations : (m, 7) int32, optional
+        Combinations of an interior and six colours to merge, see `used_combinations`. The bank then serves tilings with
+        these combinations only. Without it every piece has a patch of its own, and the bank serves any tiling.
+    offset : float
+        0.5 samples voxel centres, 0 voxel corners.
+    cutoff : float
+        A kernel is dropped below it, and a patch is trimmed where the sum of its kernels lies below it: with p patches
+        over a voxel, trimming changes the sum by less than p times the cut-off.
+    threads : int
+        Number of threads; the result does not depend on it.
+    solid_level : float, optional
+        Build an int16 bank, which serves `assemble_solid` at this level only, with half the memory. With p patches over
+        a voxel, rounding changes the sum by at most ``p / 2 / 32767`` of the level.
+    """
+    if solid_level is not None and not solid_level > 0.0:
+        raise ValueError(f"an int16 bank needs a positive level, not {solid_level!r}")
+    if n < 1:
+        raise ValueError(f"a cell needs at least one voxel along its edge, not {n}")
+    check_cutoff(cutoff)
+    numbers, own, merged = _parts(pieces, combinations)
+    kernels = [numbers.kernels[i] for i in own] + merged
+    boxes = [_box(k, n, offset, cutoff) for k in kernels]
+    there = [i for i, box in enumerate(boxes) if box is not None]
+    low = np.array([boxes[i][0] for i in there], dtype=np.int32).reshape(-1, 3)  # type: ignore[index]
+    size = np.array([boxes[i][1] for i in there], dtype=np.int32).reshape(-1, 3)  # type: ignore[index]
+    rows = (size[:, 1] * size[:, 2]).astype(np.int64)
+    first_row = np.cumsum(rows) - rows
+    row_low = np.zeros(int(rows.sum()), dtype=np.int32)
+    row_blocks = np.zeros_like(row_low)
+    row_start = np.zeros(len(row_low), dtype=np.int64)
+    # Upper bound of the length; memory that is never touched costs nothing, and the rest is given back below.
+    kind = np.float32 if solid_level is None else np.int16
+    data: NDArray[Any] = np.empty(int((size.prod(axis=1, dtype=np.int64)).sum()), dtype=kind)
+    used = 0
+    for p, i in enumerate(there):
+        dense = np.zeros((size[p, 2], size[p, 1], size[p, 0]), dtype=np.float32)
+        origin = (low[p] + offset) / n
+        grid = Grid((origin[0], origin[1], origin[2]), (1.0 / n,) * 3, dense.shape[::-1])
+        add_kernels(dense, grid, kernels[i], cutoff, threads)
+        part = slice(first_row[p], first_row[p] + rows[p])
+        scale = 1.0 if solid_level is None else FULL / solid_level
+        samples = dense if solid_level is None else np.minimum(np.rint(dense * np.float32(scale)), FULL).astype(kind)
+        used = _pack(
+            samples,
+            np.float32(cutoff * scale),
+            int(low[p, 0]),
+            row_low[part],
+            row_blocks[part],
+            row_start[part],
+            data,
+            used,
+        )
+    data.resize(used, refcheck=False)
+
+    patch = np.full(len(kernels), -1, dtype=np.int32)
+    patch[there] = np.arange(len(there))
+    piece = np.full(len(numbers.kernels) + 1, -2, dtype=np.int32)
+    piece[own] = patch[: len(own)]
+    piece[-1] = -1
+    for i, k in enumerate(numbers.kernels):
+        if len(k.centers) + len(k.starts) == 0:
+            piece[i] = -1
+    codes = _encode(np.asarray(combinations, dtype=np.int64).reshape(-1, 7), _base(numbers)) if merged else np.zeros(0)
+    order = np.argsort(codes)
+    return PatchBank(
+        n,
+        offset,
+        cutoff,
+        numbers,
+        piece,
+        codes[order].astype(np.int64),
+        patch[len(own) :][order],
+        low,
+        size,
+        first_row,
+        row_low,
+        row_blocks,
+        row_start,
+        data,
+        solid_level,
+    )
+
+
+@kernel
+def _pack(
+    dense: NDArray,
+    threshold: np.float32,
+    low: int,
+    row_low: NDArray[np.int32],
+    row_blocks: NDArray[np.int32],
+    row_start: NDArray[np.int64],
+    data: NDArray,
+    used: int,
+) -> int:
+    """Copy the samples of each row between the first and last above the threshold; returns the end in `data`."""
+    nz, ny, nx = dense.shape
+    for z in range(nz):
+        for y in range(ny):
+            first = 0
+            while first < nx and dense[z, y, first] < threshold:
+                first += 1
+            if first == nx:
+                continue
+            last = nx - 1
+            while dense[z, y, last] < threshold:
+                last -= 1
+            blocks = (last - first + LANES) // LANES
+            first = min(first, nx - LANES * blocks)
+            row = z * ny + y
+            row_low[row] = low + first
+            row_blocks[row] = blocks
+            row_start[row] = used
+            data[used : used + LANES * blocks] = dense[z, y, first : first + LANES * blocks]
+            used += LANES * blocks
+    return used
+
+
+def patches_at(
+    bank: PatchBank, tiling: TilingArrays, first: NDArray[np.int64], stop: NDArray[np.int64]
+) -> tuple[Sites, NDArray[np.int64], NDArray[np.int32]]:
+    """The patches at each site first <= site < stop.
+
+    Returns
+    -------
+    sites : Sites
+        The sites that exist.
+    begin : (number of sites + 1,) int64
+        The patches of site i, in order z, y, x, are ``patches[begin[i] : begin[i + 1]]``.
+    patches : (k,) int32
+        Numbers of patches.
+
+    Raises
+    ------
+    ValueError
+        If the bank was built for other combinations.
+    """
+    sites = sites_between(tiling, first, stop)
+    numbers = site_pieces(bank.numbers, sites)
+    found = bank.piece[numbers]
+    if len(bank.codes):
+        columns = [sites.interior] + [c for axis in range(3) for c in (sites.low[axis], sites.high[axis])]
+        code = _encode(np.stack(columns, axis=-1).astype(np.int64), _base(bank.numbers))
+        place = np.minimum(np.searchsorted(bank.codes, code), len(bank.codes) - 1)
+        known = (bank.codes[place] == code) & (sites.interior >= 0)
+        found[known] = -1
+        found[known, 0] = bank.merged[place[known]]
+    if (found == -2).any():
+        raise ValueError("the tiling holds a combination of interior and colours for which the bank has no patches")
+    flat = found.reshape(-1, found.shape[-1])
+    keep = flat >= 0
+    begin = np.concatenate([[0], np.cumsum(keep.sum(axis=1))]).astype(np.int64)
+    return sites, begin, flat[keep]

@@ -1,0 +1,263 @@
+"""The fast sum of kernels on a regular grid: each kernel is added to the rows that its reach touches.
+
+A kernel is dropped where it falls below the cut-off; `bounds.cutoff_bound` states what that costs. Every sample is
+the sum of its kernels in the order in which they are given, whatever the number of threads, and whatever part of
+the layers is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.kernels.kernels import Kernels
+from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, check_cutoff, reach_boxes
+from sppm_pipeline.numerics.kernels.rows import (
+    LANES,
+    TABLE,
+    add_gauss_rows,
+    add_squared_tunnel_rows,
+    add_tunnel_rows,
+    fill_gauss,
+    point_rows,
+    tunnel_rows,
+)
+
+__all__ = ["add_kernels"]
+
+# Samples of one block of layers: 1 MB of float32 stays in the second level cache while kernels are added to it.
+_BLOCK_SAMPLES = 1 << 18
+
+
+def add_kernels(
+    out: NDArray[np.float32],
+    grid: Grid,
+    kernels: Kernels,
+    cutoff: float = DEFAULT_CUTOFF,
+    threads: int = 1,
+    first_layer: int = 0,
+) -> None:
+    """Add all kernels to the samples of a grid (paper, eq. 1-3).
+
+    Parameters
+    ----------
+    out : (nz, ny, nx) float32, C-contiguous
+        Receives the sum; holds the layers ``first_layer <= k < first_layer + nz`` of the grid.
+    grid : Grid
+        The samples; spacings may differ from axis to axis. Same unit as the kernels.
+    kernels : Kernels
+        Pores and tunnels; tunnels of length zero are allowed.
+    cutoff : float
+        A kernel is dropped where its value is below the cut-off (some samples up to 15 spacings further out
+        along x still receive it).
+    threads : int
+        Number of threads; the result does not depend on it.
+    first_layer : int
+        Layer of the grid that is held by ``out[0]``. A layer's values do not depend on it.
+
+    Raises
+    ------
+    ValueError
+        If `out` does not fit the grid, the cut-off lies outside [1e-12, 0.5], or a kernel is not finite or has a
+        parameter that is not positive.
+    """
+    nx, ny, nz = grid.shape
+    layers = len(out)
+    if out.dtype != np.float32 or not out.flags.c_contiguous or out.shape[1:] != (ny, nx):
+        raise ValueError(f"out must be a C-contiguous float32 array (layers, {ny}, {nx})")
+    if first_layer < 0 or first_layer + layers > nz:
+        raise ValueError(f"layers {first_layer} to {first_layer + layers} are not all in a grid of {nz} layers")
+    points, tunnels = _packed(kernels, check_cutoff(cutoff))
+    if out.size == 0 or len(points) + len(tunnels) == 0:
+        return
+    reach = math.log2(1.0 / cutoff)
+    points, tunnels = _reaching(points, tunnels, kernels, grid.layers(first_layer, first_layer + layers), cutoff)
+    origin, spacing = np.array(grid.origin), np.array(grid.spacing)
+    tunnel_reach = math.sqrt(reach) if kernels.squared else reach
+    height = max(1, min(layers, _BLOCK_SAMPLES // (nx * ny)))
+    # Balance: at least four blocks a thread, as long as there are layers.
+    height = max(1, min(height, -(-layers // (4 * threads)))) if threads > 1 else height
+
+    width = 2 * int(math.sqrt(reach) / (points[:, 3].min(initial=math.inf) * grid.spacing[0]) + 4 * LANES)
+
+    def add_block(start: int) -> None:
+        block = out[start : start + height]
+        # Made here because an array that is made in a compiled function is counted in each call it is passed to.
+        table = np.empty(TABLE, np.float32)
+        whole = nx % LANES == 0
+        # Blocks of samples may run over the end of a row: rows of an odd length are summed in padded rows.
+        target = block if whole else np.zeros((len(block), ny, nx + LANES - nx % LANES), dtype=np.float32)
+        arguments = (target.reshape(-1), target.shape, first_layer + start, origin, spacing)
+        _add_points(*arguments, points, math.sqrt(reach), table, np.empty(width, np.float32))
+        _add_tunnels(*arguments, tunnels, tunnel_reach, kernels.squared, table, np.empty(7, np.float32))
+        if not whole:
+            block += target[:, :, :nx]
+
+    starts = range(0, layers, height)
+    if threads > 1 and len(starts) > 1:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(add_block, starts))
+    else:
+        for start in starts:
+            add_block(start)
+
+
+def _packed(kernels: Kernels, cutoff: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points as rows cx cy cz k, tunnels as rows ax ay az ux uy uz length k; k scales lengths to powers of 2."""
+    for values in kernels[:5]:
+        if not np.isfinite(values).all():
+            raise ValueError("a kernel is not finite")
+    if (kernels.omega <= 0.0).any() or (kernels.mu <= 0.0).any():
+        raise ValueError("omega and mu must be positive")
+    points = np.empty((len(kernels.centers), 4))
+    points[:, :3] = kernels.centers
+    points[:, 3] = np.sqrt(kernels.omega * math.log2(math.e))
+    tunnels = np.empty((len(kernels.starts), 8))
+    along = kernels.ends - kernels.starts
+    length = np.sqrt(np.einsum("ij,ij->i", along, along))
+    tunnels[:, :3] = kernels.starts
+    tunnels[:, 3:6] = (1.0, 0.0, 0.0)
+    np.divide(along, length[:, None], out=tunnels[:, 3:6], where=length[:, None] > 0.0)
+    tunnels[:, 6] = length
+    scale = kernels.mu * math.log2(math.e)
+    tunnels[:, 7] = np.sqrt(scale) if kernels.squared else scale
+    return points, tunnels
+
+
+def _reaching(
+    points: NDArray[np.float64], tunnels: NDArray[np.float64], kernels: Kernels, grid: Grid, cutoff: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The kernels whose boxes of reach meet the box of the samples, in order."""
+    lower = np.array(grid.origin)
+    upper = lower + np.array(grid.spacing) * (np.array(grid.shape) - 1)
+    pore_lower, pore_upper, tunnel_lower, tunnel_upper = reach_boxes(kernels, cutoff)
+    return (
+        points[((pore_lower <= upper) & (pore_upper >= lower)).all(axis=1)],
+        tunnels[((tunnel_lower <= upper) & (tunnel_upper >= lower)).all(axis=1)],
+    )
+
+
+@kernel
+def _add_points(
+    out: NDArray[np.float32],
+    shape: tuple[int, int, int],
+    first_layer: int,
+    origin: NDArray[np.float64],
+    spacing: NDArray[np.float64],
+    points: NDArray[np.float64],
+    reach: float,
+    table: NDArray[np.float32],
+    along_x: NDArray[np.float32],
+) -> None:
+    """Add Gaussians to the flat array `out`; a Gaussian is a row of values along x times one factor a row."""
+    nz, ny, nx = shape
+    for p in range(len(points)):
+        scale = points[p, 3]
+        radius = reach / scale
+        z0 = max(math.ceil((points[p, 2] - radius - origin[2]) / spacing[2]), first_layer)
+        z1 = min(math.floor((points[p, 2] + radius - origin[2]) / spacing[2]), first_layer + nz - 1)
+        y0 = max(math.ceil((points[p, 1] - radius - origin[1]) / spacing[1]), 0)
+        y1 = min(math.floor((points[p, 1] + radius - origin[1]) / spacing[1]), ny - 1)
+        if z0 > z1 or y0 > y1:
+            continue
+        # Coordinates count from the sample beside the centre, so that float32 keeps their digits on large grids.
+        start = math.floor((points[p, 0] - origin[0]) / spacing[0])
+        rest_x = scale * (origin[0] + start * spacing[0] - points[p, 0])
+        step_x = scale * spacing[0]
+        centre = np.float32(start - rest_x / step_x)
+        # Blocks overrun the reach by up to 15 samples on one side.
+        half = int(radius / spacing[0]) + 2 * LANES
+        blocks = (2 * half) // LANES
+        fill_gauss(along_x, blocks, np.float32(rest_x - half * step_x), np.float32(step_x))
+        dy = scale * (origin[1] + y0 * spacing[1] - points[p, 1])
+        step_y = scale * spacing[1]
+        for z in range(z0, z1 + 1):
+            dz = np.float32(scale * (origin[2] + z * spacing[2] - points[p, 2]))
+            for y in range(y0, y1 + 1, LANES):
+                point_rows(
+                    table,
+                    np.float32(reach),
+                    np.float32(dy + (y - y0) * step_y),
+                    np.float32(step_y),
+                    dz,
+                    centre,
+                    np.float32(1.0 / step_x),
+                    np.float32(nx),
+                )
+                offset = ((z - first_layer) * ny + y) * nx
+                add_gauss_rows(out, offset, nx, min(LANES, y1 + 1 - y), table, along_x, half - start)
+
+
+@kernel
+def _add_tunnels(
+    out: NDArray[np.float32],
+    shape: tuple[int, int, int],
+    first_layer: int,
+    origin: NDArray[np.float64],
+    spacing: NDArray[np.float64],
+    tunnels: NDArray[np.float64],
+    reach: float,
+    squared: bool,
+    table: NDArray[np.float32],
+    axis: NDArray[np.float32],
+) -> None:
+    """Add segment kernels to the flat array `out`, row by row in the frame of the segment."""
+    nz, ny, nx = shape
+    for p in range(len(tunnels)):
+        scale = tunnels[p, 7]
+        radius = reach / scale
+        end_z = tunnels[p, 2] + tunnels[p, 5] * tunnels[p, 6]
+        low = min(tunnels[p, 2], end_z) - radius
+        high = max(tunnels[p, 2], end_z) + radius
+        z0 = max(math.ceil((low - origin[2]) / spacing[2]), first_layer)
+        z1 = min(math.floor((high - origin[2]) / spacing[2]), first_layer + nz - 1)
+        if z0 > z1:
+            continue
+        end_y = tunnels[p, 1] + tunnels[p, 4] * tunnels[p, 6]
+        low = min(tunnels[p, 1], end_y) - radius
+        high = max(tunnels[p, 1], end_y) + radius
+        y0 = max(math.ceil((low - origin[1]) / spacing[1]), 0)
+        y1 = min(math.floor((high - origin[1]) / spacing[1]), ny - 1)
+        if y0 > y1:
+            continue
+        across = math.sqrt(tunnels[p, 4] ** 2 + tunnels[p, 5] ** 2)
+        slanted = across > 1e-6
+        axis[0] = tunnels[p, 3]
+        axis[1] = across
+        axis[2] = 1.0 / across if slanted else 0.0
+        axis[3] = tunnels[p, 4] / across if across > 1e-30 else 1.0
+        axis[4] = tunnels[p, 5] / across if across > 1e-30 else 0.0
+        axis[5] = 1.0 if slanted else 0.0
+        axis[6] = scale * tunnels[p, 6]
+        step_x = scale * spacing[0]
+        start = math.floor((tunnels[p, 0] - origin[0]) / spacing[0])
+        first = np.float32(scale * (origin[0] + start * spacing[0] - tunnels[p, 0]))
+        dy = scale * (origin[1] + y0 * spacing[1] - tunnels[p, 1])
+        step_y = scale * spacing[1]
+        for z in range(z0, z1 + 1):
+            dz = np.float32(scale * (origin[2] + z * spacing[2] - tunnels[p, 2]))
+            for y in range(y0, y1 + 1, LANES):
+                tunnel_rows(
+                    table,
+                    np.float32(reach),
+                    np.float32(dy + (y - y0) * step_y),
+                    np.float32(step_y),
+                    dz,
+                    axis,
+                    np.float32(start),
+                    first,
+                    np.float32(step_x),
+                    np.float32(1.0 / step_x),
+                    np.float32(nx),
+                )
+                offset = ((z - first_layer) * ny + y) * nx
+                rows = min(LANES, y1 + 1 - y)
+                if squared:
+                    add_squared_tunnel_rows(out, offset, nx, rows, table, axis, np.float32(step_x))
+                else:
+                    add_tunnel_rows(out, offset, nx, rows, table, axis, np.float32(step_x))

@@ -1,0 +1,157 @@
+"""Where the viewer stands, and where a point of space lands in the picture."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+
+__all__ = ["Camera", "Frame", "framed", "projected"]
+
+
+class Camera(NamedTuple):
+    """Direction from which a part is seen; z points up in the picture.
+
+    Attributes
+    ----------
+    azimuth : float
+        Degrees from the x axis towards the y axis to where the viewer stands. At -60 the x axis runs to the right and
+        the y axis away from the viewer.
+    elevation : float
+        Degrees above the x-y plane, -90..90.
+    field_of_view : float
+        Angle in degrees under which the part's bounding ball is seen; 0 is the orthographic view from infinitely far.
+    """
+
+    azimuth: float = -60.0
+    elevation: float = 25.0
+    field_of_view: float = 0.0
+
+
+class Frame(NamedTuple):
+    """A camera that has been pointed at a part.
+
+    Attributes
+    ----------
+    axes : (3, 3) float64
+        Unit vectors right, up, and towards the viewer, as rows.
+    target : (3,) float64
+        The point that is looked at; the origin of view coordinates.
+    distance : float
+        Distance of the viewer from the target; 0 for the orthographic view.
+    scale : float
+        Pixels per unit of length at the target.
+    column, row : float
+        Where the target lands, in pixels; pixel (r, c) covers r..r+1 and c..c+1.
+    """
+
+    axes: NDArray[np.float64]
+    target: NDArray[np.float64]
+    distance: float
+    scale: float
+    column: float
+    row: float
+
+
+def _view_coordinates(
+    points: NDArray[np.float64], axes: NDArray[np.float64], target: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], ...]:
+    # Written out instead of a matrix product: BLAS may round differently with another number of threads.
+    x, y, z = (points[:, axis] - target[axis] for axis in range(3))
+    return tuple(axis[0] * x + axis[1] * y + axis[2] * z for axis in axes)
+
+
+def framed(camera: Camera, points: NDArray[np.float64], size: tuple[int, int], margin: float = 0.04) -> Frame:
+    """Point a camera at points so that they fill the picture.
+
+    Parameters
+    ----------
+    camera : Camera
+        Direction of view.
+    points : (n, 3) float64
+        Points that have to be seen; at least one.
+    size : (width, height)
+        Size of the picture in pixels.
+    margin : float
+        Share of the picture left free on each side.
+
+    Returns
+    -------
+    Frame
+        The camera's place and scale.
+
+    Raises
+    ------
+    DesignError
+        If the elevation isn't within -90..90, the field of view not within 0..120 or the size below 1 pixel.
+    """
+    if not -90.0 <= camera.elevation <= 90.0:
+        raise DesignError(f"the elevation is {camera.elevation} degrees, allowed are -90 to 90")
+    if not 0.0 <= camera.field_of_view <= 120.0:
+        raise DesignError(
+            f"the field of view is {camera.field_of_view} degrees, allowed are 0 to 120",
+            hint="0 is the orthographic view; 20 looks natural",
+        )
+    width, height = size
+    if width < 1 or height < 1:
+        raise DesignError(f"the picture is {width} x {height} pixels", hint="use at least one pixel")
+    azimuth, elevation = math.radians(camera.azimuth), math.radians(camera.elevation)
+    cos_a, sin_a, cos_e, sin_e = math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.sin(elevation)
+    axes = np.array(
+        [
+            [-sin_a, cos_a, 0.0],
+            [-sin_e * cos_a, -sin_e * sin_a, cos_e],
+            [cos_e * cos_a, cos_e * sin_a, sin_e],
+        ]
+    )
+    low, high = points.min(axis=0), points.max(axis=0)
+    target = (low + high) / 2
+    distance = 0.0
+    right, up, towards = _view_coordinates(points, axes, target)
+    if camera.field_of_view > 0.0:
+        radius = float(np.sqrt((right**2 + up**2 + towards**2).max()))
+        # A single point has no size; any distance shows it.
+        distance = max(radius, 1e-12) / math.sin(math.radians(camera.field_of_view) / 2)
+        right, up = right * distance / (distance - towards), up * distance / (distance - towards)
+    spans = float(np.ptp(right)), float(np.ptp(up))
+    room = 1.0 - 2.0 * margin
+    scales = [room * pixels / span for pixels, span in zip((width, height), spans, strict=True) if span > 0.0]
+    scale = min(scales) if scales else 1.0
+    return Frame(
+        axes,
+        target,
+        distance,
+        scale,
+        width / 2 - scale * float(right.min() + right.max()) / 2,
+        height / 2 + scale * float(up.min() + up.max()) / 2,
+    )
+
+
+def projected(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Place of points in the picture.
+
+    Parameters
+    ----------
+    frame : Frame
+        The camera.
+    points : (n, 3) float64
+        Points in space.
+
+    Returns
+    -------
+    (n, 3) float64
+        Column and row in pixels, and nearness: a number that is linear over a projected triangle and grows towards the
+        viewer (the coordinate towards the viewer itself in the orthographic view, else 1 / distance from the viewer's
+        plane).
+    """
+    right, up, towards = _view_coordinates(points, frame.axes, frame.target)
+    if frame.distance > 0.0:
+        nearness = 1.0 / (frame.distance - towards)
+        right, up = right * frame.distance * nearness, up * frame.distance * nearness
+    else:
+        nearness = towards
+    return np.stack([frame.column + frame.scale * right, frame.row - frame.scale * up, nearness], axis=1)

@@ -1,0 +1,264 @@
+"""From what is seen in each pixel (depth, normal, colour) to a picture: lights, ambient occlusion, antialiasing.
+
+Porous parts are hard to read under plain lights, since every strut looks like every other. What tells a pore from a
+strut is how much of the sky a point sees. Screen-space ambient occlusion estimates it from the depth image: around each
+pixel, points of a half ball above the surface are tested for being behind something that is seen.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.compiled import kernel
+
+__all__ = ["BONE", "CUT", "Color", "Seen", "empty_seen", "shaded"]
+
+Color = tuple[int, int, int]
+
+#: Colours of surfaces and of cuts through the material.
+BONE: Color = (226, 214, 192)
+CUT: Color = (212, 124, 88)
+_BACKGROUND_TOP: Color = (250, 251, 252)
+_BACKGROUND_BOTTOM: Color = (222, 227, 233)
+
+_SAMPLES = 16  # per radius and pixel; neighbouring pixels use rotated sets, 16 of them, which a 4 x 4 mean unites
+_RADII = (0.022, 0.11)  # of the height of the picture: the first for creases and edges, the second for pores
+
+
+class Seen(NamedTuple):
+    """What is seen in each sample of a picture; (h, w) are its height and width times the supersampling.
+
+    Attributes
+    ----------
+    depth : (h, w) float32
+        Coordinate towards the viewer in samples (units of length times scale); -inf where nothing is seen.
+    normal : (h, w, 3) float32
+        Unit normal in the frame right, up, towards the viewer.
+    color : (h, w, 3) uint8
+        Colour of the surface (sRGB).
+    """
+
+    depth: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    color: NDArray[np.uint8]
+
+
+def empty_seen(width: int, height: int) -> Seen:
+    """Nothing seen yet in a picture of width x height samples."""
+    return Seen(
+        np.full((height, width), -np.inf, np.float32),
+        np.zeros((height, width, 3), np.float32),
+        np.zeros((height, width, 3), np.uint8),
+    )
+
+
+def _ball_points() -> NDArray[np.float32]:
+    """Points in the unit ball, denser towards its centre, the same everywhere: a spiral on the sphere."""
+    n = np.arange(_SAMPLES)
+    z = 1.0 - (2.0 * n + 1.0) / _SAMPLES
+    angle = n * np.pi * (3.0 - np.sqrt(5.0))
+    # Steps through the radii in an order that has nothing to do with the height z.
+    radius = ((n * 7 % _SAMPLES) + 1.0) / _SAMPLES
+    ring = np.sqrt(1.0 - z * z)
+    points = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+    return np.asarray(points * radius[:, None], np.float32)
+
+
+def _rotations() -> NDArray[np.float32]:
+    """Cosine, sine and size of 16 turns in the order of a 4 x 4 ordered dither, so that neighbours differ most."""
+    order = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
+    angle = order * (2.0 * np.pi / 16.0)
+    size = 0.76 + 0.03 * (order * 5 % 16)
+    return np.asarray(np.stack([np.cos(angle), np.sin(angle), size], axis=1), np.float32)
+
+
+@kernel
+def _occlusion(
+    depth: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    ball: NDArray[np.float32],
+    rotations: NDArray[np.float32],
+    radius: float,
+    hidden: NDArray[np.float32],
+) -> None:
+    """Share of the points of a half ball above each sample that lie behind something seen."""
+    height, width = depth.shape
+    reach = np.float32(radius)
+    bias = np.float32(0.03) * reach
+    soft = np.float32(1.0) / (np.float32(0.2) * reach)
+    for r in range(height):
+        for c in range(width):
+            here = depth[r, c]
+            hidden[r, c] = 0.0
+            if here == -np.inf:
+                continue
+            nx, ny, nz = normal[r, c, 0], normal[r, c, 1], normal[r, c, 2]
+            steep = np.float32(1.0) / max(nz, np.float32(0.15))
+            turn = (r & 3) * 4 + (c & 3)
+            span = reach * rotations[turn, 2]
+            cos, sin = rotations[turn, 0] * span, rotations[turn, 1] * span
+            total = np.float32(0.0)
+            for s in range(ball.shape[0]):
+                x = cos * ball[s, 0] - sin * ball[s, 1]
+                y = sin * ball[s, 0] + cos * ball[s, 1]
+                z = span * ball[s, 2]
+                if x * nx + y * ny + z * nz < 0.0:
+                    x, y, z = -x, -y, -z
+                cc = int(c + x + np.float32(0.5))
+                rr = int(r - y + np.float32(0.5))
+                if 0 <= cc < width and 0 <= rr < height:
+                    # To the centre of the sample that was hit, keeping the height above the tangent plane.
+                    z -= ((np.float32(cc - c) - x) * nx + (np.float32(r - rr) - y) * ny) * steep
+                    gap = depth[rr, cc] - (here + z)
+                    if gap > bias:
+                        # A soft threshold keeps facets and rounding from showing. Something far in front is not known
+                        # to reach back here: it counts the less the farther.
+                        total += min(min((gap - bias) * soft, np.float32(1.0)), np.float32(1.5) * reach / gap)
+            hidden[r, c] = total / np.float32(ball.shape[0])
+
+
+@kernel
+def _smoothed(depth: NDArray[np.float32], hidden: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
+    """Mean over 4 x 4 samples of like depth."""
+    height, width = depth.shape
+    mean = np.zeros_like(hidden)
+    near = np.float32(0.35 * radius)
+    for r in range(height):
+        for c in range(width):
+            here = depth[r, c]
+            if here == -np.inf:
+                continue
+            total, count = np.float32(0.0), np.float32(0.0)
+            for rr in range(max(r - 2, 0), min(r + 2, height)):
+                for cc in range(max(c - 2, 0), min(c + 2, width)):
+                    if abs(depth[rr, cc] - here) < near:
+                        total += hidden[rr, cc]
+                        count += np.float32(1.0)
+            mean[r, c] = total / count
+    return mean
+
+
+@kernel
+def _lit(
+    normal: NDArray[np.float32],
+    depth: NDArray[np.float32],
+    color: NDArray[np.uint8],
+    creases: NDArray[np.float32],
+    pores: NDArray[np.float32],
+    strength: float,
+    linear: NDArray[np.float32],
+    background: NDArray[np.float32],
+    coded: NDArray[np.uint8],
+    fine: int,
+    picture: NDArray[np.uint8],
+) -> None:
+    """Light each sample and average `fine` x `fine` samples to a pixel, in linear light."""
+    # Unit vectors towards a warm key light at the upper left, a cool fill light at the right, and half way to the key.
+    kx, ky, kz = np.float32(-0.4603), np.float32(0.6554), np.float32(0.5989)
+    fx, fy, fz = np.float32(0.8111), np.float32(0.1217), np.float32(0.5721)
+    hx, hy, hz = np.float32(-0.2574), np.float32(0.3665), np.float32(0.8941)
+    top = np.float32(coded.shape[0] - 1)
+    share = np.float32(1.0 / (fine * fine))
+    for r in range(picture.shape[0]):
+        for c in range(picture.shape[1]):
+            red, green, blue = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for rr in range(r * fine, (r + 1) * fine):
+                for cc in range(c * fine, (c + 1) * fine):
+                    if depth[rr, cc] == -np.inf:
+                        red += background[r, 0]
+                        green += background[r, 1]
+                        blue += background[r, 2]
+                        continue
+                    nx, ny, nz = normal[rr, cc, 0], normal[rr, cc, 1], normal[rr, cc, 2]
+                    open_ = (np.float32(1.0) - strength * np.float32(0.75) * creases[rr, cc]) * (
+                        np.float32(1.0) - strength * pores[rr, cc]
+                    )
+                    open_ = max(open_, np.float32(0.0))
+                    key = max(nx * kx + ny * ky + nz * kz, np.float32(0.0))
+                    fill = max(nx * fx + ny * fy + nz * fz, np.float32(0.0))
+                    shine = max(nx * hx + ny * hy + nz * hz, np.float32(0.0))
+                    shine *= shine
+                    shine *= shine
+                    shine *= shine
+                    shine *= shine
+                    shine *= shine
+                    sky = np.float32(0.5) + np.float32(0.5) * ny
+                    # Lights reach into pores less than the open square says, ambient light as it says.
+                    direct = np.float32(0.25) * open_ + np.float32(0.75) * open_ * open_
+                    warm = np.float32(0.82) * key * direct
+                    cool = np.float32(0.36) * fill * direct
+                    round_ = (np.float32(0.17) + np.float32(0.22) * sky) * open_
+                    gloss = np.float32(0.05) * shine * direct
+                    red += (
+                        linear[color[rr, cc, 0]] * (warm * np.float32(1.03) + cool * np.float32(0.90) + round_) + gloss
+                    )
+                    green += linear[color[rr, cc, 1]] * (warm + cool + round_) + gloss
+                    blue += (
+                        linear[color[rr, cc, 2]] * (warm * np.float32(0.95) + cool * np.float32(1.12) + round_) + gloss
+                    )
+            picture[r, c, 0] = coded[int(min(red * share, np.float32(1.0)) * top + np.float32(0.5))]
+            picture[r, c, 1] = coded[int(min(green * share, np.float32(1.0)) * top + np.float32(0.5))]
+            picture[r, c, 2] = coded[int(min(blue * share, np.float32(1.0)) * top + np.float32(0.5))]
+
+
+def _linear_light(coded: NDArray[np.float64]) -> NDArray[np.float64]:
+    """From sRGB values 0..1 to light (IEC 61966-2-1)."""
+    return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+
+
+def _coded_light(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    """From light 0..1 to sRGB values (IEC 61966-2-1)."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def shaded(
+    seen: Seen, supersampling: int, occlusion: float = 1.0, background: Color | None = None
+) -> NDArray[np.uint8]:
+    """Light a scene.
+
+    Parameters
+    ----------
+    seen : Seen
+        Samples; their numbers of rows and columns are multiples of `supersampling`.
+    supersampling : int
+        Samples per pixel along each axis.
+    occlusion : float
+        Strength of the ambient occlusion; 0 leaves it out.
+    background : (r, g, b), optional
+        One colour for the background; a light vertical gradient otherwise.
+
+    Returns
+    -------
+    (h / supersampling, w / supersampling, 3) uint8
+        The picture (sRGB).
+    """
+    height, width = seen.depth.shape
+    picture = np.empty((height // supersampling, width // supersampling, 3), np.uint8)
+    hidden = []
+    for share in _RADII:
+        radius = share * height
+        around = np.zeros((height, width), np.float32)
+        if occlusion > 0.0:
+            _occlusion(seen.depth, seen.normal, _ball_points(), _rotations(), radius, around)
+            around = _smoothed(seen.depth, around, radius)
+        hidden.append(around)
+    down = np.linspace(0.0, 1.0, picture.shape[0])[:, None]
+    top, bottom = (background, background) if background is not None else (_BACKGROUND_TOP, _BACKGROUND_BOTTOM)
+    gradient = (np.array(top) * (1.0 - down) + np.array(bottom) * down) / 255.0
+    _lit(
+        seen.normal,
+        seen.depth,
+        seen.color,
+        hidden[0],
+        hidden[1],
+        float(occlusion),
+        _linear_light(np.arange(256) / 255.0).astype(np.float32),
+        _linear_light(gradient).astype(np.float32),
+        np.rint(255.0 * _coded_light(np.linspace(0.0, 1.0, 8192))).astype(np.uint8),
+        supersampling,
+        picture,
+    )
+    return picture

@@ -1,0 +1,122 @@
+"""The case tables of marching cubes, derived from the geometry of the cube.
+
+Corner ``x + 2 y + 4 z`` of the unit cube (x, y, z in {0, 1}) is bit ``x + 2 y + 4 z`` of a case; a set bit is a solid
+corner. The edges along x are numbered 0-3 by ``y + 2 z``, those along y 4-7 by ``x + 2 z``, those along z 8-11 by
+``x + 2 y``.
+
+How a case is built: on each face of the cube, seen from outside, the surface runs from every edge where the walk
+around the face enters the solid to the edge where it next leaves the solid. An ambiguous face (solid on one diagonal,
+void on the other) therefore always separates the solid corners; the rule sees nothing but the four signs of the face,
+so that two neighbouring cubes always agree and the surface has no hole. The segments of the six faces close up to
+loops, and each loop is cut into triangles without a diagonal that lies in a face of the cube: such a diagonal could be
+drawn by the neighbour as well, and that edge would then belong to four triangles.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["CaseTables", "case_tables"]
+
+# Corners of each face, counter-clockwise for a viewer outside the cube.
+_FACES = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6))
+
+
+class CaseTables(NamedTuple):
+    """Triangles of every case.
+
+    Attributes
+    ----------
+    counts : (256,) uint8
+        Number of triangles.
+    triangles : (256, 3 * maximum) uint8
+        Edges of the cube on which the corners of the triangles lie, three a triangle, padded with zeros.
+        The triangles turn counter-clockwise for a viewer in the void.
+    """
+
+    counts: NDArray[np.uint8]
+    triangles: NDArray[np.uint8]
+
+
+def _edge(a: int, b: int) -> int:
+    """Number of the edge between two corners."""
+    low, axis = min(a, b), (a ^ b).bit_length() - 1
+    x, y, z = low & 1, low >> 1 & 1, low >> 2
+    return 4 * axis + (y + 2 * z, x + 2 * z, x + 2 * y)[axis]
+
+
+_RIMS = tuple(tuple(_edge(face[i - 1], face[i]) for i in range(4)) for face in _FACES)
+_FACES_OF_EDGE = tuple(frozenset(f for f, rim in enumerate(_RIMS) if edge in rim) for edge in range(12))
+
+
+def _middle(edge: int) -> tuple[int, int, int]:
+    """Twice the coordinates of the middle of an edge."""
+    axis, number = divmod(edge, 4)
+    first, second = 2 * (number & 1), 2 * (number >> 1)
+    return ((1, first, second), (first, 1, second), (first, second, 1))[axis]
+
+
+def _diagonal_cost(a: int, b: int) -> float:
+    """Squared length of a diagonal between the middles of two edges; infinite where it would lie in a face."""
+    if _FACES_OF_EDGE[a] & _FACES_OF_EDGE[b]:
+        return float("inf")
+    return sum((p - q) ** 2 for p, q in zip(_middle(a), _middle(b), strict=True))
+
+
+_COST = tuple(tuple(_diagonal_cost(a, b) for b in range(12)) for a in range(12))
+
+
+def _loops(case: int) -> list[list[int]]:
+    """The closed polygons of a case as lists of edges, in the order of their smallest edge."""
+    following: dict[int, int] = {}
+    for face, rim in zip(_FACES, _RIMS, strict=True):
+        solid = [case >> corner & 1 for corner in face]
+        entries = [i for i in range(4) if solid[i] and not solid[i - 1]]
+        for i in entries:
+            leave = i + 1
+            while solid[leave % 4]:
+                leave += 1
+            following[rim[i]] = rim[leave % 4]
+    loops = []
+    for start in range(12):
+        if start in following:
+            loop = [start]
+            while (edge := following.pop(loop[-1])) != start:
+                loop.append(edge)
+            loops.append(loop)
+    return loops
+
+
+def _triangulated(loop: list[int]) -> list[int]:
+    """Triangles of a loop with the shortest sum of squared diagonals, none of which lies in a face (ties: first found).
+
+    Dynamic programming over the chords of the polygon.
+    """
+    n = len(loop)
+    best: dict[tuple[int, int], tuple[float, list[int]]] = {(i, i + 1): (0.0, []) for i in range(n - 1)}
+    for width in range(2, n):
+        for i in range(n - width):
+            j = i + width
+            own = 0.0 if width == n - 1 else _COST[loop[i]][loop[j]]
+            cost, k = min((best[i, k][0] + best[k, j][0], k) for k in range(i + 1, j))
+            best[i, j] = (own + cost, [*best[i, k][1], loop[i], loop[k], loop[j], *best[k, j][1]])
+    cost, triangles = best[0, n - 1]
+    if cost == float("inf"):
+        raise ValueError("every triangulation of the loop has a diagonal in a face")
+    return triangles
+
+
+@cache
+def case_tables() -> CaseTables:
+    """The tables of all 256 cases, computed on the first call (some milliseconds)."""
+    rows = [[edge for loop in _loops(case) for edge in _triangulated(loop)] for case in range(256)]
+    triangles = np.zeros((256, max(len(row) for row in rows)), np.uint8)
+    for case, row in enumerate(rows):
+        triangles[case, : len(row)] = row
+    counts = np.array([len(row) // 3 for row in rows], np.uint8)
+    counts.flags.writeable = triangles.flags.writeable = False
+    return CaseTables(counts, triangles)

@@ -1,0 +1,161 @@
+"""Residual periodicity: how much of an assembled image still repeats from cell to cell."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["AxisCorrelation", "axis_correlation", "bragg_share", "mean_cell"]
+
+
+class AxisCorrelation(NamedTuple):
+    """Mean correlation coefficient of a cell and the next one.
+
+    Attributes
+    ----------
+    x, y, z : float
+        Mean over all pairs of neighbours along the axis, -1..1; NaN where there is no pair of cells with contrast.
+    mean : float
+        Mean over the axes that have pairs; NaN if none has.
+    """
+
+    x: float
+    y: float
+    z: float
+    mean: float
+
+
+def _blocks(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.generic]:
+    """View of the image as (cx, nx, cy, ny, cz, nz): cells, and voxels inside a cell."""
+    voxels = np.asarray(image)
+    if voxels.ndim != 3 or min(cells) < 1 or any(n % c or n == 0 for n, c in zip(voxels.shape, cells, strict=True)):
+        raise ValueError(f"an image of shape {voxels.shape} can't be divided into {cells} cells of whole voxels")
+    (nx, ny, nz), (cx, cy, cz) = voxels.shape, cells
+    return voxels.reshape(cx, nx // cx, cy, ny // cy, cz, nz // cz)
+
+
+class _Statistics(NamedTuple):
+    mean_cell: NDArray[np.float64]  # (nx, ny, nz)
+    means: NDArray[np.float64]  # (cx, cy, cz), mean of each cell
+    variances: NDArray[np.float64]  # (cx, cy, cz), variance inside each cell
+
+
+def _statistics(blocks: NDArray[np.generic]) -> _Statistics:
+    # Cell by cell, so that no float copy of a large boolean image is made.
+    cells = blocks.shape[::2]
+    mean = np.zeros(blocks.shape[1::2])
+    means, variances = np.empty(cells), np.empty(cells)
+    for place in np.ndindex(*cells):
+        cell = blocks[place[0], :, place[1], :, place[2], :].astype(np.float64)
+        mean += cell
+        means[place], variances[place] = cell.mean(), cell.var()
+    return _Statistics(mean / means.size, means, variances)
+
+
+def mean_cell(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.float64]:
+    """Average of all cells of an image, voxel by voxel.
+
+    Parameters
+    ----------
+    image : (Nx, Ny, Nz) bool or float
+        Voxel image of the assembly.
+    cells : (cx, cy, cz)
+        Number of cells along each axis; each must divide the number of voxels.
+
+    Returns
+    -------
+    (Nx/cx, Ny/cy, Nz/cz) float64
+        The mean cell.
+
+    Raises
+    ------
+    ValueError
+        If the image can't be divided into whole voxels.
+    """
+    return _statistics(_blocks(image, cells)).mean_cell
+
+
+def bragg_share(image: ArrayLike, cells: tuple[int, int, int], *, corrected: bool = True) -> float:
+    """Share of the variance of an image that repeats from cell to cell: 0 for a random structure, 1 for a crystal.
+
+    The raw share is the variance of the mean cell over the variance of the image. By Parseval's theorem it is *the same
+    number* as the power of the image at the points of the reciprocal lattice (the Bragg peaks, frequency zero left out)
+    over its power at all frequencies but zero, so no Fourier transform is needed.
+
+    Even of M independent cells the raw share is about 1/M, since their average keeps a remainder. The corrected share
+    replaces the variance of the mean cell, which is the mean covariance of all M^2 pairs of cells, by the mean over the
+    pairs of *different* cells. Its expectation is zero for independent cells, so single values may fall below zero.
+
+    Parameters
+    ----------
+    image : (Nx, Ny, Nz) bool or float
+        Voxel image of the assembly.
+    cells : (cx, cy, cz)
+        Number of cells along each axis; each must divide the number of voxels.
+    corrected : bool
+        Whether the bias for the finite number of cells is removed; needs at least two cells.
+
+    Returns
+    -------
+    float
+        The share; NaN for an image without contrast.
+
+    Raises
+    ------
+    ValueError
+        If the image can't be divided into whole voxels, or there is one cell only and the corrected share is wanted.
+    """
+    blocks = _blocks(image, cells)
+    count = cells[0] * cells[1] * cells[2]
+    if corrected and count < 2:
+        raise ValueError("the corrected share compares different cells, but there is one cell only")
+    statistics = _statistics(blocks)
+    total = float(statistics.variances.mean() + statistics.means.var())
+    if total == 0.0:
+        return float("nan")
+    repeating = float(statistics.mean_cell.var())
+    if corrected:
+        within = float(statistics.variances.sum())
+        repeating = (count * count * repeating - within) / (count * (count - 1))
+    return repeating / total
+
+
+def axis_correlation(image: ArrayLike, cells: tuple[int, int, int]) -> AxisCorrelation:
+    """Mean correlation coefficient between a cell and its neighbour one cell further along x, y and z.
+
+    Parameters
+    ----------
+    image : (Nx, Ny, Nz) bool or float
+        Voxel image of the assembly.
+    cells : (cx, cy, cz)
+        Number of cells along each axis; each must divide the number of voxels.
+
+    Returns
+    -------
+    AxisCorrelation
+        For each axis, and their mean. Cells without contrast (all void or all solid) have no coefficient
+        and are left out.
+
+    Raises
+    ------
+    ValueError
+        If the image can't be divided into whole voxels.
+    """
+    blocks = _blocks(image, cells)
+    _, means, variances = _statistics(blocks)
+    deviations = np.sqrt(variances)
+    found = []
+    for axis in range(3):
+        coefficients = []
+        for place in np.ndindex(*(n - (a == axis) for a, n in enumerate(cells))):
+            beyond = tuple(p + (a == axis) for a, p in enumerate(place))
+            spread = deviations[place] * deviations[beyond]
+            if spread > 0.0:
+                here = blocks[place[0], :, place[1], :, place[2], :].astype(np.float64)
+                there = blocks[beyond[0], :, beyond[1], :, beyond[2], :].astype(np.float64)
+                coefficients.append(((here * there).mean() - means[place] * means[beyond]) / spread)
+        found.append(float(np.mean(coefficients)) if coefficients else float("nan"))
+    known = [value for value in found if value == value]
+    return AxisCorrelation(found[0], found[1], found[2], float(np.mean(known)) if known else float("nan"))

@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sppm_pipeline.numerics.assembly.gather import kernels_in_box, sample_exact
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.numerics.kernels.bounds import cutoff_bound
+from sppm_pipeline.numerics.kernels.exact import exact_sum
+from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
+from sppm_pipeline.numerics.kernels.periodic import sample_periodic
+
+
+def points_of(grid: Grid) -> np.ndarray:
+    z, y, x = np.meshgrid(grid.axis(2), grid.axis(1), grid.axis(0), indexing="ij")
+    return np.stack([x, y, z], axis=-1).reshape(-1, 3)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 2**32),
+    shape=st.tuples(*[st.integers(1, 4)] * 3),
+    periodic=st.booleans(),
+    squared=st.booleans(),
+    corner=st.tuples(*[st.floats(-1.5, 4.5)] * 3),
+    size=st.tuples(*[st.floats(0.0, 2.0)] * 3),
+)
+def test_no_kernel_of_the_box_is_missed(sets, seed, shape, periodic, squared, corner, size) -> None:
+    pieces = sets.pieces(seed, squared=squared)
+    tiling = sets.tiling(seed, shape, pieces, periodic)
+    lower = np.array(corner)
+    points = lower + np.random.default_rng(seed).random((30, 3)) * size
+    gathered = kernels_in_box(pieces, tiling, lower, lower + size, 1e-11)
+    everything = sets.every_kernel(pieces, tiling, images=1 if periodic else 0)
+    wrapped = points % np.array(shape) if periodic else points
+    assert exact_sum(gathered, points) == pytest.approx(exact_sum(everything, wrapped), abs=1e-8)
+
+
+def test_each_kernel_once(sets) -> None:
+    pieces = sets.pieces(3)
+    tiling = sets.tiling(4, (3, 2, 2), pieces)
+    gathered = kernels_in_box(pieces, tiling, (-9, -9, -9), (9, 9, 9))
+    everything = sets.every_kernel(pieces, tiling)
+
+    def rows(kernels: Kernels) -> list[tuple[float, ...]]:
+        tunnels = np.column_stack([kernels.starts, kernels.ends, kernels.mu]).round(12).tolist()
+        return sorted(map(tuple, np.column_stack([kernels.centers, kernels.omega]).round(12).tolist() + tunnels))
+
+    assert rows(gathered) == rows(everything)
+
+
+def test_the_order_does_not_depend_on_the_box(sets) -> None:
+    pieces = sets.pieces(5)
+    tiling = sets.tiling(6, (3, 3, 3), pieces)
+    everything = kernels_in_box(pieces, tiling, (-9, -9, -9), (9, 9, 9))
+    part = kernels_in_box(pieces, tiling, (1.2, 0.7, 1.1), (1.4, 2.0, 1.2))
+    place = {tuple(row): i for i, row in enumerate(everything.centers)}
+    order = [place[tuple(row)] for row in part.centers]
+    assert len(order) > 10
+    assert order == sorted(order)
+
+
+def test_a_far_box_of_a_huge_tiling(sets) -> None:
+    pieces = sets.pieces(7)
+    size = (120, 120, 120)
+    interior = np.zeros(size, dtype=np.int32)
+    faces = [np.ones(tuple(s + (a == axis) for a, s in enumerate(size)), dtype=np.int32) for axis in range(3)]
+    tiling = TilingArrays(interior, (faces[0], faces[1], faces[2]), False)
+    small = tiling._replace(
+        interior=interior[:5, :5, :5], faces=(faces[0][:6, :5, :5], faces[1][:5, :6, :5], faces[2][:5, :5, :6])
+    )
+    points = np.random.default_rng(0).random((20, 3)) * 0.5 + 2.2
+    there = exact_sum(kernels_in_box(pieces, tiling, np.full(3, 82.2), np.full(3, 82.7), 1e-9), points + 80.0)
+    assert there == pytest.approx(
+        exact_sum(kernels_in_box(pieces, small, np.full(3, 2.2), np.full(3, 2.7), 1e-9), points)
+    )
+
+
+@pytest.mark.parametrize("squared", [False, True])
+def test_sample_exact_on_a_grid_that_does_not_fit_the_cells(sets, squared: bool) -> None:
+    pieces = sets.pieces(8, squared=squared)
+    tiling = sets.tiling(9, (3, 2, 2), pieces)
+    grid = Grid((-0.31, -0.2, -0.4), (0.083, 0.0713, 0.127), (47, 41, 25))
+    field = sample_exact(pieces, tiling, grid)
+    everything = sets.every_kernel(pieces, tiling)
+    error = np.abs(field.ravel() - exact_sum(everything, points_of(grid)))
+    lower = np.array(grid.origin)
+    upper = lower + np.array(grid.spacing) * (np.array(grid.shape) - 1)
+    assert error.max() <= cutoff_bound(everything, lower, upper)
+
+
+def test_bands_threads_and_slabs_give_the_same_bytes(sets) -> None:
+    pieces = sets.pieces(10)
+    tiling = sets.tiling(11, (2, 2, 2), pieces, periodic=True)
+    grid = Grid((-3.0, -2.0, 0.0), (0.5, 0.03, 0.04), (150, 120, 40))
+    whole = sample_exact(pieces, tiling, grid)
+    assert sample_exact(pieces, tiling, grid, threads=3).tobytes() == whole.tobytes()
+    for start, stop in ((0, 1), (3, 20), (20, 40), (7, 7)):
+        part = sample_exact(pieces, tiling, grid, layer_start=start, layer_stop=stop)
+        assert part.tobytes() == whole[start:stop].tobytes()
+    with pytest.raises(ValueError, match="layers"):
+        sample_exact(pieces, tiling, grid, layer_start=3, layer_stop=41)
+
+
+def test_a_lone_cell_is_the_periodic_cell(sets) -> None:
+    pieces = sets.pieces(12, share=1.0)
+    tiling = lone_periodic_cell(1, (0, 1, 1))
+    members = [pieces.interiors[1], *(pieces.faces[a][c] for a, c in enumerate((0, 1, 1)))]
+    members += [pieces.connectors[1, a, s, c] for a, c in enumerate((0, 1, 1)) for s in (0, 1)]
+    field = sample_exact(pieces, tiling, cell_centres(20))
+    assert field == pytest.approx(sample_periodic(concatenated(members), 20), abs=2e-4)
+
+
+def test_nothing_anywhere(sets) -> None:
+    pieces = sets.pieces(0)
+    tiling = sets.tiling(0, (2, 2, 2), pieces, holes=1.0)
+    assert len(kernels_in_box(pieces, tiling, (0, 0, 0), (2, 2, 2)).centers) == 0
+    assert not sample_exact(pieces, tiling, cell_centres(4, (2, 2, 2))).any()
+    bare = pieces._replace(
+        interiors=(empty_kernels(),), faces=((empty_kernels(),), (empty_kernels(),), (empty_kernels(),)), connectors={}
+    )
+    assert not sample_exact(bare, lone_periodic_cell(), cell_centres(4)).any()
