@@ -19,8 +19,8 @@ __all__ = ["CleanedField"]
 class CleanedField(ScalarField):
     """A field in whose floating islands the sign is turned, so that they become void.
 
-    Islands were found on a voxel grid; a sample belongs to an island if its voxel, or one beside it, does. Turning the
-    sign keeps the field continuous, as it is zero where the island ends.
+    Islands were found on a voxel grid; a sample belongs to an island if its voxel, or one beside it that is no solid
+    which stays, does. Turning the sign keeps the field continuous, as it is zero where the island ends.
 
     Attributes
     ----------
@@ -55,12 +55,16 @@ class CleanedField(ScalarField):
         return self.base.origin_mm
 
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        values = self.base.sample(grid, threads)
+        return self.sample_layers(grid, 0, grid.shape[2], threads)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        values = self.base.sample_layers(grid, start, stop, threads)
         nz, ny, nx = self.floating.shape
         place = []
         for axis, n in ((2, nz), (1, ny), (0, nx)):
             voxel = np.floor(grid.axis(axis) * self.per_cell + 1e-9).astype(np.int64)
             place.append(voxel % n if self.periodic else np.clip(voxel, 0, n - 1))
+        place[0] = place[0][start:stop]
         turned = self.floating[np.ix_(*place)].view(bool)
         turned &= values < 0
         np.negative(values, out=values, where=turned)

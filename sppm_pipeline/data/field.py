@@ -53,13 +53,23 @@ class ScalarField(Noun, ABC):
         A sample depends on its position alone: not on the number of threads, nor on how a large grid is cut.
         """
 
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """`sample` for the layers start <= k < stop of a larger grid: bit for bit those of the whole."""
+        return self.sample(grid.layers(start, stop), threads)
+
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
         """1 where the field is negative, else 0, (nz, ny, nx) uint8; faster than `sample` where a class can."""
         return (self.sample(grid, threads) < 0).view(np.uint8)
 
-    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.uint8]:
-        """`solid` for the layers start <= k < stop of a larger grid; classes may keep what the whole grid needs."""
-        return self.solid(grid.layers(start, stop), threads)
+    def solid_layers(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        """`solid` for the layers start <= k < stop of a larger grid; classes may keep what the whole grid needs.
+
+        `wanted` (stop - start, ny, 2) names the first sample of each row that matters and the one after the last; a
+        class may leave the others undecided.
+        """
+        return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
 
     def physical_edge(self) -> float:
         """`edge_mm`, or an error for those who need a size.

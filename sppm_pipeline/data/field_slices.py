@@ -65,6 +65,10 @@ class FieldSlices(SliceStack):
     def origin_mm(self) -> tuple[float, float, float]:
         return self.lower
 
+    @property
+    def grey(self) -> bool:
+        return self.subsamples > 1
+
     def _fine(self) -> Grid:
         """The grid on which solid is decided: that of the pixels, or of their subsamples."""
         k = self.subsamples

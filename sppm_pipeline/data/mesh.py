@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,13 @@ class SurfaceMesh(Noun):
             raise ValueError("mesh vertices must be finite")
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):
             raise ValueError("a triangle names a vertex that does not exist")
+
+    @cached_property
+    def bounds_solid(self) -> bool:
+        """Whether the triangles bound a volume; if not, what is inside is a matter of votes."""
+        from sppm_pipeline.numerics.surface.measures import edge_counts
+
+        return edge_counts(self.faces).bounds_solid
 
     @property
     def lower(self) -> NDArray[np.float64]:

@@ -84,19 +84,17 @@ class Microstructure(ScalarField):
         """The same kernels cut at another level."""
         return replace(self, level=float(level))
 
-    def forget_patches(self, n: int) -> None:
-        """Free the patches sampled at n voxels a cell edge."""
-        for key in [key for key in self.banks if key[2] == n]:
-            del self.banks[key]
-
     def alone(self, interior: int, colors: tuple[int, int, int]) -> PeriodicTile:
         """Interior t with faces of the given colours on both opposite sides, repeated for ever."""
         return PeriodicTile(self, interior, colors)
 
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        return self.sample_layers(grid, 0, grid.shape[2], threads)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         if self.interiors > 1 or max(self.colors) > 1:
             raise ValueError("a microstructure with several interiors or colours has to be laid out to be sampled")
-        return self.alone(0, (0, 0, 0)).sample(grid, threads)
+        return self.alone(0, (0, 0, 0)).sample_layers(grid, start, stop, threads)
 
     def summary(self) -> dict[str, Any]:
         """Numbers of pores and tunnels and the level."""
@@ -124,9 +122,12 @@ class PeriodicTile(ScalarField):
         return self.micro.edge_mm
 
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        return self.sample_layers(grid, 0, grid.shape[2], threads)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         from sppm_pipeline.numerics.assembly.gather import sample_exact
 
-        values = sample_exact(self.micro.pieces, self.arrays(), grid, CUTOFF, threads)
+        values = sample_exact(self.micro.pieces, self.arrays(), grid, CUTOFF, threads, start, stop)
         values -= np.float32(self.micro.level)
         return values
 
@@ -152,34 +153,36 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     starts, ends = graph.segments()
     a, b = pores.piece[graph.edges].T
     axis_of_piece = pores.axis_of_piece()
+    no_pores = np.zeros(0, np.int64)
 
-    def kernels(pore_mask: NDArray[np.bool_], tunnel_mask: NDArray[np.bool_]) -> Kernels:
+    def kernels(own: NDArray[np.int64], tunnels: NDArray[np.int64]) -> Kernels:
         return Kernels(
-            frozen(pores.centers[pore_mask]),
-            frozen(omega[pore_mask]),
-            frozen(starts[tunnel_mask]),
-            frozen(ends[tunnel_mask]),
-            frozen(mu[tunnel_mask]),
+            frozen(pores.centers[own]),
+            frozen(omega[own]),
+            frozen(starts[tunnels]),
+            frozen(ends[tunnels]),
+            frozen(mu[tunnels]),
             squared,
         )
 
-    def whole(piece: int) -> Kernels:
-        return kernels(pores.piece == piece, (a == piece) & (b == piece))
+    inside = np.flatnonzero(a == b)
+    inside = inside[np.argsort(a[inside], kind="stable")]
+    first = np.searchsorted(a[inside], np.arange(len(axis_of_piece) + 1))
+    whole = [kernels(pores.indices(p), inside[first[p] : first[p + 1]]) for p in range(len(axis_of_piece))]
+    empty = kernels(no_pores, no_pores)
+    most = max(pores.colors)  # every axis is given as many colours, the missing ones without content
+    faces = [
+        tuple(whole[pores.face_piece(axis, k)] if k < pores.colors[axis] else empty for k in range(most))
+        for axis in range(3)
+    ]
 
-    none = np.zeros(len(pores.centers), bool)
-    connectors = {}
     crossing = np.flatnonzero(a != b)
-    keys = np.stack(
-        [a[crossing], axis_of_piece[b[crossing]], graph.shift[crossing].sum(1), b[crossing]], 1
-    )  # interior, axis, side, face piece
-    for key in np.unique(keys, axis=0):
-        t, axis, side, piece = (int(v) for v in key)
-        mask = np.zeros(len(graph.edges), bool)
-        mask[crossing[(keys == key).all(1)]] = True
-        color = piece - pores.face_piece(axis, 0)
-        connectors[(t, axis, side, color)] = kernels(none, mask)
-    return Pieces(
-        tuple(whole(t) for t in range(pores.interiors)),
-        tuple(tuple(whole(pores.face_piece(x, k)) for k in range(pores.colors[x])) for x in range(3)),  # type: ignore[arg-type]
-        connectors,
-    )
+    keys = np.stack([a[crossing], axis_of_piece[b[crossing]], graph.shift[crossing].sum(1), b[crossing]], 1)
+    different, which = np.unique(keys, axis=0, return_inverse=True)  # interior, axis, side, face piece
+    which = which.reshape(-1)
+    groups = np.split(crossing[np.argsort(which, kind="stable")], np.cumsum(np.bincount(which))[:-1])
+    connectors = {
+        (int(t), int(axis), int(side), int(piece) - pores.face_piece(int(axis), 0)): kernels(no_pores, group)
+        for (t, axis, side, piece), group in zip(different, groups, strict=bool(len(different)))
+    }
+    return Pieces(tuple(whole[: pores.interiors]), (faces[0], faces[1], faces[2]), connectors)

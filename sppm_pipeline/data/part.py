@@ -14,6 +14,9 @@ from sppm_pipeline.numerics.grid import Grid
 
 __all__ = ["Part"]
 
+VOTED_LAYERS = 64
+"""Layers of a mesh that does not close which are decided together."""
+
 
 @dataclass(frozen=True, eq=False)
 class Part(ScalarField):
@@ -72,7 +75,9 @@ class Part(ScalarField):
         values = self.field.sample(grid, threads)
         world = self.in_mm(grid)
         reach = max(world.spacing) + self.skin_mm
-        distance = signed_distance(self.domain.vertices, self.domain.faces, world, reach)
+        distance = signed_distance(
+            self.domain.vertices, self.domain.faces, world, reach, self.domain.bounds_solid
+        )
         edge = np.float32(self.physical_edge())
         if self.skin_mm:
             # inside the skin the field does not matter: solid where the surface is nearer than the skin is thick
@@ -83,32 +88,43 @@ class Part(ScalarField):
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
         return self.solid_layers(grid, 0, grid.shape[2], threads)
 
-    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.uint8]:
-        from sppm_pipeline.numerics.domain.scanline import scan_layers
+    def solid_layers(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        from sppm_pipeline.numerics.domain.spans import row_spans
 
-        solid = self.field.solid_layers(grid, start, stop, threads)
-        scan = self._scan(grid)
         if not self.skin_mm:
-            solid &= scan_layers(scan, start, stop).mask
-            return solid
+            inside = self._inside(grid, start, stop)
+            inside &= self.field.solid_layers(grid, start, stop, threads, row_spans(inside))
+            return inside
         from sppm_pipeline.numerics.domain.skin import halo_layers, skin_layers
 
         spacing = self.in_mm(grid).spacing
         halo = halo_layers(self.skin_mm, spacing[2])
         first, last = max(0, start - halo), min(grid.shape[2], stop + halo)
-        inside = scan_layers(scan, first, last).mask
-        solid &= inside[start - first : stop - first]
-        solid |= skin_layers(inside, spacing, self.skin_mm, start - first, last - stop)
+        around = self._inside(grid, first, last)
+        inside = around[start - first : stop - first]
+        solid = self.field.solid_layers(grid, start, stop, threads, row_spans(inside))
+        solid &= inside
+        solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
         return solid
 
-    def _scan(self, grid: Grid) -> Any:
-        """The domain made ready for scanning the layers of `grid`; kept, as slabs of one grid follow each other."""
-        from sppm_pipeline.numerics.domain.scanline import prepare_scan
+    def _inside(self, grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+        """Which voxels of some layers of `grid` lie in the domain; what the whole grid needs is kept between slabs."""
+        from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
 
-        if self._prepared.get("grid") != grid:
-            self._prepared["scan"] = prepare_scan(self.domain.vertices, self.domain.faces, self.in_mm(grid))
-            self._prepared["grid"] = grid
-        return self._prepared["scan"]
+        kept, closed = self._prepared, self.domain.bounds_solid
+        if kept.get("grid") != grid:
+            kept["grid"], kept["block"] = grid, None
+            kept["scan"] = prepare_inside(self.domain.vertices, self.domain.faces, self.in_mm(grid), closed)
+        if closed:
+            return inside_layers(kept["scan"], start, stop).mask
+        # a vote costs as much for one layer as for many, so layers are asked for in thick blocks
+        if kept["block"] is None or not kept["block"][0] <= start <= stop <= kept["block"][1]:
+            last = min(grid.shape[2], max(stop, start + VOTED_LAYERS))
+            kept["block"] = (start, last, inside_layers(kept["scan"], start, last).mask)
+        first, _, block = kept["block"]
+        return block[start - first : stop - first].copy()  # type: ignore[no-any-return]
 
     def summary(self) -> dict[str, Any]:
         """The domain's and the lattice's size."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -73,11 +74,18 @@ class PoreSet(Noun):
 
     def indices(self, piece: int) -> NDArray[np.int64]:
         """Indices of the pores of one piece."""
-        return np.flatnonzero(self.piece == piece)
+        order, start = self._by_piece
+        return order[start[piece] : start[piece + 1]]
 
     def of_piece(self, piece: int) -> NDArray[np.float64]:
         """Centres of one piece, (k, 3)."""
-        return self.centers[self.piece == piece]  # type: ignore[no-any-return]
+        return self.centers[self.indices(piece)]
+
+    @cached_property
+    def _by_piece(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Pores in the order of their pieces, and where each piece begins; there may be ten thousands of pieces."""
+        count = np.bincount(self.piece, minlength=self.interiors + sum(self.colors))
+        return np.argsort(self.piece, kind="stable"), np.concatenate([[0], np.cumsum(count)])
 
     def extended(self, centers: NDArray[np.float64], piece: NDArray[np.int32], **changes: Any) -> PoreSet:
         """The same set with more pores."""

@@ -56,6 +56,11 @@ class SliceStack(Noun, ABC):
         the stack when the next one is asked for.
         """
 
+    @property
+    def grey(self) -> bool:
+        """Whether values between 0 and 255 occur."""
+        return False
+
     def findings(self) -> dict[str, Any]:
         """What became known while the layers were read, for instance porosity and islands removed."""
         return {}

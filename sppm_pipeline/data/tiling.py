@@ -19,8 +19,11 @@ if TYPE_CHECKING:
 
 __all__ = ["RepeatedField", "Tiling"]
 
-PATCH_MEMORY = 256 * 2**20
-"""Bytes that cached patches may take; a larger bank falls back to summing kernels."""
+USES_OF_A_PATCH = 4
+"""How many cells a tiling needs for each patch before sampling the patches is cheaper than summing kernels."""
+
+SMALL_BANK, LARGE_BANK = 96 * 2**20, 768 * 2**20
+"""Bytes that the patches of a small tiling, and of one ten times larger, may take; otherwise kernels are summed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,37 +66,45 @@ class Tiling(ScalarField):
         return self.origin
 
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        level = np.float32(self.tileset.micro.level)
         window = self._window(grid)
         if window is None:
-            from sppm_pipeline.numerics.assembly.gather import sample_exact
-
-            values = sample_exact(self.tileset.micro.pieces, self.arrays, grid, CUTOFF, threads)
+            values = self._summed(grid, threads, 0, grid.shape[2], None)
         else:
             from sppm_pipeline.numerics.assembly.overlap_add import assemble
 
             bank, z, x, y = window
             values = assemble(bank, self.arrays, *z, *x, *y, threads=threads)
-        values -= level
+        values -= np.float32(self.tileset.micro.level)
         return values
 
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
-        window = self._window(grid)
+        return self.solid_layers(grid, 0, grid.shape[2], threads)
+
+    def solid_layers(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        level = self.tileset.micro.level
+        window = self._window(grid.layers(start, stop))
         if window is None:
-            return super().solid(grid, threads)
+            return (self._summed(grid, threads, start, stop, wanted) < np.float32(level)).view(np.uint8)
         from sppm_pipeline.numerics.assembly.overlap_add import assemble_solid
 
         bank, z, x, y = window
-        return assemble_solid(bank, self.arrays, self.tileset.micro.level, *z, *x, *y, threads=threads)
+        return assemble_solid(bank, self.arrays, level, *z, *x, *y, threads=threads)
 
-    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.uint8]:
-        if self._window(grid) is not None:
-            return self.solid(grid.layers(start, stop), threads)
-        from sppm_pipeline.numerics.assembly.gather import sample_exact
+    def _summed(
+        self, grid: Grid, threads: int, start: int, stop: int, wanted: NDArray[np.int32] | None
+    ) -> NDArray[np.float32]:
+        """The sum of the kernels themselves."""
+        from sppm_pipeline.numerics.assembly.gather import make_catalogue, sample_exact
 
         micro = self.tileset.micro
-        values = sample_exact(micro.pieces, self.arrays, grid, CUTOFF, threads, start, stop)
-        return (values < np.float32(micro.level)).view(np.uint8)
+        if "catalogue" not in micro.banks:
+            micro.banks["catalogue"] = make_catalogue(micro.pieces, CUTOFF)
+        kept = micro.banks["catalogue"]
+        return sample_exact(
+            micro.pieces, self.arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalogue=kept
+        )
 
     def _window(self, grid: Grid) -> tuple[PatchBank, tuple[int, int], tuple[int, int], tuple[int, int]] | None:
         """The patch bank and the window of voxel indices that `grid` stands for, or None if it is not commensurate."""
@@ -125,15 +136,18 @@ class Tiling(ScalarField):
         key = (self.tileset.kind, self.tileset.palette_colors, n, offset)
         if key not in kept:
             combinations = self.tileset.combinations()
+            patches = len(combinations) if combinations is not None else micro.interiors
+            cells = int(np.count_nonzero(self.arrays.interior >= 0))
             arguments = {"offset": offset, "cutoff": CUTOFF}
-            if (
-                self.tileset.kind == "fresh"
-                or predicted_bytes(micro.pieces, n, combinations, **arguments) > PATCH_MEMORY
-            ):
-                kept[key] = None
-            else:
-                kept[key] = build_bank(micro.pieces, n, combinations, **arguments)
-        return kept[key]
+            # a patch is somewhat larger than a cell and is worth sampling if it is used a few times
+            if self.tileset.kind == "fresh" or cells < USES_OF_A_PATCH * patches:
+                return None
+            size = predicted_bytes(micro.pieces, n, combinations, **arguments)
+            if size > (LARGE_BANK if cells > 10 * USES_OF_A_PATCH * patches else SMALL_BANK):
+                return None
+            kept[key] = build_bank(micro.pieces, n, combinations, **arguments)
+        bank: PatchBank = kept[key]
+        return bank
 
     def summary(self) -> dict[str, Any]:
         """Size of the lattice and number of filled cells."""
@@ -185,8 +199,14 @@ class RepeatedField(ScalarField):
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
         return self.base.sample(grid, threads)
 
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.base.sample_layers(grid, start, stop, threads)
+
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
         return self.base.solid(grid, threads)
+
+    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.uint8]:
+        return self.base.solid_layers(grid, start, stop, threads)
 
     def summary(self) -> dict[str, Any]:
         """Size of the lattice."""

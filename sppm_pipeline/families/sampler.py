@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Cell, Length
+from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Stage, option
@@ -26,7 +27,7 @@ class InteriorBox(NamedTuple):
     periodic : bool
         Whether the box is the whole cell and repeats; then pores near opposite faces are neighbours.
     obstacles : (k, 3) float64
-        Pores that are there already, all images included.
+        Pores that are there already: those of this interior and of every face it may meet, on the side it meets it.
     cell : Cell
         Turns the user's lengths into cell edges.
     spacing : float or None
@@ -67,20 +68,30 @@ class Sampler(Stage):
         """Pores of one interior, (n, 3) float64 in cell edges."""
 
     def wished_spacing(self, cell: Cell) -> float | None:
-        """The spacing this sampler keeps, cell edges, if it keeps one."""
+        """The spacing this sampler was asked for, cell edges; None if it takes that of the pores before, or none."""
         return None
+
+    def kept_spacing(self, cell: Cell, before: PoreSet) -> float | None:
+        """The distance that any two pores keep in the end, cell edges, if that is known."""
+        return None
+
+    def gap_from_faces(self, cell: Cell, pores: PoreSet) -> float:
+        """Distance from the faces to the box of the interior pores, cell edges."""
+        if self.gap is not None:
+            return cell.fraction(self.gap)
+        return (self.wished_spacing(cell) or pores.spacing or 0.0) if pores.has_faces else 0.0
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the pores of all interiors."""
         cell, base = start_of(self.edge, pores, context.palette.interiors)
         spacing = self.wished_spacing(cell) or base.spacing
-        gap = cell.fraction(self.gap) if self.gap is not None else (spacing or 0.0) if base.has_faces else 0.0
+        gap = self.gap_from_faces(cell, base)
         if gap >= 0.5:
             raise DesignError(
                 f"the gap of {gap:g} cell edges leaves no interior; it must be below 0.5",
                 hint="give a smaller `gap` or a smaller spacing",
             )
-        images = _face_images(base)
+        meetings = _Meetings(base, context.palette)
         face_pores = sum(len(base.of_piece(base.face_piece(axis, 0))) for axis in range(3) if base.colors[axis])
         centers, piece = [], []
         for t in range(base.interiors):
@@ -89,7 +100,7 @@ class Sampler(Stage):
                 lower=np.full(3, gap),
                 upper=np.full(3, 1 - gap),
                 periodic=not base.has_faces,
-                obstacles=np.concatenate([own, images]),
+                obstacles=np.concatenate([own, meetings.pores_around(t)]),
                 cell=cell,
                 spacing=spacing,
                 face_pores=face_pores,
@@ -101,7 +112,9 @@ class Sampler(Stage):
             piece.append(np.full(len(thrown), t, np.int32))
             if base.interiors > 1:
                 context.progress(t + 1, base.interiors, "interiors")
-        return base.extended(np.concatenate(centers), np.concatenate(piece), spacing=spacing)
+        return base.extended(
+            np.concatenate(centers), np.concatenate(piece), spacing=self.kept_spacing(cell, base)
+        )
 
 
 def start_of(edge: Length | None, pores: PoreSet | None, interiors: int) -> tuple[Cell, PoreSet]:
@@ -123,9 +136,25 @@ def start_of(edge: Length | None, pores: PoreSet | None, interiors: int) -> tupl
     return pores.cell, pores
 
 
-def _face_images(pores: PoreSet) -> NDArray[np.float64]:
-    """Face pores of all colours on both opposite faces, (k, 3)."""
-    axis = pores.axis_of_piece()[pores.piece]
-    on_face = axis >= 0
-    low = pores.centers[on_face]
-    return np.concatenate([low, low + np.eye(3)[axis[on_face]]])
+class _Meetings:
+    """Which face pores an interior may meet: with an open palette all, else those of its own faces."""
+
+    def __init__(self, pores: PoreSet, palette: Palette) -> None:
+        self._pores = pores
+        self._rows = palette.meetings if pores.has_faces else None
+        if self._rows is not None:
+            self._rows = self._rows[np.argsort(self._rows[:, 0], kind="stable")]
+            self._first = np.searchsorted(self._rows[:, 0], np.arange(pores.interiors + 1))
+            return
+        axis = pores.axis_of_piece()[pores.piece]
+        low = pores.centers[axis >= 0]
+        self._all = np.concatenate([low, low + np.eye(3)[axis[axis >= 0]]])
+
+    def pores_around(self, interior: int) -> NDArray[np.float64]:
+        """Face pores around one interior, in the coordinates of its cell, (k, 3)."""
+        if self._rows is None:
+            return self._all
+        around = [np.zeros((0, 3))]
+        for _, axis, side, color in self._rows[self._first[interior] : self._first[interior + 1]]:
+            around.append(self._pores.of_piece(self._pores.face_piece(axis, color)) + side * np.eye(3)[axis])
+        return np.concatenate(around)

@@ -63,7 +63,8 @@ def lattice_for(
     # centred, so that opposite sides of a symmetric part are cut alike
     count = np.maximum(np.ceil((upper - lower) / edge - 1e-9), 1).astype(int)
     origin = (lower + upper - count * edge) / 2
-    mask = cells_touched(cover.vertices, cover.faces.astype(np.int64), origin, edge, (count[0], count[1], count[2]))
+    shape = (int(count[0]), int(count[1]), int(count[2]))
+    mask = cells_touched(cover.vertices, cover.faces, origin, edge, shape, cover.bounds_solid)
     return Lattice(mask, edge, (float(origin[0]), float(origin[1]), float(origin[2])))
 
 

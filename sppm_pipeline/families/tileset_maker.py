@@ -68,7 +68,6 @@ class TileSetMaker(Stage):
             sums = np.concatenate([g.ravel() for g in self._fields(context, micro, trial, n)])
             micro = micro.with_level(level_for_porosity(sums + np.float32(micro.level), self.porosity).level)
             fine = self._porosities(context, micro, trial, n + n // 2 + 1)
-            micro.forget_patches(n + n // 2 + 1)  # nobody asks for that grid again
             error = abs(float(np.mean(np.concatenate(fine))) - self.porosity)
             context.report(porosity_error=error, checked_at=n + n // 2 + 1)
             if error > self.tolerance:

@@ -21,13 +21,13 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_
 from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, reach_boxes
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
-__all__ = ["kernels_in_box", "sample_exact"]
+__all__ = ["Catalogue", "kernels_in_box", "make_catalogue", "sample_exact"]
 
 # Sites whose kernels are gathered at a time: some 10^5 kernels, 50 MB with all temporary arrays.
 _SITES = 600
 
 
-class _Catalogue(NamedTuple):
+class Catalogue(NamedTuple):
     """All kernels of all pieces in one set, where each piece begins, and how far each kernel and piece reaches."""
 
     numbers: PieceNumbers
@@ -62,7 +62,7 @@ def kernels_in_box(
         In a fixed order: by lattice site (z, y, x), interior, faces, connectors, place in the piece. The order of two
         kernels does not depend on the box.
     """
-    return _gather(_catalogue(pieces, cutoff), tiling, np.asarray(lower, float), np.asarray(upper, float))
+    return _gather(make_catalogue(pieces, cutoff), tiling, np.asarray(lower, float), np.asarray(upper, float))
 
 
 def sample_exact(
@@ -73,6 +73,9 @@ def sample_exact(
     threads: int = 1,
     layer_start: int = 0,
     layer_stop: int | None = None,
+    *,
+    wanted: NDArray[np.int32] | None = None,
+    catalogue: Catalogue | None = None,
 ) -> NDArray[np.float32]:
     """The field of a tiling on any grid, kernel by kernel.
 
@@ -90,6 +93,10 @@ def sample_exact(
         Number of threads; the result does not depend on it.
     layer_start, layer_stop : int
         Layers of the grid to sample, all by default; a layer's values do not depend on the choice.
+    wanted : (layer_stop - layer_start, ny, 2) int32, optional
+        Parts of the rows that matter, see `add_kernels`.
+    catalogue : Catalogue, optional
+        That of the pieces and the cut-off, if the caller kept it.
 
     Returns
     -------
@@ -100,7 +107,7 @@ def sample_exact(
     layer_stop = nz if layer_stop is None else layer_stop
     if not 0 <= layer_start <= layer_stop <= nz:
         raise ValueError(f"layers {layer_start} to {layer_stop} are not all in a grid of {nz} layers")
-    catalogue = _catalogue(pieces, cutoff)
+    catalogue = catalogue or make_catalogue(pieces, cutoff)
     out = np.zeros((layer_stop - layer_start, ny, nx), dtype=np.float32)
     # Half a cell of layers, and bands of rows that depend on the grid alone: the sums are always the same.
     height = max(1, int(0.5 / grid.spacing[2]))
@@ -118,13 +125,20 @@ def sample_exact(
             kernels = _gather(catalogue, tiling, lower, upper)
             block = out[start - layer_start : stop - layer_start]
             target = block if band == ny else np.zeros((stop - start, band, nx), dtype=np.float32)
-            add_kernels(target, part, kernels, cutoff, threads, first_layer=start)
+            asked = None
+            if wanted is not None:
+                rows_asked = wanted[start - layer_start : stop - layer_start, row : row + band]
+                if (rows_asked[..., 0] >= rows_asked[..., 1]).all():
+                    continue
+                asked = np.ascontiguousarray(rows_asked)
+            add_kernels(target, part, kernels, cutoff, threads, first_layer=start, wanted=asked)
             if band < ny:
                 block[:, row : row + band] = target
     return out
 
 
-def _catalogue(pieces: Pieces, cutoff: float) -> _Catalogue:
+def make_catalogue(pieces: Pieces, cutoff: float) -> Catalogue:
+    """All kernels of a tile set with their boxes of reach, piece by piece; worth keeping between calls."""
     numbers = number_pieces(pieces)
     kernels = [k._replace(squared=pieces.squared) if len(k.starts) == 0 else k for k in numbers.kernels]
     every = concatenated(kernels) if kernels else empty_kernels(pieces.squared)
@@ -136,13 +150,13 @@ def _catalogue(pieces: Pieces, cutoff: float) -> _Catalogue:
         pores, tunnels = slice(*first_pore[i : i + 2]), slice(*first_tunnel[i : i + 2])
         lower[i] = np.concatenate([pore_lower[pores], tunnel_lower[tunnels], lower[i : i + 1]]).min(axis=0)
         upper[i] = np.concatenate([pore_upper[pores], tunnel_upper[tunnels], upper[i : i + 1]]).max(axis=0)
-    return _Catalogue(
+    return Catalogue(
         numbers, every, first_pore, first_tunnel, (pore_lower, pore_upper), (tunnel_lower, tunnel_upper), lower, upper
     )
 
 
 def _gather(
-    catalogue: _Catalogue, tiling: TilingArrays, lower: NDArray[np.float64], upper: NDArray[np.float64]
+    catalogue: Catalogue, tiling: TilingArrays, lower: NDArray[np.float64], upper: NDArray[np.float64]
 ) -> Kernels:
     reaching = np.isfinite(catalogue.lower).all(axis=1)
     if not reaching.any():

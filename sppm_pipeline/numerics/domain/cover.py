@@ -6,14 +6,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
-from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
 from sppm_pipeline.numerics.grid import Grid
 
 __all__ = ["cells_touched"]
 
 
 def cells_touched(
-    vertices: ArrayLike, faces: ArrayLike, origin: NDArray[np.float64], edge: float, shape: tuple[int, int, int]
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    origin: NDArray[np.float64],
+    edge: float,
+    shape: tuple[int, int, int],
+    closed: bool = True,
 ) -> NDArray[np.bool_]:
     """The cells that contain a piece of the part: those met by the box of a triangle, and those inside.
 
@@ -28,6 +33,8 @@ def cells_touched(
         Low corner of cell (0, 0, 0).
     edge : float
     shape : tuple of 3 ints
+    closed : bool
+        Whether the mesh bounds a solid, see `prepare_inside`.
 
     Returns
     -------
@@ -36,7 +43,7 @@ def cells_touched(
     points = np.ascontiguousarray(vertices, np.float64)
     centre = Grid(tuple(float(o) + edge / 2 for o in origin), (edge,) * 3, shape)  # type: ignore[arg-type]
     # a cell that no triangle touches lies wholly inside or outside, so its centre decides
-    inside = scan_layers(prepare_scan(points, faces, centre), 0, shape[2]).mask.transpose(2, 1, 0)
+    inside = inside_layers(prepare_inside(points, faces, centre, closed), 0, shape[2]).mask.transpose(2, 1, 0)
     touched = np.zeros(shape, np.bool_)
     _touch(points[np.asarray(faces, np.int64)], np.asarray(origin, np.float64), edge, touched)
     return touched | inside.astype(bool)

@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
-from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
 from sppm_pipeline.numerics.grid import Grid
 
 __all__ = ["signed_distance"]
 
 
-def signed_distance(vertices: ArrayLike, faces: ArrayLike, grid: Grid, reach: float) -> NDArray[np.float32]:
+def signed_distance(
+    vertices: ArrayLike, faces: ArrayLike, grid: Grid, reach: float, closed: bool = True
+) -> NDArray[np.float32]:
     """Distance of the samples of a grid from a closed mesh, negative inside, up to a reach.
 
     Parameters
@@ -31,6 +33,8 @@ def signed_distance(vertices: ArrayLike, faces: ArrayLike, grid: Grid, reach: fl
     grid : Grid
     reach : float
         Distances are sought up to here; what lies further off gets the reach itself, with its sign.
+    closed : bool
+        Whether the mesh bounds a solid, see `prepare_inside`.
 
     Returns
     -------
@@ -46,7 +50,7 @@ def signed_distance(vertices: ArrayLike, faces: ArrayLike, grid: Grid, reach: fl
     if reach > 2 * min(grid.spacing):
         _sweep(triangles, origin, spacing, squared, nearest)
     distance = np.sqrt(squared, out=squared)
-    inside = scan_layers(prepare_scan(points, faces, grid), 0, nz).mask
+    inside = inside_layers(prepare_inside(points, faces, grid, closed), 0, nz).mask
     np.negative(distance, out=distance, where=inside.view(bool))
     return distance
 

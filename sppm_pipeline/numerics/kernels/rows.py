@@ -26,6 +26,7 @@ __all__ = [
     "fill_gauss",
     "point_rows",
     "tunnel_rows",
+    "want_rows",
 ]
 
 #: Samples of one block, rows of one group.
@@ -36,9 +37,10 @@ _SHIFT = np.uint64(4)
 # Rows of the table: first sample, number of blocks, then three numbers of the kernel.
 _FIRST, _BLOCKS, _ACROSS, _ALONG, _REST = (np.uint64(LANES * row) for row in range(5))
 _FACTOR = _ACROSS
-
+# Then the first and the last sample of the row that anybody wants.
+_WANTED_FROM, _WANTED_TO = np.uint64(5 * LANES), np.uint64(6 * LANES)
 #: Length of the table of a group of rows.
-TABLE = 5 * LANES
+TABLE = 7 * LANES
 
 # 2^-f = sum of _Pi f^i on 0 <= f <= 1: least relative error at Chebyshev points, 8e-8 before rounding.
 _P0 = np.float32(0.99999992321)
@@ -77,14 +79,30 @@ def fill_gauss(row: NDArray[np.float32], blocks: int, first: np.float32, step: n
 
 @inline_kernel
 def _clip_rows(table: NDArray[np.float32], low: np.float32, high: np.float32, nx: np.float32, i: int) -> None:
-    """Write first sample and number of blocks of row i; the row covers at least low <= x <= high, 0 <= x < nx."""
-    first = max(np.float32(np.ceil(low)), _ZERO)
-    last = min(np.float32(np.floor(high)), nx - _ONE)
+    """Write first sample and number of blocks of row i; the row covers at least low <= x <= high where it is wanted."""
+    first = max(np.float32(np.ceil(low)), table[_WANTED_FROM + i])
+    last = min(np.float32(np.floor(high)), table[_WANTED_TO + i])
     blocks = np.float32(np.floor((last - first) * np.float32(1.0 / LANES))) + _ONE
     blocks = blocks if last >= first else _ZERO
     # A row that would run over the end starts earlier instead.
     table[_FIRST + i] = max(min(first, nx - blocks * np.float32(LANES)), _ZERO)
     table[_BLOCKS + i] = blocks
+
+
+@inline_kernel
+def want_rows(table: NDArray[np.float32], wanted: NDArray[np.int32], first: int, rows: int, nx: int) -> None:
+    """Write which samples of the sixteen rows are wanted, from the first to the last; all if `wanted` is empty.
+
+    ``wanted[r]`` are the first sample of row r and the one after the last.
+    """
+    for i in range(_LANES):
+        table[_WANTED_FROM + i] = _ZERO
+        table[_WANTED_TO + i] = np.float32(nx - 1)
+    if wanted.shape[0] > 0:
+        for i in range(_LANES):
+            row = first + min(np.int64(i), rows - 1)
+            table[_WANTED_FROM + i] = np.float32(wanted[row, 0])
+            table[_WANTED_TO + i] = np.float32(wanted[row, 1] - 1)
 
 
 @inline_kernel

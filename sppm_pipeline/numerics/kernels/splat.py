@@ -26,6 +26,7 @@ from sppm_pipeline.numerics.kernels.rows import (
     fill_gauss,
     point_rows,
     tunnel_rows,
+    want_rows,
 )
 
 __all__ = ["add_kernels"]
@@ -41,6 +42,7 @@ def add_kernels(
     cutoff: float = DEFAULT_CUTOFF,
     threads: int = 1,
     first_layer: int = 0,
+    wanted: NDArray[np.int32] | None = None,
 ) -> None:
     """Add all kernels to the samples of a grid (paper, eq. 1-3).
 
@@ -59,6 +61,10 @@ def add_kernels(
         Number of threads; the result does not depend on it.
     first_layer : int
         Layer of the grid that is held by ``out[0]``. A layer's values do not depend on it.
+    wanted : (nz, ny, 2) int32, C-contiguous, optional
+        First sample of each row that matters and the one after the last; equal ones for a row that does not matter.
+        Samples beyond them hold parts of the sum or nothing; those between differ from the full sum by float32
+        rounding at most.
 
     Raises
     ------
@@ -78,6 +84,7 @@ def add_kernels(
     reach = math.log2(1.0 / cutoff)
     points, tunnels = _reaching(points, tunnels, kernels, grid.layers(first_layer, first_layer + layers), cutoff)
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
+    spans = np.zeros((0, 2), np.int32) if wanted is None else wanted.reshape(-1, 2)
     tunnel_reach = math.sqrt(reach) if kernels.squared else reach
     height = max(1, min(layers, _BLOCK_SAMPLES // (nx * ny)))
     # Balance: at least four blocks a thread, as long as there are layers.
@@ -87,14 +94,15 @@ def add_kernels(
 
     def add_block(start: int) -> None:
         block = out[start : start + height]
+        rows = spans[start * ny : (start + len(block)) * ny]
         # Made here because an array that is made in a compiled function is counted in each call it is passed to.
         table = np.empty(TABLE, np.float32)
         whole = nx % LANES == 0
         # Blocks of samples may run over the end of a row: rows of an odd length are summed in padded rows.
         target = block if whole else np.zeros((len(block), ny, nx + LANES - nx % LANES), dtype=np.float32)
         arguments = (target.reshape(-1), target.shape, first_layer + start, origin, spacing)
-        _add_points(*arguments, points, math.sqrt(reach), table, np.empty(width, np.float32))
-        _add_tunnels(*arguments, tunnels, tunnel_reach, kernels.squared, table, np.empty(7, np.float32))
+        _add_points(*arguments, rows, points, math.sqrt(reach), table, np.empty(width, np.float32))
+        _add_tunnels(*arguments, rows, tunnels, tunnel_reach, kernels.squared, table, np.empty(7, np.float32))
         if not whole:
             block += target[:, :, :nx]
 
@@ -149,6 +157,7 @@ def _add_points(
     first_layer: int,
     origin: NDArray[np.float64],
     spacing: NDArray[np.float64],
+    wanted: NDArray[np.int32],
     points: NDArray[np.float64],
     reach: float,
     table: NDArray[np.float32],
@@ -179,6 +188,7 @@ def _add_points(
         for z in range(z0, z1 + 1):
             dz = np.float32(scale * (origin[2] + z * spacing[2] - points[p, 2]))
             for y in range(y0, y1 + 1, LANES):
+                want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx)
                 point_rows(
                     table,
                     np.float32(reach),
@@ -200,6 +210,7 @@ def _add_tunnels(
     first_layer: int,
     origin: NDArray[np.float64],
     spacing: NDArray[np.float64],
+    wanted: NDArray[np.int32],
     tunnels: NDArray[np.float64],
     reach: float,
     squared: bool,
@@ -242,6 +253,7 @@ def _add_tunnels(
         for z in range(z0, z1 + 1):
             dz = np.float32(scale * (origin[2] + z * spacing[2] - tunnels[p, 2]))
             for y in range(y0, y1 + 1, LANES):
+                want_rows(table, wanted, (z - first_layer) * ny + y, min(LANES, y1 + 1 - y), nx)
                 tunnel_rows(
                     table,
                     np.float32(reach),

@@ -48,6 +48,8 @@ def split_between_faces_and_interior(
         return on_faces(l) + box_capacity(max(1 - 2 * l, 0.0), l)
 
     wished = face_count if total is None else total
+    if wished == 0:
+        return 0, 0.5 if spacing is None else spacing
     capacity = on_faces if total is None else in_cell
     if spacing is None:
         assert wished is not None

@@ -62,10 +62,11 @@ class CheckConnectivity(Stage):
             raise Rejected("solid and void do not both run through in x, y and z")
         if self.islands == "keep":
             return field
-        floating = solid & ~keep_largest(solid, periodic)
-        if not floating.any():
+        kept = keep_largest(solid, periodic)
+        if (kept == solid).all():
             return field
-        return CleanedField(field, _grown(floating, field.periodic), n)
+        # voxels of what stays may touch an island across an edge or a corner
+        return CleanedField(field, _grown(solid - kept, field.periodic) & ~kept, n)
 
 
 def _grown(mask: NDArray[Any], periodic: bool) -> NDArray[np.uint8]:

@@ -40,24 +40,31 @@ class DartThrowing(Sampler):
             raise ConfigError("`count` and `total` exclude each other")
         if self.count is None and self.total is None and self.share is None:
             raise ConfigError("give the number of pores (`count` or `total`), or a `share` to fill up to")
+        if self.spacing is not None and self.share is not None and (self.count, self.total) != (None, None):
+            raise ConfigError("the number of pores, `spacing` and `share` are one too many: leave one out")
 
     def wished_spacing(self, cell: Cell) -> float | None:
         return None if self.spacing is None else cell.fraction(self.spacing)
 
+    def kept_spacing(self, cell: Cell, before: PoreSet) -> float | None:
+        known = [spacing for spacing in (self.wished_spacing(cell), before.spacing) if spacing is not None]
+        if not known or (len(before.centers) and before.spacing is None):
+            return None
+        apart = self.clear_faces or (before.has_faces and self.gap_from_faces(cell, before) >= min(known))
+        return min(known) if apart or not len(before.centers) else None
+
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the pores of all interiors."""
-        thrown = super().run(context, pores)
         from sppm_pipeline.numerics.sampling.capacity import box_capacity
 
-        gap = 0.0 if not thrown.has_faces else self._gap(thrown)
-        inside = int((thrown.piece < thrown.interiors).sum()) / thrown.interiors
-        if thrown.spacing:
-            capacity = box_capacity((1 - 2 * gap,) * 3, thrown.spacing, periodic=not thrown.has_faces)
+        thrown = super().run(context, pores)
+        spacing = self.wished_spacing(thrown.cell) or (pores.spacing if pores else None)
+        if spacing:
+            inside = float((thrown.piece < thrown.interiors).sum()) / thrown.interiors
+            gap = self.gap_from_faces(thrown.cell, pores or thrown)
+            capacity = box_capacity((1 - 2 * gap,) * 3, spacing, periodic=not thrown.has_faces)
             context.report(interior_packing_share=inside / capacity)
         return thrown
-
-    def _gap(self, pores: PoreSet) -> float:
-        return pores.cell.fraction(self.gap) if self.gap is not None else (pores.spacing or 0.0)
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
         from sppm_pipeline.numerics.sampling.capacity import largest_spacing
@@ -73,7 +80,7 @@ class DartThrowing(Sampler):
                 raise ConfigError("the spacing is missing", hint="give `spacing`, or `total` with `share`")
             # at share s of the packing limit a count n needs the spacing at which n / s pores are the limit
             sides = tuple(float(v) for v in box.upper - box.lower)
-            spacing = largest_spacing(count / self.share, sides, periodic=box.periodic)
+            spacing = min(largest_spacing(max(count / self.share, 1), sides, periodic=box.periodic), 1.0)
         return throw(
             rng,
             count,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.pores import PoreSet
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import start_of
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -74,6 +74,12 @@ class MirroredFaces(Stage):
             colors=max(colors),
         )
         margin = None if self.margin is None else cell.fraction(self.margin)
+        if margin is not None and not (spacing / 2 if max(colors) > 1 else 0) <= margin < 0.5:
+            raise ConfigError(
+                f"the margin is {margin:g} cell edges, allowed is less than 0.5"
+                + (f" and, with several face colours, at least half the spacing of {spacing:.4g}" * (max(colors) > 1)),
+                hint="leave `margin` out for the least that works",
+            )
         if max(colors) <= MOST_TOGETHER and len(set(colors)) == 1:
             patterns = mirrored_faces(context.rng(), None, spacing, colors[0], margin=margin, total=count)
         else:
@@ -94,7 +100,13 @@ class MirroredFaces(Stage):
             raise ConfigError(
                 f"the margin of {margin:g} cell edges is too small for this many face patterns; the least is {free:.4g}"
             )
-        lower, upper = np.full(3, margin or free), np.full(3, 1 - (margin or free))
+        border = margin or free
+        if border >= 0.5:
+            raise DesignError(
+                f"this many face patterns keep {border:.4g} cell edges from the border, which leaves no face",
+                hint="choose a smaller spacing",
+            )
+        lower, upper = np.full(3, border), np.full(3, 1 - border)
         patterns = []
         for axis, counts in enumerate(face_counts(count, max(colors))):
             low, high = lower.copy(), upper.copy()

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.slices import SliceStack
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -27,17 +28,22 @@ class WritePng(Stage):
     name: ClassVar[str] = "write.png"
 
     path: str = option("slices", help="folder to write")
-    bits: int = option(1, help="bits of a pixel: 1 for black and white, 8 for grey", minimum=1, maximum=8)
+    bits: int | None = option(
+        None, help="bits of a pixel: 1 for black and white, 8 for grey; what the layers need if omitted", minimum=1, maximum=8
+    )
     sheet: int = option(6, help="layers shown together in an overview picture beside the folder; 0 for none", minimum=0)
 
     def check_options(self) -> None:
-        from sppm_pipeline.errors import ConfigError
-
-        if self.bits not in (1, 8):
+        if self.bits not in (None, 1, 8):
             raise ConfigError(f"`bits` is {self.bits}; PNG layers have 1 or 8")
 
     def run(self, context: Context, stack: SliceStack) -> None:
         """Write layer after layer; encoding runs beside the evaluation of the next slab."""
+        bits = self.bits or (8 if stack.grey else 1)
+        if stack.grey and bits == 1:
+            raise ConfigError(
+                "one bit cannot hold the grey of these layers", hint="leave out `bits`, or slice with `grey: 1`"
+            )
         folder = context.output(self.path)
         folder.mkdir(parents=True)
         nx, ny, nz = stack.shape
@@ -53,7 +59,7 @@ class WritePng(Stage):
                     if k in shown:
                         overview.append(upright)
                     waiting.append(
-                        pool.submit(_write, folder / f"{k:0{digits}d}.png", upright, self.bits, stack.pixel_mm)
+                        pool.submit(_write, folder / f"{k:0{digits}d}.png", upright, bits, stack.pixel_mm)
                     )
                     while len(waiting) > 4 * max(1, context.threads):
                         total += waiting.popleft().result()
@@ -68,7 +74,7 @@ class WritePng(Stage):
             "pixel_mm": stack.pixel_mm,
             "layer_mm": stack.layer_mm,
             "origin_mm": list(stack.origin_mm),
-            "bits": self.bits,
+            "bits": bits,
             "first_file": f"{0:0{digits}d}.png",
             "solid_value": 255,
             "section": "mid-height of the layer",

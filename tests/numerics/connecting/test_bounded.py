@@ -16,7 +16,7 @@ from sppm_pipeline.numerics.connecting.images import canonical_edges, edge_lengt
 
 
 def spaced_points(n: int, seed: int, share: float = 0.6) -> np.ndarray:
-    """Random points with a spacing of `share` of the cube root of the volume of each, as the pipeline's pores have it."""
+    """Random points with a spacing of `share` times the cube root of the volume of each."""
     rng = np.random.default_rng(seed)
     points: list[np.ndarray] = []
     while len(points) < n:
@@ -106,12 +106,17 @@ def shortest_by_enumeration(points, degree, loops) -> float:
     return best
 
 
-@pytest.mark.parametrize("degree", [(1, 2), (1, 5), (2, 3), (3, 3), (3, 5)])
-@pytest.mark.parametrize("n", [4, 5, 6])
+@pytest.mark.parametrize(
+    ("n", "degree"),
+    [
+        (n, degree)
+        for n in (4, 5, 6)
+        for degree in ((1, 2), (1, 5), (2, 3), (3, 3), (3, 5))
+        if (n, degree) != (5, (3, 3))
+    ],
+)
 def test_exact_is_the_shortest_of_all_graphs(n, degree):
     loops = n % 2 == 1
-    if not feasible(n, *degree, loops=loops):
-        pytest.skip("no such graph")
     points = np.random.default_rng(10 * n).random((n, 3))
     edges, shifts = spanning_subgraph(points, degree, two_edge_connected=loops)
     assert edge_lengths(points, edges, shifts).sum() == pytest.approx(shortest_by_enumeration(points, degree, loops))

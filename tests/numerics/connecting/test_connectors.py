@@ -35,15 +35,16 @@ def test_matches_the_obvious_way(f, n, seed, clearance):
     )
 
 
-def test_takes_the_second_nearest_where_the_nearest_would_cross():
-    # the first tunnel runs along x past the second face pore, which sits just above it; the nearest pore of the second
-    # lies below that tunnel, the second nearest above
-    face = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.01]]
-    interior = [[0.1, 0.0, 0.0], [0.05, 0.0, -0.02], [0.05, 0.0, 0.06]]
-    assert nearest_connectors(face, interior[:1] + interior[2:], clearance=0.0).tolist() == [1, 1]
-    face = [[0.0, 0.0, 0.0], [0.3, 0.0, 0.03]]
-    interior = [[0.2, 0.0, 0.0], [0.18, 0.0, -0.05], [0.3, 0.0, 0.2]]
-    assert nearest_connectors(face, interior, clearance=0.0).tolist() == [1, 0]
+def test_takes_the_second_nearest_where_the_nearest_would_come_too_close():
+    face = [[0.0, 0.0, 0.0], [0.03, 0.0, 0.0]]
+    interior = [[0.0, 0.0, 0.09], [0.015, 0.0, 0.091], [0.06, 0.04, 0.078]]
+    assert nearest_connectors(face, interior, clearance=0.0).tolist() == [0, 1]
+    # the tunnels to 0 and 1 end 0.015 apart, those to 0 and 2 are nowhere nearer than their feet, 0.03
+    assert nearest_connectors(face, interior, clearance=0.025).tolist() == [0, 2]
+    # now both are too close: the nearest it is
+    assert nearest_connectors(face, interior, clearance=0.035).tolist() == [0, 1]
+    # a tunnel to the same pore is never too close
+    assert nearest_connectors(face, interior[:2], clearance=0.025).tolist() == [0, 0]
 
 
 def test_without_an_interior_there_is_nothing_to_join():

@@ -1,0 +1,129 @@
+"""Arguments that several verbs share, and how they become an order for the engine."""
+
+from __future__ import annotations
+
+import sys
+import sysconfig
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.plugins import Plugins
+    from sppm_pipeline.engine.session import Order, Session
+
+__all__ = [
+    "BUILTINS",
+    "add_configuration",
+    "add_plugins",
+    "find_configuration",
+    "open_from",
+    "order_from",
+    "plugins_from",
+    "warn_of_failed_plugins",
+]
+
+BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
+"""Modules whose hook implementations are always there."""
+
+
+def add_plugins(parser: ArgumentParser) -> None:
+    """Which plugins are loaded."""
+    parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="a Python file with stages")
+    parser.add_argument(
+        "--no-plugins", action="store_true", help="load neither installed plugins nor those the configuration names"
+    )
+
+
+def add_configuration(parser: ArgumentParser) -> None:
+    """A configuration, its overrides and its plugins."""
+    parser.add_argument("file", metavar="FILE", help="configuration, run.json of an earlier run, or name of an example")
+    parser.add_argument("-p", "--param", action="append", default=[], metavar="NAME=VALUE", help="set a parameter")
+    parser.add_argument(
+        "-s", "--set", action="append", default=[], metavar="STAGE.OPTION=VALUE", help="set an option of a stage"
+    )
+    parser.add_argument("--seed", type=_seed, metavar="N", help="whole number that all random numbers come from")
+    add_plugins(parser)
+
+
+def _seed(text: str) -> int:
+    """A seed; argparse turns the error into a message."""
+    value = int(text)
+    if value < 0:
+        raise ValueError(text)
+    return value
+
+
+_seed.__name__ = "whole number, at least 0"  # argparse shows it: "invalid whole number, at least 0 value"
+
+
+def find_configuration(name: str) -> Path:
+    """A file by its path, or a packaged example by its name.
+
+    Raises
+    ------
+    ConfigError
+        If there is neither.
+    """
+    from sppm_pipeline.engine.problems import did_you_mean
+    from sppm_pipeline.errors import ConfigError
+
+    path = Path(name)
+    if path.exists():
+        return path
+    examples: dict[str, Path] = {}
+    package = Path(__file__).resolve().parents[1]
+    for folder in (
+        package.parent / "configs",
+        package / "configs",
+        Path(sysconfig.get_path("data")) / "share" / "sppm_pipeline" / "configs",
+    ):
+        for example in sorted(folder.glob("*.yaml")):
+            examples.setdefault(example.stem, example)
+    if name in examples:
+        return examples[name]
+    hint = did_you_mean(name, examples) if path.name == name and not path.suffix else None
+    if hint is None:
+        siblings = [p.name for p in path.parent.glob("*") if p.suffix in (".yaml", ".yml", ".json")]
+        hint = did_you_mean(path.name, siblings) if siblings else None
+    raise ConfigError(f"there is no configuration {name!r}", hint=hint)
+
+
+def order_from(args: Namespace) -> Order:
+    """What the arguments ask for."""
+    from sppm_pipeline.engine.session import Order
+    from sppm_pipeline.engine.substitution import Overrides
+
+    return Order(
+        file=str(find_configuration(args.file)),
+        builtins=BUILTINS,
+        plugins=tuple(args.plugin),
+        distributions=not args.no_plugins,
+        overrides=Overrides(tuple(args.param), tuple(args.set), args.seed),
+    )
+
+
+def open_from(args: Namespace) -> Session:
+    """Read the configuration and load the plugins."""
+    from sppm_pipeline.engine.session import open_session
+
+    session = open_session(order_from(args))
+    warn_of_failed_plugins(session.plugins)
+    return session
+
+
+def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:
+    """Plugins without a configuration; if `strict`, a broken contract raises."""
+    from sppm_pipeline.engine.plugins import load_plugins
+
+    plugins = load_plugins(BUILTINS, files=[Path(p) for p in args.plugin], distributions=not args.no_plugins)
+    if strict:
+        plugins.raise_broken()
+        warn_of_failed_plugins(plugins)
+    return plugins
+
+
+def warn_of_failed_plugins(plugins: Plugins) -> None:
+    """A line on stderr for each plugin that could not be loaded."""
+    for plugin in plugins.failed():
+        print(f"sppm: warning: {plugin.error}", file=sys.stderr)

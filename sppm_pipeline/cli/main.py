@@ -1,0 +1,175 @@
+"""``sppm``: finds the verb, runs it, and turns whatever happens into a message and an exit code."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+from types import ModuleType, TracebackType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = ["VERBS", "main"]
+
+VERBS = {
+    "run": "run a pipeline, or every row of its sweep",
+    "check": "check a configuration and print its wiring, without running it",
+    "explain": "say what each stage of a configuration, or one stage, does",
+    "stages": "list the stages there are, or describe one",
+    "graph": "draw the wiring as text, DOT or Mermaid",
+    "schema": "print the JSON Schema of configurations, for editors",
+    "plugins": "list plugins, and why some could not be loaded",
+    "new": "write a first pipeline, or the skeleton of a plugin",
+    "doctor": "look at the installation: versions, caches, processors, plugins",
+}
+"""Verb -> what it does; the verb's module has its name."""
+
+EXIT_CODES = """\
+exit codes: 0 done; 1 unexpected; 2 configuration or command line wrong; 3 input or design can't be satisfied;
+4 a plugin failed; 5 disk, memory or a permission is missing; 6 a native library crashed; 130, 143 interrupted"""
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end (SIGTERM)."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit code; never raises and, without ``--debug``, prints no traceback."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    _write_any_character()
+    try:
+        code = _dispatch(words)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        _close_stdout()
+        return 0  # whoever read our results has seen enough; nothing failed here
+    except KeyboardInterrupt as error:
+        _say("interrupted")
+        return 143 if isinstance(error, Terminated) else 130
+    except Exception as error:
+        return _report(error, "--debug" in words)
+
+
+def _dispatch(words: list[str]) -> int:
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(_usage(), end="")
+        return 0
+    if words[0] in ("-V", "--version"):
+        import sppm_pipeline
+
+        print(f"sppm {sppm_pipeline.__version__}")
+        return 0
+    verb = words[0]
+    if verb not in VERBS:
+        import difflib
+
+        near = difflib.get_close_matches(verb, VERBS, n=1)
+        _say(f"there is no verb {verb!r}; " + (f"did you mean {near[0]!r}?" if near else "`sppm --help` lists them"))
+        return 2
+    import argparse
+    import importlib
+
+    module: ModuleType = importlib.import_module(f"sppm_pipeline.cli.{verb}")
+    parser = argparse.ArgumentParser(
+        prog=f"sppm {verb}",
+        description=VERBS[verb][0].upper() + VERBS[verb][1:] + ".",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    module.configure(parser)
+    try:
+        parsed = parser.parse_args(words[1:])
+    except SystemExit as exit:
+        return exit.code if isinstance(exit.code, int) else 2
+    with _ending_on_sigterm():
+        code: int = module.execute(parsed)
+    return code
+
+
+def _usage() -> str:
+    lines = [
+        "usage: sppm VERB [options]",
+        "",
+        "Design, verify, simulate and print stochastic porous microstructures.",
+        "",
+    ]
+    lines += [f"  {verb:9s} {help_line}" for verb, help_line in VERBS.items()]
+    return "\n".join([*lines, "", "`sppm VERB --help` shows the options of a verb.", EXIT_CODES]) + "\n"
+
+
+def _write_any_character() -> None:
+    """Where a terminal can't show a character of a message, show its code; never fail because of it."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+@contextlib.contextmanager
+def _ending_on_sigterm() -> Iterator[None]:
+    """Let SIGTERM end a run as Ctrl-C does: staging area removed, record written."""
+    import signal
+    import threading
+
+    def end(number: int, frame: object) -> None:
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _report(error: Exception, debug: bool) -> int:
+    from sppm_pipeline.errors import ConfigErrors, SppmError
+
+    if debug:
+        _print_chain(error)
+    if isinstance(error, ConfigErrors):
+        _say(f"{len(error.errors)} errors\n{error}")
+        return error.exit_code
+    if isinstance(error, SppmError):
+        _say(str(error))
+        return error.exit_code
+    if isinstance(error, MemoryError):
+        _say("not enough memory")
+        return 5
+    if isinstance(error, OSError):
+        name = f": {error.filename!r}" if error.filename is not None else ""
+        _say(f"{error.strerror or error}{name}")
+        return 5
+    _say(f"internal error: {type(error).__name__}: {error}\n  hint: run again with --debug to see where")
+    return 1
+
+
+def _print_chain(error: BaseException) -> None:
+    import traceback
+
+    trace: TracebackType | None = error.__traceback__
+    traceback.print_exception(type(error), error, trace)
+
+
+def _say(message: str) -> None:
+    """Write to stderr, even if somebody closed it."""
+    with contextlib.suppress(OSError, ValueError):
+        print(f"sppm: {message}", file=sys.stderr)
+
+
+def _close_stdout() -> None:
+    """Point stdout at nothing, so that Python does not complain when it ends."""
+    import os
+
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

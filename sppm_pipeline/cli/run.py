@@ -1,0 +1,114 @@
+"""``sppm run``: run a pipeline or a sweep into a run directory."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.cli.arguments import add_configuration, open_from
+
+__all__ = ["configure", "execute"]
+
+
+def configure(parser: ArgumentParser) -> None:
+    """Arguments of the verb."""
+    add_configuration(parser)
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="run directory; runs/<name> if omitted")
+    parser.add_argument("--until", metavar="ID", help="stop after this stage")
+    parser.add_argument("-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep at the same time")
+    parser.add_argument(
+        "--threads", type=_count, metavar="N", help="threads in all; the number of processors if omitted"
+    )
+    parser.add_argument("--executor", metavar="NAME", help="serial, threads, processes, or one from a plugin")
+    parser.add_argument("-k", "--keep-going", action="store_true", help="exit with 0 though runs of a sweep failed")
+    parser.add_argument("-n", "--dry-run", action="store_true", help="check everything, run nothing")
+    parser.add_argument("-q", "--quiet", action="store_true", help="no progress on stderr")
+    parser.add_argument("--json", action="store_true", help="print the run record as JSON")
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 4096:
+        raise ArgumentTypeError(f"expected a whole number from 1 to 4096, got {text!r}")
+    return int(text)
+
+
+def execute(args: Namespace) -> int:
+    """Run."""
+    if args.dry_run:
+        from sppm_pipeline.cli import check
+
+        return check.execute(args)
+    from sppm_pipeline.cli.progress import ProgressLines
+    from sppm_pipeline.engine.monitor import Monitor
+    from sppm_pipeline.engine.runner import available_threads, run_plan
+
+    monitor: Monitor = Monitor() if args.quiet or sys.stderr is None else ProgressLines(sys.stderr)
+    if isinstance(monitor, ProgressLines):
+        from sppm_pipeline.numerics.notice import on_first_compilation
+
+        on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
+    session = open_from(args)
+    plan = session.plan()
+    path = args.output or Path("runs") / plan.name
+    threads = args.threads or available_threads()
+    try:
+        if session.configuration.sweep is None:
+            record = run_plan(plan, path, threads=threads, until=args.until, monitor=monitor)
+        else:
+            from sppm_pipeline.engine.sweep import run_sweep
+
+            record = run_sweep(
+                session,
+                plan,
+                path,
+                workers=args.jobs,
+                executor=args.executor,
+                threads=threads,
+                until=args.until,
+                monitor=monitor,
+            )
+    except Exception as error:
+        if args.json and hasattr(error, "record"):
+            _print_json(error.record)
+        raise
+    finally:
+        if isinstance(monitor, ProgressLines):
+            monitor.close()
+    if args.json:
+        _print_json(record)
+    else:
+        _print_summary(record, path)
+    failed = [run for run in record.get("runs", ()) if run["status"] != "done"]
+    if failed and not args.keep_going:
+        codes = {run["error"]["exit_code"] for run in failed}
+        return codes.pop() if len(codes) == 1 else 3
+    return 0
+
+
+def _print_json(record: Mapping[str, Any]) -> None:
+    from sppm_pipeline.engine.jsonable import json_text
+
+    print(json_text(dict(record)), end="")
+
+
+def _print_summary(record: Mapping[str, Any], path: Path) -> None:
+    """A line a stage with its first numbers, a line for each failed run of a sweep, and where the files are."""
+    width = max((len(stage["id"]) for stage in record["stages"]), default=0)
+    for stage in record["stages"]:
+        numbers = [
+            f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in stage["summary"].items()
+            if isinstance(value, (int, float)) and not isinstance(value, bool)
+        ]
+        print(f"{stage['id']:{width}s} {stage['seconds']:8.3f} s  {', '.join(numbers[:5])}".rstrip())
+    runs = record.get("runs", [])
+    for run in runs:
+        if run["error"]:
+            values = ", ".join(f"{name}={value}" for name, value in run["params"].items())
+            print(f"run {run['run']} ({values}) failed: {run['error']['message']}")
+    peak = f", peak memory {record['peak_memory_mb']:.0f} MB" if record["peak_memory_mb"] else ""
+    done = f", {sum(run['status'] == 'done' for run in runs)} of {len(runs)} runs" if runs else ""
+    print(f"{record['status']} in {record['seconds']:.2f} s{done}{peak}: {path}")

@@ -1,0 +1,156 @@
+"""The context that a running stage sees: random numbers, reports, progress and outputs."""
+
+from __future__ import annotations
+
+import hashlib
+import operator
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.engine.jsonable import jsonable
+from sppm_pipeline.engine.monitor import Monitor
+from sppm_pipeline.engine.outputs import RunFolder
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Context
+
+__all__ = ["RunContext", "StageLog", "generator"]
+
+
+def generator(seed: int, path: tuple[str, ...], key: tuple[int, ...]) -> np.random.Generator:
+    """The generator of one draw: a function of the run's seed, the stage's path and a key, and of nothing else.
+
+    The path of a stage in a pipeline is its id; in a recipe, the path of the stage that repeats the recipe, the
+    recipe's name and attempt (``cell@2``), and the id. Seed, path and key are hashed together with their lengths in
+    front, so that different draws can't share a generator.
+    """
+    words = [str(seed), str(len(path)), *path, *(str(operator.index(k)) for k in key)]
+    text = "".join(f"{len(word)}:{word}" for word in words)
+    entropy = int.from_bytes(hashlib.sha256(text.encode()).digest(), "little")
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
+
+
+class StageLog:
+    """What the stages of one step of the pipeline report, those of its recipes included.
+
+    Attributes
+    ----------
+    values : dict of stage address to dict
+    warnings : list of (address, message)
+        Each once, however often it was said.
+    inner : dict of address to dict
+        Stages of recipes: how often they ran, how long, and their last summary.
+    """
+
+    def __init__(self, monitor: Monitor, step: str) -> None:
+        self._monitor = monitor
+        self._step = step
+        self._lock = threading.Lock()
+        self.values: dict[str, dict[str, Any]] = {}
+        self.warnings: list[tuple[str, str]] = []
+        self.inner: dict[str, dict[str, Any]] = {}
+
+    def report(self, stage: str, values: dict[str, Any]) -> None:
+        """Keep numbers of a stage."""
+        checked = {name: jsonable(value) for name, value in values.items()}
+        with self._lock:
+            self.values.setdefault(stage, {}).update(checked)
+
+    def begin(self, stage: str) -> None:
+        """Forget the numbers of the stage's last run."""
+        with self._lock:
+            self.values.pop(stage, None)
+
+    def warn(self, stage: str, message: str) -> None:
+        """Keep a warning and tell it, once."""
+        with self._lock:
+            if (stage, message) in self.warnings:
+                return
+            self.warnings.append((stage, message))
+        self._monitor.warning(stage, message)
+
+    def progress(self, stage: str, done: float, total: float, what: str) -> None:
+        """Pass progress on."""
+        self._monitor.progress(self._step, stage != self._step, done, total, what)
+
+    def ran(self, stage: str, name: str, made: str | None, seconds: float, summary: dict[str, Any]) -> None:
+        """Note that a stage of a recipe has run."""
+        with self._lock:
+            entry = self.inner.setdefault(stage, {"id": stage, "stage": name, "made": made, "runs": 0, "seconds": 0.0})
+            entry["runs"] += 1
+            entry["seconds"] = round(entry["seconds"] + seconds, 6)
+            entry["summary"] = summary
+
+
+class RunContext(Context):
+    """The context of one stage.
+
+    Parameters
+    ----------
+    seed : int
+    path : tuple of str
+        See `generator`.
+    address : str
+        How messages name the stage.
+    threads : int
+    palette : Palette
+    log : StageLog
+    folder : RunFolder or None
+        None if there is nowhere to write.
+    """
+
+    def __init__(
+        self,
+        *,
+        seed: int,
+        path: tuple[str, ...],
+        address: str,
+        threads: int,
+        palette: Palette,
+        log: StageLog,
+        folder: RunFolder | None,
+    ) -> None:
+        self.seed = seed
+        self.path = path
+        self.address = address
+        self.threads = threads
+        self.palette = palette
+        self.log = log
+        self.folder = folder
+
+    def inside(self, recipe: str, attempt: int, id_: str, address: str, palette: Palette) -> RunContext:
+        """The context of a stage of a recipe that this stage repeats."""
+        return RunContext(
+            seed=self.seed,
+            path=(*self.path, f"{recipe}@{operator.index(attempt)}", id_),
+            address=address,
+            threads=self.threads,
+            palette=palette,
+            log=self.log,
+            folder=self.folder,
+        )
+
+    def rng(self, *key: int) -> np.random.Generator:
+        """See `Context.rng`."""
+        return generator(self.seed, self.path, key)
+
+    def report(self, **values: Any) -> None:
+        """See `Context.report`."""
+        self.log.report(self.address, values)
+
+    def progress(self, done: float, total: float, what: str = "") -> None:
+        """See `Context.progress`."""
+        self.log.progress(self.address, done, total, what)
+
+    def warn(self, message: str) -> None:
+        """See `Context.warn`."""
+        self.log.warn(self.address, message)
+
+    def output(self, name: str) -> Path:
+        """See `Context.output`."""
+        if self.folder is None:
+            raise ConfigError(f"there is no run directory for the output {name!r}")
+        return self.folder.claim(self.address, name)

@@ -1,0 +1,134 @@
+"""Stages in words: purpose, ports and options, as the references print them."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from typing import Any
+
+from sppm_pipeline.engine.options import Option, allowed_words, options_of, plain_option
+from sppm_pipeline.engine.plan import Plan, step_options
+from sppm_pipeline.engine.ports import noun_words, signature_of
+from sppm_pipeline.engine.registry import Registry
+from sppm_pipeline.engine.wiring import Step
+from sppm_pipeline.stage import FAMILIES, Stage
+
+__all__ = ["explain_plan", "purpose_of", "stage_data", "stage_list", "stage_text"]
+
+
+def purpose_of(cls: type[Stage]) -> str:
+    """The first sentence of a stage's docstring."""
+    text = inspect.getdoc(cls) if cls.__doc__ else None
+    first = (text or "").split("\n\n")[0].replace("\n", " ").strip()
+    # a dataclass without a docstring gets its signature as one
+    return "" if first.startswith(f"{cls.__name__}(") else first
+
+
+def _takes(cls: type[Stage]) -> list[dict[str, Any]]:
+    return [
+        {
+            "port": port.name,
+            "takes": "a recipe" if port.is_recipe else noun_words(port.types),
+            "optional": port.optional,
+        }
+        for port in signature_of(cls).ports
+    ]
+
+
+def _makes(cls: type[Stage]) -> str:
+    signature = signature_of(cls)
+    return "what its recipe makes" if signature.as_recipe else noun_words(signature.makes)
+
+
+def stage_data(cls: type[Stage], registry: Registry) -> dict[str, Any]:
+    """All that is known about a stage, JSON-ready."""
+    owner = registry.owner(cls.name)
+    return {
+        "name": cls.name,
+        "purpose": purpose_of(cls),
+        "ports": _takes(cls),
+        "makes": _makes(cls),
+        "options": [
+            {
+                "name": option.name,
+                "allowed": allowed_words(option),
+                "unit": option.spec.unit,
+                "required": option.required,
+                "default": None if option.required else plain_option(option.default),
+                "help": option.spec.help,
+            }
+            for option in options_of(cls).values()
+        ],
+        "version": cls.version,
+        "from": str(owner),
+    }
+
+
+def stage_text(cls: type[Stage], registry: Registry) -> str:
+    """The reference of one stage."""
+    data = stage_data(cls, registry)
+    lines = [cls.name, "=" * len(cls.name), "", inspect.getdoc(cls) or "", ""]
+    lines += [f"takes   {p['port']}: {p['takes']}{' (optional)' if p['optional'] else ''}" for p in data["ports"]]
+    lines += [f"makes   {data['makes']}", f"from    {data['from']}", "", "Options" if data["options"] else "No options"]
+    for option in options_of(cls).values():
+        default = "required" if option.required else f"default {_default_words(option)}"
+        lines += [f"  {option.name}: {allowed_words(option)}; {default}", f"      {option.spec.help}"]
+    return "\n".join(lines) + "\n"
+
+
+def _default_words(option: Option) -> str:
+    value = plain_option(option.default)
+    if value is None:
+        return "none"
+    return str(value).lower() if isinstance(value, bool) else repr(value) if value == "" else str(value)
+
+
+def stage_list(registry: Registry, names: Sequence[str]) -> str:
+    """Stages by family, one line each."""
+    lines: list[str] = []
+    family = None
+    width = max((len(name) for name in names), default=0)
+    for name in names:
+        if name.split(".")[0] != family:
+            family = name.split(".")[0]
+            lines += ["", f"{family}: {FAMILIES[family]}" if family in FAMILIES else f"{family}:"]
+        cls = registry.get(name)
+        note = "" if registry.owner(name).builtin else f"  [{registry.owner(name)}]"
+        lines.append(f"  {name:{width}s}  {purpose_of(cls)}{note}")
+    return "\n".join(lines[1:]) + "\n"
+
+
+def explain_plan(plan: Plan) -> str:
+    """What each stage of a plan does, with its options, inputs and the path of its random numbers."""
+    lines = [f"{plan.name}: seed {plan.seed}"]
+    if plan.params:
+        lines.append("parameters: " + ", ".join(f"{name} = {value}" for name, value in plan.params.items()))
+    for name, steps in plan.recipes.items():
+        lines += ["", f"Recipe {name}, repeated by the stages that name it:"]
+        for step in steps:
+            lines += _explained(step, f"<stage>/{name}@<attempt>/{step.id}")
+    lines += ["", "Pipeline:"]
+    for step in plan.steps:
+        lines += _explained(step, step.id)
+    if plan.after:
+        lines += ["", "After the sweep:"]
+        for step in plan.after:
+            lines += _explained(step, step.id)
+    return "\n".join(lines) + "\n"
+
+
+def _explained(step: Step, path: str) -> list[str]:
+    cls = type(step.stage)
+    title = step.id if step.id == cls.name else f"{step.id} ({cls.name})"
+    lines = [f"  {title}: {purpose_of(cls)}"]
+    for port in step.signature.ports:
+        if port.is_recipe:
+            lines.append(f"      {port.name}: recipe {step.recipes.get(port.name, '(none)')}")
+        else:
+            lines.append(f"      {port.name}: {step.inputs.get(port.name) or '(open)'}")
+    lines.append(f"      makes {noun_words(step.makes)}; random numbers from seed and {path!r}")
+    for name, value in step_options(step).items():
+        mark = "" if name in step.entry.options else " (default)"
+        shown = "none" if value is None else str(value).lower() if isinstance(value, bool) else value
+        lines.append(f"      {name} = {shown}{mark}")
+    return lines

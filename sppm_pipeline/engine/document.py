@@ -1,0 +1,281 @@
+"""YAML text as a tree of plain values in which every key and every value knows its line and column.
+
+The tree is composed here from the parser's events, one by one, so that a document that would explode (deep nesting,
+aliases of aliases, merge keys of merge keys) is refused at the event where it passes a limit. Scalars follow the core
+schema of YAML 1.2: ``1e-3`` is a number, ``no`` is text.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sppm_pipeline.errors import ConfigError, Position, ResourceError
+
+__all__ = ["Entry", "Node", "Override", "as_node", "parse_value", "parse_yaml", "plain", "read_yaml"]
+
+MAX_BYTES = 1 << 20
+MAX_DEPTH = 32
+MAX_NODES = 20_000
+"""Counted with every alias expanded."""
+
+RECORD_KEY = "sppm_run"
+"""First key of a run record; its `config`, which comes next, is then the document, and the rest is not read."""
+
+_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
+_SPECIAL: dict[str, Any] = (
+    dict.fromkeys(["", "~", "null", "Null", "NULL"])
+    | dict.fromkeys(["true", "True", "TRUE"], True)
+    | dict.fromkeys(["false", "False", "FALSE"], False)
+    | {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")}
+    | dict.fromkeys([".nan", ".NaN", ".NAN"], float("nan"))
+)
+
+
+class Override(Position):
+    """A place on the command line, for instance ``-p porosity=0.6``."""
+
+    def __init__(self, argument: str) -> None:
+        super().__init__(argument, 0, 0)
+
+    def __str__(self) -> str:
+        return self.file
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A value of the document.
+
+    Attributes
+    ----------
+    value : None, bool, int, float, str, list of Node, or dict of str to Entry
+    where : Position
+    param : str or None
+        The parameter whose value stands here.
+    """
+
+    value: Any
+    where: Position
+    param: str | None = None
+
+
+class Entry(NamedTuple):
+    """A key's place and its value."""
+
+    where: Position
+    node: Node
+
+
+def read_yaml(path: Path) -> Node:
+    """Read a configuration file, or the configuration inside a run record.
+
+    Raises
+    ------
+    ConfigError
+        If the file does not exist, is no UTF-8, breaks YAML's syntax or passes a limit.
+    ResourceError
+        If it can't be read.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except (FileNotFoundError, NotADirectoryError):
+        raise ConfigError(f"there is no file {str(path)!r}") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{str(path)!r} is a folder, not a configuration file") from None
+    except OSError as error:
+        raise ResourceError(f"can't read {str(path)!r}: {error.strerror}") from error
+    is_record = data.lstrip()[:200].startswith(b"{") and f'"{RECORD_KEY}"'.encode() in data[:200]
+    if len(data) > MAX_BYTES and not is_record:
+        raise ConfigError(
+            f"the file is larger than {MAX_BYTES >> 20} MiB, which no configuration needs",
+            where=Position(str(path), 1, 1),
+        )
+    try:
+        text = data[:MAX_BYTES].decode("utf-8-sig", "ignore" if is_record else "strict")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        column = error.start - data.rfind(b"\n", 0, error.start)
+        raise ConfigError(
+            f"byte 0x{data[error.start]:02x} is not UTF-8",
+            where=Position(str(path), line, column),
+            hint="save the file as UTF-8",
+        ) from None
+    return parse_yaml(text, str(path))
+
+
+def parse_yaml(text: str, file: str) -> Node:
+    """The tree of the only document in `text`; `file` is the name that positions show."""
+    return _Composer(text, file, None).document()
+
+
+def parse_value(text: str, where: Position) -> Node:
+    """A value given on the command line, read as YAML; all of it lies at `where`."""
+    return _Composer(text, where.file, where).document()
+
+
+def as_node(value: Any, where: Position) -> Node:
+    """A plain Python value as a tree whose every part lies at `where`."""
+    if isinstance(value, (list, tuple)):
+        return Node([as_node(item, where) for item in value], where)
+    if isinstance(value, dict):
+        return Node({str(key): Entry(where, as_node(item, where)) for key, item in value.items()}, where)
+    return Node(value, where)
+
+
+def plain(node: Node, *, keep_params: bool = False) -> Any:
+    """The value as plain Python; with `keep_params`, ``${name}`` where a parameter's value stands."""
+    if keep_params and node.param is not None:
+        return f"${{{node.param}}}"
+    if isinstance(node.value, list):
+        return [plain(item, keep_params=keep_params) for item in node.value]
+    if isinstance(node.value, dict):
+        return {key: plain(entry.node, keep_params=keep_params) for key, entry in node.value.items()}
+    return node.value
+
+
+class _Composer:
+    """Builds the tree from the event stream and keeps count."""
+
+    def __init__(self, text: str, file: str, fixed: Position | None) -> None:
+        self._file = file
+        self._fixed = fixed
+        self._events = self._parse(text)
+        self._count = 0
+        self._anchors: dict[str, tuple[Node, int]] = {}
+        self._record_ended = False
+
+    def document(self) -> Node:
+        next(self._events)  # start of the stream
+        if type(next(self._events)).__name__ == "StreamEndEvent":
+            if self._fixed is not None:
+                return Node("", self._fixed)
+            raise ConfigError("the file is empty", where=Position(self._file, 1, 1))
+        root = self._node(next(self._events), 0)
+        if self._record_ended:
+            return root
+        next(self._events)  # end of the document
+        after = next(self._events)
+        if type(after).__name__ != "StreamEndEvent":
+            raise ConfigError("only one YAML document a file is allowed", where=self._where(after))
+        return root
+
+    def _parse(self, text: str) -> Iterator[Any]:
+        """The parser's events, its errors turned into ours."""
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import MarkedYAMLError, YAMLError
+        from ruamel.yaml.reader import ReaderError
+
+        try:
+            yield from YAML(typ="safe", pure=True).parse(text)
+        except MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            where = self._fixed or Position(self._file, mark.line + 1 if mark else 1, mark.column + 1 if mark else 1)
+            context = f" {error.context}" if error.context else ""
+            opened = error.context_mark
+            if opened is not None and self._fixed is None and mark is not None and opened.line != mark.line:
+                context += f" that starts in line {opened.line + 1}"
+            raise ConfigError(f"not valid YAML: {error.problem}{context}", where=where) from None
+        except ReaderError as error:
+            line = text.count("\n", 0, error.position) + 1
+            column = error.position - text.rfind("\n", 0, error.position)
+            raise ConfigError(
+                f"the control character {chr(error.character)!r} is not allowed in YAML",
+                where=self._fixed or Position(self._file, line, column),
+            ) from None
+        except YAMLError as error:
+            first = str(error).splitlines()[0]
+            raise ConfigError(f"not valid YAML: {first}", where=self._fixed or Position(self._file, 1, 1)) from None
+
+    def _where(self, event: Any) -> Position:
+        return self._fixed or Position(self._file, event.start_mark.line + 1, event.start_mark.column + 1)
+
+    def _add(self, nodes: int, where: Position) -> None:
+        self._count += nodes
+        if self._count > MAX_NODES:
+            raise ConfigError(f"the document has more than {MAX_NODES} values, aliases expanded", where=where)
+
+    def _node(self, event: Any, depth: int) -> Node:
+        where = self._where(event)
+        kind = type(event).__name__
+        if kind == "AliasEvent":
+            known = self._anchors.get(event.anchor)
+            if known is None:
+                raise ConfigError(
+                    f"the alias *{event.anchor} comes before the end of its anchor &{event.anchor}, or has none",
+                    where=where,
+                )
+            self._add(known[1], where)
+            return known[0]
+        if event.tag is not None:
+            raise ConfigError(f"tags such as {event.tag!r} are not allowed", where=where, hint="remove the tag")
+        if depth > MAX_DEPTH:
+            raise ConfigError(f"nested deeper than {MAX_DEPTH} levels", where=where)
+        before = self._count
+        self._add(1, where)
+        if kind == "ScalarEvent":
+            node = Node(self._scalar(event.value, where) if event.implicit[0] else event.value, where)
+        elif kind == "SequenceStartEvent":
+            items = []
+            while type(item := next(self._events)).__name__ != "SequenceEndEvent":
+                items.append(self._node(item, depth + 1))
+            node = Node(items, where)
+        else:
+            node = Node(self._mapping(depth), where)
+        if self._record_ended and depth == 0:
+            node = node.value["config"].node
+        if event.anchor is not None:
+            self._anchors[event.anchor] = (node, self._count - before)
+        return node
+
+    def _mapping(self, depth: int) -> dict[str, Entry]:
+        entries: dict[str, Entry] = {}
+        merged: list[Node] = []
+        merge_key: Position | None = None
+        while type(event := next(self._events)).__name__ != "MappingEndEvent":
+            where = self._where(event)
+            is_merge = type(event).__name__ == "ScalarEvent" and event.value == "<<" and event.implicit[0]
+            key = self._node(event, depth + 1).value
+            value = self._node(next(self._events), depth + 1)
+            if is_merge:
+                if merge_key is not None:
+                    raise ConfigError(f"a second merge key; the first is at {merge_key}", where=where)
+                merge_key = where
+                merged = value.value if isinstance(value.value, list) else [value]
+                if not all(isinstance(node.value, dict) for node in merged):
+                    raise ConfigError("a merge key takes an alias of a map, or a list of them", where=value.where)
+                continue
+            if not isinstance(key, str):
+                raise ConfigError(f"keys must be text, got {_shown(key)}", where=where, hint="put quotes around it")
+            if key in entries:
+                raise ConfigError(f"the key {key!r} is given twice; first at {entries[key].where}", where=where)
+            entries[key] = Entry(where, value)
+            if depth == 0 and key == "config" and next(iter(entries)) == RECORD_KEY:
+                self._record_ended = True
+                break
+        for node in merged:
+            for name, entry in node.value.items():
+                entries.setdefault(name, entry)
+        return entries
+
+    def _scalar(self, text: str, where: Position) -> Any:
+        if text in _SPECIAL:
+            return _SPECIAL[text]
+        try:
+            if _INT.fullmatch(text):
+                return int(text, 0) if text.startswith(("0o", "0x")) else int(text)
+            if _FLOAT.fullmatch(text):
+                return float(text)
+        except ValueError:  # Python refuses to convert thousands of digits
+            raise ConfigError(f"the number {text[:20]}... has too many digits", where=where) from None
+        return text
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, dict):
+        return "a map"
+    return "a list" if isinstance(value, list) else repr(value)

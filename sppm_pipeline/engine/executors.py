@@ -1,0 +1,75 @@
+"""Executors for the runs of a sweep; all speak `concurrent.futures.Executor`, so that a cluster's fits as well."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, Future
+from typing import Any
+
+from sppm_pipeline.engine.plugins import Plugins
+from sppm_pipeline.engine.problems import did_you_mean
+from sppm_pipeline.errors import ConfigError, PluginError
+from sppm_pipeline.hookspecs import hookimpl
+
+__all__ = ["SerialExecutor", "make_executor", "sppm_executors"]
+
+
+class SerialExecutor(Executor):
+    """Runs each task at once, in the calling thread."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Run the task and return its finished future."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def _serial(workers: int) -> Executor:
+    return SerialExecutor()
+
+
+def _threads(workers: int) -> Executor:
+    from concurrent.futures import ThreadPoolExecutor
+
+    return ThreadPoolExecutor(workers, thread_name_prefix="sppm")
+
+
+def _processes(workers: int) -> Executor:
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    # spawned, not forked: a fork of a process with threads may hang, and only spawning works everywhere
+    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+
+
+@hookimpl
+def sppm_executors() -> Mapping[str, Callable[[int], Executor]]:
+    """The built-in executors."""
+    return {"serial": _serial, "threads": _threads, "processes": _processes}
+
+
+def make_executor(name: str | None, workers: int, plugins: Plugins) -> Executor:
+    """The executor called `name`; without a name, processes if there is more than one worker.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such executor.
+    PluginError
+        If a plugin's function does not return an executor.
+    """
+    there = {key: (make, plugin) for plugin in plugins.plugins for key, make in plugin.executors.items()}
+    name = name or ("processes" if workers > 1 else "serial")
+    if name not in there:
+        raise ConfigError(f"there is no executor {name!r}", hint=did_you_mean(name, there))
+    make, plugin = there[name]
+    try:
+        executor = make(workers)
+    except Exception as error:
+        raise PluginError(f"{plugin}: the executor {name!r} raised {type(error).__name__}: {error}") from error
+    if not isinstance(executor, Executor):
+        raise PluginError(f"{plugin}: the executor {name!r} is no concurrent.futures.Executor")
+    return executor

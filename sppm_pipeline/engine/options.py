@@ -1,0 +1,312 @@
+"""From the values of a document to the options of a stage, with bounds, and every error at its place."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.data.length import UNITS_IN_MM, Length, parse_length
+from sppm_pipeline.engine.configuration import RESERVED
+from sppm_pipeline.engine.document import Entry, plain
+from sppm_pipeline.engine.problems import Problems, did_you_mean
+from sppm_pipeline.errors import PluginError
+from sppm_pipeline.stage import OptionSpec, Stage
+
+__all__ = ["Option", "allowed_words", "options_of", "parse_options", "parse_typed", "plain_option", "type_words"]
+
+Folder = typing.Callable[[Any], Path]
+"""From a value's position to the folder that a relative path written there starts from."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option as its stage declares it.
+
+    Attributes
+    ----------
+    name : str
+    kind : type or type form
+        bool, int, float, str, Path, Length, a tuple of those, or a union.
+    spec : OptionSpec
+    default : Any
+        `dataclasses.MISSING` if the option is required.
+    """
+
+    name: str
+    kind: Any
+    spec: OptionSpec
+    default: Any
+
+    @property
+    def required(self) -> bool:
+        """Whether it must be given."""
+        return self.default is dataclasses.MISSING
+
+
+@functools.cache
+def options_of(cls: type[Stage]) -> dict[str, Option]:
+    """The options a stage declares, in the order of its fields.
+
+    Raises
+    ------
+    PluginError
+        If a field is not declared with `option`, or has a type that YAML can't express.
+    """
+    try:
+        hints = typing.get_type_hints(cls)
+    except Exception as error:
+        raise PluginError(
+            f"the annotations of {cls.__qualname__} can't be resolved: {error}",
+            hint="import the types of options for real, not under TYPE_CHECKING",
+        ) from error
+    result = {}
+    for field in dataclasses.fields(cls):
+        spec = field.metadata.get("option")
+        if not isinstance(spec, OptionSpec):
+            raise PluginError(f"the field {field.name!r} of {cls.__qualname__} is not declared with `option(...)`")
+        if field.name in RESERVED:
+            raise PluginError(f"{cls.__qualname__} can't have an option called {field.name!r}, which YAML needs itself")
+        default = field.default
+        if field.default_factory is not dataclasses.MISSING:
+            default = field.default_factory()
+        _check_kind(hints[field.name], f"{cls.__qualname__}.{field.name}")
+        result[field.name] = Option(field.name, hints[field.name], spec, default)
+    return result
+
+
+def _members(kind: Any) -> tuple[Any, ...]:
+    """The members of a union, None last; other types alone."""
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        members = typing.get_args(kind)
+        return tuple(sorted(members, key=lambda member: member is types.NoneType))
+    return (kind,)
+
+
+def _check_kind(kind: Any, name: str) -> None:
+    for member in _members(kind):
+        if typing.get_origin(member) is tuple:
+            for element in typing.get_args(member):
+                if element is not Ellipsis:
+                    _check_kind(element, name)
+        elif member not in (bool, int, float, str, Path, Length, types.NoneType):
+            raise PluginError(
+                f"the option {name} has the type {member}, which a configuration can't express",
+                hint="use bool, int, float, str, Path, Length, a tuple of them, or any of these | None",
+            )
+
+
+def parse_options(
+    cls: type[Stage], given: Mapping[str, Entry], where: Any, folder: Folder, problems: Problems, *, stage: str
+) -> dict[str, Any] | None:
+    """Values for the constructor of `cls`, or None if something is wrong; what it is goes to `problems`.
+
+    Parameters
+    ----------
+    cls : type of Stage
+    given : mapping of option name to Entry
+    where : Position
+        The place of the stage, shown for options that are missing.
+    folder : callable
+        From a value's position to the folder relative paths start from.
+    problems : Problems
+    stage : str
+        The stage's address, for messages.
+    """
+    declared = options_of(cls)
+    values = {}
+    complete = True
+    for name, entry in given.items():
+        if name not in declared:
+            complete = False
+            hint = did_you_mean(name, declared) if declared else f"{cls.name} has no options"
+            problems.report(f"{cls.name} has no option {name!r}", entry.where, hint=hint, stage=stage)
+            continue
+        try:
+            values[name] = parse_typed(declared[name], plain(entry.node), folder(entry.node.where))
+        except ValueError as error:
+            complete = False
+            problems.report(f"option {name!r}: {error}", entry.node.where, hint=declared[name].spec.help, stage=stage)
+    for option in declared.values():
+        if option.required and option.name not in given:
+            complete = False
+            problems.report(
+                f"the option {option.name!r} is missing: {allowed_words(option)}",
+                where,
+                hint=option.spec.help,
+                stage=stage,
+            )
+    return values if complete else None
+
+
+def parse_typed(option: Option, value: Any, folder: Path) -> Any:
+    """`value` as the option's type, within its bounds.
+
+    Values that have the type already (`Length`, `Path`, tuples) pass, so that stages may set options of recipes.
+
+    Raises
+    ------
+    ValueError
+        With the value and what is allowed.
+    """
+    members = _members(option.kind)
+    if value is None:
+        if types.NoneType in members:
+            return None
+        raise ValueError(f"expected {allowed_words(option)}, got nothing")
+    first: ValueError | None = None
+    for member in members:
+        if member is not types.NoneType:
+            try:
+                return _parse(member, value, option, folder)
+            except ValueError as error:
+                first = first or error
+    if first is None or len([m for m in members if m is not types.NoneType]) > 1:
+        raise ValueError(f"expected {allowed_words(option)}, got {_shown(value)}")
+    raise first
+
+
+def _parse(kind: Any, value: Any, option: Option, folder: Path) -> Any:
+    if typing.get_origin(kind) is tuple:
+        return _parse_tuple(kind, value, option, folder)
+    refused = ValueError(f"expected {allowed_words(option)}, got {_shown(value)}")
+    if kind is Length:
+        try:
+            length = parse_length(value)
+        except OverflowError:
+            raise refused from None
+        unit = option.spec.unit
+        scale = UNITS_IN_MM[length.unit] / UNITS_IN_MM[unit] if length.unit and unit in UNITS_IN_MM else 1.0
+        _check_bounds(length.value * scale, refused, option.spec)
+        return length
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise refused
+        return value
+    if kind in (int, float):
+        return _parse_number(kind, value, option.spec, refused)
+    if kind is Path:
+        if not isinstance(value, (str, Path)) or not str(value) or "\0" in str(value):
+            raise refused
+        return folder / Path(value).expanduser()
+    if not isinstance(value, str):
+        raise refused
+    if option.spec.choices and value not in option.spec.choices:
+        hint = did_you_mean(value, option.spec.choices)
+        near = f"; {hint}" if hint and hint.startswith("did") else ""
+        raise ValueError(f"{refused}{near}")
+    return value
+
+
+def _parse_number(kind: type, value: Any, spec: OptionSpec, refused: ValueError) -> Any:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise refused
+    if kind is int and not isinstance(value, int):
+        if not value.is_integer():  # also nan and the infinities
+            raise refused
+        value = int(value)
+    if kind is float:
+        try:
+            value = float(value)
+        except OverflowError:
+            raise refused from None
+        if not math.isfinite(value):
+            raise ValueError(f"must be finite, got {value}")
+    _check_bounds(value, refused, spec)
+    return value
+
+
+def _check_bounds(number: float, refused: ValueError, spec: OptionSpec) -> None:
+    if (
+        (spec.minimum is not None and number < spec.minimum)
+        or (spec.maximum is not None and number > spec.maximum)
+        or (spec.above is not None and number <= spec.above)
+        or (spec.below is not None and number >= spec.below)
+    ):
+        raise refused
+
+
+def _parse_tuple(kind: Any, value: Any, option: Option, folder: Path) -> tuple[Any, ...]:
+    elements = typing.get_args(kind)
+    variadic = len(elements) == 2 and elements[1] is Ellipsis
+    if not isinstance(value, (list, tuple)) or (not variadic and len(value) != len(elements)):
+        raise ValueError(f"expected {allowed_words(option)}, got {_shown(value)}")
+    kinds = [elements[0]] * len(value) if variadic else elements
+    result = []
+    for number, (element, item) in enumerate(zip(kinds, value, strict=True), 1):
+        part = dataclasses.replace(option, kind=element)
+        try:
+            result.append(parse_typed(part, item, folder))
+        except ValueError as error:
+            raise ValueError(f"element {number}: {error}") from None
+    return tuple(result)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "a map"
+    text = repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+_WORDS = {
+    bool: ("true or false", "true-or-false words"),
+    int: ("a whole number", "whole numbers"),
+    float: ("a number", "numbers"),
+    str: ("text", "texts"),
+    Path: ("a path", "paths"),
+    Length: ("a length", "lengths"),
+    types.NoneType: ("nothing", "nothing"),
+}
+
+
+def type_words(kind: Any, *, plural: bool = False) -> str:
+    """A type as users say it: "a whole number", "a list of 3 numbers"."""
+    members = [member for member in _members(kind) if member is not types.NoneType]
+    return " or ".join(_member_words(member, plural) for member in members)
+
+
+def _member_words(kind: Any, plural: bool) -> str:
+    if typing.get_origin(kind) is not tuple:
+        return _WORDS[kind][plural]
+    elements = typing.get_args(kind)
+    noun = "lists" if plural else "a list"
+    if len(elements) == 2 and elements[1] is Ellipsis:
+        return f"{noun} of {type_words(elements[0], plural=True)}"
+    if len(set(elements)) == 1:
+        return f"{noun} of {len(elements)} {type_words(elements[0], plural=True)}"
+    return f"{noun} of {', '.join(type_words(element) for element in elements)}"
+
+
+def allowed_words(option: Option) -> str:
+    """Type, unit and bounds of an option as users say them: "a number in mm, above 0, at most 5"."""
+    spec = option.spec
+    if spec.choices:
+        words = ", ".join(spec.choices)
+        return f"one of {words}" if option.kind in (str, str | None) else f"{type_words(option.kind)} ({words})"
+    parts = [type_words(option.kind) + (f" in {spec.unit}" if spec.unit else "")]
+    for bound, word in (
+        (spec.minimum, "at least"), (spec.above, "above"), (spec.maximum, "at most"), (spec.below, "below")
+    ):  # fmt: skip
+        if bound is not None:
+            parts.append(f"{word} {bound:g}")
+    return ", ".join(parts)
+
+
+def plain_option(value: Any) -> Any:
+    """An option's value as YAML and JSON can hold it; `parse_typed` reads it back to the same value."""
+    if isinstance(value, Length):
+        return f"{value.value!r} {value.unit}" if value.unit else value.value
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, tuple):
+        return [plain_option(item) for item in value]
+    return value

@@ -1,0 +1,264 @@
+"""From a configuration and overrides to a plan: parameters put in, options checked, stages wired, before any work."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.engine.configuration import FORMAT, Configuration, StageEntry, stage_entries
+from sppm_pipeline.engine.document import Entry, Node, plain
+from sppm_pipeline.engine.options import options_of, parse_options, plain_option
+from sppm_pipeline.engine.problems import Problems
+from sppm_pipeline.engine.registry import Registry
+from sppm_pipeline.engine.substitution import Overrides, Substitution, override_options, override_params
+from sppm_pipeline.engine.wiring import Draft, Step, recipe_order, wire
+from sppm_pipeline.errors import ConfigError, PluginError, SppmError
+
+__all__ = ["SWEEP_ID", "Plan", "make_plan", "step_options"]
+
+SWEEP_ID = "sweep"
+"""Id under which the stages of `after` find the table of the sweep."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that is known before the first stage runs.
+
+    Attributes
+    ----------
+    configuration : Configuration
+    name : str
+    seed : int
+    params : mapping of name to value
+    steps : tuple of Step
+    recipes : mapping of recipe name to tuple of Step
+    after : tuple of Step
+        Stages that run once after a sweep.
+    warnings : tuple of str
+    document : dict
+        The configuration with overrides and defaults written out; run again, it gives the same.
+    """
+
+    configuration: Configuration
+    name: str
+    seed: int
+    params: Mapping[str, Any]
+    steps: tuple[Step, ...]
+    recipes: Mapping[str, tuple[Step, ...]]
+    after: tuple[Step, ...]
+    warnings: tuple[str, ...]
+    document: dict[str, Any] = field(repr=False)
+
+
+def make_plan(
+    configuration: Configuration,
+    registry: Registry,
+    overrides: Overrides = Overrides(),  # noqa: B008 - frozen
+    row: Mapping[str, Entry] | None = None,
+) -> Plan:
+    """Check options, then wiring, and report all errors in one go.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    registry : Registry
+    overrides : Overrides
+    row : mapping of parameter name (or ``seed``) to Entry, optional
+        A row of the sweep; the plan is then that of a single run.
+
+    Raises
+    ------
+    ConfigError
+        The only error, or a `ConfigErrors` of all.
+    PluginError
+        If a stage breaks its contract.
+    """
+    problems = Problems()
+    params = override_params(configuration.params, overrides.params, problems)
+    seed = configuration.seed if overrides.seed is None else overrides.seed
+    if row is not None:
+        params |= {name: entry for name, entry in row.items() if name != "seed"}
+        seed = row["seed"].node.value if "seed" in row else seed
+    entries, unused = _entries(configuration, params, overrides, problems)
+    drafts = {name: _drafts(group, configuration, registry, problems) for name, group in entries.items()}
+    recipes: dict[str, tuple[type, ...] | None] = dict.fromkeys(configuration.recipes)
+    wired: dict[str, list[Step]] = {}
+    for name in recipe_order({name: drafts[name] for name in recipes}, problems):
+        wired[name], recipes[name] = wire(drafts[name], recipes, problems)
+        if recipes[name] == () and entries[name]:
+            problems.report(f"the recipe {name!r} ends in a stage that makes nothing", entries[name][-1].where)
+    steps, _ = wire(drafts[_PIPELINE], recipes, problems)
+    after: list[Step] = []
+    if configuration.after is not None:
+        after, _ = wire(drafts[_AFTER], recipes, problems, given={SWEEP_ID: (_table(),)})
+    problems.raise_any()
+    used = {name for group in (steps, after, *wired.values()) for step in group for name in step.recipes.values()}
+    unused += [
+        f"{entry.where}: the recipe {name!r} is not used"
+        for name, entry in configuration.recipes.items()
+        if name not in used
+    ]
+    return Plan(
+        configuration=configuration,
+        name=configuration.name,
+        seed=seed,
+        params={name: plain(entry.node) for name, entry in params.items()},
+        steps=tuple(steps),
+        recipes={name: tuple(wired[name]) for name in configuration.recipes},
+        after=tuple(after),
+        warnings=tuple(unused),
+        document=_document(configuration, seed, params, steps, wired, after, single=row is not None),
+    )
+
+
+_PIPELINE = ""
+_AFTER = "after:"  # no recipe can have these names
+
+
+def _table() -> type:
+    """The noun of a sweep's table; imported late because nouns import numpy."""
+    table: type = importlib.import_module("sppm_pipeline.data.table").Table
+    return table
+
+
+def _entries(
+    configuration: Configuration, params: Mapping[str, Entry], overrides: Overrides, problems: Problems
+) -> tuple[dict[str, list[StageEntry]], list[str]]:
+    """Stage entries of the recipes, the pipeline and `after`, parameters and overrides put in; and warnings."""
+    substitution = Substitution(params, problems)
+    groups = {name: (name, entry.node) for name, entry in configuration.recipes.items()}
+    groups[_PIPELINE] = (None, configuration.pipeline)  # type: ignore[assignment]
+    if configuration.after is not None:
+        groups[_AFTER] = (None, configuration.after)  # type: ignore[assignment]
+    entries = {key: stage_entries(substitution.apply(node), recipe, problems) for key, (recipe, node) in groups.items()}
+    flat = override_options([entry for group in entries.values() for entry in group], overrides.options, problems)
+    changed = iter(flat)
+    entries = {key: [next(changed) for _ in group] for key, group in entries.items()}
+    return entries, substitution.unused()
+
+
+def _drafts(
+    entries: Sequence[StageEntry], configuration: Configuration, registry: Registry, problems: Problems
+) -> list[Draft | None]:
+    """Look the stages up and read their options."""
+    drafts: list[Draft | None] = []
+    for entry in entries:
+        try:
+            cls = registry.get(entry.name, entry.stage.where)
+        except ConfigError as error:
+            problems.add(error)
+            drafts.append(None)
+            continue
+        except PluginError as error:
+            error.where = error.where or entry.where
+            raise
+        values = parse_options(cls, entry.options, entry.where, configuration.base_of, problems, stage=entry.address)
+        stage = None
+        if values is not None:
+            try:
+                stage = cls(**values)
+                stage.check_options()
+            except SppmError as error:
+                error.where, error.stage = error.where or entry.where, error.stage or entry.address
+                if not isinstance(error, ConfigError):
+                    raise
+                problems.add(error)
+                stage = None
+            except Exception as error:
+                raise PluginError(
+                    f"{registry.owner(entry.name)}: checking the options raised {type(error).__name__}: {error}",
+                    where=entry.where,
+                    stage=entry.address,
+                ) from error
+        drafts.append(Draft(entry, cls, stage, registry.owner(entry.name)))
+    return drafts
+
+
+def step_options(step: Step) -> dict[str, Any]:
+    """All options of a step, defaults included, JSON-ready."""
+    return {name: plain_option(getattr(step.stage, name)) for name in options_of(type(step.stage))}
+
+
+def _document(
+    configuration: Configuration,
+    seed: int,
+    params: Mapping[str, Entry],
+    steps: Sequence[Step],
+    recipes: Mapping[str, Sequence[Step]],
+    after: Sequence[Step],
+    *,
+    single: bool,
+) -> dict[str, Any]:
+    """The configuration as a run record keeps it."""
+    paths = {
+        entry.node.param
+        for group in (steps, after, *recipes.values())
+        for step in group
+        for name, entry in step.entry.options.items()
+        if entry.node.param is not None and isinstance(getattr(step.stage, name), Path)
+    }
+
+    def param_value(name: str, node: Node) -> Any:
+        value = plain(node)
+        return str(configuration.base_of(node.where) / value) if name in paths and isinstance(value, str) else value
+
+    document: dict[str, Any] = {
+        "sppm": FORMAT,
+        "name": configuration.name,
+        "seed": seed,
+        "folder": str(configuration.folder),
+    }
+    if params:
+        document["params"] = {name: param_value(name, entry.node) for name, entry in params.items()}
+    if configuration.plugins:
+        document["plugins"] = [str(path.absolute()) for path in configuration.plugins]
+    if recipes:
+        document["recipes"] = {name: [_entry(step) for step in recipes[name]] for name in configuration.recipes}
+    document["pipeline"] = [_entry(step) for step in steps]
+    if configuration.sweep is not None and not single:
+        document["sweep"] = _sweep(configuration.sweep, param_value)
+        if after:
+            document["after"] = [_entry(step) for step in after]
+    return document
+
+
+def _sweep(sweep: Node, param_value: Any) -> Any:
+    """The sweep with absolute paths."""
+    if isinstance(sweep.value, dict):
+        return {
+            name: [param_value(name, node) for node in entry.node.value]
+            if isinstance(entry.node.value, list)
+            else plain(entry.node)
+            for name, entry in sweep.value.items()
+        }
+    return [{name: param_value(name, entry.node) for name, entry in row.value.items()} for row in sweep.value]
+
+
+def _entry(step: Step) -> dict[str, Any]:
+    """A stage with all its options; where a parameter was put in, its name stays, so that `-p` still works."""
+    entry = step.entry
+    result: dict[str, Any] = {"stage": plain(entry.stage, keep_params=True), "id": entry.id}
+    if entry.sources is not None:
+        result["from"] = plain(entry.sources, keep_params=True)
+    if entry.recipes is not None:
+        result["recipe"] = plain(entry.recipes, keep_params=True)
+    for name, option in options_of(type(step.stage)).items():
+        value = getattr(step.stage, name)
+        written = entry.options.get(name)
+        if written is not None and _has_param(written.node):
+            result[name] = plain(written.node, keep_params=True)
+        elif written is not None or (entry.stage.param is None and not (value is None and option.default is None)):
+            # a stage chosen by a parameter keeps only what was written, as the defaults of another would not fit
+            result[name] = plain_option(value)
+    return result
+
+
+def _has_param(node: Node) -> bool:
+    if node.param is not None:
+        return True
+    if isinstance(node.value, list):
+        return any(_has_param(item) for item in node.value)
+    return isinstance(node.value, dict) and any(_has_param(entry.node) for entry in node.value.values())

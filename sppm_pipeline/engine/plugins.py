@@ -1,0 +1,244 @@
+"""Finding plugins: built-in stages, installed distributions and single Python files, each apart from the others."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import pluggy
+
+from sppm_pipeline import hookspecs
+from sppm_pipeline.engine.problems import did_you_mean
+from sppm_pipeline.errors import PluginError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from sppm_pipeline.stage import Stage
+
+__all__ = ["Plugin", "Plugins", "load_plugins"]
+
+
+@dataclass
+class Plugin:
+    """Where stages and executors come from.
+
+    Attributes
+    ----------
+    name : str
+        Module, entry point or file.
+    distribution, version : str or None
+        Of an installed distribution.
+    builtin : bool
+    error : PluginError or None
+        Why it could not be loaded.
+    stages : dict of stage name to class or "module:Class"
+    executors : dict of name to function of the number of workers
+    """
+
+    name: str
+    distribution: str | None = None
+    version: str | None = None
+    builtin: bool = False
+    error: PluginError | None = None
+    stages: dict[str, type[Stage] | str] = field(default_factory=dict)
+    executors: dict[str, Callable[[int], Executor]] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        if self.builtin:
+            return "the built-in stages"
+        if self.distribution:
+            return f"{self.distribution} {self.version} (plugin {self.name!r})"
+        return f"the plugin {self.name}"
+
+
+@dataclass
+class Plugins:
+    """All plugins, those that failed included, in the order of loading."""
+
+    plugins: list[Plugin]
+    disabled: bool = False
+
+    def failed(self) -> list[Plugin]:
+        """Plugins that could not be loaded."""
+        return [plugin for plugin in self.plugins if plugin.error is not None]
+
+    def raise_broken(self) -> None:
+        """Raise the first error that must not be passed over: a broken contract, or a file the user named.
+
+        A distribution that merely fails to import does not count: it is listed, and the rest goes on.
+        """
+        for plugin in self.plugins:
+            if plugin.error is not None and (plugin.distribution is None or isinstance(plugin.error, BrokenContract)):
+                raise plugin.error
+
+
+class BrokenContract(PluginError):
+    """A plugin was loaded but does not keep to the hooks."""
+
+
+def load_plugins(builtins: Sequence[str], *, files: Iterable[Path] = (), distributions: bool = True) -> Plugins:
+    """Load every plugin in its own try.
+
+    Parameters
+    ----------
+    builtins : sequence of str
+        Modules with the built-in hook implementations.
+    files : iterable of Path
+        Single Python files.
+    distributions : bool
+        Whether to look for installed distributions (entry points of the group ``sppm``).
+    """
+    manager = pluggy.PluginManager(hookspecs.PROJECT)
+    manager.add_hookspecs(hookspecs)
+    result: list[Plugin] = []
+    for module in builtins:
+        plugin = Plugin(module, builtin=True)
+        result.append(plugin)
+        _attempt(manager, plugin, lambda module=module: importlib.import_module(module))  # type: ignore[misc]
+    if distributions:
+        from importlib.metadata import entry_points
+
+        for entry in sorted(entry_points(group=hookspecs.PROJECT), key=lambda e: e.name):
+            found = entry.dist
+            plugin = Plugin(entry.name, found.name if found else "unknown", found.version if found else "unknown")
+            result.append(plugin)
+            _attempt(manager, plugin, entry.load)
+    seen = set()
+    for path in files:
+        if path.resolve() not in seen:
+            seen.add(path.resolve())
+            plugin = Plugin(str(path))
+            result.append(plugin)
+            _attempt(manager, plugin, lambda path=path: _import_file(path))  # type: ignore[misc]
+    _refuse_duplicates(result)
+    return Plugins(result, disabled=not distributions)
+
+
+def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], Any]) -> None:
+    """Load one plugin and ask it for its stages; a failure is kept in `plugin.error`."""
+    try:
+        module = load()
+    except PluginError as error:
+        plugin.error = error
+        return
+    except Exception as error:
+        plugin.error = PluginError(f"{plugin} can't be loaded: {type(error).__name__}: {error}", hint=_missing(error))
+        plugin.error.__cause__ = error
+        return
+    try:
+        manager.register(module, plugin.name)
+        manager.check_pending()
+    except (pluggy.PluginValidationError, ValueError) as error:
+        if manager.has_plugin(plugin.name):
+            manager.unregister(name=plugin.name)
+        plugin.error = BrokenContract(f"{plugin}: {_first_line(error)}", hint=_hook_hint(module))
+        return
+    try:
+        for hook, found in (("sppm_stages", plugin.stages), ("sppm_executors", plugin.executors)):
+            for implementation in getattr(manager.hook, hook).get_hookimpls():
+                if implementation.plugin_name == plugin.name:
+                    supplied = implementation.function()
+                    if not isinstance(supplied, Mapping) or not all(isinstance(name, str) for name in supplied):
+                        raise BrokenContract(f"{plugin}: {hook} must return a map of names, got {supplied!r:.80}")
+                    found.update(supplied)
+    except PluginError as error:
+        plugin.error = error
+    except Exception as error:
+        plugin.error = BrokenContract(f"{plugin}: {hook} raised {type(error).__name__}: {error}")
+        plugin.error.__cause__ = error
+    if isinstance(module, ModuleType) and not plugin.builtin and plugin.distribution is None:
+        for cls in _stage_classes(module):
+            if cls not in plugin.stages.values():
+                plugin.stages[cls.name] = cls
+
+
+def _import_file(path: Path) -> ModuleType:
+    """Import a single file under a name of its own."""
+    if not path.is_file():
+        raise PluginError(f"there is no plugin file {str(path)!r}")
+    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
+    name = f"sppm_plugin_{path.stem}_{digest}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise PluginError(f"a plugin file must end in .py, got {str(path)!r}")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up there
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        line = _line_in(error, path)
+        raise PluginError(
+            f"the plugin {path}{line} can't be loaded: {type(error).__name__}: {error}", hint=_missing(error)
+        ) from error
+    return module
+
+
+def _line_in(error: Exception, path: Path) -> str:
+    """``:12`` for the last line of `path` that the error passed through."""
+    if isinstance(error, SyntaxError):
+        return f":{error.lineno}"
+    trace, line = error.__traceback__, ""
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path):
+            line = f":{trace.tb_lineno}"
+        trace = trace.tb_next
+    return line
+
+
+def _stage_classes(module: ModuleType) -> list[type[Stage]]:
+    """Complete stages that a file defines itself."""
+    from sppm_pipeline.stage import Stage
+
+    return [
+        cls
+        for cls in vars(module).values()
+        if inspect.isclass(cls)
+        and issubclass(cls, Stage)
+        and cls.__module__ == module.__name__
+        and not inspect.isabstract(cls)
+        and isinstance(getattr(cls, "name", None), str)
+    ]
+
+
+def _refuse_duplicates(plugins: list[Plugin]) -> None:
+    """Two plugins with one stage name: the later one is at fault, both are named."""
+    for kind in ("stages", "executors"):
+        owners: dict[str, Plugin] = {}
+        for plugin in plugins:
+            for name in list(getattr(plugin, kind)):
+                if name in owners:
+                    del getattr(plugin, kind)[name]
+                    plugin.error = plugin.error or BrokenContract(
+                        f"the {kind[:-1]} {name!r} comes from {owners[name]} and from {plugin}",
+                        hint="rename one, or remove one of the plugins",
+                    )
+                owners.setdefault(name, plugin)
+
+
+def _missing(error: Exception) -> str | None:
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        return f"the module {error.name!r} is not installed"
+    return None
+
+
+def _first_line(error: Exception) -> str:
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+
+
+def _hook_hint(module: Any) -> str | None:
+    """What a misspelt hook was meant to be."""
+    known = [name for name in vars(hookspecs) if name.startswith("sppm_")]
+    for name in vars(module) if hasattr(module, "__dict__") else ():
+        if name.startswith("sppm_") and name not in known:
+            return did_you_mean(name, known)
+    return None

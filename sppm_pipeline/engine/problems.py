@@ -1,0 +1,76 @@
+"""Collecting configuration errors, so that all of them are reported in one pass, and guessing what was meant."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+from sppm_pipeline.errors import ConfigError, ConfigErrors, Position
+
+__all__ = ["Problems", "did_you_mean", "listed", "nearest"]
+
+
+class Problems:
+    """Errors found so far in one configuration."""
+
+    def __init__(self) -> None:
+        self.errors: list[ConfigError] = []
+        self._explained: set[Position] = set()
+
+    def add(self, error: ConfigError) -> None:
+        """Keep `error`; several at once if it is a `ConfigErrors`."""
+        found = error.errors if isinstance(error, ConfigErrors) else [error]
+        self.errors.extend(one for one in found if one.where not in self._explained)
+
+    def explained(self, where: Position) -> None:
+        """Keep no further errors of the value at `where`: they would only be consequences."""
+        self._explained.add(where)
+
+    def report(
+        self, message: str, where: Position | None, *, hint: str | None = None, stage: str | None = None
+    ) -> None:
+        """Keep a `ConfigError` made of these parts."""
+        self.add(ConfigError(message, where=where, hint=hint, stage=stage))
+
+    def raise_any(self) -> None:
+        """Raise what was found, in the order of the file; nothing if there was nothing.
+
+        Raises
+        ------
+        ConfigError
+            The only error, or a `ConfigErrors` of all.
+        """
+        if not self.errors:
+            return
+        unique = {str(error): error for error in self.errors}
+        ordered = sorted(
+            unique.values(), key=lambda e: (e.where.file, e.where.line, e.where.column) if e.where else ("", 0, 0)
+        )
+        raise ordered[0] if len(ordered) == 1 else ConfigErrors(ordered)
+
+
+def nearest(word: str, known: Iterable[str]) -> list[str]:
+    """Up to three of `known` that look like `word`, or whose last part is the same; the nearest first."""
+    candidates = sorted(set(known))
+    near = difflib.get_close_matches(word, candidates, n=3, cutoff=0.6)
+    if near:
+        return near
+    # a forgotten or wrong family: dart_throwing for sample.dart_throwing
+    last = word.rsplit(".", 1)[-1]
+    return [name for name in candidates if name.rsplit(".", 1)[-1] == last][:3]
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str | None:
+    """A hint naming the nearest of `known`; the whole list if it is short and nothing is near; else None."""
+    candidates = sorted(set(known))
+    if near := nearest(word, candidates):
+        return f"did you mean {listed(near, 'or')}?"
+    return f"known: {', '.join(candidates)}" if 0 < len(candidates) <= 12 else None
+
+
+def listed(words: Iterable[str], conjunction: str = "and") -> str:
+    """``'a', 'b' and 'c'``."""
+    quoted = [repr(word) for word in words]
+    if len(quoted) < 2:
+        return "".join(quoted)
+    return f"{', '.join(quoted[:-1])} {conjunction} {quoted[-1]}"

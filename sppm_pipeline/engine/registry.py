@@ -1,0 +1,108 @@
+"""The stages there are, by name; a stage's module is imported when somebody uses the stage."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+from collections.abc import Iterator
+
+from sppm_pipeline.engine.plugins import Plugin, Plugins
+from sppm_pipeline.engine.problems import listed, nearest
+from sppm_pipeline.errors import ConfigError, PluginError, Position
+from sppm_pipeline.stage import FAMILIES, Stage
+
+__all__ = ["Registry"]
+
+
+class Registry:
+    """Stages of all plugins.
+
+    Parameters
+    ----------
+    plugins : Plugins
+    """
+
+    def __init__(self, plugins: Plugins) -> None:
+        self.plugins = plugins
+        self._owners = {name: plugin for plugin in plugins.plugins for name in plugin.stages}
+        self._classes: dict[str, type[Stage]] = {}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._owners
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of all stages, by family in the order of a pipeline, then by name."""
+        order = list(FAMILIES)
+        return iter(
+            sorted(self._owners, key=lambda n: (order.index(f) if (f := n.split(".")[0]) in order else len(order), n))
+        )
+
+    def owner(self, name: str) -> Plugin:
+        """The plugin that supplies the stage."""
+        return self._owners[name]
+
+    def get(self, name: str, where: Position | None = None) -> type[Stage]:
+        """The class of a stage.
+
+        Raises
+        ------
+        ConfigError
+            If nothing supplies a stage of this name.
+        PluginError
+            If its module can't be imported, or the class breaks the contract.
+        """
+        if name not in self._owners:
+            raise ConfigError(f"there is no stage {name!r}", where=where, hint=self._hint(name))
+        if name not in self._classes:
+            self._classes[name] = self._load(name)
+        return self._classes[name]
+
+    def _hint(self, name: str) -> str:
+        family, _, word = name.partition(".")
+        siblings = [known for known in self if known.startswith(f"{family}.")]
+        near = [f"{family}.{found}" for found in nearest(word, [known.partition(".")[2] for known in siblings])]
+        near = near or ([] if siblings else nearest(name, self))
+        if near:
+            hints = [f"did you mean {listed(near, 'or')}?"]
+        elif siblings:
+            hints = [f"stages of this family: {', '.join(siblings)}"]
+        else:
+            hints = ["`sppm stages` lists all stages"]
+        hints += [f"{plugin} could not be loaded and may supply it" for plugin in self.plugins.failed()]
+        if self.plugins.disabled:
+            hints.append("installed plugins are switched off by --no-plugins")
+        elif not near:
+            hints.append("a plugin that supplies it may not be installed; `sppm plugins` lists those that are")
+        return "; ".join(hints)
+
+    def _load(self, name: str) -> type[Stage]:
+        owner = self._owners[name]
+        target = owner.stages[name]
+        if isinstance(target, str):
+            module, colon, attribute = target.partition(":")
+            if not colon:
+                raise PluginError(f"{owner}: the stage {name!r} must be given as 'module:Class', got {target!r}")
+            try:
+                target = getattr(importlib.import_module(module), attribute)
+            except Exception as error:
+                hint = None
+                if isinstance(error, ModuleNotFoundError):
+                    hint = f"the module {error.name!r} is not installed"
+                raise PluginError(
+                    f"{owner}: the stage {name!r} can't be imported: {type(error).__name__}: {error}", hint=hint
+                ) from error
+        problem = None
+        if not inspect.isclass(target) or not issubclass(target, Stage):
+            problem = "is no subclass of Stage"
+        elif inspect.isabstract(target):
+            problem = f"does not implement {', '.join(sorted(target.__abstractmethods__))}"
+        elif getattr(target, "name", None) != name:
+            problem = f"has the name {getattr(target, 'name', None)!r}"
+        elif "." not in name or name.startswith(".") or name.endswith("."):
+            problem = "must be named family.name"
+        elif "__dataclass_fields__" not in vars(target) or not dataclasses.is_dataclass(target):
+            problem = "must be decorated with @dataclass(frozen=True, kw_only=True)"
+        if problem is not None:
+            raise PluginError(f"{owner}: the class of the stage {name!r} {problem}")
+        return target

@@ -1,0 +1,204 @@
+"""Running one stage, and recipes: results checked, errors given their place and their culprit."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.engine.context import RunContext
+from sppm_pipeline.engine.jsonable import jsonable
+from sppm_pipeline.engine.options import options_of, parse_typed
+from sppm_pipeline.engine.ports import noun_words
+from sppm_pipeline.engine.problems import did_you_mean, listed
+from sppm_pipeline.engine.wiring import Step
+from sppm_pipeline.errors import ConfigError, InputError, PluginError, ResourceError, SppmError
+from sppm_pipeline.stage import Context, Recipe, Stage
+
+__all__ = ["StepRecipe", "last_uses", "run_step", "summary_of"]
+
+RecipeSteps = Mapping[str, Sequence[Step]]
+
+
+def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunContext, recipes: RecipeSteps) -> Any:
+    """Run one stage and return what it made.
+
+    Raises
+    ------
+    SppmError
+        Errors of the stage with place and id filled in. What a plugin raises unexpectedly becomes a `PluginError`,
+        what a built-in stage does an `SppmError` with exit code 1; missing memory or disk a `ResourceError`.
+    """
+    handed = {port: StepRecipe(name, recipes) for port, name in step.recipes.items()}
+    optional = {port.name: None for port in step.signature.ports if port.optional}
+    try:
+        made = stage.run(context, **{**optional, **inputs, **handed})
+        _check_result(step, made)
+        return made
+    except SppmError as error:
+        error.where = error.where or step.where
+        error.stage = error.stage or step.address
+        raise
+    except MemoryError as error:
+        raise ResourceError(
+            "not enough memory",
+            hint="use a coarser resolution, or a stage that streams",
+            where=step.where,
+            stage=step.address,
+        ) from error
+    except OSError as error:
+        raise _system_error(step, error) from error
+    except Exception as error:
+        raise _blame(step, f"raised {type(error).__name__}: {error}") from error
+
+
+def _system_error(step: Step, error: OSError) -> SppmError:
+    detail = f"{error.strerror or error}" + (f": {error.filename!r}" if error.filename is not None else "")
+    if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError)):
+        return InputError(detail, where=step.where, stage=step.address)
+    lacking = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOMEM, errno.EMFILE)
+    if error.errno in lacking or error.errno in (errno.EFBIG, errno.EIO):
+        return ResourceError(detail, where=step.where, stage=step.address)
+    return _blame(step, f"raised {type(error).__name__}: {error}")
+
+
+def _blame(step: Step, message: str) -> SppmError:
+    """An error that is the fault of whoever wrote the stage."""
+    if step.owner.builtin:
+        hint = "this is a mistake in the program; --debug shows where"
+        return SppmError(f"internal error: {message}", where=step.where, stage=step.address, hint=hint)
+    hint = f"this is a mistake in {step.owner}; --debug shows where"
+    return PluginError(f"{step.owner}: {message}", where=step.where, stage=step.address, hint=hint)
+
+
+def _check_result(step: Step, made: Any) -> None:
+    """Type as announced, parts that agree with each other."""
+    if not isinstance(made, step.makes or type(None)):
+        raise _blame(step, f"made {type(made).__name__}, but announces {noun_words(step.makes)}")
+    check = getattr(made, "check", None)
+    if check is not None:
+        try:
+            check()
+        except ValueError as error:
+            raise _blame(step, f"made a {type(made).__name__} that contradicts itself: {error}") from error
+
+
+def summary_of(made: Any, reported: Mapping[str, Any], step: Step) -> dict[str, Any]:
+    """The numbers of the result and those that the stage reported, which win."""
+    try:
+        own = jsonable(made.summary()) if hasattr(made, "summary") else {}
+    except SppmError:
+        raise
+    except Exception as error:
+        raise _blame(step, f"the summary of {type(made).__name__} raised {type(error).__name__}: {error}") from error
+    return {**reported, **{name: value for name, value in own.items() if name not in reported}}
+
+
+def last_uses(steps: Sequence[Step]) -> list[set[str]]:
+    """For each step the ids whose results nobody needs after it."""
+    last: dict[str, int] = {}
+    for number, step in enumerate(steps):
+        last[step.id] = number
+        for source in step.inputs.values():
+            if source is not None:
+                last[source] = number
+    return [{id_ for id_, at in last.items() if at == number} for number in range(len(steps))]
+
+
+class StepRecipe(Recipe):
+    """A recipe of the plan, as stages see it.
+
+    Parameters
+    ----------
+    name : str
+    recipes : mapping of recipe name to sequence of Step
+        All recipes, as recipes may use recipes.
+    """
+
+    def __init__(self, name: str, recipes: RecipeSteps) -> None:
+        self.name = name
+        self._recipes = recipes
+        self._steps = recipes[name]
+
+    def options(self) -> Mapping[str, Mapping[str, Any]]:
+        """See `Recipe.options`."""
+        return {
+            step.id: {name: getattr(step.stage, name) for name in options_of(type(step.stage))} for step in self._steps
+        }
+
+    def run(
+        self,
+        context: Context,
+        *,
+        palette: Palette | None = None,
+        attempt: int = 0,
+        options: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> Any:
+        """See `Recipe.run`.
+
+        Raises
+        ------
+        ConfigError
+            If `options` names a stage or option that the recipe lacks, or a value that is not allowed.
+        """
+        if not isinstance(context, RunContext):
+            raise TypeError("a recipe runs in the context that the calling stage was given")
+        changes = self._changes(options or {})
+        results: dict[str, Any] = {}
+        made: Any = None
+        for step, done in zip(self._steps, last_uses(self._steps), strict=True):
+            inner = context.inside(self.name, attempt, step.id, step.address, palette or context.palette)
+            inner.log.begin(step.address)
+            if inner.folder is not None:
+                inner.folder.restart(step.address)
+            inputs = {port: results[source] if source else None for port, source in step.inputs.items()}
+            stage = self._changed(step, changes.get(step.id, {}))
+            started = time.perf_counter()
+            made = results[step.id] = run_step(step, stage, inputs, inner, self._recipes)
+            seconds = time.perf_counter() - started
+            summary = summary_of(made, inner.log.values.get(step.address, {}), step)
+            kind = None if made is None else type(made).__name__
+            inner.log.ran(step.address, step.stage.name, kind, seconds, summary)
+            del inputs
+            for id_ in done:
+                results.pop(id_, None)
+        return made
+
+    def _changes(self, options: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+        """Options by step id, from options by step id or stage name."""
+        changes: dict[str, dict[str, Any]] = {}
+        for target, values in options.items():
+            ids = [step.id for step in self._steps if step.id == target]
+            ids = ids or [step.id for step in self._steps if step.stage.name == target]
+            if not ids:
+                known = [step.id for step in self._steps]
+                hint = did_you_mean(target, known) or f"stages of the recipe: {', '.join(known)}"
+                raise ConfigError(f"the recipe {self.name!r} has no stage {target!r}", hint=hint)
+            if len(ids) > 1:
+                raise ConfigError(f"{target!r} may mean {listed(ids, 'or')} of the recipe {self.name!r}")
+            changes.setdefault(ids[0], {}).update(values)
+        return changes
+
+    def _changed(self, step: Step, values: Mapping[str, Any]) -> Stage:
+        """The stage with some options replaced, under the same rules as in the file."""
+        if not values:
+            return step.stage
+        declared = options_of(type(step.stage))
+        parsed = {}
+        for name, value in values.items():
+            if name not in declared:
+                raise ConfigError(f"{step.stage.name} has no option {name!r}", hint=did_you_mean(name, declared))
+            try:
+                plain = value.item() if hasattr(value, "item") else value
+                parsed[name] = parse_typed(declared[name], plain, Path.cwd())
+            except ValueError as error:
+                raise ConfigError(
+                    f"option {name!r} of {step.address!r}: {error}", hint=declared[name].spec.help
+                ) from None
+        stage = dataclasses.replace(step.stage, **parsed)
+        stage.check_options()
+        return stage

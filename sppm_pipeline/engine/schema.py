@@ -1,0 +1,135 @@
+"""The JSON Schema of configurations, for editors: every stage with its options, units and bounds."""
+
+from __future__ import annotations
+
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.data.length import UNITS_IN_MM, Length
+from sppm_pipeline.engine.configuration import FORMAT, KEYS
+from sppm_pipeline.engine.describe import purpose_of
+from sppm_pipeline.engine.options import Option, options_of, plain_option
+from sppm_pipeline.engine.ports import signature_of
+from sppm_pipeline.engine.registry import Registry
+from sppm_pipeline.stage import OptionSpec, Stage
+
+__all__ = ["configuration_schema"]
+
+_NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+_PARAM = {"type": "string", "pattern": r"^\$\{\s*\w+\s*\}$"}
+
+
+def configuration_schema(registry: Registry) -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a configuration with the stages of `registry`."""
+    entry = {"$ref": "#/$defs/stage"}
+    stages = {"type": "array", "minItems": 1, "items": entry}
+    whole = {"type": "integer"}
+    whole_range = {
+        "type": "object",
+        "required": ["from", "to"],
+        "properties": {"from": whole, "to": whole, "step": {"type": "integer", "minimum": 1}},
+        "additionalProperties": False,
+    }
+    top: dict[str, Any] = {
+        "sppm": {"const": FORMAT},
+        "name": {"type": "string", "pattern": r"^\w[\w .+-]{0,99}$"},
+        "seed": {"type": "integer", "minimum": 0},
+        "params": {"type": ["object", "null"]},
+        "plugins": {"type": ["array", "null"], "items": {"type": "string"}},
+        "recipes": {"type": ["object", "null"], "additionalProperties": stages},
+        "pipeline": stages,
+        "sweep": {
+            "anyOf": [
+                {"type": "object", "additionalProperties": {"anyOf": [{"type": "array", "minItems": 1}, whole_range]}},
+                {"type": "array", "minItems": 1, "items": {"type": "object"}},
+            ]
+        },
+        "after": stages,
+        "folder": {"type": "string"},
+    }
+    classes = [registry.get(name) for name in registry]
+    named: dict[str, Any] = {"type": "object", "required": ["stage"]}
+    named["properties"] = {"stage": {"anyOf": [{"enum": list(registry)}, _PARAM]}}
+    named["allOf"] = [
+        {"if": {"properties": {"stage": {"const": cls.name}}}, "then": {"$ref": f"#/$defs/{cls.name}"}}
+        for cls in classes
+    ]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "sppm pipeline",
+        "type": "object",
+        "required": ["sppm", "pipeline"],
+        "additionalProperties": False,
+        "properties": {key: {"description": KEYS[key], **top[key]} for key in KEYS},
+        "$defs": {"stage": {"anyOf": [{"enum": list(registry)}, named]}}
+        | {cls.name: _stage_schema(cls) for cls in classes},
+    }
+
+
+def _stage_schema(cls: type[Stage]) -> dict[str, Any]:
+    """The schema of one stage's entry."""
+    ports = signature_of(cls).ports
+    text_or_map = {"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": {"type": "string"}}]}
+    properties: dict[str, Any] = {
+        "stage": {"const": cls.name, "description": purpose_of(cls)},
+        "id": {"type": "string", "pattern": r"^\w[\w.#-]*$"},
+    }
+    if any(not port.is_recipe for port in ports):
+        properties["from"] = text_or_map
+    if any(port.is_recipe for port in ports):
+        properties["recipe"] = text_or_map
+    required = ["stage"] + ["recipe"] * any(port.is_recipe and not port.optional for port in ports)
+    for option in options_of(cls).values():
+        properties[option.name] = _option_schema(option)
+        if option.required:
+            required.append(option.name)
+    return {"type": "object", "required": required, "additionalProperties": False, "properties": properties}
+
+
+def _option_schema(option: Option) -> dict[str, Any]:
+    unit = f" [{option.spec.unit}]" if option.spec.unit else ""
+    schema: dict[str, Any] = {"description": option.spec.help + unit}
+    if not option.required:
+        schema["default"] = plain_option(option.default)
+    return schema | {"anyOf": [*_kinds(option.kind, option.spec), _PARAM]}
+
+
+def _kinds(kind: Any, spec: OptionSpec) -> list[dict[str, Any]]:
+    """Alternatives that a type form allows."""
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        return [schema for member in typing.get_args(kind) for schema in _kinds(member, spec)]
+    if typing.get_origin(kind) is tuple:
+        elements = typing.get_args(kind)
+        if len(elements) == 2 and elements[1] is Ellipsis:
+            return [{"type": "array", "items": _element(elements[0], spec)}]
+        items = [_element(element, spec) for element in elements]
+        return [{"type": "array", "prefixItems": items, "minItems": len(items), "maxItems": len(items)}]
+    bounds = {
+        key: value
+        for key, value in (
+            ("minimum", spec.minimum),
+            ("maximum", spec.maximum),
+            ("exclusiveMinimum", spec.above),
+            ("exclusiveMaximum", spec.below),
+        )
+        if value is not None
+    }
+    if kind is Length:
+        units = "|".join(UNITS_IN_MM)
+        return [{"type": "number", **bounds}, {"type": "string", "pattern": rf"^\s*{_NUMBER}\s*({units})?\s*$"}]
+    if kind in (int, float):
+        return [{"type": "integer" if kind is int else "number", **bounds}]
+    if kind is bool:
+        return [{"type": "boolean"}]
+    if kind is types.NoneType:
+        return [{"type": "null"}]
+    if kind is not Path and spec.choices:
+        return [{"enum": list(spec.choices)}]
+    return [{"type": "string"}]
+
+
+def _element(kind: Any, spec: OptionSpec) -> dict[str, Any]:
+    kinds = _kinds(kind, spec)
+    return kinds[0] if len(kinds) == 1 else {"anyOf": kinds}

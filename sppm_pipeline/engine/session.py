@@ -1,0 +1,75 @@
+"""Everything needed to plan and run a configuration, from values that can be sent to another process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.engine.configuration import Configuration, read_configuration
+from sppm_pipeline.engine.document import Entry
+from sppm_pipeline.engine.plan import Plan, make_plan
+from sppm_pipeline.engine.plugins import Plugins, load_plugins
+from sppm_pipeline.engine.registry import Registry
+from sppm_pipeline.engine.substitution import Overrides
+
+__all__ = ["Order", "Session", "open_session"]
+
+
+@dataclass(frozen=True)
+class Order:
+    """What to run and how, in plain picklable values.
+
+    Attributes
+    ----------
+    file : str
+        The configuration.
+    builtins : tuple of str
+        Modules with the built-in hook implementations.
+    plugins : tuple of str
+        Python files with further stages.
+    distributions : bool
+        Whether installed plugins, and those the configuration names, are loaded.
+    overrides : Overrides
+    """
+
+    file: str
+    builtins: tuple[str, ...]
+    plugins: tuple[str, ...] = ()
+    distributions: bool = True
+    overrides: Overrides = field(default_factory=Overrides)
+
+    def absolute(self) -> Order:
+        """The same with absolute plugin files; the configuration keeps its name, which messages show."""
+        return replace(self, plugins=tuple(str(Path(path).absolute()) for path in self.plugins))
+
+
+@dataclass(frozen=True)
+class Session:
+    """A configuration that was read, with the plugins it needs."""
+
+    order: Order
+    configuration: Configuration
+    plugins: Plugins
+    registry: Registry
+
+    def plan(self, row: Mapping[str, Entry] | None = None) -> Plan:
+        """Plan the run, or one row of its sweep; see `make_plan`."""
+        return make_plan(self.configuration, self.registry, self.order.overrides, row)
+
+
+def open_session(order: Order) -> Session:
+    """Read the configuration and load the plugins.
+
+    Raises
+    ------
+    ConfigError, PluginError
+    """
+    configuration = read_configuration(Path(order.file))
+    files: list[Any] = [Path(path) for path in order.plugins]
+    if order.distributions:
+        files += configuration.plugins
+    plugins = load_plugins(order.builtins, files=files, distributions=order.distributions)
+    plugins.raise_broken()
+    return Session(order, configuration, plugins, Registry(plugins))

@@ -1,0 +1,164 @@
+"""Parameters and overrides: ``${name}``, ``-p name=value`` and ``-s stage.option=value``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from sppm_pipeline.engine.configuration import RESERVED, StageEntry
+from sppm_pipeline.engine.document import Entry, Node, Override, parse_value
+from sppm_pipeline.engine.problems import Problems, did_you_mean, listed
+from sppm_pipeline.errors import ConfigError
+
+__all__ = ["Overrides", "Substitution", "override_options", "override_params"]
+
+_WHOLE = re.compile(r"\$\{\s*(\w+)\s*\}")
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What the command line changes in a configuration, as plain text.
+
+    Attributes
+    ----------
+    params : tuple of "name=value"
+    options : tuple of "stage.option=value"
+    seed : int or None
+    """
+
+    params: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+    seed: int | None = None
+
+
+def override_params(
+    params: Mapping[str, Entry], overrides: Iterable[str], problems: Problems, *, flag: str = "-p"
+) -> dict[str, Entry]:
+    """`params` with the values of the ``-p`` arguments."""
+    result = dict(params)
+    for argument in overrides:
+        where = Override(f"{flag} {argument}")
+        name, equals, text = argument.partition("=")
+        if not equals:
+            problems.report("expected name=value", where)
+        elif name not in params:
+            hint = did_you_mean(name, params) if params else "the configuration has no `params`"
+            problems.report(f"there is no parameter {name!r}", where, hint=hint)
+        else:
+            try:
+                result[name] = Entry(where, parse_value(text, where))
+            except ConfigError as error:
+                problems.add(error)
+    return result
+
+
+class Substitution:
+    """Puts parameters in and remembers which were used."""
+
+    def __init__(self, params: Mapping[str, Entry], problems: Problems) -> None:
+        self._params = params
+        self._problems = problems
+        self.used: set[str] = set()
+        for name, entry in params.items():
+            for node in _walk(entry.node):
+                if isinstance(node.value, str) and "${" in node.value:
+                    problems.report(f"the parameter {name!r} can't refer to another one", node.where)
+
+    def apply(self, node: Node) -> Node:
+        """`node` with every ``${name}`` replaced by the parameter's value."""
+        if isinstance(node.value, list):
+            return replace(node, value=[self.apply(item) for item in node.value])
+        if isinstance(node.value, dict):
+            return replace(node, value={k: Entry(e.where, self.apply(e.node)) for k, e in node.value.items()})
+        if not isinstance(node.value, str) or "${" not in node.value:
+            return node
+        match = _WHOLE.fullmatch(node.value)
+        if match is None:
+            self._problems.report(
+                f"${{name}} stands for a whole value, got {node.value!r}",
+                node.where,
+                hint="there is no text around a parameter; put the whole text into `params`",
+            )
+            self._problems.explained(node.where)
+            return node
+        name = match[1]
+        if name not in self._params:
+            hint = did_you_mean(name, self._params) if self._params else "the configuration has no `params`"
+            self._problems.report(f"there is no parameter {name!r}", node.where, hint=hint)
+            self._problems.explained(node.where)
+            return node
+        self.used.add(name)
+        value = self._params[name].node
+        return Node(value.value, value.where, name)
+
+    def unused(self) -> list[str]:
+        """A warning for each parameter that nothing refers to."""
+        return [
+            f"{entry.where}: the parameter {name!r} is not used"
+            for name, entry in self._params.items()
+            if name not in self.used
+        ]
+
+
+def _walk(node: Node) -> Iterable[Node]:
+    yield node
+    if isinstance(node.value, list):
+        for item in node.value:
+            yield from _walk(item)
+    elif isinstance(node.value, dict):
+        for entry in node.value.values():
+            yield from _walk(entry.node)
+
+
+def override_options(entries: Sequence[StageEntry], overrides: Iterable[str], problems: Problems) -> list[StageEntry]:
+    """`entries`, of the pipeline and all recipes, with the values of the ``-s`` arguments."""
+    result = list(entries)
+    for argument in overrides:
+        where = Override(f"-s {argument}")
+        key, equals, text = argument.partition("=")
+        target, dot, option = key.rpartition(".")
+        if not equals or not dot or not target or not option:
+            problems.report("expected stage.option=value, for instance sample.dart_throwing.count=60", where)
+            continue
+        if option in RESERVED:
+            problems.report(f"`{option}` can't be set from the command line, only options can", where)
+            continue
+        found = _matching(result, target)
+        if len(found) != 1:
+            addresses = [entry.address for entry in result]
+            if found:
+                problems.report(
+                    f"{target!r} may mean {listed((result[i].address for i in found), 'or')}",
+                    where,
+                    hint=f"write for instance -s {result[found[0]].address}.{option}={text}",
+                )
+            else:
+                problems.report(f"there is no stage {target!r}", where, hint=did_you_mean(target, addresses))
+            continue
+        try:
+            entry = Entry(where, parse_value(text, where))
+        except ConfigError as error:
+            problems.add(error)
+            continue
+        result[found[0]] = result[found[0]].with_option(option, entry)
+    return result
+
+
+def _matching(entries: Sequence[StageEntry], target: str) -> list[int]:
+    """Indices of the entries that `target` names: by full address, else by id, by stage name, by a part of it."""
+
+    def named(entry: StageEntry, word: str) -> tuple[bool, bool, bool]:
+        return word == entry.id, word == entry.name, word in entry.name.split(".")
+
+    full = [i for i, entry in enumerate(entries) if target == entry.address]
+    if full:
+        return full
+    recipe, _, rest = target.partition(".")
+    inside = [i for i, entry in enumerate(entries) if entry.recipe == recipe]
+    for tier in range(3):
+        found = [i for i, entry in enumerate(entries) if named(entry, target)[tier]]
+        found = found or [i for i in inside if named(entries[i], rest)[tier]]
+        if found:
+            return found
+    return []

@@ -1,0 +1,283 @@
+"""Sweeps: one run for each row of parameter values, each in a folder of its own, and one table of all their numbers."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.engine.document import Entry, Node, plain
+from sppm_pipeline.engine.executors import make_executor
+from sppm_pipeline.engine.jsonable import json_text
+from sppm_pipeline.engine.monitor import Monitor
+from sppm_pipeline.engine.outputs import SWEEP_RUNS, digest_of, write_whole
+from sppm_pipeline.engine.plan import SWEEP_ID, Plan
+from sppm_pipeline.engine.problems import Problems, did_you_mean
+from sppm_pipeline.engine.record import error_entry
+from sppm_pipeline.engine.runner import Recorder, check_until, run_plan, run_steps
+from sppm_pipeline.engine.session import Order, Session, open_session
+from sppm_pipeline.engine.sweep_table import columns_of, csv_text, numbers_of, rows_of
+from sppm_pipeline.errors import ConfigError, NativeCrash, SppmError
+
+__all__ = ["check_sweep", "run_row", "run_sweep", "sweep_rows"]
+
+MAX_ROWS = 100_000
+
+Row = Mapping[str, Entry]
+
+
+def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]:
+    """The rows of a sweep: of a grid with its last parameter changing fastest, of a table as written.
+
+    In a grid, ``{from: 1, to: 50}`` stands for the whole numbers from 1 to 50, ``{from: 0, to: 100, step: 5}`` for
+    every fifth.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter is unknown, a list is empty, or there are too many rows.
+    """
+    problems = Problems()
+    rows: list[dict[str, Entry]]
+    if isinstance(sweep.value, dict):
+        axes = {name: _axis(name, entry, problems) for name, entry in sweep.value.items()}
+        count = math.prod(len(axis) for axis in axes.values())
+        if count > MAX_ROWS:
+            problems.report(f"the sweep has {count} runs; at most {MAX_ROWS} are allowed", sweep.where)
+            problems.raise_any()
+        rows = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())] if axes else []
+    else:
+        rows = []
+        for node in sweep.value:
+            if isinstance(node.value, dict) and node.value:
+                rows.append(dict(node.value))
+            else:
+                problems.report("a row of a sweep is a map of parameters to values", node.where)
+    names = [*params, "seed"]
+    entries = {(name, id(entry.node)): (name, entry) for row in rows for name, entry in row.items()}
+    for name, entry in entries.values():
+        value = entry.node.value
+        if name not in names:
+            hint = did_you_mean(name, names)
+            problems.report(f"the sweep varies {name!r}, which is no parameter", entry.where, hint=hint)
+        elif name == "seed" and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
+            problems.report(f"a seed is a whole number, at least 0, got {plain(entry.node)!r}", entry.node.where)
+    if not rows and not problems.errors:
+        problems.report("the sweep has no runs", sweep.where)
+    problems.raise_any()
+    return rows
+
+
+def _axis(name: str, entry: Entry, problems: Problems) -> list[Entry]:
+    """The values of one parameter of a grid."""
+    value, where = entry.node.value, entry.node.where
+    if isinstance(value, list) and value:
+        return [Entry(entry.where, node) for node in value]
+    if isinstance(value, dict):
+        ends = {key: inner.node.value for key, inner in value.items()}
+        whole = all(isinstance(end, int) and not isinstance(end, bool) for end in ends.values())
+        if {"from", "to"} <= set(ends) <= {"from", "to", "step"} and whole:
+            numbers = range(ends["from"], ends["to"] + 1, max(1, ends.get("step", 1)))
+            if 0 < len(numbers) <= MAX_ROWS and ends.get("step", 1) > 0:
+                return [Entry(entry.where, Node(number, where)) for number in numbers]
+    problems.report(
+        f"the sweep of {name!r} must be a list of values, or whole numbers such as {{from: 1, to: 50}}", where
+    )
+    return []
+
+
+def check_sweep(session: Session, rows: Sequence[Row]) -> None:
+    """Plan with every value that occurs, so that a bad one is found before any work.
+
+    In a grid each value is tried once, with the first values of the other parameters; in a table each row.
+    """
+    sweep = session.configuration.sweep
+    first = rows[0]
+    problems = Problems()
+    for row in rows:
+        if sweep is not None and isinstance(sweep.value, dict):
+            changed = sum(row[name].node is not first[name].node for name in row)
+            if changed > 1:
+                continue
+        try:
+            session.plan(row)
+        except ConfigError as error:
+            problems.add(error)
+    problems.raise_any()
+
+
+def run_sweep(
+    session: Session,
+    plan: Plan,
+    path: Path,
+    *,
+    workers: int,
+    executor: str | None,
+    threads: int,
+    until: str | None = None,
+    monitor: Monitor | None = None,
+) -> dict[str, Any]:
+    """Run all rows, then the stages of `after`, and write ``sweep.csv``, ``sweep.json`` and ``run.json``.
+
+    Parameters
+    ----------
+    session : Session
+    plan : Plan
+        The plan of the configuration without a row.
+    path : Path
+        The run directory; row i runs in ``runs/<i>`` in it.
+    workers : int
+        Runs at the same time.
+    executor : str or None
+        See `make_executor`.
+    threads : int
+        Threads of all workers together.
+    until : str, optional
+        Id of the last stage to run; `after` is then left out.
+    monitor : Monitor, optional
+
+    Returns
+    -------
+    dict
+        The record; its `runs` lists the rows. Rows that fail do not raise.
+
+    Raises
+    ------
+    SppmError
+        What stopped the sweep as a whole; its attribute ``record`` holds the record.
+    """
+    monitor = monitor or Monitor()
+    assert session.configuration.sweep is not None
+    check_until(plan, until)
+    rows = sweep_rows(session.configuration.sweep, session.configuration.params)
+    check_sweep(session, rows)
+    with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
+        recorder.extra["runs"] = runs = []
+        found = _run_rows(session, rows, path, workers, executor, max(1, threads // workers), until, monitor)
+        columns = columns_of(found)
+        runs += [{key: value for key, value in run.items() if key != "columns"} for run in found]
+        for name, text in (("sweep.csv", csv_text(columns)), ("sweep.json", json_text(rows_of(columns)))):
+            write_whole(path / name, text)
+            output = {"path": name, "bytes": (path / name).stat().st_size, "sha256": digest_of(path / name)}
+            recorder.extra.setdefault("outputs", []).append(output)
+        done = [run["status"] == "done" for run in runs]
+        if plan.after and until is None and any(done):
+            from sppm_pipeline.data.table import Table
+
+            run_steps(
+                plan.after,
+                plan.recipes,
+                recorder.stages,
+                seed=plan.seed,
+                threads=threads,
+                until=None,
+                folder=recorder.folder,
+                monitor=monitor,
+                given={SWEEP_ID: Table(columns)},  # type: ignore[arg-type]
+            )
+        recorder.status = "done" if all(done) else "failed"
+    return recorder.record
+
+
+def _run_rows(
+    session: Session,
+    rows: Sequence[Row],
+    path: Path,
+    workers: int,
+    executor: str | None,
+    threads: int,
+    until: str | None,
+    monitor: Monitor,
+) -> list[dict[str, Any]]:
+    """Hand the rows to an executor; results in the order of the rows."""
+    from concurrent.futures import BrokenExecutor, as_completed
+
+    digits = max(4, len(str(len(rows) - 1)))
+    order = session.order.absolute()
+    common = {"order": order, "sweep": uuid.uuid4().hex, "threads": threads, "until": until}
+    tasks = [{**common, "row": i, "path": str(path / SWEEP_RUNS / f"{i:0{digits}}")} for i in range(len(rows))]
+    pool = make_executor(executor, workers, session.plugins)
+    try:
+        futures = {pool.submit(run_row, task): number for number, task in enumerate(tasks)}
+        results: dict[int, dict[str, Any]] = {}
+        for future in as_completed(futures):
+            row = results[futures[future]] = future.result()
+            monitor.row_finished(len(results), len(rows), row)
+    except BrokenExecutor as error:
+        raise NativeCrash(
+            f"a worker process died during the sweep; {len(results)} of {len(rows)} runs had ended",
+            hint="a native library crashed, or memory ran out; try fewer workers with -j, or --executor serial",
+        ) from error
+    except BaseException:
+        _stop_workers()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return [results[number] for number in range(len(rows))]
+
+
+def _stop_workers() -> None:
+    """End the processes of this sweep, so that an interrupted one does not go on in the background."""
+    import sys
+
+    if "multiprocessing" in sys.modules:
+        for process in sys.modules["multiprocessing"].active_children():
+            process.terminate()
+
+
+@functools.lru_cache(maxsize=1)
+def _session(order: Order, sweep: str) -> Session:
+    """One session a sweep and worker process, whatever the number of its rows."""
+    return open_session(order)
+
+
+def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
+    """Run one row of a sweep; errors are returned, not raised.
+
+    Parameters
+    ----------
+    task : mapping
+        ``order`` (an `Order`), ``sweep`` (any text that no other sweep has), ``row`` (number of the row), ``path`` (run
+        directory), ``threads`` and ``until``.
+
+    Returns
+    -------
+    dict
+        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``warnings`` and ``columns``.
+    """
+    session = _session(task["order"], task["sweep"])
+    assert session.configuration.sweep is not None
+    row = sweep_rows(session.configuration.sweep, session.configuration.params)[task["row"]]
+    path = Path(task["path"])
+    result = {"run": path.name, "params": {name: plain(entry.node) for name, entry in row.items()}}
+    try:
+        record = run_plan(session.plan(row), path, threads=task["threads"], until=task["until"])
+    except SppmError as error:
+        record = getattr(error, "record", {})
+        return result | {
+            "status": "failed",
+            "error": error_entry(error),
+            "seconds": record.get("seconds"),
+            "warnings": _warnings(record),
+            "columns": numbers_of(record.get("stages", ())),
+        }
+    return result | {
+        "status": "done",
+        "error": None,
+        "seconds": record["seconds"],
+        "warnings": _warnings(record),
+        "columns": numbers_of(record["stages"]),
+    }
+
+
+def _warnings(record: Mapping[str, Any]) -> list[str]:
+    """Warnings of all stages of a run."""
+    return [
+        f"stage {stage['id']!r}: {message}"
+        for stage in record.get("stages", ())
+        for message in stage.get("warnings", ())
+    ]

@@ -1,0 +1,318 @@
+"""Wiring stages by type: which earlier stage each port takes its noun from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sppm_pipeline.engine.configuration import StageEntry
+from sppm_pipeline.engine.document import Node
+from sppm_pipeline.engine.plugins import Plugin
+from sppm_pipeline.engine.ports import Port, Signature, fits, noun_words, signature_of
+from sppm_pipeline.engine.problems import Problems, did_you_mean, listed
+from sppm_pipeline.errors import Position, WiringError
+from sppm_pipeline.stage import Stage
+
+__all__ = ["Draft", "Step", "recipe_order", "wire"]
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A stage entry whose stage is known; not wired yet.
+
+    Attributes
+    ----------
+    entry : StageEntry
+    cls : type of Stage
+    stage : Stage or None
+        None if its options are wrong.
+    owner : Plugin
+    """
+
+    entry: StageEntry
+    cls: type[Stage]
+    stage: Stage | None
+    owner: Plugin
+
+
+@dataclass(frozen=True)
+class Step:
+    """A stage with its options and the sources of its ports.
+
+    Attributes
+    ----------
+    entry : StageEntry
+    stage : Stage
+    owner : Plugin
+        Who supplies the stage.
+    signature : Signature
+    inputs : mapping of port to id
+        The earlier stage that each port takes its noun from; None for an optional port left open.
+    recipes : mapping of port to name
+    makes : tuple of type
+        What it makes, recipes taken into account.
+    """
+
+    entry: StageEntry
+    stage: Stage
+    owner: Plugin
+    signature: Signature
+    inputs: Mapping[str, str | None]
+    recipes: Mapping[str, str]
+    makes: tuple[type, ...]
+
+    @property
+    def id(self) -> str:
+        """The id within its pipeline or recipe."""
+        return self.entry.id
+
+    @property
+    def address(self) -> str:
+        """The id, with the recipe in front."""
+        return self.entry.address
+
+    @property
+    def where(self) -> Position:
+        """The place of the stage in the configuration."""
+        return self.entry.where
+
+
+def recipe_order(drafts: Mapping[str, Sequence[Draft | None]], problems: Problems) -> list[str]:
+    """Names of the recipes, each after those that it uses; a cycle is reported and cut."""
+    order: list[str] = []
+    path: list[str] = []
+
+    def visit(name: str) -> None:
+        path.append(name)
+        for draft in drafts[name]:
+            for used, where in _recipe_names(draft):
+                if used in path:
+                    circle = " -> ".join([*path[path.index(used) :], used])
+                    problems.add(
+                        WiringError(f"recipes can't repeat each other in a circle: {circle}", where=where, stage=name)
+                    )
+                elif used in drafts and used not in order:
+                    visit(used)
+        path.pop()
+        order.append(name)
+
+    for name in drafts:
+        if name not in order:
+            visit(name)
+    return order
+
+
+def _recipe_names(draft: Draft | None) -> list[tuple[str, Position]]:
+    """Names that the key `recipe` of an entry mentions."""
+    node = draft.entry.recipes if draft else None
+    if node is None:
+        return []
+    nodes = [entry.node for entry in node.value.values()] if isinstance(node.value, dict) else [node]
+    return [(node.value, node.where) for node in nodes if isinstance(node.value, str)]
+
+
+def wire(
+    drafts: Sequence[Draft | None],
+    recipes: Mapping[str, tuple[type, ...] | None],
+    problems: Problems,
+    *,
+    given: Mapping[str, tuple[type, ...]] | None = None,
+) -> tuple[list[Step], tuple[type, ...] | None]:
+    """Find the source of each port.
+
+    Parameters
+    ----------
+    drafts : sequence of Draft or None
+        In order; None stands for a stage that is unknown, after which nothing is said about missing inputs.
+    recipes : mapping of recipe name to the nouns it makes
+        None if that is not known.
+    problems : Problems
+    given : mapping of id to nouns, optional
+        What is there before the first stage.
+
+    Returns
+    -------
+    steps : list of Step
+        Complete if no problem was reported.
+    makes : tuple of type or None
+        What the last stage makes; None if that is not known.
+    """
+    made: dict[str, tuple[type, ...] | None] = dict(given or {})
+    later = [draft.entry.id for draft in drafts if draft is not None]
+    steps: list[Step] = []
+    makes: tuple[type, ...] | None = ()
+    for number, draft in enumerate(drafts):
+        if draft is None:
+            made[f"?{number}"] = makes = None
+            continue
+        signature = signature_of(draft.cls)
+        later.remove(draft.entry.id)
+        chosen = _chosen_sources(draft, signature, made, later, problems)
+        inputs = _sources(draft, signature, chosen, made, problems)
+        handed = _handed_recipes(draft, signature, recipes, problems)
+        if signature.as_recipe:
+            makes = next((recipes.get(name) for name in handed.values()), None)
+        elif signature.as_port is not None and (source := inputs[signature.as_port]) is not None:
+            makes = made[source]
+        else:
+            makes = signature.makes
+        made[draft.entry.id] = makes
+        if draft.stage is not None:
+            steps.append(Step(draft.entry, draft.stage, draft.owner, signature, inputs, handed, makes or ()))
+    return steps, makes
+
+
+def _chosen_sources(
+    draft: Draft,
+    signature: Signature,
+    made: Mapping[str, tuple[type, ...] | None],
+    later: Sequence[str],
+    problems: Problems,
+) -> dict[str, str]:
+    """What `from` says: port -> id; ids that do not exist or do not fit are reported and left out."""
+    node, entry = draft.entry.sources, draft.entry
+    if node is None:
+        return {}
+    ports = {port.name: port for port in signature.ports if not port.is_recipe}
+    wishes: list[tuple[str | None, Position, Node]]
+    if isinstance(node.value, dict):
+        wishes = [(port, e.where, e.node) for port, e in node.value.items()]
+    else:
+        wishes = [(None, node.where, node)]
+    chosen: dict[str, str] = {}
+    for port, where, source in wishes:
+
+        def refuse(message: str, hint: str | None, place: Position) -> None:
+            problems.add(WiringError(message, where=place, hint=hint, stage=entry.address))
+
+        if port is not None and port not in ports:
+            refuse(f"{draft.cls.name} has no port {port!r}", did_you_mean(port, ports), where)
+        elif not isinstance(source.value, str):
+            refuse(f"`from` takes the id of a stage or a map of ports to ids, got {source.value!r}", None, source.where)
+        elif source.value not in made:
+            if source.value in later or source.value == entry.id:
+                refuse(f"{source.value!r} does not come before this stage", "move it up", source.where)
+            else:
+                known = [id_ for id_ in made if not id_.startswith("?")]
+                hint = did_you_mean(source.value, known) or "ids are the names of the stages unless given"
+                refuse(f"there is no earlier stage {source.value!r}", hint, source.where)
+        else:
+            nouns = made[source.value]
+            candidates = [ports[port]] if port is not None else list(ports.values())
+            fitting = [p.name for p in candidates if nouns is None or fits(nouns, p)]
+            if len(fitting) == 1:
+                chosen[fitting[0]] = source.value
+            elif fitting:
+                refuse(
+                    f"{source.value!r} fits the ports {listed(fitting)}",
+                    f"say which: from: {{{fitting[0]}: {source.value}}}",
+                    source.where,
+                )
+            else:
+                wanted = "; ".join(f"{p.name} takes {noun_words(p.types)}" for p in candidates) or "it has no ports"
+                refuse(f"{source.value!r} makes {noun_words(nouns or ())}, but {wanted}", None, source.where)
+    return chosen
+
+
+def _sources(
+    draft: Draft,
+    signature: Signature,
+    chosen: Mapping[str, str],
+    made: Mapping[str, tuple[type, ...] | None],
+    problems: Problems,
+) -> dict[str, str | None]:
+    """The source of each port: as chosen, else the nearest earlier stage that makes the noun."""
+    inputs: dict[str, str | None] = {}
+    entry = draft.entry
+    unknown = any(nouns is None for nouns in made.values())
+    for port in signature.ports:
+        if port.is_recipe:
+            continue
+        source: str | None = chosen.get(port.name) or _nearest(port, made)
+        taken_by = next((name for name, other in inputs.items() if other == source and source is not None), None)
+        if taken_by is not None and port.name not in chosen:
+            # one noun for two ports is never what was meant silently
+            if port.optional:
+                source = None
+            elif not _wished(draft, port):
+                problems.add(
+                    WiringError(
+                        f"the ports {taken_by!r} and {port.name!r} would both take the result of {source!r}",
+                        where=entry.where,
+                        stage=entry.address,
+                        hint=f"say which stage serves which port: from: {{{taken_by}: ..., {port.name}: ...}}",
+                    )
+                )
+        if source is None and not port.optional and not unknown and not _wished(draft, port):
+            problems.add(
+                WiringError(
+                    f"the port {port.name!r} needs {noun_words(port.types)}, which no earlier stage makes",
+                    where=entry.where,
+                    stage=entry.address,
+                    hint=_made_before(made),
+                )
+            )
+        inputs[port.name] = source
+    return inputs
+
+
+def _wished(draft: Draft, port: Port) -> bool:
+    """Whether `from` spoke of this port, so that what is wrong has been said."""
+    node = draft.entry.sources
+    return node is not None and (not isinstance(node.value, dict) or port.name in node.value)
+
+
+def _nearest(port: Port, made: Mapping[str, tuple[type, ...] | None]) -> str | None:
+    for id_ in reversed(list(made)):
+        nouns = made[id_]
+        if nouns is not None and fits(nouns, port):
+            return id_
+    return None
+
+
+def _made_before(made: Mapping[str, tuple[type, ...] | None]) -> str:
+    there = [f"{noun_words(nouns)} by {id_}" for id_, nouns in made.items() if nouns]
+    return f"made before: {', '.join(there)}" if there else "nothing is made before this stage"
+
+
+def _handed_recipes(
+    draft: Draft, signature: Signature, recipes: Mapping[str, tuple[type, ...] | None], problems: Problems
+) -> dict[str, str]:
+    """What `recipe` says: port -> name of a recipe."""
+    ports = [port for port in signature.ports if port.is_recipe]
+    entry, node = draft.entry, draft.entry.recipes
+
+    def refuse(message: str, hint: str | None, where: Position) -> None:
+        problems.add(WiringError(message, where=where, hint=hint, stage=entry.address))
+
+    if node is None:
+        if missing := [port.name for port in ports if not port.optional]:
+            hint = f"give `recipe: NAME`; recipes: {', '.join(recipes)}" if recipes else "add `recipes:` to the file"
+            refuse(f"{draft.cls.name} repeats a recipe, but none is given for {listed(missing)}", hint, entry.where)
+        return {}
+    if not ports:
+        refuse(f"{draft.cls.name} takes no recipe", None, node.where)
+        return {}
+    if isinstance(node.value, dict):
+        wishes = {name: e.node for name, e in node.value.items()}
+    elif len(ports) == 1:
+        wishes = {ports[0].name: node}
+    else:
+        names = [port.name for port in ports]
+        refuse(f"{draft.cls.name} takes {len(ports)} recipes", f"give a map: {', '.join(names)}", node.where)
+        return {}
+    handed: dict[str, str] = {}
+    for name, wish in wishes.items():
+        if name not in [port.name for port in ports]:
+            refuse(f"{draft.cls.name} has no port {name!r} for a recipe", None, wish.where)
+        elif not isinstance(wish.value, str):
+            refuse(f"`recipe` takes the name of a recipe, got {wish.value!r}", None, wish.where)
+        elif wish.value not in recipes:
+            near = did_you_mean(wish.value, recipes) if recipes else "the file has no `recipes`"
+            refuse(f"there is no recipe {wish.value!r}", near, wish.where)
+        else:
+            handed[name] = wish.value
+    for port in ports:
+        if port.name not in wishes and not port.optional:
+            refuse(f"no recipe is given for the port {port.name!r}", None, node.where)
+    return handed

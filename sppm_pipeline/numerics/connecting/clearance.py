@@ -1,0 +1,170 @@
+"""How near tunnels come to each other, periodic images included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.connecting.images import periodic_axes, segments, wrapped
+
+__all__ = ["close_pairs", "segment_distance"]
+
+
+def close_pairs(
+    points: NDArray[np.float64],
+    edges: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+    clearance: float,
+    *,
+    periodic: bool | Sequence[bool] = False,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Pairs of tunnels without a common end whose axes come closer than `clearance`.
+
+    Tunnels that share a pore are exempt: they meet there by intent. On periodic axes every image of the second tunnel
+    counts, and a pore is shared only if it is the same image; so a tunnel may come too close to an image of itself.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Pore centres.
+    edges, shifts : (m, 2), (m, 3) int64
+        Tunnels from ``points[i]`` to ``points[j] + shift``.
+    clearance : float
+        Distance of the axes, in the unit of the points.
+    periodic : bool or 3 bools
+        Whether the axes repeat with period 1.
+
+    Returns
+    -------
+    pairs : (c, 2) int64
+        Indices a <= b of tunnels, sorted; a == b for a tunnel too close to its own image.
+    distances : (c,) float64
+        The least distance of each pair.
+    """
+    axes = periodic_axes(periodic)
+    inside, cells = wrapped(points, axes)
+    edges = np.ascontiguousarray(edges)
+    turns = shifts + cells[edges[:, 1]] - cells[edges[:, 0]]
+    starts, ends = segments(inside, edges, turns)
+    room = 4 * len(edges) + 64
+    while True:
+        pairs, distances = np.empty((room, 2), np.int64), np.empty(room)
+        count = _close_pairs(starts, ends, edges, turns, axes, float(clearance), pairs, distances)
+        if count <= room:
+            return pairs[:count], distances[:count]
+        room = count
+
+
+@kernel
+def segment_distance(
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    c: NDArray[np.float64],
+    d: NDArray[np.float64],
+    moved: NDArray[np.float64],
+) -> float:
+    """Least distance of the segment a-b from the segment c-d moved by the vector `moved`.
+
+    Clamped closest points (C. Ericson, Real-Time Collision Detection, section 5.1.9).
+    """
+    uu = vv = uv = uw = vw = 0.0
+    for k in range(3):
+        u = b[k] - a[k]
+        v = d[k] - c[k]
+        w = a[k] - c[k] - moved[k]
+        uu += u * u
+        vv += v * v
+        uv += u * v
+        uw += u * w
+        vw += v * w
+    determinant = uu * vv - uv * uv
+    s = 0.0
+    # parallel segments keep s = 0: any start is as good, and the clamping below finds the true minimum
+    if determinant > 1e-14 * uu * vv:
+        s = min(max((uv * vw - vv * uw) / determinant, 0.0), 1.0)
+    t = (uv * s + vw) / vv if vv > 0.0 else 0.0
+    if t < 0.0 or t > 1.0 or vv == 0.0:
+        t = min(max(t, 0.0), 1.0)
+        s = min(max((uv * t - uw) / uu, 0.0), 1.0) if uu > 0.0 else 0.0
+    total = 0.0
+    for k in range(3):
+        gap = a[k] + s * (b[k] - a[k]) - c[k] - t * (d[k] - c[k]) - moved[k]
+        total += gap * gap
+    return float(np.sqrt(total))
+
+
+@kernel
+def _close_pairs(
+    starts: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    edges: NDArray[np.int64],
+    turns: NDArray[np.int64],
+    axes: NDArray[np.bool_],
+    clearance: float,
+    pairs: NDArray[np.int64],
+    distances: NDArray[np.float64],
+) -> int:
+    """Fill `pairs` and `distances` as far as there is room; returns the number of close pairs."""
+    m = starts.shape[0]
+    middle = np.empty((m, 3))
+    reach = np.empty((m, 3))
+    for e in range(m):
+        for a in range(3):
+            middle[e, a] = 0.5 * (starts[e, a] + ends[e, a])
+            reach[e, a] = 0.5 * abs(ends[e, a] - starts[e, a])
+    count = 0
+    first = np.zeros(3, np.int64)
+    last = np.zeros(3, np.int64)
+    moved = np.zeros(3)
+    for e in range(m):
+        for f in range(e, m):
+            apart = False
+            for a in range(3):
+                gap = middle[f, a] - middle[e, a]
+                if axes[a]:
+                    gap -= np.rint(gap)
+                if abs(gap) > reach[e, a] + reach[f, a] + clearance:
+                    apart = True
+                    break
+            if apart:
+                continue
+            for a in range(3):
+                first[a] = last[a] = 0
+                if axes[a]:
+                    gap = middle[e, a] - middle[f, a]
+                    span = reach[e, a] + reach[f, a] + clearance
+                    first[a] = np.int64(np.ceil(gap - span))
+                    last[a] = np.int64(np.floor(gap + span))
+            least = np.inf
+            for x in range(first[0], last[0] + 1):
+                for y in range(first[1], last[1] + 1):
+                    for z in range(first[2], last[2] + 1):
+                        moved[0], moved[1], moved[2] = x, y, z
+                        if not _share_end(edges, turns, e, f, moved):
+                            least = min(least, segment_distance(starts[e], ends[e], starts[f], ends[f], moved))
+            if least < clearance:
+                if count < len(distances):
+                    pairs[count, 0], pairs[count, 1] = e, f
+                    distances[count] = least
+                count += 1
+    return count
+
+
+@kernel
+def _share_end(edges: NDArray[np.int64], turns: NDArray[np.int64], e: int, f: int, moved: NDArray[np.float64]) -> bool:
+    """Whether e and the moved f end in the same image of a pore, or are the same tunnel."""
+    for p in range(2):
+        for q in range(2):
+            if edges[e, p] == edges[f, q]:
+                same = True
+                for a in range(3):
+                    here = turns[e, a] if p == 1 else 0
+                    there = turns[f, a] if q == 1 else 0
+                    if here != there + moved[a]:
+                        same = False
+                if same:
+                    return True
+    return False

@@ -1,0 +1,427 @@
+"""Compiled moves on a spanning subgraph with bounded degrees: build, repair, close loops, improve by exchange.
+
+The kernels work on a fixed list of candidate edges, of which a subset is chosen. A move takes out up to two chosen
+edges and puts in up to two others along an alternating trail, so that only the degrees at the ends of the trail change.
+
+Integers are kept in two tables with named columns, because the time to compile a call grows with its number of arrays:
+
+* ``edge`` (m, 5): the two vertices, `CHOSEN` (0 or 1), and the range `CLASH_FROM`, `CLASH_TO` in ``clash`` of the edges
+  that may not be chosen beside it;
+* ``node`` (n + 1, 5 + upper): `DEGREE`; the range `FROM`, `TO` in ``near``, where the edges at each vertex stand by
+  rising length; `SEEN`, `QUEUE`: scratch of the searches; from `SLOTS` on the chosen edges at the vertex. The last row
+  belongs to no vertex; its `SEEN` is the stamp of the latest search.
+
+``length`` (m,) is the cost of an edge. "No edge" is ``int(np.int64(-1))``: Numba would compile a call anew for each
+combination of literals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.connecting.bridges import mark_bridges
+from sppm_pipeline.numerics.connecting.trees import find_root
+
+__all__ = ["CHOSEN", "connect_and_fill", "edge_table", "improve", "insert", "make_loops", "node_table"]
+
+CHOSEN, CLASH_FROM, CLASH_TO = 2, 3, 4
+DEGREE, FROM, TO, SEEN, QUEUE, SLOTS = 0, 1, 2, 3, 4, 5
+
+
+def edge_table(
+    edges: NDArray[np.int64], length: NDArray[np.float64], clashes: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The table ``edge`` with no edge chosen, ``clash``, ``near``, and the edges by rising length, (m,).
+
+    Parameters
+    ----------
+    edges : (m, 2) int64
+        Vertices of each edge.
+    length : (m,) float64
+        Cost of each edge.
+    clashes : (c, 2) int64
+        Pairs of edges that exclude each other; a pair (e, e) excludes e.
+    """
+    order = np.argsort(length, kind="stable")
+    edge = np.zeros((len(edges), 5), np.int64)
+    edge[:, :2] = edges
+    owner = clashes.ravel()
+    edge[:, CLASH_TO] = np.cumsum(np.bincount(owner, minlength=len(edges)))
+    edge[1:, CLASH_FROM] = edge[:-1, CLASH_TO]
+    # an entry and its partner in the pair stand at positions that differ in the last bit
+    clash = owner[np.argsort(owner, kind="stable") ^ 1]
+    near = order[np.argsort(edges[order].ravel(), kind="stable") // 2]
+    return edge, clash, near, order
+
+
+def node_table(n: int, edges: NDArray[np.int64], upper: int) -> NDArray[np.int64]:
+    """The table ``node`` for the candidate edges (m, 2), with room for `upper` chosen edges at each of n vertices."""
+    node = np.zeros((n + 1, SLOTS + upper), np.int64)
+    node[:n, TO] = np.cumsum(np.bincount(edges.ravel(), minlength=n))
+    node[1:n, FROM] = node[: n - 1, TO]
+    return node
+
+
+@kernel
+def insert(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
+    """Choose edge e."""
+    edge[e, CHOSEN] = 1
+    for p in range(2):
+        v = edge[e, p]
+        node[v, SLOTS + node[v, DEGREE]] = e
+        node[v, DEGREE] += 1
+
+
+@kernel
+def _remove(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
+    edge[e, CHOSEN] = 0
+    for p in range(2):
+        v = edge[e, p]
+        node[v, DEGREE] -= 1
+        last = SLOTS + node[v, DEGREE]
+        for s in range(SLOTS, last):
+            if node[v, s] == e:
+                node[v, s] = node[v, last]
+                break
+
+
+@kernel
+def _apply(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: int, in1: int, in2: int) -> None:
+    """Take the edges out and put the others in; -1 stands for none."""
+    for e in (out1, out2):
+        if e >= 0:
+            _remove(edge, node, e)
+    for e in (in1, in2):
+        if e >= 0:
+            insert(edge, node, e)
+
+
+@kernel
+def _clear(edge: NDArray[np.int64], clash: NDArray[np.int64], e: int, out1: int, out2: int, beside: int) -> bool:
+    """Whether e clashes neither with itself or a chosen edge (but out1, out2) nor with the edge `beside`."""
+    for s in range(edge[e, CLASH_FROM], edge[e, CLASH_TO]):
+        f = clash[s]
+        if f in (e, beside) or (edge[f, CHOSEN] and f != out1 and f != out2):
+            return False
+    return True
+
+
+@kernel
+def _joined(
+    edge: NDArray[np.int64], node: NDArray[np.int64], start: int, goal: int, out1: int, out2: int, in1: int, in2: int
+) -> bool:
+    """Whether a path leads from start to goal once the move is made (breadth first; neighbours are met soon)."""
+    n = node.shape[0] - 1
+    node[n, SEEN] += 1
+    stamp = node[n, SEEN]
+    node[start, SEEN] = stamp
+    node[0, QUEUE] = start
+    head, tail = 0, 1
+    while head < tail:
+        v = node[head, QUEUE]
+        head += 1
+        degree = node[v, DEGREE]
+        for s in range(degree + 2):
+            if s < degree:
+                e = node[v, SLOTS + s]
+                if e in (out1, out2):
+                    continue
+            else:
+                e = in1 if s == degree else in2
+                if e < 0 or (edge[e, 0] != v and edge[e, 1] != v):
+                    continue
+            w = edge[e, 0] + edge[e, 1] - v
+            if w == goal:
+                return True
+            if node[w, SEEN] != stamp:
+                node[w, SEEN] = stamp
+                node[tail, QUEUE] = w
+                tail += 1
+    return False
+
+
+@kernel
+def _allowed(
+    edge: NDArray[np.int64],
+    node: NDArray[np.int64],
+    clash: NDArray[np.int64],
+    out1: int,
+    out2: int,
+    in1: int,
+    in2: int,
+    loops: bool,
+) -> bool:
+    """Whether the move keeps the graph connected (with `loops`: without bridges) and clear. Degrees are not checked."""
+    for e, beside in ((in1, in2), (in2, in1)):
+        if e >= 0 and not _clear(edge, clash, e, out1, out2, beside):
+            return False
+    if loops:
+        _apply(edge, node, out1, out2, in1, in2)
+        bridges, connected = mark_bridges(edge, node, int(np.int64(SLOTS)), np.zeros(edge.shape[0], np.bool_))
+        _apply(edge, node, in1, in2, out1, out2)
+        return connected and bridges == 0
+    for e in (out1, out2):
+        if e >= 0 and not _joined(edge, node, edge[e, 0], edge[e, 1], out1, out2, in1, in2):
+            return False
+    return True
+
+
+@kernel
+def connect_and_fill(
+    edge: NDArray[np.int64],
+    node: NDArray[np.int64],
+    length: NDArray[np.float64],
+    near: NDArray[np.int64],
+    order: NDArray[np.int64],
+    lower: int,
+    upper: int,
+) -> bool:
+    """Choose a spanning tree with degrees <= upper, then edges until every degree is >= lower.
+
+    Returns False if there are not enough candidate edges for it.
+    """
+    n = node.shape[0] - 1
+    parent = np.arange(n)
+    parts = n
+    for stage in range(2):
+        for e in order:
+            u, v = edge[e, 0], edge[e, 1]
+            limit = upper if stage == 0 else lower
+            if edge[e, CHOSEN] or node[u, DEGREE] >= limit or node[v, DEGREE] >= limit:
+                continue
+            a, b = find_root(parent, u), find_root(parent, v)
+            if stage == 1 or a != b:
+                insert(edge, node, e)
+                if a != b:
+                    parent[max(a, b)] = min(a, b)
+                    parts -= 1
+    if parts > 1:
+        return False
+    for u in range(n):
+        while node[u, DEGREE] < lower:
+            if not _raise_degree(edge, node, length, near, u, lower, upper):
+                return False
+    return True
+
+
+@kernel
+def _raise_degree(
+    edge: NDArray[np.int64],
+    node: NDArray[np.int64],
+    length: NDArray[np.float64],
+    near: NDArray[np.int64],
+    u: int,
+    lower: int,
+    upper: int,
+) -> bool:
+    """One more edge at u along the cheapest trail: in; in, out; or in, out, in."""
+    none = int(np.int64(-1))
+    best = np.inf
+    put1 = out = put2 = none
+    for s in range(node[u, FROM], node[u, TO]):
+        e1 = near[s]
+        if edge[e1, CHOSEN]:
+            continue
+        t1 = edge[e1, 0] + edge[e1, 1] - u
+        # slot -1 is the trail that ends with the first edge
+        for r in range(-1, node[t1, DEGREE]):
+            e2 = node[t1, SLOTS + r] if r >= 0 else none
+            t2 = edge[e2, 0] + edge[e2, 1] - t1 if r >= 0 else t1
+            cost = length[e1] - (length[e2] if r >= 0 else 0.0)
+            if t2 == u:
+                continue
+            # the position before the first is the trail that ends here
+            for q in range(node[t2, FROM] - 1, node[t2, TO] if r >= 0 else node[t2, FROM]):
+                if q < node[t2, FROM]:
+                    e3, total = none, cost
+                    ends_well = node[t2, DEGREE] > lower if r >= 0 else node[t1, DEGREE] < upper
+                else:
+                    e3 = near[q]
+                    total = cost + length[e3]
+                    t3 = edge[e3, 0] + edge[e3, 1] - t2
+                    ends_well = node[t3, DEGREE] < (upper - 1 if t3 == u else upper)
+                    ends_well = ends_well and e3 != e1 and not edge[e3, CHOSEN]
+                    if total >= best:
+                        break
+                if not ends_well or total >= best:
+                    continue
+                if e2 < 0 or _joined(edge, node, edge[e2, 0], edge[e2, 1], e2, none, e1, e3):
+                    best, put1, out, put2 = total, e1, e2, e3
+    if put1 < 0:
+        return False
+    _apply(edge, node, out, none, put1, put2)
+    return True
+
+
+@kernel
+def make_loops(
+    edge: NDArray[np.int64],
+    node: NDArray[np.int64],
+    length: NDArray[np.float64],
+    near: NDArray[np.int64],
+    upper: int,
+) -> bool:
+    """Remove all bridges: join the smallest block that hangs on one bridge to another block, until one block is left.
+
+    Either one edge is added, or one edge of each block is replaced by two edges between the blocks; an edge of a loop
+    leaves its block connected, and the two new edges close a loop through both. Returns False if no edge does it.
+    """
+    n = node.shape[0] - 1
+    m = edge.shape[0]
+    none = int(np.int64(-1))
+    while True:
+        bridge = np.zeros(m, np.bool_)
+        count, _ = mark_bridges(edge, node, int(np.int64(SLOTS)), bridge)
+        if count == 0:
+            return True
+        block = np.arange(n)
+        for e in range(m):
+            if edge[e, CHOSEN] and not bridge[e]:
+                a, b = find_root(block, edge[e, 0]), find_root(block, edge[e, 1])
+                block[max(a, b)] = min(a, b)
+        size = np.zeros(n, np.int64)
+        hangs = np.zeros(n, np.int64)
+        for v in range(n):
+            block[v] = find_root(block, v)
+            size[block[v]] += 1
+        for e in range(m):
+            if bridge[e]:
+                hangs[block[edge[e, 0]]] += 1
+                hangs[block[edge[e, 1]]] += 1
+        leaf = -1
+        for v in range(n):
+            if hangs[v] == 1 and (leaf < 0 or size[v] < size[leaf]):
+                leaf = v
+        best = np.inf
+        out1 = out2 = in1 = in2 = none
+        for e in range(m):
+            if edge[e, CHOSEN] or (block[edge[e, 0]] == leaf) == (block[edge[e, 1]] == leaf):
+                continue
+            p = 0 if block[edge[e, 0]] == leaf else 1
+            x, y = edge[e, p], edge[e, 1 - p]
+            cost = length[e]
+            room = node[x, DEGREE] < upper and node[y, DEGREE] < upper
+            if cost < best and room:
+                best, out1, out2, in1, in2 = cost, none, none, e, none
+            for s in range(SLOTS, SLOTS + node[x, DEGREE]):
+                here = node[x, s]
+                if bridge[here]:
+                    continue
+                far = edge[here, 0] + edge[here, 1] - x
+                for r in range(SLOTS, SLOTS + node[y, DEGREE]):
+                    there = node[y, r]
+                    if bridge[there]:
+                        continue
+                    goal = edge[there, 0] + edge[there, 1] - y
+                    for q in range(node[far, FROM], node[far, TO]):
+                        f = near[q]
+                        total = cost - length[here] - length[there] + length[f]
+                        if total >= best:
+                            break
+                        if edge[f, 0] + edge[f, 1] - far != goal or edge[f, CHOSEN] or f == e:
+                            continue
+                        best, out1, out2, in1, in2 = total, here, there, e, f
+                        break
+        if in1 < 0:
+            return False
+        _apply(edge, node, out1, out2, in1, in2)
+
+
+@kernel
+def improve(
+    edge: NDArray[np.int64],
+    node: NDArray[np.int64],
+    clash: NDArray[np.int64],
+    length: NDArray[np.float64],
+    near: NDArray[np.int64],
+    lower: int,
+    upper: int,
+    loops: bool,
+) -> None:
+    """Make moves that shorten the graph until none is left; every vertex is tried again after a move near it.
+
+    A clash weighs more than any length: a chosen edge that clashes is taken out at any cost, if a move allows it, and
+    no edge that would clash is put in. So the number of clashes falls, but need not reach 0.
+    """
+    n = node.shape[0] - 1
+    waiting = np.ones(n, np.bool_)
+    left = n
+    v = int(np.int64(0))
+    while left > 0:
+        if waiting[v]:
+            move = _shorter(edge, node, clash, length, near, v, lower, upper, loops)
+            if move[0] >= 0:
+                _apply(edge, node, move[0], move[1], move[2], move[3])
+                for e in move:
+                    if e >= 0:
+                        for p in range(2):
+                            left += not waiting[edge[e, p]]
+                            waiting[edge[e, p]] = True
+                continue
+            waiting[v] = False
+            left -= 1
+        v = v + 1 if v + 1 < n else 0
+
+
+@kernel
+def _shorter(
+    edge: NDArray[np.int64],
+    node: NDArray[np.int64],
+    clash: NDArray[np.int64],
+    length: NDArray[np.float64],
+    near: NDArray[np.int64],
+    t0: int,
+    lower: int,
+    upper: int,
+    loops: bool,
+) -> tuple[int, int, int, int]:
+    """The first shortening move whose trail starts by taking out an edge at t0: (out, out, in, in), -1 for none.
+
+    The trail is out, in, out, in or a beginning of it, and closed if it comes back to t0; its partial gain stays
+    positive (S. Lin, B. W. Kernighan, Operations Research 21, 1973).
+    """
+    tiny, none = 1e-12, int(np.int64(-1))
+    # two edges put in can't outweigh it
+    penalty = 3.0 * length.max()
+    spare = node[t0, DEGREE] > lower
+    for s1 in range(node[t0, DEGREE]):
+        e1 = node[t0, SLOTS + s1]
+        t1 = edge[e1, 0] + edge[e1, 1] - t0
+        worth = length[e1] if _clear(edge, clash, e1, none, none, none) else length[e1] + penalty
+        if spare and node[t1, DEGREE] > lower and _allowed(edge, node, clash, e1, none, none, none, loops):
+            return e1, none, none, none
+        for s2 in range(node[t1, FROM], node[t1, TO]):
+            e2 = near[s2]
+            gain2 = worth - length[e2]
+            if gain2 <= tiny:
+                break
+            if edge[e2, CHOSEN]:
+                continue
+            t2 = edge[e2, 0] + edge[e2, 1] - t1
+            ends_well = t2 == t0 or (spare and node[t2, DEGREE] < upper)
+            if ends_well and _allowed(edge, node, clash, e1, none, e2, none, loops):
+                return e1, none, e2, none
+            if t2 == t0:
+                continue
+            for s3 in range(node[t2, DEGREE]):
+                e3 = node[t2, SLOTS + s3]
+                t3 = edge[e3, 0] + edge[e3, 1] - t2
+                gain3 = gain2 + length[e3]
+                if e3 == e1 or t3 == t1:
+                    continue
+                ends_well = node[t0, DEGREE] > lower + 1 if t3 == t0 else spare and node[t3, DEGREE] > lower
+                if ends_well and _allowed(edge, node, clash, e1, e3, e2, none, loops):
+                    return e1, e3, e2, none
+                for s4 in range(node[t3, FROM], node[t3, TO]):
+                    e4 = near[s4]
+                    if gain3 - length[e4] <= tiny:
+                        break
+                    if edge[e4, CHOSEN] or e4 == e2:
+                        continue
+                    t4 = edge[e4, 0] + edge[e4, 1] - t3
+                    ends_well = t4 == t0 or (spare and node[t4, DEGREE] < upper)
+                    if ends_well and _allowed(edge, node, clash, e1, e3, e2, e4, loops):
+                        return e1, e3, e2, e4
+    return none, none, none, none

@@ -1,0 +1,136 @@
+"""Running stages and recipes in unit tests, without a configuration."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.engine.configuration import StageEntry
+from sppm_pipeline.engine.context import RunContext, StageLog
+from sppm_pipeline.engine.document import Node
+from sppm_pipeline.engine.monitor import Monitor
+from sppm_pipeline.engine.outputs import output_parts
+from sppm_pipeline.engine.plugins import Plugin
+from sppm_pipeline.engine.problems import Problems
+from sppm_pipeline.engine.running import StepRecipe
+from sppm_pipeline.engine.wiring import Draft, wire
+from sppm_pipeline.errors import Position
+from sppm_pipeline.stage import Stage
+
+__all__ = ["PlainContext", "recipe_of"]
+
+
+class _Recorder(Monitor):
+    def __init__(self) -> None:
+        self.progress_calls: list[tuple[float, float, str]] = []
+
+    def progress(self, stage: str, inner: bool, done: float, total: float, what: str) -> None:
+        self.progress_calls.append((done, total, what))
+
+
+class PlainContext(RunContext):
+    """A context for a stage that is run by itself.
+
+    Parameters
+    ----------
+    seed : int
+    threads : int
+    palette : Palette, optional
+        One interior and one colour if omitted.
+    directory : Path, optional
+        Where outputs go, at once and without staging; a temporary folder, removed with the context, if omitted.
+    stage : str
+        The id that the stage is given.
+
+    Attributes
+    ----------
+    directory : Path
+    reported : dict
+    warnings : list of str
+    progress_calls : list of (done, total, what)
+    """
+
+    def __init__(
+        self,
+        seed: int = 0,
+        *,
+        threads: int = 1,
+        palette: Palette | None = None,
+        directory: Path | None = None,
+        stage: str = "stage",
+    ) -> None:
+        self._monitor = _Recorder()
+        super().__init__(
+            seed=seed,
+            path=(stage,),
+            address=stage,
+            threads=threads,
+            palette=palette or Palette(),
+            log=StageLog(self._monitor, stage),
+            folder=None,
+        )
+        self._directory = directory
+
+    @property
+    def directory(self) -> Path:
+        """Where outputs go."""
+        if self._directory is None:
+            self._directory = Path(tempfile.mkdtemp(prefix="sppm-"))
+            weakref.finalize(self, shutil.rmtree, self._directory, ignore_errors=True)
+        return self._directory
+
+    @property
+    def reported(self) -> Mapping[str, Any]:
+        """What the stage reported."""
+        return self.log.values.get(self.address, {})
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the stage and those of its recipes warned of."""
+        return [message for _, message in self.log.warnings]
+
+    @property
+    def progress_calls(self) -> list[tuple[float, float, str]]:
+        """The calls of `progress`, in order."""
+        return self._monitor.progress_calls
+
+    def output(self, name: str) -> Path:
+        """A path in `directory`, under the same rules as in a run."""
+        path = self.directory.joinpath(*output_parts(name))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+
+def recipe_of(*stages: Stage, name: str = "recipe") -> StepRecipe:
+    """A recipe made of stages, wired by type as in a configuration.
+
+    Raises
+    ------
+    WiringError
+        If a stage lacks an input.
+    """
+    where = Position(name, 1, 1)
+    owner = Plugin("the test")
+    drafts: list[Draft | None] = []
+    for stage in stages:
+        count = sum(draft is not None and draft.entry.name == stage.name for draft in drafts)
+        entry = StageEntry(
+            id=stage.name if not count else f"{stage.name}#{count + 1}",
+            recipe=name,
+            stage=Node(stage.name, where),
+            where=where,
+            explicit_id=False,
+            options={},
+            sources=None,
+            recipes=None,
+        )
+        drafts.append(Draft(entry, type(stage), stage, owner))
+    problems = Problems()
+    steps, _ = wire(drafts, {}, problems)
+    problems.raise_any()
+    return StepRecipe(name, {name: steps})

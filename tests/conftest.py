@@ -1,0 +1,111 @@
+"""Small structures that many tests of stages and nouns share, and a way to run YAML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.microstructure import Microstructure
+from sppm_pipeline.numerics.domain import primitive_meshes
+from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.stages.field.gaussian import GaussianField
+from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+from sppm_pipeline.stages.tile.free_faces import FreeFacesTiling
+from sppm_pipeline.stages.tile.wang_3color import WangTiling
+from sppm_pipeline.stages.tileset.free_faces import FreeFacesTileSet
+from sppm_pipeline.stages.tileset.wang_3color import WangTileSet
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
+
+
+def small_recipe(**field):
+    """A recipe whose cells are drawn in milliseconds."""
+    return recipe_of(
+        MirroredFaces(count=9, spacing=Length(0.2)),
+        DartThrowing(count=12, spacing=Length(0.2)),
+        BoundedDegreeSubgraph(degree=(2, 4), mode="greedy"),
+        GaussianField(**({"pore_radius": Length(0.14), "tunnel_radius": Length(0.05)} | field)),
+    )
+
+
+@pytest.fixture(scope="session")
+def recipe():
+    """Makes small recipes."""
+    return small_recipe
+
+
+@pytest.fixture(scope="session")
+def cell() -> Microstructure:
+    """One periodic cell."""
+    return small_recipe().run(PlainContext(3))
+
+
+@pytest.fixture(scope="session")
+def wang():
+    """A tile set with two colours, eight tiles, porosity one half."""
+    return WangTileSet(colors=2, porosity=0.5, resolution=24, tolerance=0.01).run(PlainContext(4), small_recipe())
+
+
+@pytest.fixture(scope="session")
+def wang_tiling(wang):
+    """4 x 3 x 3 cells of 4 mm by the paper's rules."""
+    return WangTiling(cells=(4, 3, 3), cell=Length(4, "mm")).run(PlainContext(5), wang, None)
+
+
+@pytest.fixture(scope="session")
+def free_tiling():
+    """3 x 2 x 2 cells whose opposite faces differ."""
+    made = FreeFacesTileSet(colors=2, interiors=3, resolution=16).run(PlainContext(6), small_recipe())
+    return FreeFacesTiling(cells=(3, 2, 2), cell=Length(4, "mm")).run(PlainContext(7), made, None)
+
+
+@pytest.fixture(scope="session")
+def wedge() -> SurfaceMesh:
+    """A closed body without any symmetry: a tetrahedron."""
+    vertices = np.array([[0.3, 0.2, 0.1], [11.0, 1.0, 0.4], [1.5, 8.0, 0.9], [2.0, 1.4, 7.2]])
+    return SurfaceMesh(vertices, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]), "wedge")
+
+
+@pytest.fixture(scope="session")
+def ball() -> SurfaceMesh:
+    """A ball with a diameter of 10 mm around (5, 5, 5)."""
+    return SurfaceMesh(*primitive_meshes.ball_mesh((5.0, 5.0, 5.0), 5.0, 3), name="ball")
+
+
+@pytest.fixture
+def run_yaml(tmp_path):
+    """Run a configuration, given as text or as a file, through the engine; returns the record and the run directory."""
+    from sppm_pipeline.engine.runner import run_plan
+    from sppm_pipeline.engine.session import Order, open_session
+    from sppm_pipeline.engine.substitution import Overrides
+    from sppm_pipeline.engine.sweep import run_sweep
+
+    def run(source, *, p=(), s=(), seed=None, threads=1, workers=1, executor=None, to="out"):
+        if isinstance(source, str):
+            path = tmp_path / "config.yaml"
+            path.write_text(source if source.startswith("sppm:") else f"sppm: 1\n{source}", encoding="utf-8")
+        else:
+            path = Path(source)
+        session = open_session(Order(str(path), BUILTINS, (), False, Overrides(tuple(p), tuple(s), seed)))
+        plan, folder = session.plan(), tmp_path / to
+        if session.configuration.sweep is None:
+            return run_plan(plan, folder, threads=threads), folder
+        return run_sweep(session, plan, folder, workers=workers, executor=executor, threads=threads), folder
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def summary():
+    """The summary of a stage of a run record, by its id."""
+
+    def find(record, id_):
+        return next(stage["summary"] for stage in record["stages"] if stage["id"] == id_)
+
+    return find

@@ -1,0 +1,162 @@
+"""Files appear whole or not at all, and never outside of the run directory."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+
+import pytest
+
+from sppm_pipeline.engine.jsonable import json_text
+from sppm_pipeline.engine.outputs import RunFolder, digest_of, write_whole
+from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
+
+RECORD = {"sppm_run": 1, "config": {}}
+
+
+def folder_in(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.prepare()
+    return folder
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["/etc/x", "../x", "a/../../x", "..", "", ".", "a\0b", "C:/x", "C:x", "\\x", "run.json", "RUN.json", "sweep.csv",
+     ".staging-1/x", "a\\..\\..\\x"],
+)  # fmt: skip
+def test_names_that_are_refused(tmp_path, name):
+    with pytest.raises(ConfigError):
+        folder_in(tmp_path).claim("s", name)
+
+
+def test_a_link_does_not_lead_out(tmp_path):
+    folder = folder_in(tmp_path)
+    (tmp_path / "run" / "link").symlink_to(tmp_path)
+    with pytest.raises(ConfigError, match="through a link"):
+        folder.claim("s", "link/x")
+
+
+@pytest.mark.parametrize(("a", "b"), [("x", "x"), ("x", "X"), ("x", "x/y"), ("x/y", "x"), ("x/y", "./x//y")])
+def test_two_stages_never_write_the_same(tmp_path, a, b):
+    folder = folder_in(tmp_path)
+    folder.claim("s", a)
+    with pytest.raises(ConfigError, match="collides"):
+        folder.claim("t", b)
+
+
+def test_two_stages_can_share_a_folder(tmp_path):
+    folder = folder_in(tmp_path)
+    folder.claim("s", "x/a").write_text("1")
+    folder.claim("t", "x/b").write_text("2")
+    assert [output["path"] for output in folder.commit()] == ["x/a", "x/b"]
+    assert (tmp_path / "run" / "x" / "b").read_text() == "2"
+
+
+def test_a_stage_can_ask_twice(tmp_path):
+    folder = folder_in(tmp_path)
+    assert folder.claim("s", "x") == folder.claim("s", "x")
+
+
+def test_outputs_appear_when_committed(tmp_path):
+    folder = folder_in(tmp_path)
+    staged = folder.claim("s", "deep/file.txt")
+    staged.write_text("hello")
+    assert not (tmp_path / "run" / "deep").exists()
+    (output,) = folder.commit()
+    assert (tmp_path / "run" / "deep" / "file.txt").read_text() == "hello"
+    assert output == {"path": "deep/file.txt", "bytes": 5, "sha256": hashlib.sha256(b"hello").hexdigest()}
+    assert folder.commit() == []
+    folder.discard()
+    assert sorted(os.listdir(tmp_path / "run")) == ["deep"]
+
+
+def test_folders_are_described_by_all_their_files(tmp_path):
+    folder = folder_in(tmp_path)
+    staged = folder.claim("s", "slices")
+    staged.mkdir()
+    for i in range(3):
+        (staged / f"{i}.png").write_bytes(bytes([i] * 10))
+    (output,) = folder.commit()
+    assert (output["files"], output["bytes"]) == (3, 30)
+    before = digest_of(tmp_path / "run" / "slices")
+    assert before == output["sha256"]
+    (tmp_path / "run" / "slices" / "2.png").rename(tmp_path / "run" / "slices" / "3.png")
+    assert digest_of(tmp_path / "run" / "slices") != before
+
+
+def test_an_output_that_was_not_written_is_an_error(tmp_path):
+    folder = folder_in(tmp_path)
+    folder.claim("s", "x")
+    with pytest.raises(PluginError, match="announced but not written"):
+        folder.commit()
+
+
+def test_a_repeated_stage_starts_afresh(tmp_path):
+    folder = folder_in(tmp_path)
+    folder.claim("r.s", "x").mkdir()
+    folder.restart("r.s")
+    folder.claim("r.s", "x").mkdir()
+
+
+def test_what_is_not_from_a_run_is_left_alone(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "thesis.tex").write_text("precious")
+    with pytest.raises(ConfigError, match="not empty"):
+        folder_in(tmp_path)
+    assert (tmp_path / "run" / "thesis.tex").read_text() == "precious"
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", "", '{"config": {"sppm_runs": 1}}'])
+def test_a_foreign_run_json_is_no_run(tmp_path, text):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text(text)
+    with pytest.raises(ConfigError, match="not empty"):
+        folder_in(tmp_path)
+
+
+def test_a_file_is_no_run_directory(tmp_path):
+    (tmp_path / "run").write_text("x")
+    with pytest.raises(ConfigError, match="is a file"):
+        folder_in(tmp_path)
+
+
+def test_the_files_of_an_earlier_run_are_replaced_and_others_kept(tmp_path):
+    run = tmp_path / "run"
+    (run / "old").mkdir(parents=True)
+    (run / "old" / "a.png").write_text("a")
+    (run / "note.txt").write_text("mine")
+    outside = tmp_path / "outside.txt"
+    outside.write_text("precious")
+    outputs = [{"path": "old"}, {"path": "../outside.txt"}, {"path": str(outside)}, {"path": 3}, {}]
+    (run / "run.json").write_text(json_text({**RECORD, "stages": [{"outputs": outputs}]}))
+    folder_in(tmp_path)
+    assert sorted(path.name for path in run.iterdir()) == ["note.txt", "run.json"]
+    assert outside.read_text() == "precious"
+
+
+def test_what_dead_processes_left_is_removed(tmp_path):
+    run = tmp_path / "run"
+    (run / ".staging-999999999" / "x").mkdir(parents=True)
+    folder_in(tmp_path)  # killed before its first record was written
+    assert (run / ".staging-999999999").exists() is False
+
+
+def test_a_directory_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ResourceError):
+        RunFolder(tmp_path / "file" / "run").prepare()
+
+
+def test_text_files_are_whole_or_absent(tmp_path, monkeypatch):
+    path = tmp_path / "a.json"
+    write_whole(path, "old")
+
+    def full(number):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ResourceError, match="No space left"):
+        write_whole(path, "new")
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.json"]

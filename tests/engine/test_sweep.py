@@ -1,0 +1,232 @@
+"""Sweeps: rows, tables, executors, failures."""
+
+from __future__ import annotations
+
+import csv
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from sppm_pipeline.data.table import Table
+from sppm_pipeline.engine.document import plain
+from sppm_pipeline.engine.executors import SerialExecutor, make_executor
+from sppm_pipeline.engine.monitor import Monitor
+from sppm_pipeline.engine.plugins import load_plugins
+from sppm_pipeline.engine.sweep import run_sweep, sweep_rows
+from sppm_pipeline.engine.sweep_table import csv_text, rows_of
+from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
+
+TEXT = """name: sweep
+seed: 1
+params: {factor: 1.0, limit: 100}
+pipeline:
+  - {stage: sample.random, count: 3}
+  - {stage: field.scale, factor: "${factor}"}
+  - {stage: check.limit, maximum: "${limit}"}
+  - write.number
+sweep:
+  factor: [1, 2.5]
+  seed: {from: 4, to: 6}
+after:
+  - {stage: write.column, column: field.scale.value}
+"""
+
+
+def run(work, text=TEXT, *, to="out", workers=1, executor=None, **how):
+    session = work.session(text, **how)
+    return run_sweep(
+        session, session.plan(), work.folder / to, workers=workers, executor=executor, threads=2, monitor=Monitor()
+    )
+
+
+def table_of(out):
+    return list(csv.DictReader((out / "sweep.csv").read_text().splitlines()))
+
+
+def rows(work, text):
+    configuration = work.session(text).configuration
+    found = sweep_rows(configuration.sweep, configuration.params)
+    return [{name: plain(entry.node) for name, entry in row.items()} for row in found]
+
+
+def test_a_grid_changes_its_last_parameter_fastest(work):
+    assert rows(work, TEXT) == [{"factor": f, "seed": s} for f in (1, 2.5) for s in (4, 5, 6)]
+
+
+def test_a_table_is_taken_as_written(work):
+    text = TEXT.replace(
+        "  factor: [1, 2.5]\n  seed: {from: 4, to: 6}\n", "  - {factor: 3}\n  - {factor: 4, limit: 5}\n"
+    )
+    assert rows(work, text) == [{"factor": 3}, {"factor": 4, "limit": 5}]
+
+
+def test_a_range_can_have_steps(work):
+    text = TEXT.replace("{from: 4, to: 6}", "{from: 0, to: 10, step: 5}")
+    assert [row["seed"] for row in rows(work, text)][:3] == [0, 5, 10]
+
+
+@pytest.mark.parametrize(
+    ("sweep", "words"),
+    [
+        ("{factro: [1]}", "did you mean 'factor'"),
+        ("{factor: []}", "must be a list of values"),
+        ("{factor: 3}", "must be a list of values"),
+        ("{seed: {from: 5, to: 1}}", "must be a list of values"),
+        ("{seed: {from: 1, to: 5, step: 0}}", "must be a list of values"),
+        ("{seed: [1, -1]}", "a seed is a whole number"),
+        ("{seed: [x]}", "a seed is a whole number"),
+        ("{seed: {from: 1, to: 50000}, factor: {from: 1, to: 50000}}", "at most 100000"),
+        ("{}", "no runs"),
+        ("[]", "no runs"),
+        ("[3]", "a map of parameters"),
+        ("[{factro: 1}]", "did you mean 'factor'"),
+    ],
+)
+def test_errors_of_sweeps(work, sweep, words):
+    start = TEXT[: TEXT.index("sweep:")]
+    with pytest.raises(ConfigError) as caught:
+        rows(work, f"{start}sweep: {sweep}\n")
+    assert words in str(caught.value)
+    assert caught.value.where.line == 10
+
+
+def test_a_value_that_is_not_allowed_is_found_before_any_work(work):
+    with pytest.raises(ConfigErrors) as caught:
+        run(work, TEXT.replace("factor: [1, 2.5]", "factor: [1, -2, 3, x]"))
+    assert [error.where.column for error in caught.value.errors] == [15, 22]
+    assert not (work.folder / "out").exists()
+
+
+def test_a_sweep_and_its_files(work):
+    record = run(work)
+    out = work.folder / "out"
+    table = table_of(out)
+    assert json.loads((out / "sweep.json").read_text())[0]["factor"] == 1
+    assert [(row["run"], row["factor"], row["seed"], row["status"]) for row in table] == [
+        (f"{i:04}", f, str(s), "done") for i, (f, s) in enumerate((f, s) for f in ("1", "2.5") for s in (4, 5, 6))
+    ]
+    first = json.loads((out / "runs" / "0000" / "run.json").read_text())
+    assert float(table[0]["field.scale.value"]) == first["stages"][1]["summary"]["value"]
+    assert first["seed"] == 4
+    assert first["config"]["params"] == {"factor": 1, "limit": 100}
+    assert "sweep" not in first["config"]
+    assert float(table[3]["field.scale.value"]) == pytest.approx(2.5 * float(table[0]["field.scale.value"]))
+    total = sum(float(row["field.scale.value"]) for row in table)
+    assert record["stages"][0]["summary"] == {"total": pytest.approx(total), "rows": 6}
+    assert float((out / "sum.txt").read_text()) == pytest.approx(total)
+    assert record["status"] == "done"
+    assert [entry["status"] for entry in record["runs"]] == ["done"] * 6
+    assert {entry["path"] for entry in record["outputs"]} == {"sweep.csv", "sweep.json"}
+
+
+def test_every_executor_gives_the_same(work):
+    for to, workers, executor in (("a", 1, None), ("b", 2, "threads"), ("c", 2, None)):
+        run(work, to=to, workers=workers, executor=executor)
+    for name in ("sweep.csv", "sweep.json", "sum.txt", "runs/0005/number.txt"):
+        first = (work.folder / "a" / name).read_bytes()
+        assert (work.folder / "b" / name).read_bytes() == first
+        assert (work.folder / "c" / name).read_bytes() == first
+
+
+def test_a_sweep_can_be_repeated_from_its_record_and_into_its_directory(work):
+    run(work, to="a")
+    record = (work.folder / "a" / "run.json").read_text()
+    (work.folder / "a" / "runs" / "0099").mkdir()
+    (work.folder / "a" / "runs" / "0099" / "run.json").write_text((work.folder / "a/runs/0000/run.json").read_text())
+    before = (work.folder / "a" / "sweep.csv").read_bytes()
+    from sppm_pipeline.engine.session import Order, open_session
+
+    (work.folder / "copy.json").write_text(record)
+    session = open_session(Order(str(work.folder / "copy.json"), work.session(TEXT).order.builtins, (), False))
+    run_sweep(session, session.plan(), work.folder / "a", workers=1, executor=None, threads=1)
+    assert (work.folder / "a" / "sweep.csv").read_bytes() == before
+    assert sorted(path.name for path in (work.folder / "a" / "runs").iterdir()) == [f"{i:04}" for i in range(6)]
+
+
+def test_a_failed_run_is_a_row_with_its_error(work):
+    text = TEXT.replace("  factor: [1, 2.5]\n  seed: {from: 4, to: 6}\n", "  limit: [100, -1]\n")
+    record = run(work, text)
+    assert record["status"] == "failed"
+    assert [entry["status"] for entry in record["runs"]] == ["done", "failed"]
+    assert record["runs"][1]["error"]["exit_code"] == 3
+    table = table_of(work.folder / "out")
+    assert "is larger than -1" in table[1]["error"]
+    assert table[1]["field.scale.value"] != ""
+    assert table[1]["check.limit.value"] == ""
+    assert record["stages"][0]["summary"]["rows"] == 2
+
+
+def test_an_error_of_after_names_its_place(work):
+    with pytest.raises(DesignError) as caught:
+        run(work, TEXT.replace("write.column, column: field.scale.value", "check.fail, how: design"))
+    assert caught.value.where.line == 14
+    assert json.loads((work.folder / "out" / "run.json").read_text())["status"] == "failed"
+    assert (work.folder / "out" / "sweep.csv").exists()
+
+
+PLUGIN = """
+import os
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import ClassVar
+import multiprocessing
+
+from sppm_pipeline.hookspecs import hookimpl
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.testing.synthetic import Number
+
+@hookimpl
+def sppm_executors():
+    return {"pool": lambda workers: ThreadPoolExecutor(workers), "nonsense": lambda workers: 3}
+
+@dataclass(frozen=True, kw_only=True)
+class Die(Stage):
+    '''Die as a native library does.'''
+    name: ClassVar[str] = "check.die"
+    value: int = option(1, help="a number")
+    def run(self, context: Context) -> Number:
+        os._exit(11)
+"""
+
+
+def test_executors_can_come_from_plugins(work):
+    path = work.write(PLUGIN, "plugin.py")
+    assert run(work, plugins=[path], executor="pool", workers=2)["status"] == "done"
+    with pytest.raises(PluginError, match=r"no concurrent\.futures\.Executor"):
+        run(work, plugins=[path], executor="nonsense", to="b")
+
+
+def test_a_worker_that_dies_is_a_native_crash(work):
+    path = work.write(PLUGIN, "plugin.py")
+    text = "params: {v: 1}\npipeline: [{stage: check.die, value: '${v}'}]\nsweep: {v: [1]}\n"
+    with pytest.raises(NativeCrash):
+        run(work, text, plugins=[path], executor="processes")
+    assert json.loads((work.folder / "out" / "run.json").read_text())["error"]["exit_code"] == 6
+
+
+def test_executors_by_name():
+    plugins = load_plugins(["sppm_pipeline.engine.executors"], distributions=False)
+    assert isinstance(make_executor(None, 1, plugins), SerialExecutor)
+    with make_executor("threads", 2, plugins) as pool:
+        assert isinstance(pool, ThreadPoolExecutor)
+    with pytest.raises(ConfigError, match="did you mean 'threads'"):
+        make_executor("thread", 1, plugins)
+
+
+def test_the_serial_executor_keeps_errors_in_futures():
+    with SerialExecutor() as pool:
+        assert pool.submit(divmod, 7, 2).result() == (3, 1)
+        assert isinstance(pool.submit(divmod, 7, 0).exception(), ZeroDivisionError)
+
+
+def test_tables():
+    table = Table({"a": [1, 2], "b": [None, "x, y"]})  # type: ignore[arg-type]
+    table.check()
+    assert table.rows == 2
+    assert table.summary() == {"rows": 2, "columns": ["a", "b"]}
+    assert table.digest() == Table({"a": (1, 2), "b": (None, "x, y")}).digest()
+    assert rows_of(table.columns)[1] == {"a": 2, "b": "x, y"}
+    assert csv_text({**table.columns, "c": ([1], True)}) == 'a,b,c\n1,,[1]\n2,"x, y",true\n'
+    with pytest.raises(ValueError, match="different lengths"):
+        Table({"a": (1,), "b": ()}).check()

@@ -1,0 +1,174 @@
+"""The contracts accept stages that keep them and refuse those that do not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.errors import ConfigError, WiringError
+from sppm_pipeline.families import InteriorBox, Sampler
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.testing.contracts import SamplerContract, StageContract
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+from sppm_pipeline.testing.synthetic import (
+    LimitNumber,
+    Number,
+    RandomNumber,
+    ReadWhole,
+    Repeat,
+    ScaleNumber,
+    Varied,
+    Whole,
+    WriteNumber,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Uniform(Sampler):
+    """Independent uniform pores."""
+
+    name: ClassVar[str] = "sample.uniform"
+    count: int = option(5, help="pores of an interior", minimum=1)
+
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> Any:
+        return box.lower + rng.random((self.count, 3)) * (box.upper - box.lower)
+
+
+class TestUniform(SamplerContract):
+    def stages(self):
+        return [Uniform(), Uniform(count=1)]
+
+
+class TestRandomNumber(StageContract):
+    def stages(self):
+        return [RandomNumber(), RandomNumber(count=3)]
+
+
+class TestScale(StageContract):
+    def stages(self):
+        return [ScaleNumber()]
+
+    def inputs(self) -> Mapping[str, Any]:
+        return {"number": Number(2.0)}
+
+
+class TestWrite(TestScale):
+    def stages(self):
+        return [WriteNumber(), WriteNumber(path="deep/x.txt")]
+
+    def inputs(self) -> Mapping[str, Any]:
+        return {"source": Number(2.0)}
+
+
+class TestVaried(StageContract):
+    def stages(self):
+        return [Varied(), Varied(pair=(7, 9), either=(1, 2, 3), maybe=3)]
+
+
+class TestRepeat(StageContract):
+    def stages(self):
+        return [Repeat(attempts=500)]
+
+    def inputs(self) -> Mapping[str, Any]:
+        return {"recipe": recipe_of(RandomNumber(), LimitNumber(maximum=0.2))}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Careless(Uniform):
+    """Draws from the global generator."""
+
+    name: ClassVar[str] = "sample.careless"
+
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> Any:
+        return np.random.random((self.count, 3))  # noqa: NPY002
+
+
+@dataclass(frozen=True, kw_only=True)
+class Threaded(Uniform):
+    """Depends on the number of threads."""
+
+    name: ClassVar[str] = "sample.threaded"
+
+    def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
+        context.report(threads=context.threads)
+        return super().run(context, pores)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stubborn(Uniform):
+    """Throws one interior, whatever is asked for."""
+
+    name: ClassVar[str] = "sample.stubborn"
+
+    def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
+        return Uniform(count=self.count).run(PlainContext(context.rng().integers(1 << 30)), None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Liar(Stage):
+    """Makes something else."""
+
+    name: ClassVar[str] = "Check.Liar"
+    path: str = option("x", help="")
+
+    def run(self, context: Context) -> Whole:
+        return Number(1)  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize(
+    ("contract", "stage", "test"),
+    [
+        (SamplerContract, Careless(), "test_same_seed_same_result"),
+        (SamplerContract, Careless(), "test_leaves_global_random_numbers_alone"),
+        (SamplerContract, Threaded(), "test_same_seed_same_result"),
+        (SamplerContract, Stubborn(), "test_fills_every_interior_that_is_asked_for"),
+        (SamplerContract, Stubborn(), "test_keeps_the_pores_that_are_there"),
+        (StageContract, Liar(), "test_makes_what_it_announces"),
+        (StageContract, Liar(), "test_has_a_name_of_family_and_word"),
+        (StageContract, Liar(), "test_says_what_it_does"),
+    ],
+)
+def test_a_broken_contract_is_noticed(contract, stage, test):
+    suite = type("Suite", (contract,), {"stages": lambda self: [stage]})()
+    with pytest.raises(AssertionError):
+        getattr(suite, test)()
+
+
+def test_outputs_of_a_plain_context(tmp_path):
+    context = PlainContext(directory=tmp_path)
+    WriteNumber(path="a/b.txt").run(context, Number(1.5))
+    assert (tmp_path / "a" / "b.txt").read_text() == "1.5\n"
+    with pytest.raises(ConfigError):
+        context.output("../x")
+
+
+def test_a_plain_context_keeps_what_it_was_told():
+    context = PlainContext()
+    ScaleNumber().run(context, Number(1.0))
+    LimitNumber(soft=True).run(context, Number(9.0))
+    RandomNumber().run(context, None)
+    assert context.progress_calls == [(1, 1, "numbers")]
+    assert context.warnings == ["larger than 0.5"]
+    assert context.reported["count"] == 1
+
+
+def test_temporary_outputs_go_with_their_context():
+    context = PlainContext()
+    directory = context.output("x").parent
+    assert directory.is_dir()
+    del context
+    assert not directory.exists()
+
+
+def test_recipes_of_stages():
+    recipe = recipe_of(ReadWhole(value=4), ScaleNumber(factor=2), ScaleNumber(factor=5))
+    assert recipe.run(PlainContext()).value == 40
+    assert recipe.run(PlainContext(), options={"field.scale#2": {"factor": 1}}).value == 8
+    assert list(recipe.options()) == ["read.whole", "field.scale", "field.scale#2"]
+    with pytest.raises(WiringError):
+        recipe_of(ScaleNumber())
