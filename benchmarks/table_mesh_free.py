@@ -22,12 +22,14 @@ def stored(folder: Path) -> float:
 def main() -> None:
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
+        config = Path(scratch) / "table.yaml"
+        config.write_text(CONFIG.read_text().split("\nsweep:")[0])
         for cells in (3, 6, 8):
             units = cells**3
             for mode in ("greedy", "exact"):
                 out = Path(scratch) / f"{units}-{mode}"
                 ours = median(
-                    [sys.executable, "-m", "sppm_pipeline", "run", str(CONFIG), "-q", "--no-sweep", "-o", str(out)]
+                    [sys.executable, "-m", "sppm_pipeline", "run", str(config), "-q", "-o", str(out)]
                     + ["-p", f"cells=[{cells}, {cells}, {cells}]", "-p", f"mode={mode}"]
                 )
                 rows.append([units, f"sppm, {mode}", *ours, stored(out)])

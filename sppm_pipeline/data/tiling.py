@@ -66,16 +66,19 @@ class Tiling(ScalarField):
         return self.origin
 
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        window = self._window(grid)
-        if window is None:
-            values = self._summed(grid, threads, 0, grid.shape[2], None)
-        else:
-            from sppm_pipeline.numerics.assembly.overlap_add import assemble
-
-            bank, z, x, y = window
-            values = assemble(bank, self.arrays, *z, *x, *y, threads=threads)
+        values = self.sums(grid, threads)
         values -= np.float32(self.tileset.micro.level)
         return values
+
+    def sums(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        """The kernel sum G at the points of `grid`, (nz, ny, nx) float32; `sample` is this less the level."""
+        window = self._window(grid)
+        if window is None:
+            return self._summed(grid, threads, 0, grid.shape[2], None)
+        from sppm_pipeline.numerics.assembly.overlap_add import assemble
+
+        bank, z, x, y = window
+        return assemble(bank, self.arrays, *z, *x, *y, threads=threads)
 
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
         return self.solid_layers(grid, 0, grid.shape[2], threads)

@@ -64,41 +64,41 @@ class TileSetMaker(Stage):
                 hint="end the recipe with `field.gaussian` or another stage that sums kernels",
             )
         n, trial = self.resolution, self.trial()
+        sums = self._sums(context, micro, trial, n)
         if self.porosity is not None:
-            sums = np.concatenate([g.ravel() for g in self._fields(context, micro, trial, n)])
-            micro = micro.with_level(level_for_porosity(sums + np.float32(micro.level), self.porosity).level)
-            fine = self._porosities(context, micro, trial, n + n // 2 + 1)
+            fit = level_for_porosity(np.concatenate([g.ravel() for g in sums]), self.porosity)
+            micro = micro.with_level(fit.level)
+            finer = n + n // 2 + 1
+            fine = _porosities(self._sums(context, micro, trial, finer), micro.level, finer)
             error = abs(float(np.mean(np.concatenate(fine))) - self.porosity)
-            context.report(porosity_error=error, checked_at=n + n // 2 + 1)
+            context.report(porosity_error=error, checked_at=finer)
             if error > self.tolerance:
                 raise DesignError(
-                    f"the porosity on a grid of {n + n // 2 + 1} voxels a cell edge differs by {error:.5f} from "
+                    f"the porosity on a grid of {finer} voxels a cell edge differs by {error:.5f} from "
                     f"the wished {self.porosity:g}; allowed are {self.tolerance:g}",
                     hint=f"measure on a finer grid, for example `resolution: {2 * n}`",
                 )
-        shares = self._porosities(context, micro, trial, n)
+        shares = _porosities(sums, micro.level, n)
         interiors = np.concatenate([arrays.interior.ravel() for arrays in trial])
         count = np.bincount(interiors, minlength=micro.interiors)
         mean = np.bincount(interiors, np.concatenate(shares), micro.interiors) / np.maximum(count, 1)
         return TileSet(micro, self.kind, self.palette_size(), tuple(float(v) for v in mean[count > 0]))
 
-    def _fields(
+    def _sums(
         self, context: Context, micro: Microstructure, trial: list[TilingArrays], n: int
     ) -> list[NDArray[np.float32]]:
-        """G - C of each trial layout, (nz, ny, nx) each."""
+        """The kernel sum G of each trial layout, (nz, ny, nx) each."""
         tileset = TileSet(micro, self.kind, self.palette_size())
         return [
-            Tiling(tileset, arrays, None).sample(cell_centres(n, arrays.interior.shape), context.threads)  # type: ignore[arg-type]
-            for arrays in trial
+            Tiling(tileset, arrays, None).sums(cell_centres(n, arrays.shape), context.threads) for arrays in trial
         ]
 
-    def _porosities(
-        self, context: Context, micro: Microstructure, trial: list[TilingArrays], n: int
-    ) -> list[NDArray[np.float64]]:
-        """Porosity of each cell of each trial layout, in the order of ``interior.ravel()``."""
-        found = []
-        for arrays, g in zip(trial, self._fields(context, micro, trial, n), strict=True):
-            nx, ny, nz = arrays.interior.shape
-            void = (g >= 0).reshape(nz, n, ny, n, nx, n).mean((1, 3, 5))
-            found.append(np.transpose(void, (2, 1, 0)).ravel())
-        return found
+
+def _porosities(sums: list[NDArray[np.float32]], level: float, n: int) -> list[NDArray[np.float64]]:
+    """Porosity of each cell of each trial layout, in the order of ``interior.ravel()``."""
+    found = []
+    for g in sums:
+        nz, ny, nx = (size // n for size in g.shape)
+        void = (g >= np.float32(level)).reshape(nz, n, ny, n, nx, n).mean((1, 3, 5))
+        found.append(np.transpose(void, (2, 1, 0)).ravel())
+    return found

@@ -24,6 +24,8 @@ from sppm_pipeline.numerics.kernels.splat import add_kernels
 __all__ = ["Catalogue", "kernels_in_box", "make_catalogue", "sample_exact"]
 
 # Sites whose kernels are gathered at a time: some 10^5 kernels, 50 MB with all temporary arrays.
+# Samples that count as a small grid.
+_SMALL = 2**20
 _SITES = 600
 
 
@@ -109,8 +111,9 @@ def sample_exact(
         raise ValueError(f"layers {layer_start} to {layer_stop} are not all in a grid of {nz} layers")
     catalogue = catalogue or make_catalogue(pieces, cutoff)
     out = np.zeros((layer_stop - layer_start, ny, nx), dtype=np.float32)
-    # Half a cell of layers, and bands of rows that depend on the grid alone: the sums are always the same.
-    height = max(1, int(0.5 / grid.spacing[2]))
+    # Some layers, and bands of rows, that depend on the grid alone: the sums are always the same. Half a cell of layers
+    # keeps the list of kernels short; small grids take more at a time, as each list has its price.
+    height = max(1, int(0.5 / grid.spacing[2]), min(int(2.0 / grid.spacing[2]), _SMALL // (nx * ny)))
     cells_a_row = 2.0 + nx * grid.spacing[0]
     rows = max(16, int(_SITES / (3.0 * cells_a_row) / grid.spacing[1]))
     for start in range(layer_start, layer_stop, height):

@@ -1,4 +1,4 @@
-"""Which triangles of a surface were made by cutting the microstructure, so that a picture may tint them."""
+"""Where a surface was made by cutting the microstructure, so that a picture may tint it."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["cut_triangles"]
+__all__ = ["cut_values"]
+
+BORDER = 0.02
+"""How far from the border of the grid, in samples, a surface counts as cut by it."""
 
 
-def cut_triangles(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    inner: NDArray[np.float32],
-    outer: NDArray[np.float32] | None,
-    grid: Grid,
-) -> NDArray[np.bool_]:
-    """Triangles on the border of the grid, and those where the domain's field, not the microstructure's, is zero.
+def cut_values(
+    vertices: NDArray[np.float64], inner: NDArray[np.float32], outer: NDArray[np.float32] | None, grid: Grid
+) -> NDArray[np.float64]:
+    """A value at each vertex that is positive where the surface is a cut; its zero line is the rim of the cut.
+
+    A cut lies on the border of the grid, or where the domain's field is zero and not that of the microstructure.
 
     Parameters
     ----------
     vertices : (n, 3) float64
-    faces : (m, 3) int32
-        Surface of the larger of the two fields, capped at the border.
+        Of the surface of the larger of the two fields, capped at the border.
     inner : (nz, ny, nx) float32
         Field of the microstructure.
     outer : (nz, ny, nx) float32 or None
@@ -33,15 +33,14 @@ def cut_triangles(
 
     Returns
     -------
-    (m,) bool
+    (n,) float64
     """
-    centre = vertices[faces].mean(1)
-    place = (centre - grid.origin) / grid.spacing
+    place = (vertices - grid.origin) / grid.spacing
     last = np.array(grid.shape) - 1
-    cut: NDArray[np.bool_] = ((place < 1e-3) | (place > last - 1e-3)).any(1)
+    value: NDArray[np.float64] = BORDER - np.minimum(place, last - place).min(1)
     if outer is not None:
-        cut |= _at(outer, place, last) > _at(inner, place, last)
-    return cut
+        value = np.maximum(value, _at(outer, place, last) - _at(inner, place, last))
+    return value
 
 
 def _at(field: NDArray[np.float32], place: NDArray[np.float64], last: NDArray[np.int64]) -> NDArray[np.float64]:

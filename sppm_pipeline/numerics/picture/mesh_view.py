@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_pipeline.numerics.picture.camera import Camera, Frame, framed, projected
-from sppm_pipeline.numerics.picture.shading import BONE, Color, Seen, empty_seen, shaded
+from sppm_pipeline.numerics.picture.shading import BONE, CUT, Color, Seen, empty_seen, shaded
 
 __all__ = ["render_mesh"]
 
@@ -98,6 +98,8 @@ def _resolve(
     distance: float,
     scale: float,
     colors: NDArray[np.uint8],
+    cut: NDArray[np.float64],
+    cut_color: NDArray[np.uint8],
     nearness: NDArray[np.float32],
     owner: NDArray[np.int32],
     depth: NDArray[np.float32],
@@ -121,7 +123,8 @@ def _resolve(
             if length > 0.0:
                 flat /= length
             mean[:] = flat
-            if smooth:
+            is_cut = False
+            if smooth or cut.shape[0] > 1:
                 ax, ay = places[a, 0], places[a, 1]
                 bx, by = places[b, 0] - ax, places[b, 1] - ay
                 cx, cy = places[c, 0] - ax, places[c, 1] - ay
@@ -129,6 +132,9 @@ def _resolve(
                 dx, dy = col + 0.5 - ax, r + 0.5 - ay
                 wb = (dx * cy - dy * cx) / area
                 wc = (dy * bx - dx * by) / area
+                if cut.shape[0] > 1:
+                    is_cut = (1.0 - wb - wc) * cut[a] + wb * cut[b] + wc * cut[c] > 0.0
+            if smooth:
                 mean[:] = 0.0
                 for vertex, weight in ((a, 1.0 - wb - wc), (b, wb), (c, wc)):
                     cosine = normals[vertex, 0] * flat[0] + normals[vertex, 1] * flat[1] + normals[vertex, 2] * flat[2]
@@ -143,7 +149,7 @@ def _resolve(
             for axis in range(3):
                 along = mean[0] * axes[axis, 0] + mean[1] * axes[axis, 1] + mean[2] * axes[axis, 2]
                 normal[r, col, axis] = side * along
-                color[r, col, axis] = colors[f if colors.shape[0] > 1 else 0, axis]
+                color[r, col, axis] = cut_color[axis] if is_cut else colors[f if colors.shape[0] > 1 else 0, axis]
             near = np.float64(nearness[r, col])
             depth[r, col] = scale * (near if distance == 0.0 else distance - 1.0 / near)
 
@@ -155,6 +161,8 @@ def _seen_mesh(
     size: tuple[int, int],
     smooth: bool,
     colors: NDArray[np.uint8],
+    cut: NDArray[np.float64],
+    cut_color: NDArray[np.uint8],
 ) -> Seen:
     width, height = size
     places = projected(frame, vertices)
@@ -174,6 +182,8 @@ def _seen_mesh(
         frame.distance,
         frame.scale,
         colors,
+        cut,
+        cut_color,
         nearness,
         owner,
         seen.depth,
@@ -192,6 +202,8 @@ def render_mesh(
     smooth: bool = True,
     color: Color = BONE,
     face_colors: ArrayLike | None = None,
+    cut: ArrayLike | None = None,
+    cut_color: Color = CUT,
     supersampling: int = 2,
     occlusion: float = 1.0,
     background: Color | None = None,
@@ -218,6 +230,10 @@ def render_mesh(
         Colour of the surface (sRGB).
     face_colors : (m, 3) uint8, optional
         Colour of each triangle instead.
+    cut : (n,) float, optional
+        A value at each vertex; where its interpolation is positive the surface has `cut_color`.
+    cut_color : (r, g, b)
+        Colour of cut surfaces (sRGB).
     supersampling : int
         Samples per pixel along each axis, 1..8.
     occlusion : float
@@ -250,6 +266,9 @@ def render_mesh(
     colors = np.array([color], np.uint8) if face_colors is None else np.ascontiguousarray(face_colors, np.uint8)
     if face_colors is not None and colors.shape != corners.shape:
         raise ValueError(f"face_colors must have shape {corners.shape}, got {colors.shape}")
+    values = np.zeros(1) if cut is None else np.ascontiguousarray(cut, np.float64)
+    if cut is not None and values.shape != (len(points),):
+        raise ValueError(f"cut must have shape ({len(points)},), got {values.shape}")
     if not 1 <= supersampling <= 8:
         raise DesignError(f"supersampling is {supersampling}, allowed are 1 to 8")
     fine = (size[0] * supersampling, size[1] * supersampling)
@@ -257,4 +276,5 @@ def render_mesh(
         return shaded(empty_seen(*fine), supersampling, occlusion, background)
     used = points if len(points) < 3 * len(corners) else points[np.unique(corners)]
     frame = framed(camera or Camera(), used, fine, margin)
-    return shaded(_seen_mesh(points, corners, frame, fine, smooth, colors), supersampling, occlusion, background)
+    seen = _seen_mesh(points, corners, frame, fine, smooth, colors, values, np.array(cut_color, np.uint8))
+    return shaded(seen, supersampling, occlusion, background)

@@ -40,7 +40,7 @@ class TunePorosity(Stage):
     tolerance: float = option(0.001, help="largest error of the porosity, checked on a finer grid", above=0, below=0.5)
     evaluations: int = option(40, help="most cells drawn while the gap is searched", minimum=3, maximum=1000)
 
-    def run(self, context: Context, recipe: Recipe) -> ScalarField:
+    def run(self, context: Context, recipe: Recipe) -> Microstructure:
         """Tune the recipe."""
         options: Options = {}
         if self.fit_count:
@@ -103,7 +103,7 @@ class TunePorosity(Stage):
         context.report(count=n, line={name: value for name, value in line._asdict().items() if name != "residuals"})
         return {stage: {"total": n} for stage in stages}
 
-    def _by_level(self, context: Context, recipe: Recipe, options: Options) -> ScalarField:
+    def _by_level(self, context: Context, recipe: Recipe, options: Options) -> Microstructure:
         from sppm_pipeline.numerics.porosity.level import level_for_porosity
 
         micro = self._draw(context, recipe, options)
@@ -125,7 +125,7 @@ class TunePorosity(Stage):
             hint=f"measure on a finer grid, for example `resolution: {2 * self.resolution}`",
         )
 
-    def _by_gap(self, context: Context, recipe: Recipe, options: Options) -> ScalarField:
+    def _by_gap(self, context: Context, recipe: Recipe, options: Options) -> Microstructure:
         from sppm_pipeline.numerics.porosity.bracket import search_monotone
 
         found: dict[float, Microstructure] = {}

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
 
@@ -22,7 +21,7 @@ class Retry(Stage):
 
     attempts: int = option(20, help="most draws", minimum=1, maximum=100_000)
 
-    def run(self, context: Context, recipe: Recipe) -> ScalarField:
+    def run(self, context: Context, recipe: Recipe) -> Any:
         """Draw until accepted."""
         reason = ""
         for attempt in range(self.attempts):
@@ -33,7 +32,7 @@ class Retry(Stage):
                 reason = rejection.message
                 continue
             context.report(attempts=attempt + 1)
-            return made  # type: ignore[no-any-return]
+            return made
         raise DesignError(
             f"none of {self.attempts} draws was accepted; the last one: {reason}",
             hint="raise `attempts`, lower the porosity, or remove islands instead of rejecting the cell "

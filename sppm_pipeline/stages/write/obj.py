@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.formats import obj
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -20,6 +19,8 @@ class WriteObj(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> None:
         """Write the file chunk by chunk."""
+        from sppm_pipeline.formats import obj
+
         size = 0
         with context.output(self.path).open("wb") as file:
             for chunk in obj.encode(mesh.vertices, mesh.faces):

@@ -87,16 +87,14 @@ class WritePicture(Stage):
         self, inner: NDArray[np.float32], outer: NDArray[np.float32] | None, grid: Grid, size: tuple[int, int]
     ) -> NDArray[np.uint8]:
         """The surface of the solid, cut faces in a colour of their own."""
-        from sppm_pipeline.numerics.picture.cut_faces import cut_triangles
+        from sppm_pipeline.numerics.picture.cut_faces import cut_values
         from sppm_pipeline.numerics.picture.mesh_view import render_mesh
-        from sppm_pipeline.numerics.picture.shading import BONE, CUT
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
 
         values = inner if outer is None else np.maximum(inner, outer)
         vertices, faces = capped_marching_cubes(values, 0.0, grid.origin, grid.spacing)
-        cut = cut_triangles(vertices, faces, inner, outer, grid)
-        colors = np.where(cut[:, None], np.array(CUT, np.uint8), np.array(BONE, np.uint8))
-        return render_mesh(vertices, faces, camera=self._camera(), size=size, face_colors=colors)
+        cut = cut_values(vertices, inner, outer, grid)
+        return render_mesh(vertices, faces, camera=self._camera(), size=size, cut=cut)
 
     def _sheet(self, context: Context, tileset: TileSet) -> NDArray[np.uint8]:
         from sppm_pipeline.numerics.picture.plates import contact_sheet
