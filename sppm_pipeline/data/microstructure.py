@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.noun import frozen
+from sppm_pipeline.data.periods import sample_one_period
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.numerics.assembly.pieces import Pieces
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
@@ -127,7 +128,10 @@ class PeriodicTile(ScalarField):
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         from sppm_pipeline.numerics.assembly.gather import sample_exact
 
-        values = sample_exact(self.micro.pieces, self.arrays(), grid, CUTOFF, threads, start, stop)
+        def sample(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+            return sample_exact(self.micro.pieces, self.arrays(), grid, CUTOFF, threads, start, stop)
+
+        values = sample_one_period(grid, self.cells, start, stop, sample)
         values -= np.float32(self.micro.level)
         return values
 

@@ -64,26 +64,29 @@ class Part(ScalarField):
         return Grid((x, y, z), (hx, hy, hz), grid.shape)
 
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        """The larger of the microstructure's field and the signed distance from the domain, in cell edges."""
+        """The larger of the microstructure's field and the distance from the domain in cell edges.
+
+        Who extracts a surface takes both apart, as their sizes have nothing to do with each other.
+        """
         inner, outer = self.sample_apart(grid, threads)
         return np.maximum(inner, outer, out=inner)
 
     def sample_apart(self, grid: Grid, threads: int = 1) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The microstructure's field, made solid inside the skin, and the domain's distance in cell edges."""
+        """The microstructure's field, made solid inside the skin, and the distance from the domain in cell edges.
+
+        The distance is cut off one spacing from the surface of the domain.
+        """
         from sppm_pipeline.numerics.domain.signed_distance import signed_distance
 
         values = self.field.sample(grid, threads)
-        world = self.in_mm(grid)
+        world, edge = self.in_mm(grid), np.float32(self.physical_edge())
         reach = max(world.spacing) + self.skin_mm
-        distance = signed_distance(
-            self.domain.vertices, self.domain.faces, world, reach, self.domain.bounds_solid
-        )
-        edge = np.float32(self.physical_edge())
+        outer = signed_distance(self.domain.vertices, self.domain.faces, world, reach, self.domain.bounds_solid)
+        outer /= edge
         if self.skin_mm:
             # inside the skin the field does not matter: solid where the surface is nearer than the skin is thick
-            np.minimum(values, (-np.float32(self.skin_mm) - distance) / edge, out=values)
-        distance /= edge
-        return values, distance
+            np.minimum(values, -np.float32(self.skin_mm) / edge - outer, out=values)
+        return values, outer
 
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
         return self.solid_layers(grid, 0, grid.shape[2], threads)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.microstructure import CUTOFF
+from sppm_pipeline.data.periods import sample_one_period
 from sppm_pipeline.data.tileset import TileSet
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.grid import Grid
@@ -66,19 +67,28 @@ class Tiling(ScalarField):
         return self.origin
 
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        values = self.sums(grid, threads)
+        return self.sample_layers(grid, 0, grid.shape[2], threads)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        values = self._sums(grid, start, stop, threads)
         values -= np.float32(self.tileset.micro.level)
         return values
 
     def sums(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
         """The kernel sum G at the points of `grid`, (nz, ny, nx) float32; `sample` is this less the level."""
-        window = self._window(grid)
-        if window is None:
-            return self._summed(grid, threads, 0, grid.shape[2], None)
-        from sppm_pipeline.numerics.assembly.overlap_add import assemble
+        return self._sums(grid, 0, grid.shape[2], threads)
 
-        bank, z, x, y = window
-        return assemble(bank, self.arrays, *z, *x, *y, threads=threads)
+    def _sums(self, grid: Grid, start: int, stop: int, threads: int) -> NDArray[np.float32]:
+        def sums(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+            window = self._window(grid)
+            if window is None:
+                return self._summed(grid, threads, start, stop, None)
+            from sppm_pipeline.numerics.assembly.overlap_add import assemble
+
+            bank, z, x, y = window
+            return assemble(bank, self.arrays, z[0] + start, z[0] + stop, *x, *y, threads=threads)
+
+        return sample_one_period(grid, self.cells, start, stop, sums) if self.periodic else sums(grid, start, stop)
 
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
         return self.solid_layers(grid, 0, grid.shape[2], threads)
@@ -86,14 +96,18 @@ class Tiling(ScalarField):
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint8]:
-        level = self.tileset.micro.level
-        window = self._window(grid.layers(start, stop))
-        if window is None:
-            return (self._summed(grid, threads, start, stop, wanted) < np.float32(level)).view(np.uint8)
-        from sppm_pipeline.numerics.assembly.overlap_add import assemble_solid
+        def solid(grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+            level = self.tileset.micro.level
+            window = self._window(grid)
+            if window is None:
+                rows = None if self.periodic else wanted
+                return (self._summed(grid, threads, start, stop, rows) < np.float32(level)).view(np.uint8)
+            from sppm_pipeline.numerics.assembly.overlap_add import assemble_solid
 
-        bank, z, x, y = window
-        return assemble_solid(bank, self.arrays, level, *z, *x, *y, threads=threads)
+            bank, z, x, y = window
+            return assemble_solid(bank, self.arrays, level, z[0] + start, z[0] + stop, *x, *y, threads=threads)
+
+        return sample_one_period(grid, self.cells, start, stop, solid) if self.periodic else solid(grid, start, stop)
 
     def _summed(
         self, grid: Grid, threads: int, start: int, stop: int, wanted: NDArray[np.int32] | None
@@ -208,8 +222,10 @@ class RepeatedField(ScalarField):
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
         return self.base.solid(grid, threads)
 
-    def solid_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.uint8]:
-        return self.base.solid_layers(grid, start, stop, threads)
+    def solid_layers(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        return self.base.solid_layers(grid, start, stop, threads, wanted)
 
     def summary(self) -> dict[str, Any]:
         """Size of the lattice."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -58,7 +59,8 @@ class Sampler(Stage):
     )
     gap: Length | None = option(
         None,
-        help="distance d from the faces to the box of the interior pores; the spacing of the pores if omitted",
+        help="distance d from the faces to the box of the interior pores; if omitted the spacing, or half of it where "
+        "distances to face pores are checked one by one",
         unit="cell lengths",
         minimum=0,
     )
@@ -112,9 +114,7 @@ class Sampler(Stage):
             piece.append(np.full(len(thrown), t, np.int32))
             if base.interiors > 1:
                 context.progress(t + 1, base.interiors, "interiors")
-        return base.extended(
-            np.concatenate(centers), np.concatenate(piece), spacing=self.kept_spacing(cell, base)
-        )
+        return base.extended(np.concatenate(centers), np.concatenate(piece), spacing=self.kept_spacing(cell, base))
 
 
 def start_of(edge: Length | None, pores: PoreSet | None, interiors: int) -> tuple[Cell, PoreSet]:
@@ -147,8 +147,13 @@ class _Meetings:
             self._first = np.searchsorted(self._rows[:, 0], np.arange(pores.interiors + 1))
             return
         axis = pores.axis_of_piece()[pores.piece]
-        low = pores.centers[axis >= 0]
-        self._all = np.concatenate([low, low + np.eye(3)[axis[axis >= 0]]])
+        low, normal = pores.centers[axis >= 0], np.eye(3)[axis[axis >= 0]]
+        self._all = np.concatenate([low, low + normal])
+        if max(pores.colors) == 1:
+            # patterns go on in their planes beside the cell; those of several colours keep a margin instead
+            shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))[:, None]
+            everywhere = np.where(normal > 0, shifts >= 0, True).all(-1)
+            self._all = (low + shifts)[everywhere]
 
     def pores_around(self, interior: int) -> NDArray[np.float64]:
         """Face pores around one interior, in the coordinates of its cell, (k, 3)."""

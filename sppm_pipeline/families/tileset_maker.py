@@ -89,9 +89,7 @@ class TileSetMaker(Stage):
     ) -> list[NDArray[np.float32]]:
         """The kernel sum G of each trial layout, (nz, ny, nx) each."""
         tileset = TileSet(micro, self.kind, self.palette_size())
-        return [
-            Tiling(tileset, arrays, None).sums(cell_centres(n, arrays.shape), context.threads) for arrays in trial
-        ]
+        return [Tiling(tileset, arrays, None).sums(cell_centres(n, arrays.shape), context.threads) for arrays in trial]
 
 
 def _porosities(sums: list[NDArray[np.float32]], level: float, n: int) -> list[NDArray[np.float64]]:

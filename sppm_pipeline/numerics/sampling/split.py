@@ -7,13 +7,16 @@ from sppm_pipeline.numerics.sampling.capacity import box_capacity, face_capacity
 
 __all__ = ["split_between_faces_and_interior"]
 
+FILLED = 0.95
+"""Pores of a cell filled up from its faces inward, as a share of those of a torus without faces; measured .92 to .97."""
+
 
 def split_between_faces_and_interior(
     *, total: int | None, face_count: int | None, spacing: float | None, share: float | None, colors: int
 ) -> tuple[int, float]:
     """Number of face pores of a cell and spacing, at equal packing of faces and interior.
 
-    The interior box is taken to begin one spacing away from the faces. Two of the number of pores, the spacing and the
+    The interior is taken to begin half a spacing away from the faces and to keep the spacing from their pores. Two of the number of pores, the spacing and the
     share have to be given.
 
     Parameters
@@ -45,7 +48,7 @@ def split_between_faces_and_interior(
         return 3 * face_capacity(l, colors)
 
     def in_cell(l: float) -> float:  # noqa: E741
-        return on_faces(l) + box_capacity(max(1 - 2 * l, 0.0), l)
+        return FILLED * box_capacity(1.0, l, periodic=True)
 
     wished = face_count if total is None else total
     if wished == 0:

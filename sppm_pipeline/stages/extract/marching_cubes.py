@@ -33,6 +33,7 @@ class MarchingCubes(Stage):
         """Sample the nodes of a grid and extract the surface, in mm (cell edges for a cell without a size)."""
         from sppm_pipeline.numerics.connectivity.islands import keep_largest
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
+        from sppm_pipeline.numerics.surface.intersection import on_both_fields
 
         n, h = self.resolution, 1.0 / self.resolution
         if isinstance(field, Part):
@@ -43,7 +44,12 @@ class MarchingCubes(Stage):
             low, high = np.zeros(3, int), np.array(field.cells) * n
         nx, ny, nz = (int(v) for v in high - low + 1)
         x, y, z = (float(v) * h for v in low)
-        values = field.sample(Grid((x, y, z), (h, h, h), (nx, ny, nz)), context.threads)
+        grid, apart = Grid((x, y, z), (h, h, h), (nx, ny, nz)), None
+        if isinstance(field, Part):
+            apart = field.sample_apart(grid, context.threads)
+            values = np.maximum(*apart)
+        else:
+            values = field.sample(grid, context.threads)
         if self.islands == "remove":
             solid = values < 0
             kept = keep_largest(solid, (False, False, False))
@@ -60,6 +66,8 @@ class MarchingCubes(Stage):
             vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
         else:
             vertices, faces = capped_marching_cubes(values, 0.0, (x, y, z), (h, h, h))
+        if apart is not None:
+            vertices = on_both_fields(vertices, *apart, grid)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         if field.edge_mm is None:
             context.warn("the cell has no physical size: one cell edge is written as 1 mm")

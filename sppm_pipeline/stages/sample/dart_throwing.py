@@ -46,6 +46,13 @@ class DartThrowing(Sampler):
     def wished_spacing(self, cell: Cell) -> float | None:
         return None if self.spacing is None else cell.fraction(self.spacing)
 
+    def gap_from_faces(self, cell: Cell, pores: PoreSet) -> float:
+        """Half the spacing unless given: distances to face pores are checked one by one, and from the faces half is
+        what two interiors on either side need. Without that check the whole spacing, as in the paper.
+        """
+        whole = super().gap_from_faces(cell, pores)
+        return whole / 2 if self.gap is None and self.clear_faces else whole
+
     def kept_spacing(self, cell: Cell, before: PoreSet) -> float | None:
         known = [spacing for spacing in (self.wished_spacing(cell), before.spacing) if spacing is not None]
         if not known or (len(before.centers) and before.spacing is None):

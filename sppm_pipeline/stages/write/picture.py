@@ -90,9 +90,12 @@ class WritePicture(Stage):
         from sppm_pipeline.numerics.picture.cut_faces import cut_values
         from sppm_pipeline.numerics.picture.mesh_view import render_mesh
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
+        from sppm_pipeline.numerics.surface.intersection import on_both_fields
 
         values = inner if outer is None else np.maximum(inner, outer)
         vertices, faces = capped_marching_cubes(values, 0.0, grid.origin, grid.spacing)
+        if outer is not None:
+            vertices = on_both_fields(vertices, inner, outer, grid)
         cut = cut_values(vertices, inner, outer, grid)
         return render_mesh(vertices, faces, camera=self._camera(), size=size, cut=cut)
 

@@ -29,7 +29,10 @@ class WritePng(Stage):
 
     path: str = option("slices", help="folder to write")
     bits: int | None = option(
-        None, help="bits of a pixel: 1 for black and white, 8 for grey; what the layers need if omitted", minimum=1, maximum=8
+        None,
+        help="bits of a pixel: 1 for black and white, 8 for grey; what the layers need if omitted",
+        minimum=1,
+        maximum=8,
     )
     sheet: int = option(6, help="layers shown together in an overview picture beside the folder; 0 for none", minimum=0)
 
@@ -58,9 +61,7 @@ class WritePng(Stage):
                     upright = np.ascontiguousarray(image[::-1])
                     if k in shown:
                         overview.append(upright)
-                    waiting.append(
-                        pool.submit(_write, folder / f"{k:0{digits}d}.png", upright, bits, stack.pixel_mm)
-                    )
+                    waiting.append(pool.submit(_write, folder / f"{k:0{digits}d}.png", upright, bits, stack.pixel_mm))
                     while len(waiting) > 4 * max(1, context.threads):
                         total += waiting.popleft().result()
                 context.progress(min(start + len(slab), nz), nz, "layers")

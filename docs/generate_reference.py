@@ -1,0 +1,210 @@
+"""Write the reference pages of stages and command line from the program itself.
+
+Usage: ``python docs/generate_reference.py`` writes them, ``--check`` only tells which are stale (exit code 1).
+
+Everything on these pages is declared once, in the code: options beside their stage, ports in the signature of `run`,
+arguments in the verb's module. ``docs/reference/yaml.md`` is written by hand and left alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import sys
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+
+from sppm_pipeline.cli.arguments import BUILTINS
+from sppm_pipeline.cli.main import EXIT_CODES, VERBS
+from sppm_pipeline.engine.describe import stage_data
+from sppm_pipeline.engine.options import Option, options_of, plain_option, type_words
+from sppm_pipeline.engine.plugins import load_plugins
+from sppm_pipeline.engine.registry import Registry
+from sppm_pipeline.stage import FAMILIES, Stage
+
+FOLDER = Path(__file__).resolve().parent / "reference"
+BY_HAND = ("yaml.md",)
+NOTICE = "<!-- Written by docs/generate_reference.py from the code; edit the code, not this page. -->\n"
+
+
+def pages() -> dict[str, str]:
+    """Text of every generated page by its path below ``docs/reference``."""
+    registry = Registry(load_plugins(BUILTINS, distributions=False))
+    result = {"README.md": index_page(registry), "cli.md": cli_page()}
+    for name in registry:
+        result[f"{name.replace('.', '/', 1)}.md"] = stage_page(registry.get(name), registry)
+    return result
+
+
+def stale(folder: Path, wanted: Mapping[str, str]) -> list[str]:
+    """Pages that are missing, differ, or belong to nothing any more."""
+    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*.md")} - set(BY_HAND)
+    differs = [
+        name for name, text in wanted.items() if name in there and (folder / name).read_text(encoding="utf-8") != text
+    ]
+    return sorted({*differs, *(there ^ set(wanted))})
+
+
+def index_page(registry: Registry) -> str:
+    """Families in the order of a pipeline, each with its stages."""
+    lines = [
+        "# Reference",
+        "",
+        NOTICE,
+        "* [The YAML file](yaml.md): layout, wiring, parameters, sweeps, recipes, plugins, exit codes",
+        "* [The command line](cli.md): every verb with its arguments",
+        "* The stages, by family, below. `sppm stages NAME` prints the same in the terminal, for plugins, too.",
+        "",
+    ]
+    for family in [*FAMILIES, *sorted({name.split(".")[0] for name in registry} - set(FAMILIES))]:
+        names = [name for name in registry if name.split(".")[0] == family]
+        if not names:
+            continue
+        what = FAMILIES.get(family, "")
+        rows = []
+        for name in names:
+            data = stage_data(registry.get(name), registry)
+            takes = ", ".join(f"{p['takes']}{'?' if p['optional'] else ''}" for p in data["ports"]) or "nothing"
+            link = f"[`{name}`]({name.replace('.', '/', 1)}.md)"
+            rows.append((link, takes, data["makes"], data["purpose"]))
+        lines += [f"## {family}", "", f"{what[:1].upper()}{what[1:]}.", ""]
+        lines += table(("stage", "takes", "makes", "what it does"), rows)
+        lines.append("")
+    lines.append("A question mark stands behind a noun that is used if an earlier stage makes it.")
+    return "\n".join(lines) + "\n"
+
+
+def stage_page(cls: type[Stage], registry: Registry) -> str:
+    """The reference of one stage."""
+    data = stage_data(cls, registry)
+    family, _, word = cls.name.partition(".")
+    lines = [f"# {cls.name}", "", NOTICE, inspect.getdoc(cls) or "", "", "## Ports", ""]
+    if data["ports"]:
+        rows = [(f"`{p['port']}`", p["takes"], "no" if p["optional"] else "yes") for p in data["ports"]]
+        lines += table(("port", "takes", "required"), rows)
+    else:
+        lines.append("It takes nothing from earlier stages.")
+    lines += ["", f"It makes: {data['makes']}.", "", "## Options", ""]
+    options = options_of(cls).values()
+    if options:
+        rows = [
+            (
+                f"`{option.name}`",
+                type_words(option.kind),
+                unit_words(option),
+                bound_words(option),
+                default_words(option),
+                option.spec.help,
+            )
+            for option in options
+        ]
+        lines += table(("option", "type", "unit", "allowed", "default", "what it says"), rows)
+    else:
+        lines.append("It has none.")
+    source = f"sppm_pipeline/stages/{family}/{word}.py"
+    lines += ["", f"Source: [`{source}`](../../../{source}). [All stages](../README.md)"]
+    return "\n".join(lines) + "\n"
+
+
+def cli_page() -> str:
+    """Every verb with its arguments, and the exit codes."""
+    lines = ["# The command line", "", NOTICE, "`sppm VERB --help` prints the same.", ""]
+    lines += table(("verb", "what it does"), [(f"[`sppm {verb}`](#sppm-{verb})", what) for verb, what in VERBS.items()])
+    for verb, what in VERBS.items():
+        lines += ["", f"## sppm {verb}", "", f"{what[:1].upper()}{what[1:]}.", ""]
+        lines += table(("argument", "what it says"), list(arguments_of(verb)))
+    lines += ["", "## Exit codes", ""]
+    codes = EXIT_CODES.partition(":")[2].replace("\n", " ").split(";")
+    split = [code.strip() for code in codes]
+    rows = []
+    for code in split:
+        numbers, _, meaning = code.rpartition(", ") if code.startswith("130") else code.partition(" ")
+        if code.startswith("130"):
+            last, _, meaning = meaning.partition(" ")
+            numbers = f"{numbers}, {last}"
+        rows.append((numbers, meaning))
+    lines += table(("code", "meaning"), rows)
+    return "\n".join(lines) + "\n"
+
+
+def arguments_of(verb: str) -> Iterator[tuple[str, str]]:
+    """Arguments of a verb as written, and their help.
+
+    They are read from the parser and not from its help text, whose layout changes with the version of Python.
+    """
+    parser = argparse.ArgumentParser(prog=f"sppm {verb}", add_help=False)
+    import_module(f"sppm_pipeline.cli.{verb}").configure(parser)
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    for action in parser._actions:
+        shown = action.metavar if isinstance(action.metavar, str) else "|".join(map(str, action.choices or ()))
+        shown = shown or action.dest.upper()
+        if action.option_strings:
+            value = "" if action.nargs == 0 else f" {shown}"
+            written = ", ".join(f"`{flag}{value}`" for flag in action.option_strings)
+        else:
+            written = f"`[{shown}]`" if action.nargs == "?" else f"`{shown}`"
+        yield written, action.help or ""
+
+
+def unit_words(option: Option) -> str:
+    """The unit of a bare number."""
+    return option.spec.unit or ""
+
+
+def bound_words(option: Option) -> str:
+    """Choices or bounds."""
+    spec = option.spec
+    if spec.choices:
+        return ", ".join(f"`{choice}`" for choice in spec.choices)
+    bounds = ((spec.minimum, "≥"), (spec.above, ">"), (spec.maximum, "≤"), (spec.below, "<"))
+    return ", ".join(f"{sign} {bound:g}" for bound, sign in bounds if bound is not None)
+
+
+def default_words(option: Option) -> str:
+    """The default as YAML has it; options that may be left out without one have none."""
+    if option.required:
+        return "**required**"
+    value = plain_option(option.default)
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    return "`''`" if value == "" else f"`{value}`"
+
+
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    """Lines of a Markdown table."""
+
+    def line(cells: tuple[str, ...]) -> str:
+        return "| " + " | ".join(cell_text(cell) for cell in cells) + " |"
+
+    return [line(head), "|" + "---|" * len(head), *(line(row) for row in rows)]
+
+
+def cell_text(text: str) -> str:
+    """Text that neither ends its cell nor is taken for HTML; what stands between backticks keeps its angle brackets."""
+    parts = text.replace("\n", " ").replace("|", "\\|").split("`")
+    return "`".join(part if i % 2 else part.replace("<", "&lt;") for i, part in enumerate(parts))
+
+
+def main() -> int:
+    """Write the pages, or say which are stale."""
+    wanted = pages()
+    old = stale(FOLDER, wanted)
+    if "--check" in sys.argv[1:]:
+        print("\n".join(old) or "all pages are up to date")
+        return 1 if old else 0
+    for name in old:
+        path = FOLDER / name
+        if name not in wanted:
+            path.unlink()
+            continue
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(wanted[name], encoding="utf-8")
+    print(f"{len(wanted)} pages, {len(old)} of them changed")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,58 @@
+"""The generated reference is that of the code; if it is stale, run ``python docs/generate_reference.py``."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from sppm_pipeline.stages import BUILT_IN
+
+
+@pytest.fixture(scope="module")
+def generator() -> ModuleType:
+    path = Path(__file__).resolve().parents[2] / "docs" / "generate_reference.py"
+    spec = importlib.util.spec_from_file_location("generate_reference", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def pages(generator: ModuleType) -> dict[str, str]:
+    return generator.pages()
+
+
+def test_pages_are_up_to_date(generator: ModuleType, pages: dict[str, str]) -> None:
+    assert generator.stale(generator.FOLDER, pages) == [], "run python docs/generate_reference.py"
+
+
+def test_every_stage_has_a_page_named_like_its_file(pages: dict[str, str], root: Path) -> None:
+    for name in BUILT_IN:
+        path = name.replace(".", "/")
+        assert f"{path}.md" in pages
+        assert (root / "sppm_pipeline" / "stages" / f"{path}.py").is_file()
+
+
+def test_a_change_makes_a_page_stale(generator: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "sample").mkdir()
+    (tmp_path / "sample" / "a.md").write_text("old")
+    (tmp_path / "gone.md").write_text("of a stage that was removed")
+    (tmp_path / "yaml.md").write_text("by hand")
+    wanted = {"sample/a.md": "new", "sample/b.md": "not there yet"}
+    assert generator.stale(tmp_path, wanted) == ["gone.md", "sample/a.md", "sample/b.md"]
+    assert generator.stale(tmp_path, {"sample/a.md": "old", "gone.md": "of a stage that was removed"}) == []
+
+
+def test_pages_state_required_options_bounds_and_choices(pages: dict[str, str]) -> None:
+    porosity = pages["tune/porosity.md"]
+    assert "| `target` | a number |  | > 0, &lt; 1 | **required** |" in porosity
+    assert "`level`, `gap` | `level` |" in porosity
+
+
+def test_cells_of_tables_hold_any_text(generator: ModuleType) -> None:
+    assert generator.table(("a",), [("x|y <b> `<c>`\nz",)]) == ["| a |", "|---|", "| x\\|y &lt;b> `<c>` z |"]
