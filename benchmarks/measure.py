@@ -36,9 +36,11 @@ def run(command: Sequence[str], *, limit_bytes: int | None = None) -> Run:
         if limit_bytes is not None:
             resource.setrlimit(resource.RLIMIT_AS, (limit_bytes, limit_bytes))
 
+    # installed programs have their bytecode; a setting of the developer must not be measured
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     start = time.perf_counter()
     with subprocess.Popen(
-        list(command), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, preexec_fn=limit
+        list(command), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, preexec_fn=limit, env=environment
     ) as process:
         assert process.stderr is not None
         message = process.stderr.read().decode(errors="replace")

@@ -28,10 +28,9 @@ def main() -> None:
             units = cells**3
             for mode in ("greedy", "exact"):
                 out = Path(scratch) / f"{units}-{mode}"
-                ours = median(
-                    [sys.executable, "-m", "sppm_pipeline", "run", str(config), "-q", "-o", str(out)]
-                    + ["-p", f"cells=[{cells}, {cells}, {cells}]", "-p", f"mode={mode}"]
-                )
+                size = f"cells=[{cells}, {cells}, {cells}]"
+                command = [sys.executable, "-m", "sppm_pipeline", "run", str(config), "-q", "-o", str(out)]
+                ours = median([*command, "-p", size, "-p", f"mode={mode}"])
                 rows.append([units, f"sppm, {mode}", *ours, stored(out)])
             out = Path(scratch) / f"{units}-obvious"
             rival = median([sys.executable, "-m", "benchmarks.rivals.obvious_mesh_free", str(cells), str(out)], runs=3)

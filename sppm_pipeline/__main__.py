@@ -1,6 +1,6 @@
 """``python -m sppm_pipeline`` is ``sppm``."""
 
-from sppm_pipeline.cli.main import main
+from sppm_pipeline.cli.main import leave
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    leave()

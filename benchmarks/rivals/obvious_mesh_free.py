@@ -36,7 +36,7 @@ def joined(points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     graph.add_weighted_edges_from((i, j, w) for w, i, j in pairs)
     tree = networkx.minimum_spanning_tree(graph)
     for _, i, j in sorted(pairs):
-        if tree.degree(i) < 3 and tree.degree(j) < 5 or tree.degree(j) < 3 and tree.degree(i) < 5:
+        if (tree.degree(i) < 3 and tree.degree(j) < 5) or (tree.degree(j) < 3 and tree.degree(i) < 5):
             tree.add_edge(i, j)
     return [(points[i], points[j]) for i, j in tree.edges]
 

@@ -79,16 +79,13 @@ def _machine() -> Iterator[Finding]:
 
 
 def _kernel_cache() -> Iterator[Finding]:
-    """Where Numba keeps compiled kernels: beside the sources if it can, else in the user's cache."""
-    package = Path(__file__).resolve().parents[1]
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen) if chosen else package
+    """Where compiled kernels are kept."""
+    from sppm_pipeline.numerics.kernel_cache import kernel_cache_folder
+
+    folder = kernel_cache_folder()
     writable, found = _writable(folder)
     kernels = sum(1 for _ in folder.rglob("*.nbi"))
     state = f"{kernels} kernels compiled" if kernels else "empty: the first run compiles for some seconds"
-    if not writable and not chosen:
-        found += "; kernels are kept in the user's cache folder instead"
-        writable = True
     yield writable, "kernel cache", f"{folder}: {found}, {state}"
 
 

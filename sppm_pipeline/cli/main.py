@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import io
+import os
 import sys
 from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING
@@ -11,7 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["VERBS", "main"]
+__all__ = ["VERBS", "leave", "main"]
 
 VERBS = {
     "run": "run a pipeline, or every row of its sweep",
@@ -52,6 +54,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 143 if isinstance(error, Terminated) else 130
     except Exception as error:
         return _report(error, "--debug" in words)
+
+
+def leave() -> None:
+    """Run the command line and end the process; what the console script calls.
+
+    Taking down compiled kernels and their compiler in order takes a fifth of a second, for nothing: all files are
+    closed and all threads have ended. So the exit handlers run, the streams are flushed, and the process is left.
+    """
+    code = main()
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+    os._exit(code)
 
 
 def _dispatch(words: list[str]) -> int:

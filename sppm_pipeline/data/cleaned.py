@@ -47,6 +47,10 @@ class CleanedField(ScalarField):
         return self.base.periodic
 
     @property
+    def finest_radius(self) -> float | None:
+        return self.base.finest_radius
+
+    @property
     def edge_mm(self) -> float | None:
         return self.base.edge_mm
 

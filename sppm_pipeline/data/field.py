@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 
 import numpy as np
@@ -11,7 +12,10 @@ from sppm_pipeline.data.noun import Noun
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["ScalarField"]
+__all__ = ["RESOLVED", "ScalarField"]
+
+RESOLVED = 1.2
+"""Voxels up to this many tunnel radii keep the void in one piece, as measured on cells of the paper."""
 
 
 class ScalarField(Noun, ABC):
@@ -70,6 +74,29 @@ class ScalarField(Noun, ABC):
         class may leave the others undecided.
         """
         return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
+
+    @property
+    def finest_radius(self) -> float | None:
+        """Radius of the thinnest tunnel, cell edges; None if it is unknown."""
+        return None
+
+    def coarseness(self, spacing: float) -> str | None:
+        """What to tell a user whose samples lie too far apart to show the thinnest tunnels; None if they do not.
+
+        Parameters
+        ----------
+        spacing : float
+            Distance of samples, cell edges.
+        """
+        radius = self.finest_radius
+        if radius is None or spacing <= RESOLVED * radius:
+            return None
+        wanted = math.ceil(1 / (RESOLVED * radius))
+        edge = f" ({self.edge_mm / wanted:.3g} mm)" if self.edge_mm else ""
+        return (
+            f"{1 / spacing:.4g} voxels along a cell edge are too few for the thinnest tunnels, of radius {radius:.3g} "
+            f"cell edges: some void may look closed; {wanted} or more{edge} show them"
+        )
 
     def physical_edge(self) -> float:
         """`edge_mm`, or an error for those who need a size.

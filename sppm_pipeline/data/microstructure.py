@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -63,6 +64,16 @@ class Microstructure(ScalarField):
         return True
 
     @property
+    def finest_radius(self) -> float | None:
+        pieces = self.pieces
+        parts = [*pieces.interiors, *(k for axis in pieces.faces for k in axis), *pieces.connectors.values()]
+        mu = max((float(k.mu.max()) for k in parts if len(k.mu)), default=0.0)
+        if not mu or self.level >= 1:
+            return None
+        radius = -math.log(self.level) / mu
+        return math.sqrt(radius) if pieces.squared else radius
+
+    @property
     def edge_mm(self) -> float | None:
         return self.cell.edge if self.cell.physical else None
 
@@ -117,6 +128,10 @@ class PeriodicTile(ScalarField):
     @property
     def periodic(self) -> bool:
         return True
+
+    @property
+    def finest_radius(self) -> float | None:
+        return self.micro.finest_radius
 
     @property
     def edge_mm(self) -> float | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import dataclasses
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ class Part(ScalarField):
     domain: SurfaceMesh
     skin_mm: float = 0.0
     islands: str = "remove"
-    _prepared: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    _prepared: dict[str, Any] = dataclasses.field(default_factory=dict, compare=False, repr=False)
 
     @property
     def cells(self) -> tuple[int, int, int]:
@@ -47,6 +48,10 @@ class Part(ScalarField):
     @property
     def periodic(self) -> bool:
         return False
+
+    @property
+    def finest_radius(self) -> float | None:
+        return self.field.finest_radius
 
     @property
     def edge_mm(self) -> float | None:

@@ -52,11 +52,15 @@ class Tiling(ScalarField):
 
     @property
     def cells(self) -> tuple[int, int, int]:
-        return self.arrays.interior.shape  # type: ignore[return-value]
+        return self.arrays.interior.shape
 
     @property
     def periodic(self) -> bool:
         return self.arrays.periodic
+
+    @property
+    def finest_radius(self) -> float | None:
+        return self.tileset.micro.finest_radius
 
     @property
     def edge_mm(self) -> float | None:
@@ -80,7 +84,7 @@ class Tiling(ScalarField):
 
     def _sums(self, grid: Grid, start: int, stop: int, threads: int) -> NDArray[np.float32]:
         def sums(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
-            window = self._window(grid)
+            window = self._window(grid, threads)
             if window is None:
                 return self._summed(grid, threads, start, stop, None)
             from sppm_pipeline.numerics.assembly.overlap_add import assemble
@@ -98,7 +102,7 @@ class Tiling(ScalarField):
     ) -> NDArray[np.uint8]:
         def solid(grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
             level = self.tileset.micro.level
-            window = self._window(grid)
+            window = self._window(grid, threads)
             if window is None:
                 rows = None if self.periodic else wanted
                 return (self._summed(grid, threads, start, stop, rows) < np.float32(level)).view(np.uint8)
@@ -123,7 +127,9 @@ class Tiling(ScalarField):
             micro.pieces, self.arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalogue=kept
         )
 
-    def _window(self, grid: Grid) -> tuple[PatchBank, tuple[int, int], tuple[int, int], tuple[int, int]] | None:
+    def _window(
+        self, grid: Grid, threads: int
+    ) -> tuple[PatchBank, tuple[int, int], tuple[int, int], tuple[int, int]] | None:
         """The patch bank and the window of voxel indices that `grid` stands for, or None if it is not commensurate."""
         per_cell, first, offset = [], [], []
         for axis in range(3):
@@ -139,13 +145,13 @@ class Tiling(ScalarField):
             first.append(round(place - offset[-1]))
         if len(set(offset)) > 1 or len(set(per_cell)) > 1:
             return None
-        bank = self._bank(per_cell[0], offset[0])
+        bank = self._bank(per_cell[0], offset[0], threads)
         if bank is None:
             return None
         x, y, z = ((first[a], first[a] + grid.shape[a]) for a in range(3))
         return bank, z, x, y
 
-    def _bank(self, n: int, offset: float) -> PatchBank | None:
+    def _bank(self, n: int, offset: float, threads: int) -> PatchBank | None:
         """Patches at n samples a cell edge; kept with the microstructure, as they do not depend on the level."""
         from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes
 
@@ -162,7 +168,7 @@ class Tiling(ScalarField):
             size = predicted_bytes(micro.pieces, n, combinations, **arguments)
             if size > (LARGE_BANK if cells > 10 * USES_OF_A_PATCH * patches else SMALL_BANK):
                 return None
-            kept[key] = build_bank(micro.pieces, n, combinations, **arguments)
+            kept[key] = build_bank(micro.pieces, n, combinations, threads=threads, **arguments)
         bank: PatchBank = kept[key]
         return bank
 
@@ -204,6 +210,10 @@ class RepeatedField(ScalarField):
     @property
     def periodic(self) -> bool:
         return True
+
+    @property
+    def finest_radius(self) -> float | None:
+        return self.base.finest_radius
 
     @property
     def edge_mm(self) -> float | None:

@@ -66,10 +66,37 @@ def open_session(order: Order) -> Session:
     ------
     ConfigError, PluginError
     """
-    configuration = read_configuration(Path(order.file))
+    configuration = without_fixed_axes(read_configuration(Path(order.file)), order.overrides)
     files: list[Any] = [Path(path) for path in order.plugins]
     if order.distributions:
         files += configuration.plugins
     plugins = load_plugins(order.builtins, files=files, distributions=order.distributions)
     plugins.raise_broken()
     return Session(order, configuration, plugins, Registry(plugins))
+
+
+def without_fixed_axes(configuration: Configuration, overrides: Overrides) -> Configuration:
+    """The configuration without the axes of a sweep that the command line gives one value.
+
+    ``-p cells=[8, 8, 8]`` of a sweep over `cells` asks for that value and no other. Without axes there is no sweep
+    left, and nothing comes after it.
+    """
+    sweep = configuration.sweep
+    fixed = {text.partition("=")[0].strip() for text in overrides.params}
+    if overrides.seed is not None:
+        fixed.add("seed")
+    if sweep is None or not fixed:
+        return configuration
+    if isinstance(sweep.value, dict):
+        left: Any = {name: entry for name, entry in sweep.value.items() if name not in fixed}
+    elif all(isinstance(row.value, dict) for row in sweep.value):
+        rows = [
+            replace(row, value={name: entry for name, entry in row.value.items() if name not in fixed})
+            for row in sweep.value
+        ]
+        left = rows if any(row.value for row in rows) else []
+    else:
+        return configuration
+    if not left:
+        return replace(configuration, sweep=None, after=None)
+    return replace(configuration, sweep=replace(sweep, value=left))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -89,7 +90,15 @@ class TileSetMaker(Stage):
     ) -> list[NDArray[np.float32]]:
         """The kernel sum G of each trial layout, (nz, ny, nx) each."""
         tileset = TileSet(micro, self.kind, self.palette_size())
-        return [Tiling(tileset, arrays, None).sums(cell_centres(n, arrays.shape), context.threads) for arrays in trial]
+
+        def sums(arrays: TilingArrays) -> NDArray[np.float32]:
+            threads = context.threads if len(trial) == 1 else 1
+            return Tiling(tileset, arrays, None).sums(cell_centres(n, arrays.shape), threads)
+
+        if len(trial) == 1:
+            return [sums(trial[0])]
+        with ThreadPoolExecutor(context.threads) as pool:
+            return list(pool.map(sums, trial))
 
 
 def _porosities(sums: list[NDArray[np.float32]], level: float, n: int) -> list[NDArray[np.float64]]:

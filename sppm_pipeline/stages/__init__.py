@@ -1,4 +1,4 @@
-"""The built-in stages. They register through the same hook as those of strangers, by name, so that none is imported early."""
+"""The built-in stages; they register through the hook of strangers, by name, so that none is imported early."""
 
 from __future__ import annotations
 

@@ -230,3 +230,19 @@ def test_tables():
     assert csv_text({**table.columns, "c": ([1], True)}) == 'a,b,c\n1,,[1]\n2,"x, y",true\n'
     with pytest.raises(ValueError, match="different lengths"):
         Table({"a": (1,), "b": ()}).check()
+
+
+def test_a_parameter_given_on_the_command_line_is_no_axis_any_more(work):
+    session = work.session(TEXT, p=("factor=7",))
+    found = sweep_rows(session.configuration.sweep, session.configuration.params)
+    assert [{name: plain(entry.node) for name, entry in row.items()} for row in found] == [
+        {"seed": s} for s in (4, 5, 6)
+    ]
+    assert session.plan().params["factor"] == 7
+
+
+def test_a_sweep_without_axes_left_is_a_single_run(work):
+    session = work.session(TEXT, p=("factor=7",), seed=3)
+    assert session.configuration.sweep is None
+    assert session.plan().seed == 3
+    assert not session.plan().after

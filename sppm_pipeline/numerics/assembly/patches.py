@@ -11,7 +11,10 @@ the memory, and sums that are exact whatever their order.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +28,8 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_
 from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, check_cutoff, reach_boxes
 from sppm_pipeline.numerics.kernels.rows import LANES
 from sppm_pipeline.numerics.kernels.splat import add_kernels
+
+_T = TypeVar("_T")
 
 __all__ = ["FULL", "PatchBank", "build_bank", "patches_at", "predicted_bytes", "used_combinations"]
 
@@ -233,11 +238,15 @@ def build_bank(
     kind = np.float32 if solid_level is None else np.int16
     data: NDArray[Any] = np.empty(int((size.prod(axis=1, dtype=np.int64)).sum()), dtype=kind)
     used = 0
-    for p, i in enumerate(there):
+
+    def sampled(p: int) -> NDArray[np.float32]:
         dense = np.zeros((size[p, 2], size[p, 1], size[p, 0]), dtype=np.float32)
         origin = (low[p] + offset) / n
         grid = Grid((origin[0], origin[1], origin[2]), (1.0 / n,) * 3, dense.shape[::-1])
-        add_kernels(dense, grid, kernels[i], cutoff, threads)
+        add_kernels(dense, grid, kernels[there[p]], cutoff)
+        return dense
+
+    for p, dense in enumerate(_in_threads(sampled, len(there), threads)):
         part = slice(first_row[p], first_row[p] + rows[p])
         scale = 1.0 if solid_level is None else FULL / solid_level
         samples = dense if solid_level is None else np.minimum(np.rint(dense * np.float32(scale)), FULL).astype(kind)
@@ -280,6 +289,20 @@ def build_bank(
         data,
         solid_level,
     )
+
+
+def _in_threads(function: Callable[[int], _T], count: int, threads: int) -> Iterator[_T]:
+    """``function(0), function(1), ...`` in order; at most `threads` results wait beside the one in use."""
+    if threads == 1 or count == 1:
+        yield from map(function, range(count))
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        ahead = deque(pool.submit(function, i) for i in range(min(threads, count)))
+        for following in range(len(ahead), len(ahead) + count):
+            result = ahead.popleft().result()
+            if following < count:
+                ahead.append(pool.submit(function, following))
+            yield result
 
 
 @kernel

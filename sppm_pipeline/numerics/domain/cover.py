@@ -46,7 +46,8 @@ def cells_touched(
     inside = inside_layers(prepare_inside(points, faces, centre, closed), 0, shape[2]).mask.transpose(2, 1, 0)
     touched = np.zeros(shape, np.bool_)
     _touch(points[np.asarray(faces, np.int64)], np.asarray(origin, np.float64), edge, touched)
-    return touched | inside.astype(bool)
+    touched |= inside.astype(bool)
+    return touched
 
 
 @kernel

@@ -1,10 +1,10 @@
 """Signed distance of grid points from a triangle mesh, exact near the surface.
 
 Every triangle writes its exact distance to the samples within two spacings of it; from there the nearest triangle is
-handed from sample to sample in eight sweeps, and each sample keeps the exact distance to the best triangle it was offered
-(closest-point propagation, as in Bridson 2015, "Fluid Simulation for Computer Graphics", chapter 4). Beyond the band a
-sample may miss its nearest triangle by a neighbouring one, which errs by a small fraction of the spacing. The sign comes
-from signed scanlines, so overlapping shells count once.
+handed from sample to sample in eight sweeps, and each sample keeps the exact distance to the best triangle it was
+offered (closest-point propagation, as in Bridson 2015, "Fluid Simulation for Computer Graphics", chapter 4). Beyond the
+band a sample may miss its nearest triangle by a neighbouring one, which errs by a small fraction of the spacing. The
+sign comes from signed scanlines, so overlapping shells count once.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _squared_to_triangle(t: NDArray[np.float64], x: float, y: float, z: float) -
     if det > 0.0 and s >= 0.0 and r >= 0.0 and s + r <= det:
         s, r = s / det, r / det
         dx, dy, dz = px - s * ux - r * vx, py - s * uy - r * vy, pz - s * uz - r * vz
-        return dx * dx + dy * dy + dz * dz
+        return float(dx * dx + dy * dy + dz * dz)
     best = np.inf
     for e in range(3):
         b = (e + 1) % 3

@@ -100,7 +100,7 @@ def want_rows(table: NDArray[np.float32], wanted: NDArray[np.int32], first: int,
         table[_WANTED_TO + i] = np.float32(nx - 1)
     if wanted.shape[0] > 0:
         for i in range(_LANES):
-            row = first + min(np.int64(i), rows - 1)
+            row = first + int(min(np.int64(i), np.int64(rows - 1)))
             table[_WANTED_FROM + i] = np.float32(wanted[row, 0])
             table[_WANTED_TO + i] = np.float32(wanted[row, 1] - 1)
 

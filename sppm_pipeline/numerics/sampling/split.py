@@ -8,7 +8,7 @@ from sppm_pipeline.numerics.sampling.capacity import box_capacity, face_capacity
 __all__ = ["split_between_faces_and_interior"]
 
 FILLED = 0.95
-"""Pores of a cell filled up from its faces inward, as a share of those of a torus without faces; measured .92 to .97."""
+"""Pores of a cell filled up from its faces inward, as a share of those of a torus without faces (measured: .92-.97)."""
 
 
 def split_between_faces_and_interior(
@@ -16,8 +16,8 @@ def split_between_faces_and_interior(
 ) -> tuple[int, float]:
     """Number of face pores of a cell and spacing, at equal packing of faces and interior.
 
-    The interior is taken to begin half a spacing away from the faces and to keep the spacing from their pores. Two of the number of pores, the spacing and the
-    share have to be given.
+    The interior is taken to begin half a spacing away from the faces and to keep the spacing from their pores. Two of
+    the number of pores, the spacing and the share have to be given.
 
     Parameters
     ----------

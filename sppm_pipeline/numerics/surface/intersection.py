@@ -1,8 +1,8 @@
 """The surface of the intersection of two solids, each exact to its own field.
 
-The intersection of two fields is their maximum, and marching cubes finds its topology. But the maximum mixes, at the two
-ends of a grid edge, values of fields of different size, so its interpolated zero lies where neither field has one. Here
-every vertex is put where, going from the solid end, the first of the two fields reaches its zero.
+The intersection of two fields is their maximum, and marching cubes finds its topology. But the maximum mixes, at the
+two ends of a grid edge, values of fields of different size, so its interpolated zero lies where neither field has one.
+Here every vertex is put where, going from the solid end, the first of the two fields reaches its zero.
 """
 
 from __future__ import annotations
@@ -57,9 +57,7 @@ def on_both_fields(
     share = np.clip(np.where(solid_is_low, share, 1 - share), EDGE_MARGIN, 1 - EDGE_MARGIN)
     moved = vertices.copy()
     rows_moved = np.flatnonzero(on_edge)
-    moved[rows_moved, axis] = (
-        np.array(grid.origin)[axis] + (low[rows, axis] + share) * np.array(grid.spacing)[axis]
-    )
+    moved[rows_moved, axis] = np.array(grid.origin)[axis] + (low[rows, axis] + share) * np.array(grid.spacing)[axis]
     return moved
 
 

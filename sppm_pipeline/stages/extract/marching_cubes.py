@@ -36,6 +36,8 @@ class MarchingCubes(Stage):
         from sppm_pipeline.numerics.surface.intersection import on_both_fields
 
         n, h = self.resolution, 1.0 / self.resolution
+        if (coarse := field.coarseness(h)) is not None:
+            context.warn(coarse)
         if isinstance(field, Part):
             edge = field.physical_edge()
             low = np.floor((field.domain.lower - field.origin_mm) / edge * n).astype(int) - 1

@@ -73,7 +73,7 @@ class GaussianField(Stage):
 
 
 def _factors(rng: np.random.Generator, spread: float, n: int) -> NDArray[np.float64]:
-    """Factors of the radii: log-normal with median 1, cut at two standard deviations so that no pore swallows a cell."""
+    """Factors of the radii: log-normal, median 1, cut at two deviations so that no pore swallows a cell."""
     if not spread:
         return np.ones(n)
     return np.exp(spread * np.clip(rng.standard_normal(n), -2, 2))

@@ -47,8 +47,8 @@ class ReadMesh(Stage):
     )
     accept: str = option(
         "closed",
-        help="closed: refuse a mesh with holes or faces wound against each other; any: fill what a vote of rays along x, "
-        "y and z calls inside, with a warning",
+        help="closed: refuse a mesh with holes or faces wound against each other; any: fill what a vote of rays along "
+        "x, y and z calls inside, with a warning",
         choices=("closed", "any"),
     )
 
@@ -91,8 +91,8 @@ class ReadMesh(Stage):
             faces = faces[:, ::-1]
         if not counts.bounds_solid:
             message = (
-                f"{self.path.name} does not bound a volume: {counts.boundary} open edges, {counts.non_manifold} edges of "
-                f"three or more triangles, {counts.unbalanced} edges where the winding does not match"
+                f"{self.path.name} does not bound a volume: {counts.boundary} open edges, {counts.non_manifold} edges "
+                f"of three or more triangles, {counts.unbalanced} edges where the winding does not match"
             )
             if self.accept == "closed":
                 raise InputError(
@@ -107,7 +107,7 @@ class ReadMesh(Stage):
                     hint="repair the mesh: close its holes and wind its faces consistently",
                 )
             context.warn(f"{message}; {share:.1%} of the rays through it do not close, a vote decides what is inside")
-        return SurfaceMesh(vertices, faces, name=self.path.name)
+        return SurfaceMesh(vertices, faces.astype(np.int32), name=self.path.name)
 
 
 def _open_share(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> float:

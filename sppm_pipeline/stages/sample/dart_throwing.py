@@ -87,7 +87,7 @@ class DartThrowing(Sampler):
                 raise ConfigError("the spacing is missing", hint="give `spacing`, or `total` with `share`")
             # at share s of the packing limit a count n needs the spacing at which n / s pores are the limit
             sides = tuple(float(v) for v in box.upper - box.lower)
-            spacing = min(largest_spacing(max(count / self.share, 1), sides, periodic=box.periodic), 1.0)
+            spacing = min(largest_spacing(max(round(count / self.share), 1), sides, periodic=box.periodic), 1.0)
         return throw(
             rng,
             count,

@@ -63,6 +63,8 @@ class SliceField(Stage):
         nx, ny, nz = (max(1, b - a) for a, b in zip(first, last, strict=True))
         x, y, z = ((a + 0.5) * h for a, h in zip(first, pitch, strict=True))
         ox, oy, oz = (o + a * h * edge for o, a, h in zip(field.origin_mm, first, pitch, strict=True))
+        if (coarse := field.coarseness(max(pitch))) is not None:
+            context.warn(coarse)
         islands = field.islands if isinstance(field, Part) else self.islands
         grid = Grid((x, y, z), pitch, (nx, ny, nz))
         return FieldSlices(field, grid, pixel, layer, (ox, oy, oz), islands, self.grey)

@@ -43,7 +43,7 @@ class FreshTiling(Stage):
     resolution: int = option(
         32, help="voxels along a cell edge when porosity is measured", unit="voxels", minimum=8, maximum=256
     )
-    limit: int = option(20_000, help="most cells that are drawn", minimum=1)
+    limit: int = option(5000, help="most cells that are drawn", minimum=1)
 
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Number the cells and faces, then draw them all."""

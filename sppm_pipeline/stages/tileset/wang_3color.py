@@ -15,7 +15,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class WangTileSet(TileSetMaker):
-    """The c^3 tiles with equal colours on opposite faces, 27 for three colours (paper, section "Overall Stochasticity").
+    """The c^3 tiles with equal colours on opposite faces, 27 for three colours (paper, "Overall Stochasticity").
 
     Every tile has an interior of its own. A tile may be used alone as a periodic cell.
     """

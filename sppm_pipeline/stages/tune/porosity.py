@@ -20,12 +20,12 @@ Options = dict[str, dict[str, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class TunePorosity(Stage):
-    """Reach a porosity within 0.1 % (paper, section "Porosity Control").
+    """Reach a porosity within 0.001 of the volume (paper, section "Porosity Control").
 
     First the number of pores n: a straight line through the porosities of trial cells gives the n for the target, at
-    constant packing. Then fine: the level is set to the quantile of the field, which reaches any target in one pass, or,
-    as in the paper, the gap d between faces and interior is searched, on the branch d >= spacing where porosity falls
-    with d. The result is checked on an independent, finer grid.
+    constant packing. Then fine: the level is set to the quantile of the field, which reaches any target in one pass,
+    or, as in the paper, the gap d between faces and interior is searched, on the branch d >= spacing where porosity
+    falls with d. The result is checked on an independent, finer grid.
     """
 
     name: ClassVar[str] = "tune.porosity"
@@ -158,8 +158,8 @@ class TunePorosity(Stage):
         context.report(gap_evaluations=result.evaluations)
         if not result.met:
             raise DesignError(
-                f"no gap between {spacing:.4g} and {high:.4g} cell edges gives the porosity {self.target:g}; the best is "
-                f"the gap {result.x:g} with {result.value:.5f}",
+                f"no gap between {spacing:.4g} and {high:.4g} cell edges gives the porosity {self.target:g}; the best "
+                f"is the gap {result.x:g} with {result.value:.5f}",
                 hint="change the number of pores (`fit_count: true`), or tune `by: level`",
             )
         context.report(porosity=result.value, porosity_error=result.value - self.target, gap=result.x)
