@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.picture.charts import chart, nice_ticks

@@ -1,0 +1,19 @@
+"""A plugin in one file: independent uniform pores, which may come as close to each other as chance has it."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.families import Sampler
+from sppm_pipeline.stage import option
+
+
+@dataclass(frozen=True, kw_only=True)
+class Uniform(Sampler):
+    """Throw pores independently of each other: the worst case for their spacing, and what thrown darts improve on."""
+
+    name: ClassVar[str] = "sample.uniform"
+
+    count: int = option(help="number of pores in a cell", minimum=1)
+
+    def throw(self, rng, box):
+        return box.lower + rng.random((self.count, 3)) * (box.upper - box.lower)

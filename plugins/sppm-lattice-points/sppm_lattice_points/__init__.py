@@ -1,0 +1,16 @@
+"""Samplers for sppm_pipeline: jittered cubic lattices and hyperuniform pores."""
+
+from __future__ import annotations
+
+from sppm_pipeline.hookspecs import hookimpl
+
+__all__ = ["sppm_stages"]
+
+
+@hookimpl
+def sppm_stages() -> dict[str, str]:
+    """Our stages, by the place of their class, which is imported only when it is used."""
+    return {
+        "sample.lattice_points": "sppm_lattice_points.lattice_points:LatticePoints",
+        "sample.hyperuniform": "sppm_lattice_points.hyperuniform:Hyperuniform",
+    }

@@ -1,0 +1,25 @@
+"""What the samplers of this package share: they tell how close their pores have come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.families import Sampler
+from sppm_pipeline.stage import Context
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredSampler(Sampler):
+    """Base of samplers that take no spacing as a wish and so have to measure it."""
+
+    def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
+        """Throw the pores of all interiors and report the smallest distance of two pores of one interior."""
+        from sppm_pipeline.numerics.sampling.spacing import min_spacing
+
+        thrown = super().run(context, pores)
+        periodic = (not thrown.has_faces,) * 3
+        closest = min(min_spacing(thrown.of_piece(t), periodic) for t in range(thrown.interiors))
+        if closest < float("inf"):  # a lone pore between faces has no neighbour in its interior
+            context.report(smallest_distance=closest)
+        return thrown
