@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 import inspect
 import sys
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -162,25 +163,31 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
 
 
 def _import_file(path: Path) -> ModuleType:
-    """Import a single file under a name of its own."""
+    """Import a single file under a name of its own, once for each content; runs of a sweep may ask at the same time."""
     if not path.is_file():
         raise PluginError(f"there is no plugin file {str(path)!r}")
-    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
+    digest = hashlib.sha256(str(path.resolve()).encode() + b"\0" + path.read_bytes()).hexdigest()[:16]
     name = f"sppm_plugin_{path.stem}_{digest}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise PluginError(f"a plugin file must end in .py, got {str(path)!r}")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up there
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        line = _line_in(error, path)
-        raise PluginError(
-            f"the plugin {path}{line} can't be loaded: {type(error).__name__}: {error}", hint=_missing(error)
-        ) from error
+    with _IMPORTING:
+        if name in sys.modules:
+            return sys.modules[name]
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module  # dataclasses look their module up there
+        try:
+            spec.loader.exec_module(module)
+        except Exception as error:
+            del sys.modules[name]
+            line = _line_in(error, path)
+            raise PluginError(
+                f"the plugin {path}{line} can't be loaded: {type(error).__name__}: {error}", hint=_missing(error)
+            ) from error
     return module
+
+
+_IMPORTING = threading.Lock()
 
 
 def _line_in(error: Exception, path: Path) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.picture.charts import chart, nice_ticks
@@ -25,6 +27,8 @@ def test_box_statistics_by_hand():
         box_statistics([])
 
 
+@given(low=st.floats(-1e6, 1e6), span=st.floats(1e-3, 1e6))
+@settings(deadline=None, derandomize=True)
 def test_ticks_are_few_inside_and_evenly_spaced(low, span):
     ticks = nice_ticks(low, low + span)
     assert 2 <= len(ticks) <= 9

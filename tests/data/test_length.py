@@ -1,0 +1,36 @@
+"""Lengths and cells."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sppm_pipeline.data.length import UNITS_IN_MM, Cell, Length, parse_length
+from sppm_pipeline.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("text", "mm"),
+    [(7.5, 7.5), ("7.5 mm", 7.5), ("50um", 0.05), ("50 µm", 0.05), (" 1e-1 cm ", 1.0), ("2 in", 50.8), ("-.5 m", -500)],
+)
+def test_lengths_are_read(text, mm):
+    assert parse_length(text).mm() == pytest.approx(mm)
+
+
+@pytest.mark.parametrize("text", ["", "mm", "7.5 furlong", "1 2", "nan", "inf", True, None, [1], float("inf"), "1e999"])
+def test_others_are_refused(text):
+    with pytest.raises(ValueError, match=r"length|unit"):
+        parse_length(text)
+
+
+@given(st.floats(1e-6, 1e6), st.sampled_from([None, *UNITS_IN_MM]))
+def test_what_is_printed_reads_the_same(value, unit):
+    length = Length(float(f"{value:g}"), unit)
+    assert parse_length(str(length)) == length
+
+
+def test_fractions():
+    assert Cell(2.0).fraction(Length(0.5)) == 0.25
+    assert Cell(7.5, True).fraction(Length(0.75, "cm")) == 1.0
+    assert Cell(7.5, True).fraction(Length(7.5)) == 1.0
+    with pytest.raises(ConfigError, match="physical"):
+        Cell(2.0).fraction(Length(1, "mm"))

@@ -1,0 +1,111 @@
+"""Connectivity, porosity and residual periodicity."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from sppm_pipeline.data.cleaned import CleanedField
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.connectivity.islands import keep_largest
+from sppm_pipeline.numerics.grid import cell_centres, cell_nodes
+from sppm_pipeline.stage import Rejected
+from sppm_pipeline.stages.check.connectivity import CheckConnectivity
+from sppm_pipeline.stages.check.porosity import CheckPorosity
+from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity
+from sppm_pipeline.testing.plain_context import PlainContext
+
+
+@pytest.fixture(scope="module")
+def loose(cell):
+    """A cell with islands: so much void that the solid falls apart."""
+    return cell.with_level(0.03)
+
+
+def floating_share(field, n):
+    solid = field.solid(cell_centres(n))
+    return 1 - keep_largest(solid, (True,) * 3).sum() / solid.sum()
+
+
+def test_components_are_those_of_scipy_where_nothing_wraps(wang_tiling):
+    context = PlainContext()
+    CheckConnectivity(resolution=8, islands="keep").run(context, wang_tiling)
+    solid = wang_tiling.solid(cell_centres(8, wang_tiling.cells))
+    for phase, mask in (("solid", solid > 0), ("void", solid == 0)):
+        labels, count = ndimage.label(mask)
+        sizes = np.bincount(labels.ravel())[1:]
+        assert context.reported[f"{phase}_components"] == count
+        assert context.reported[f"{phase}_removed_share"] == pytest.approx(1 - sizes.max() / sizes.sum())
+    assert context.reported["porosity"] == pytest.approx(1 - solid.mean())
+
+
+def test_islands_are_gone_on_every_grid_and_the_cell_stays_periodic(loose):
+    context = PlainContext()
+    clean = CheckConnectivity(resolution=32).run(context, loose)
+    assert isinstance(clean, CleanedField)
+    assert context.reported["solid_components"] > 1
+    assert floating_share(clean, 32) == 0
+    for n in (24, 41, 50):
+        assert floating_share(loose, n) > 0.01
+        assert floating_share(clean, n) < 0.003
+    values = clean.sample(cell_nodes(20))
+    for axis in range(3):
+        assert np.array_equal(np.take(values, 0, axis), np.take(values, -1, axis))
+
+
+def test_what_is_kept_is_left_as_it_was(loose):
+    clean = CheckConnectivity(resolution=32).run(PlainContext(), loose)
+    grid = cell_centres(32)
+    before, after = loose.sample(grid), clean.sample(grid)
+    kept = keep_largest((before < 0).view(np.uint8), (True,) * 3).view(bool)
+    assert np.array_equal((after < 0), kept)
+    changed = before != after
+    assert np.array_equal(after[changed], -before[changed])
+    assert (before[changed] < 0).all()
+    assert clean.summary() == loose.summary()
+
+
+def test_no_islands_no_change(cell):
+    dense = cell.with_level(0.9)
+    assert CheckConnectivity(resolution=16).run(PlainContext(), dense) is dense
+
+
+def test_keep_only_reports(loose):
+    context = PlainContext()
+    assert CheckConnectivity(resolution=32, islands="keep").run(context, loose) is loose
+    assert context.reported["solid_components"] > 1
+
+
+def test_reject_follows_the_paper(loose, cell):
+    """Labels that do not wrap; a piece that has to go and touches the surface of the cell rejects it."""
+    with pytest.raises(Rejected, match="islands lie at the surface"):
+        CheckConnectivity(resolution=24, islands="reject").run(PlainContext(), loose)
+    CheckConnectivity(resolution=24, islands="reject").run(PlainContext(), cell.with_level(0.9))
+
+
+def test_bicontinuous(cell):
+    with pytest.raises(Rejected, match="run through"):
+        CheckConnectivity(resolution=16, bicontinuous=True).run(PlainContext(), cell.with_level(0.999))
+    CheckConnectivity(resolution=24, bicontinuous=True).run(PlainContext(), cell)
+
+
+def test_porosity_is_that_of_the_voxels(wang_tiling):
+    context = PlainContext()
+    CheckPorosity(resolution=10).run(context, wang_tiling)
+    expected = 1 - wang_tiling.solid(cell_centres(10, wang_tiling.cells)).mean()
+    assert context.reported["porosity"] == pytest.approx(expected, abs=1e-12)
+    for bounds in ({"minimum": expected + 0.01}, {"maximum": expected - 0.01}):
+        with pytest.raises(Rejected, match="accepted are"):
+            CheckPorosity(resolution=10, **bounds).run(PlainContext(), wang_tiling)
+
+
+def test_residual_periodicity_needs_a_full_box_of_several_cells(cell, wang, ball):
+    from sppm_pipeline.data.length import Length
+    from sppm_pipeline.stages.tile.periodic import PeriodicTiling
+    from sppm_pipeline.stages.tile.wang_3color import WangTiling
+
+    lone = PeriodicTiling(cells=(1, 1, 1)).run(PlainContext(), cell, None)
+    with pytest.raises(DesignError, match="two cells"):
+        CheckResidualPeriodicity().run(PlainContext(), lone)
+    part = WangTiling(cell=Length(1, "mm")).run(PlainContext(), wang, ball)
+    with pytest.raises(DesignError, match="full box"):
+        CheckResidualPeriodicity().run(PlainContext(), part)

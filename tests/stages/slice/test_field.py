@@ -1,0 +1,155 @@
+"""Layers: where they are, what they show, and what is removed."""
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data import field_slices
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.part import Part
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.numerics.connectivity.islands import keep_largest
+from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.stages.fill.implicit import ImplicitFill
+from sppm_pipeline.stages.slice.field import SliceField
+from sppm_pipeline.testing.plain_context import PlainContext
+
+MM = "mm"
+
+
+def layers(stack, threads=1):
+    """All layers, and that slabs come in order without a gap."""
+    slabs, at = [], 0
+    for start, slab in stack.slabs(threads):
+        assert start == at
+        at += len(slab)
+        slabs.append(slab.copy())
+    found = np.concatenate(slabs)
+    assert found.shape == stack.shape[::-1]
+    assert found.dtype == np.uint8
+    return found
+
+
+def slices(field, **options):
+    stage = SliceField(**options)
+    stage.check_options()
+    return stage.run(PlainContext(), field)
+
+
+def test_layers_are_the_voxels(wang_tiling):
+    stack = slices(wang_tiling, resolution=10, islands="keep")
+    assert stack.shape == (40, 30, 30)
+    assert (stack.pixel_mm, stack.layer_mm) == (0.4, 0.4)
+    assert stack.origin_mm == (0, 0, 0)
+    found = layers(stack)
+    expected = wang_tiling.solid(cell_centres(10, wang_tiling.cells))
+    assert np.array_equal(found, expected * 255)
+    assert stack.findings()["solid_share_of_box"] == expected.mean()
+    assert stack.findings()["solid_volume_mm3"] == pytest.approx(expected.sum() * 0.4**3)
+    by_pitch = slices(wang_tiling, pixel=Length(400, "um"), islands="keep")
+    assert np.array_equal(layers(by_pitch), found)
+
+
+def test_islands_are_removed_as_on_the_whole(wang_tiling, monkeypatch):
+    expected = keep_largest(wang_tiling.solid(cell_centres(10, wang_tiling.cells)), (False,) * 3)
+    stack = slices(wang_tiling, resolution=10)
+    found = layers(stack)
+    assert np.array_equal(found, expected * 255)
+    removed = stack.findings()["removed_share"]
+    assert removed == pytest.approx(1 - expected.sum() / wang_tiling.solid(cell_centres(10, wang_tiling.cells)).sum())
+    assert removed > 0
+    # in thin slabs, and evaluated twice because the stack is too large to be kept
+    monkeypatch.setattr(field_slices, "SLAB_PIXELS", 2000)
+    monkeypatch.setattr(field_slices, "KEPT_BITS", 0)
+    assert layers(slices(wang_tiling, resolution=10), threads=2).tobytes() == found.tobytes()
+    assert stack.findings() == stack.findings()
+
+
+@pytest.mark.parametrize(("pixel", "layer", "grey"), [(0.4, 0.25, 1), (0.37, 0.11, 1), (0.4, 0.4, 3)])
+def test_threads_and_slabs_change_no_byte(wang_tiling, ball, monkeypatch, pixel, layer, grey):
+    part = Part(wang_tiling, ball, 0.5)
+
+    def made(threads):
+        return layers(slices(part, pixel=Length(pixel, MM), layer=Length(layer, MM), grey=grey), threads).tobytes()
+
+    first = made(1)
+    assert made(2) == first
+    monkeypatch.setattr(field_slices, "SLAB_PIXELS", 1)
+    assert made(1) == first
+
+
+def test_where_pixels_and_layers_lie(wang_tiling, wedge):
+    """The body alone: each pixel of each layer is decided at its middle, at mid-height."""
+    dense = type(wang_tiling)(
+        type(wang_tiling.tileset)(wang_tiling.tileset.micro.with_level(99.0), "wang", 2), wang_tiling.arrays, 4.0
+    )
+    stack = slices(Part(dense, wedge, 0.0, "keep"), pixel=Length(0.3, MM), layer=Length(0.2, MM))
+    found = layers(stack) > 0
+    ox, oy, oz = stack.origin_mm
+    nx, ny, nz = stack.shape
+    for axis, (o, n, h) in enumerate(((ox, nx, 0.3), (oy, ny, 0.3), (oz, nz, 0.2))):
+        assert o <= wedge.lower[axis] < o + h
+        assert o + (n - 1) * h < wedge.upper[axis] <= o + n * h + 1e-9
+        assert o / h == pytest.approx(round(o / h))  # anchored at the lattice
+    x = ox + (np.arange(nx) + 0.5) * 0.3
+    y = oy + (np.arange(ny) + 0.5) * 0.3
+    z = oz + (np.arange(nz) + 0.5) * 0.2
+    points = np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], -1)
+    inside = np.ones(points.shape[:3], bool)
+    for a, b, c in wedge.vertices[wedge.faces]:
+        inside &= (points - a) @ np.cross(b - a, c - a) < 0
+    assert np.array_equal(found, inside)
+    assert found.any()
+
+
+def test_grey_is_the_share_of_the_pixel(wang_tiling):
+    stack = slices(wang_tiling, pixel=Length(0.4, MM), grey=4, islands="keep")
+    assert stack.grey
+    found = layers(stack)
+    fine = layers(slices(wang_tiling, pixel=Length(0.1, MM), layer=Length(0.4, MM), islands="keep")) > 0
+    share = fine.reshape(30, 30, 4, 40, 4).mean((2, 4))
+    assert np.abs(found / 255 - share).max() <= 0.5 / 255 + 1e-9
+    assert len(np.unique(found)) > 5
+    assert stack.findings()["solid_share_of_box"] == pytest.approx(fine.mean())
+    assert not slices(wang_tiling, resolution=4).grey
+
+
+def test_a_part_decides_about_its_islands(wang_tiling, ball):
+    for islands in ("remove", "keep"):
+        part = ImplicitFill(skin=Length(0.5, MM), islands=islands).run(PlainContext(), wang_tiling, ball)
+        other = "keep" if islands == "remove" else "remove"
+        stack = slices(part, pixel=Length(0.4, MM), islands=other)
+        found = layers(stack) > 0
+        whole = part.solid(stack.grid)
+        assert np.array_equal(found, keep_largest(whole, (False,) * 3) if islands == "remove" else whole)
+        assert (part.skin_mm, part.domain.name) == (0.5, "ball")
+
+
+def test_the_skin_is_closed_in_every_layer(wang_tiling, ball):
+    part = ImplicitFill(skin=Length(0.9, MM)).run(PlainContext(), wang_tiling, ball)
+    stack = slices(part, pixel=Length(0.3, MM))
+    found = layers(stack) > 0
+    inside = Part(type(wang_tiling)(wang_tiling.tileset, wang_tiling.arrays, 4.0), ball)._inside(
+        stack.grid, 0, stack.shape[2]
+    )
+    rim = inside.astype(bool) & ~(np.roll(inside, 1, 2) & np.roll(inside, -1, 2) & np.roll(inside, 1, 1)).astype(bool)
+    assert found[rim].all()
+    middle = found[stack.shape[2] // 2]
+    row = middle[middle.shape[0] // 2]
+    first = np.flatnonzero(row)[0]
+    assert row[first : first + 3].all()  # 0.9 mm are three pixels
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"pixel": Length(1), "resolution": 3}, {"resolution": 3, "layer": Length(1)}],
+)
+def test_contradictions(options):
+    with pytest.raises(ConfigError):
+        SliceField(**options).check_options()
+
+
+def test_a_size_is_needed(cell, ball):
+    with pytest.raises(DesignError, match="physical size"):
+        slices(cell, resolution=8)
+    with pytest.raises(DesignError, match="physical size"):
+        ImplicitFill().run(PlainContext(), cell, ball)

@@ -1,0 +1,53 @@
+"""What all built-in stages share."""
+
+import importlib
+import importlib.resources
+
+import pytest
+
+from sppm_pipeline.stages import BUILT_IN, sppm_stages
+from sppm_pipeline.testing.contracts import StageContract
+
+REQUIRED = {
+    "read.mesh": {"path": "a.stl"},
+    "read.primitive": {"shape": "box", "size": ()},
+    "sample.elimination": {"count": 3},
+    "tune.porosity": {"target": 0.5},
+    "write.chart": {"x": "a", "y": "b"},
+}
+
+
+def stage_class(name):
+    module, _, cls = sppm_stages()[name].partition(":")
+    return getattr(importlib.import_module(module), cls)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_names_files_docs_and_ports(name):
+    cls = stage_class(name)
+    assert cls.name == name
+    stage = cls(**REQUIRED.get(name, {}))
+
+    class Suite(StageContract):
+        def stages(self):
+            return [stage]
+
+    suite = Suite()
+    suite.test_has_a_name_of_family_and_word()
+    suite.test_says_what_it_does()
+    suite.test_is_frozen()
+    suite.test_declares_its_ports()
+
+
+def test_every_file_is_registered():
+    import sppm_pipeline.stages as room
+
+    folder = importlib.resources.files(room)
+    files = {
+        f"{family.name}.{file.name[:-3]}"
+        for family in folder.iterdir()
+        if family.is_dir() and not family.name.startswith("_")
+        for file in family.iterdir()
+        if file.name.endswith(".py") and file.name != "__init__.py"
+    }
+    assert files == set(BUILT_IN)

@@ -1,0 +1,191 @@
+"""Tile sets and rules: colours match, masks are respected, porosity is on target, less and less repeats."""
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.cleaned import CleanedField
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.tiling import RepeatedField
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.numerics.assembly.gather import sample_exact
+from sppm_pipeline.numerics.assembly.tiling_arrays import check_tiling
+from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.stages.check.connectivity import CheckConnectivity
+from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity
+from sppm_pipeline.stages.sample.elimination import Elimination
+from sppm_pipeline.stages.tile.corner_colors import CornerColorsTiling
+from sppm_pipeline.stages.tile.free_faces import FreeFacesTiling
+from sppm_pipeline.stages.tile.fresh import FreshTiling
+from sppm_pipeline.stages.tile.periodic import PeriodicTiling
+from sppm_pipeline.stages.tile.wang_3color import WangTiling
+from sppm_pipeline.stages.tileset.corner_colors import CornerColorsTileSet
+from sppm_pipeline.stages.tileset.free_faces import FreeFacesTileSet
+from sppm_pipeline.stages.tileset.wang_3color import WangTileSet
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+HOW = {"porosity": 0.5, "resolution": 16, "tolerance": 0.01}
+
+
+@pytest.fixture(scope="module")
+def sets(wang, recipe):
+    return {
+        "wang": wang,
+        "free": FreeFacesTileSet(colors=2, interiors=10, **HOW).run(PlainContext(1), recipe()),
+        "corner": CornerColorsTileSet(colors=2, interiors=10, **HOW).run(PlainContext(1), recipe()),
+    }
+
+
+RULES = {"wang": WangTiling, "free": FreeFacesTiling, "corner": CornerColorsTiling}
+
+
+@pytest.mark.parametrize("kind", RULES)
+def test_sets_have_the_porosity_wished_and_tell_that_of_every_tile(sets, kind):
+    made = sets[kind]
+    assert len(made.porosity) == made.micro.interiors == {"wang": 8, "free": 10, "corner": 10}[kind]
+    assert made.summary()["porosity"] == pytest.approx(0.5, abs=0.02)
+    assert made.summary()["tile_porosity_min"] < 0.5 < made.summary()["tile_porosity_max"]
+    tiling = RULES[kind](cells=(6, 6, 6)).run(PlainContext(9), made, None)
+    assert 1 - tiling.solid(cell_centres(12, tiling.cells)).mean() == pytest.approx(0.5, abs=0.025)
+
+
+def test_tiles_of_the_paper_are_measured_alone(wang):
+    grid = cell_centres(24)
+    for t in (0, 3, 7):
+        alone = wang.micro.alone(t, (t // 4, t // 2 % 2, t % 2)).solid(grid)
+        assert wang.porosity[t] == pytest.approx(1 - alone.mean(), abs=0.001)
+    assert np.mean(wang.porosity) == pytest.approx(0.5, abs=0.001)
+
+
+def test_without_a_wish_the_recipe_s_level_stays(recipe):
+    assert WangTileSet(colors=1, resolution=8).run(PlainContext(1), recipe(level=0.31)).micro.level == 0.31
+
+
+def test_a_tolerance_out_of_reach(recipe):
+    with pytest.raises(DesignError, match="finer grid"):
+        WangTileSet(colors=1, porosity=0.5, resolution=8, tolerance=1e-9).run(PlainContext(1), recipe())
+    with pytest.raises(ConfigError, match="Microstructure"):
+        WangTileSet(colors=1).run(PlainContext(1), recipe_of(Elimination(count=3)))
+
+
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("shape", [None, (5, 2, 3), (1, 1, 1)])
+def test_every_rule_on_boxes_and_masks(sets, kind, shape, ball):
+    tileset, rule = sets[kind], RULES[kind]
+    stage = rule(cells=shape) if shape else rule(cell=Length(1.7, "mm"))
+    tiling = stage.run(PlainContext(2), tileset, ball)
+    interior, faces, periodic = tiling.arrays
+    check_tiling(tiling.arrays, tileset.micro.pieces)
+    assert not periodic
+    filled = interior >= 0
+    if shape:
+        assert interior.shape == shape
+        assert filled.all()
+    else:
+        assert 0 < filled.sum() < filled.size
+        assert tiling.edge_mm == 1.7
+        # every sample of the ball lies in a cell that is filled
+        points = np.random.default_rng(0).normal(size=(4000, 3))
+        points *= (4.9 * np.random.default_rng(1).random((4000, 1)) ** (1 / 3)) / np.linalg.norm(points, axis=1)[
+            :, None
+        ]
+        place = np.floor((points + 5 - np.array(tiling.origin_mm)) / 1.7).astype(int)
+        assert filled[tuple(place.T)].all()
+    for axis in range(3):
+        low = np.zeros_like(faces[axis], bool)
+        cut = [slice(None)] * 3
+        for side in (slice(None, -1), slice(1, None)):
+            cut[axis] = side
+            low[tuple(cut)] |= filled
+        assert np.array_equal(faces[axis] >= 0, low)
+    allowed = tileset.combinations()
+    if allowed is not None:
+        rows = {tuple(row) for row in allowed.tolist()}
+        for x, y, z in np.argwhere(filled):
+            sides = [faces[0][x, y, z], faces[0][x + 1, y, z], faces[1][x, y, z], faces[1][x, y + 1, z],
+                     faces[2][x, y, z], faces[2][x, y, z + 1]]  # fmt: skip
+            assert (interior[x, y, z], *sides) in rows
+
+
+def test_a_cover_is_centred_and_sized(wang, wedge):
+    tiling = WangTiling(cell=Length(0.2, "cm")).run(PlainContext(2), wang, wedge)
+    middle = np.array(tiling.origin_mm) + np.array(tiling.cells) * 2.0 / 2
+    assert np.allclose(middle, (wedge.lower + wedge.upper) / 2)
+    assert (np.array(tiling.cells) == np.ceil((wedge.upper - wedge.lower) / 2)).all()
+
+
+def test_what_is_missing_or_does_not_fit(sets, cell, wedge):
+    with pytest.raises(ConfigError, match="no part to cover"):
+        WangTiling(cell=Length(2, "mm")).run(PlainContext(), sets["wang"], None)
+    with pytest.raises(ConfigError, match="size of a cell"):
+        WangTiling().run(PlainContext(), sets["wang"], wedge)
+    for rule in RULES:
+        for kind in RULES:
+            if rule != kind:
+                with pytest.raises(ConfigError, match="kind"):
+                    RULES[rule](cells=(2, 2, 2)).run(PlainContext(), sets[kind], None)
+    with pytest.raises(ConfigError, match="periodic cells"):
+        PeriodicTiling(cells=(2, 2, 2)).run(PlainContext(), sets["free"], None)
+    with pytest.raises(ConfigError, match="no tile 8"):
+        PeriodicTiling(cells=(2, 2, 2), tile=8).run(PlainContext(), sets["wang"], None)
+
+
+def test_cleaned_cells_can_be_repeated(cell, ball):
+    clean = CheckConnectivity(resolution=24).run(PlainContext(), cell.with_level(0.03))
+    assert isinstance(clean, CleanedField)
+    laid = PeriodicTiling(cell=Length(2.5, "mm")).run(PlainContext(), clean, ball)
+    assert isinstance(laid, RepeatedField)
+    assert laid.cells == (4, 4, 4)
+    values = laid.sample(cell_centres(6, laid.cells))
+    assert np.array_equal(values[:6, :6, :6], values[6:12, 12:18, 18:24])
+    with pytest.raises(ConfigError, match="does not repeat"):
+        PeriodicTiling(cells=(2, 2, 2)).run(PlainContext(), laid_once(cell), None)
+
+
+def laid_once(cell):
+    """A tiling that does not repeat."""
+    from sppm_pipeline.data.tileset import TileSet
+
+    return WangTiling(cells=(2, 1, 1)).run(PlainContext(), TileSet(cell, "wang", 1), None)
+
+
+@pytest.mark.parametrize("cells", [(2, 3, 4), (4, 3, 2), (1, 1, 1), None])
+def test_fresh_cells_meet_at_their_faces_and_nothing_is_used_twice(recipe, cells, ball):
+    stage = FreshTiling(cells=cells, cell=Length(3.4, "mm"), porosity=0.5, resolution=16)
+    tiling = stage.run(PlainContext(3), recipe(), ball)
+    interior, faces, _ = tiling.arrays
+    check_tiling(tiling.arrays, tiling.tileset.micro.pieces)
+    for numbers in (interior, *faces):
+        used = numbers[numbers >= 0]
+        assert len(set(used.tolist())) == len(used)
+    grid = Grid((0.01, 0.02, 0.03), (0.33, 0.29, 0.27), (13, 11, 9))
+    exact = sample_exact(tiling.tileset.micro.pieces, tiling.arrays, grid, 1e-9) - np.float32(
+        tiling.tileset.micro.level
+    )
+    assert np.abs(tiling.sample(grid) - exact).max() < 1e-3
+    nodes = Grid((0.0,) * 3, (1 / 8,) * 3, tuple(8 * n + 1 for n in tiling.cells))
+    assert np.isfinite(tiling.sample(nodes)).all()
+    if cells == (2, 3, 4):
+        assert 1 - tiling.solid(cell_centres(10, cells)).mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_fresh_cells_are_bounded_in_number(recipe):
+    with pytest.raises(DesignError, match="1000 cells"):
+        FreshTiling(cells=(10, 10, 10), limit=999).run(PlainContext(), recipe(), None)
+    with pytest.raises(ConfigError, match="Microstructure"):
+        FreshTiling(cells=(1, 1, 1)).run(PlainContext(), recipe_of(Elimination(count=3)), None)
+
+
+def test_less_and_less_repeats(sets, recipe):
+    cells = (5, 5, 5)
+
+    def bragg(tiling):
+        context = PlainContext()
+        CheckResidualPeriodicity(resolution=10).run(context, tiling)
+        return context.reported["bragg_share"]
+
+    repeated = bragg(PeriodicTiling(cells=cells).run(PlainContext(1), sets["wang"], None))
+    wang, free, corner = (bragg(RULES[k](cells=cells).run(PlainContext(1), sets[k], None)) for k in RULES)
+    fresh = bragg(FreshTiling(cells=cells).run(PlainContext(1), recipe(), None))
+    assert repeated == pytest.approx(1, abs=1e-3)
+    assert repeated > wang > max(free, corner)
+    assert min(free, corner) > fresh

@@ -1,0 +1,93 @@
+"""Porosity on target, by level and by gap, and what is said when it cannot be."""
+
+import pytest
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
+from sppm_pipeline.stages.field.gaussian import GaussianField
+from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+from sppm_pipeline.stages.sample.elimination import Elimination
+from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+from sppm_pipeline.stages.tune.porosity import TunePorosity
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+KERNELS = GaussianField(pore_radius=Length(0.12), tunnel_radius=Length(0.04))
+
+
+def by_total(total, share=0.5):
+    return recipe_of(MirroredFaces(total=total, share=share), DartThrowing(total=total), MinimumSpanningTree(), KERNELS)
+
+
+def porosity(field, n=83):
+    """On a grid that the stage does not use."""
+    h = 1 / n
+    return float((field.sample(Grid((0.3 * h, 0.6 * h, 0.1 * h), (h,) * 3, (n,) * 3), 2) >= 0).mean())
+
+
+@pytest.mark.parametrize("target", [0.2, 0.35, 0.5, 0.65, 0.8])
+def test_the_level_meets_any_target(recipe, target):
+    context = PlainContext(3)
+    micro = TunePorosity(target=target).run(context, recipe())
+    assert porosity(micro) == pytest.approx(target, abs=0.001)
+    assert context.reported["porosity"] == pytest.approx(target, abs=0.001)
+    assert context.reported["porosity_error"] == pytest.approx(context.reported["porosity"] - target)
+
+
+def test_by_gap():
+    context = PlainContext(3)
+    recipe = recipe_of(
+        MirroredFaces(count=9, spacing=Length(0.32), edge=Length(2)),
+        DartThrowing(count=14, spacing=Length(0.32)),
+        MinimumSpanningTree(),
+        GaussianField(pore_radius=Length(0.24), tunnel_radius=Length(0.08)),
+    )
+    ends = []
+    for gap in (0.34, 0.48):
+        changed = {"sample.dart_throwing": {"gap": Length(gap)}}
+        ends.append(porosity(recipe.run(PlainContext(3), options=changed), 48))
+    target = sum(ends) / 2
+    micro = TunePorosity(target=target, by="gap", resolution=32, tolerance=0.003).run(context, recipe)
+    assert porosity(micro, 48) == pytest.approx(target, abs=0.006)
+    assert micro.level == 0.25
+    inside = micro.graph.pores.of_piece(0)
+    assert inside.min() >= context.reported["gap"] - 1e-12
+    with pytest.raises(DesignError, match="best is the gap"):
+        TunePorosity(target=0.95, by="gap", resolution=16).run(PlainContext(3), recipe)
+
+
+@pytest.mark.parametrize("target", [0.3, 0.6])
+def test_the_count_is_fitted(target):
+    context = PlainContext(3)
+    stage = TunePorosity(target=target, fit_count=True, samples=2, resolution=24, tolerance=0.005)
+    micro = stage.run(context, by_total(30))
+    n = context.reported["count"]
+    assert micro.graph.pores.summary()["pores_per_cell"] == n
+    # with that many pores the recipe's own level is near the target already
+    assert porosity(by_total(n).run(PlainContext(3)), 32) == pytest.approx(target, abs=0.1)
+    assert porosity(micro) == pytest.approx(target, abs=0.01)
+
+
+def test_a_target_out_of_reach_of_any_count():
+    with pytest.raises(DesignError, match="porosit"):
+        TunePorosity(target=0.005, fit_count=True, samples=1, resolution=16).run(PlainContext(3), by_total(30))
+
+
+def test_a_grid_that_is_too_coarse_is_said(recipe):
+    stage = TunePorosity(target=0.5, resolution=8, tolerance=1e-7)
+    with pytest.raises(DesignError, match="finer grid"):
+        stage.run(PlainContext(3), recipe())
+
+
+def test_recipes_that_cannot_be_tuned(recipe):
+    with pytest.raises(ConfigError, match="total"):
+        TunePorosity(target=0.5, fit_count=True).run(PlainContext(), recipe())
+    lone = recipe_of(Elimination(count=20), MinimumSpanningTree(), KERNELS)
+    with pytest.raises(ConfigError, match="gap"):
+        TunePorosity(target=0.5, by="gap").run(PlainContext(), lone)
+    unfaced = recipe_of(DartThrowing(count=20, spacing=Length(0.15)), MinimumSpanningTree(), KERNELS)
+    with pytest.raises(ConfigError, match="face pores"):
+        TunePorosity(target=0.5, by="gap").run(PlainContext(), unfaced)
+    with pytest.raises(ConfigError, match="PoreSet"):
+        TunePorosity(target=0.5).run(PlainContext(), recipe_of(Elimination(count=20)))

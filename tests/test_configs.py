@@ -1,0 +1,165 @@
+"""Every configuration that comes with the program runs, at a low resolution, and gives what its comment promises."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sppm_pipeline.formats import ply
+from sppm_pipeline.formats.detect import decode_mesh
+from sppm_pipeline.numerics.domain import primitive_meshes
+from sppm_pipeline.numerics.surface.measures import measure_surface
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+
+
+def outputs(folder):
+    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+
+
+def reduced(name, tmp_path, **replacements):
+    """A configuration with a smaller sweep."""
+    text = (CONFIGS / name).read_text(encoding="utf-8")
+    for old, new in replacements.values():
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def check_layers(folder, porous_share=None):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    files = sorted(folder.glob("*.png"))
+    assert len(files) == manifest["layers"]
+    solid = 0
+    for file in files:
+        with Image.open(file) as image:
+            assert image.size == (manifest["width_px"], manifest["height_px"])
+            solid += int(np.asarray(image).astype(bool).sum())
+    assert solid == manifest["solid_voxels"] > 0
+    return manifest
+
+
+def test_cell(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "cell.yaml",
+        p=["pores=40"],
+        s=["tune.porosity.resolution=32", "tune.porosity.samples=1", "tune.porosity.tolerance=0.005",
+           "check.connectivity.resolution=24", "write.picture.resolution=16", "write.picture.size=[200, 150]",
+           "extract.marching_cubes.resolution=24", "connect.mbdst.mode=greedy"],
+    )  # fmt: skip
+    assert summary(record, "tune.porosity")["porosity"] == pytest.approx(0.5, abs=0.005)
+    assert summary(record, "check.connectivity")["porosity"] == pytest.approx(0.5, abs=0.02)
+    assert all(summary(record, "check.connectivity")["solid_wraps"])
+    assert {"graph.graphml", "cell.png", "cell.ply", "run.json"} <= outputs(folder)
+    vertices, faces = decode_mesh((folder / "cell.ply").read_bytes(), "cell.ply")
+    found = measure_surface(vertices, faces)
+    assert found.edges.closed
+    assert found.volume == pytest.approx(0.5, abs=0.03)
+
+
+def test_quickstart(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "quickstart.yaml",
+        p=["cell=8 mm"],
+        s=["tileset.wang_3color.colors=2", "tileset.wang_3color.resolution=16", "tileset.wang_3color.tolerance=0.02",
+           "tiles_picture.resolution=8", "slice.field.pixel=0.5 mm", "part_picture.resolution=8",
+           "part_picture.size=[200, 150]", "extract.marching_cubes.resolution=12", "connect.mbdst.mode=greedy"],
+    )  # fmt: skip
+    manifest = check_layers(folder / "slices")
+    assert (manifest["width_px"], manifest["layers"]) == (48, 24)
+    assert summary(record, "tileset.wang_3color")["porosity"] == pytest.approx(0.7, abs=0.02)
+    volume = summary(record, "read.primitive")["volume_mm3"]
+    assert manifest["solid_volume_mm3"] == pytest.approx(0.3 * volume, rel=0.35)  # two cells across the tube
+    vertices, faces = decode_mesh((folder / "part.stl").read_bytes(), "part.stl")
+    assert measure_surface(vertices, faces).edges.bounds_solid
+    assert {"tiles.png", "part.png", "slices-overview.png"} <= outputs(folder)
+
+
+def test_bunny(run_yaml, summary, tmp_path):
+    vertices, faces = primitive_meshes.torus_mesh((3.0, 4.0, 5.0), 2.0, 1.0, 24, 12)
+    (tmp_path / "body.ply").write_bytes(b"".join(ply.encode(vertices, faces)))
+    record, folder = run_yaml(
+        CONFIGS / "bunny.yaml",
+        p=[f"mesh={tmp_path / 'body.ply'}", "height=12 mm", "voxels=10"],
+        s=["tileset.wang_3color.colors=2", "tileset.wang_3color.resolution=16", "tileset.wang_3color.tolerance=0.02"],
+    )
+    size = summary(record, "read.mesh")["size_mm"]
+    assert size[2] == pytest.approx(12)
+    manifest = check_layers(folder / "slices")
+    assert manifest["layers"] in (16, 17)
+    assert manifest["pixel_mm"] == pytest.approx(0.75)
+    assert manifest["width_px"] * 0.75 == pytest.approx(size[0], abs=1.5)
+
+
+def test_tileset_27(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "tileset_27.yaml",
+        s=["tileset.wang_3color.resolution=16", "tileset.wang_3color.tolerance=0.02", "connect.mbdst.mode=greedy",
+           "write.picture.resolution=8", "tile.wang_3color.cells=[3, 3, 3]", "assembly.resolution=8",
+           "assembly.size=[200, 150]"],
+    )  # fmt: skip
+    tiles = summary(record, "tileset.wang_3color")
+    assert tiles["interiors"] == 27
+    assert tiles["colors"] == [3, 3, 3]
+    assert tiles["porosity"] == pytest.approx(0.55, abs=0.01)
+    assert 0 < summary(record, "check.residual_periodicity")["bragg_share"] < 1
+    assert {"tiles.png", "assembly.png"} <= outputs(folder)
+
+
+def test_periodic_vs_stochastic(run_yaml, summary, tmp_path):
+    path = reduced(
+        "periodic_vs_stochastic.yaml",
+        tmp_path,
+        sweep=("cells: [[3, 3, 3], [4, 4, 4], [5, 5, 5], [6, 6, 6]]", "cells: [[3, 3, 3], [4, 3, 3]]"),
+    )
+    record, folder = run_yaml(
+        path,
+        s=["tiles.resolution=12", "tiles.tolerance=0.05", "connect.mbdst.mode=greedy", "repeated_picture.resolution=6",
+           "stochastic_picture.resolution=6", "repeated_picture.size=[120, 90]", "stochastic_picture.size=[120, 90]",
+           "check.connectivity.resolution=10"],
+    )  # fmt: skip
+    assert [run["status"] for run in record["runs"]] == ["done", "done"]
+    for row in json.loads((folder / "sweep.json").read_text()):
+        assert row["repeated_order.bragg_share"] == pytest.approx(1, abs=1e-3)
+        assert row["stochastic_order.bragg_share"] < 0.9
+        assert row["check.connectivity.porosity"] == pytest.approx(0.55, abs=0.06)
+
+
+def test_porosity_map(run_yaml, summary, tmp_path):
+    path = reduced(
+        "porosity_map.yaml",
+        tmp_path,
+        pores=("pores: [20, 30, 40, 50, 60, 70, 80, 90, 100, 110, 120]", "pores: [20, 60, 100]"),
+        seed=("seed: {from: 1, to: 50}", "seed: {from: 1, to: 3}"),
+    )
+    record, folder = run_yaml(path, s=["check.porosity.resolution=16"])
+    rows = json.loads((folder / "sweep.json").read_text())
+    assert len(rows) == 9
+    assert all(row["status"] == "done" for row in rows)
+    mean = [np.mean([r["check.porosity.porosity"] for r in rows if r["pores"] == n]) for n in (20, 60, 100)]
+    assert mean[0] < mean[1] < mean[2]
+    assert 0.1 < mean[0] < 0.3
+    assert 0.6 < mean[2] < 0.9
+    assert summary(record, "write.chart")["r_squared"] > 0.95
+    assert "porosity_map.png" in outputs(folder)
+
+
+def test_table_mesh_free(run_yaml, tmp_path):
+    path = reduced(
+        "table_mesh_free.yaml", tmp_path, sweep=("cells: [[3, 3, 3], [6, 6, 6], [8, 8, 8]]", "cells: [[1, 2, 3]]")
+    )
+    record, folder = run_yaml(
+        path, s=["slice.field.resolution=8", "tileset.wang_3color.resolution=12", "tileset.wang_3color.tolerance=0.05"]
+    )
+    assert record["runs"][0]["status"] == "done"
+    manifest = check_layers(next(folder.glob("runs/*/slices")))
+    assert (manifest["width_px"], manifest["height_px"], manifest["layers"]) == (8, 16, 24)
+
+
+def test_no_configuration_is_forgotten():
+    tested = {name[5:] for name in globals() if name.startswith("test_")}
+    assert {path.stem for path in CONFIGS.glob("*.yaml")} <= tested
