@@ -3,7 +3,8 @@
 A stage is a frozen, keyword-only dataclass. Its fields are its options, each declared once with `option`; the parser,
 the command line help, the reference pages and the JSON Schema all come from there. The annotated signature of `run` is
 its list of ports: a required port is annotated with a noun, an optional one with ``Noun | None``, a port that takes one
-of several nouns with ``A | B``, a recipe with ``Recipe``. What `run` returns is what the stage makes.
+of several nouns with ``A | B``, a recipe with ``Recipe``. What `run` returns is what the stage makes; a stage annotated
+``-> Any`` makes what its recipe makes, and a type variable on a port and on the result passes the type through.
 """
 
 from __future__ import annotations

@@ -63,8 +63,8 @@ def add_kernels(
         Layer of the grid that is held by ``out[0]``. A layer's values do not depend on it.
     wanted : (nz, ny, 2) int32, C-contiguous, optional
         First sample of each row that matters and the one after the last; equal ones for a row that does not matter.
-        Samples beyond them hold parts of the sum or nothing; those between differ from the full sum by float32
-        rounding at most.
+        Samples beyond them hold parts of the sum or nothing; those between differ from the full sum by less than
+        the cut-off for each kernel that ends nearby, and by float32 rounding.
 
     Raises
     ------

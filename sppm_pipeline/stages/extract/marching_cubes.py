@@ -54,7 +54,11 @@ class MarchingCubes(Stage):
             values = field.sample(grid, context.threads)
         if self.islands == "remove":
             solid = values < 0
-            kept = keep_largest(solid, (False, False, False))
+            if field.periodic and field.cells == (1, 1, 1):
+                # on the torus, so that opposite faces of a cell stay equal; the last node of an axis is the first one
+                kept = np.pad(keep_largest(np.ascontiguousarray(solid[:-1, :-1, :-1])), (0, 1), mode="wrap")
+            else:
+                kept = keep_largest(solid, (False, False, False))
             removed = solid & ~kept
             if removed.any():
                 np.negative(values, out=values, where=removed)
