@@ -180,7 +180,7 @@ def test_without_jitter_pores_lie_in_the_middle_of_their_boxes():
 _README = """\
 # @distribution@
 
-A sampler for [sppm_pipeline](https://pypi.org/project/sppm-pipeline/): pores on a regular grid, each moved by chance.
+A sampler for `sppm_pipeline`: pores on a regular grid, each moved by chance.
 
     pip install -e .
     sppm stages @stage@
