@@ -16,6 +16,7 @@ A sampler in a few lines::
 from __future__ import annotations
 
 from sppm_pipeline.families.connector import Connector, Piece
+from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for
 from sppm_pipeline.families.tileset_maker import TileSetMaker
@@ -24,6 +25,7 @@ __all__ = [
     "Connector",
     "InteriorBox",
     "Lattice",
+    "MeshWriter",
     "Piece",
     "Sampler",
     "TileSetMaker",

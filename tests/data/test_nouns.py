@@ -12,7 +12,6 @@ from sppm_pipeline.data.part import Part
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.data.tunnels import TunnelGraph
-from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.slice.field import SliceField
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -28,20 +27,6 @@ def test_arrays_are_frozen_and_those_of_others_left_alone():
     assert not frozen(view).flags.writeable
     assert view.flags.writeable
     assert frozen(frozen(view)) is not view
-
-
-def test_voxels_are_read_only_in_x_fastest_order():
-    mine = np.zeros((2, 3, 4), bool)
-    voxels = Voxels(mine, 0.1, True, (True,) * 3)
-    voxels.check()
-    assert voxels.solid.strides[0] == 1
-    assert not voxels.solid.flags.writeable
-    assert mine.flags.writeable
-    mine[:] = True
-    assert voxels.summary()["porosity"] == 1.0
-    for wrong in (Voxels(np.zeros((2, 2), bool), 1, True, (True,) * 3), Voxels(mine, 0.0, True, (True,) * 3)):
-        with pytest.raises(ValueError, match=r"axes|positive"):
-            wrong.check()
 
 
 def pores(**changes):
@@ -115,8 +100,8 @@ def test_every_noun_has_a_digest_that_follows_its_content(cell, wang, wang_tilin
     context = PlainContext()
     nouns = [
         cell, cell.with_level(0.26), cell.graph, cell.graph.pores, cell.cell, wang, wang_tiling, wedge, part,
-        dataclasses.replace(part, skin_mm=0.3), Table({"a": (1, None, "x")}), Voxels(np.ones((2, 2, 2), bool), 1.0,
-        True, (True,) * 3), CheckConnectivity(resolution=12).run(context, cell.with_level(0.9)),
+        dataclasses.replace(part, skin_mm=0.3), Table({"a": (1, None, "x")}),
+        CheckConnectivity(resolution=12).run(context, cell.with_level(0.9)),
         SliceField(resolution=8).run(context, wang_tiling), cell.alone(0, (0, 0, 0)),
     ]  # fmt: skip
     digests = [noun.digest() for noun in nouns]

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.families import MeshWriter
+from sppm_pipeline.stage import option
 
 
 @dataclass(frozen=True, kw_only=True)
-class WriteObj(Stage):
+class WriteObj(MeshWriter):
     """Write a triangle mesh as Wavefront OBJ, a text that every program reads. Coordinates are millimetres."""
 
     name: ClassVar[str] = "write.obj"
 
     path: str = option("mesh.obj", help="file to write")
 
-    def run(self, context: Context, mesh: SurfaceMesh) -> None:
-        """Write the file chunk by chunk."""
+    def encode(self, mesh: SurfaceMesh) -> Iterator[bytes]:
         from sppm_pipeline.formats import obj
 
-        size = 0
-        with context.output(self.path).open("wb") as file:
-            for chunk in obj.encode(mesh.vertices, mesh.faces):
-                size += file.write(chunk)
-        context.report(bytes=size, triangles=len(mesh.faces))
+        return obj.encode(mesh.vertices, mesh.faces)
