@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
-
-trimesh = pytest.importorskip("trimesh")
 
 VOXELS = 32  # along a cell edge
 # no multiple of the pixels: a node of the mesh's grid at a pixel's centre has the sign of that pixel by construction
