@@ -80,9 +80,9 @@ def _machine() -> Iterator[Finding]:
 
 def _kernel_cache() -> Iterator[Finding]:
     """Where compiled kernels are kept."""
-    from sppm_pipeline.numerics.kernel_cache import kernel_cache_folder
+    from sppm_pipeline.numerics.kernel_cache import kernel_cache_root
 
-    folder = kernel_cache_folder()
+    folder = kernel_cache_root()
     writable, found = _writable(folder)
     kernels = sum(1 for _ in folder.rglob("*.nbi"))
     state = f"{kernels} kernels compiled" if kernels else "empty: the first run compiles for some seconds"

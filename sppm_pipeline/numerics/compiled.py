@@ -15,8 +15,6 @@ from numba.core import config, event
 from sppm_pipeline.numerics.kernel_cache import kernel_cache_folder
 from sppm_pipeline.numerics.notice import first_compilation
 
-setattr(config, "CACHE_DIR", str(kernel_cache_folder()))  # noqa: B010 - Numba declares its settings at run time
-
 
 def _load_numba_without_scipy() -> None:
     """Load the part of Numba that looks for BLAS, answering its question without the import of scipy.linalg.
@@ -43,8 +41,7 @@ __all__ = ["inline_kernel", "kernel"]
 
 def kernel(function: F) -> F:
     """Compile `function` on first call with strict IEEE arithmetic, no GIL, cached on disk."""
-    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    return compiled  # type: ignore[no-any-return]
+    return _compiled(function, False)
 
 
 def inline_kernel(function: F) -> F:
@@ -52,9 +49,14 @@ def inline_kernel(function: F) -> F:
 
     Only the flags that let LLVM vectorise are set: NaN and infinity keep their meaning.
     """
-    flags = {"reassoc", "contract", "arcp", "nsz"}
-    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function)
-    return compiled  # type: ignore[no-any-return]
+    return _compiled(function, {"reassoc", "contract", "arcp", "nsz"})
+
+
+def _compiled(function: F, fastmath: set[str] | bool) -> F:
+    # Numba asks for the folder when it wraps a function, and declares its settings at run time
+    setattr(config, "CACHE_DIR", str(kernel_cache_folder(function.__code__.co_filename)))  # noqa: B010
+    wrapped: Any = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
+    return wrapped  # type: ignore[no-any-return]
 
 
 class _Compilation(event.Listener):

@@ -1,43 +1,61 @@
 """Where compiled kernels are kept between runs.
 
-Numba keys a kept kernel by its own source file alone, so a kernel that inlines one from another file would be reused
-after that file has changed. Therefore the folder is named after the state of all source files: another version of the
-program, or an edit, starts a folder of its own. Free of Numba, so that asking costs nothing.
+Numba keys a kept kernel by its own source file alone, so a kernel that inlines one from another file, or a constant,
+would be reused after that file has changed. Therefore each module has folders of its own, one for each state of the
+module and of everything it imports from its package: another version of the program, or an edit, starts a folder for
+the modules it reaches and for no others. Free of Numba, so that asking costs nothing.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["kernel_cache_folder"]
+__all__ = ["kernel_cache_folder", "kernel_cache_root"]
 
 KEPT_STATES = 4
-"""Folders of earlier states that stay, newest first; users may have several environments."""
+"""Folders of earlier states of a module that stay, newest first; users may have several environments."""
+
+_IMPORT = re.compile(rb"^\s*from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n#]*)", re.MULTILINE)
 
 
-def kernel_cache_folder() -> Path:
-    """A writable folder for kernels of exactly these sources.
+def kernel_cache_folder(source: str) -> Path:
+    """A writable folder for the kernels of one module, in exactly this state of it and of what it imports.
+
+    Parameters
+    ----------
+    source : str
+        File of the module.
+    """
+    folder = kernel_cache_root() / Path(source).stem / _state(source)
+    try:
+        if not folder.is_dir():
+            folder.mkdir(parents=True, exist_ok=True)
+            _prune(folder.parent, folder)
+    except OSError:
+        return Path(tempfile.mkdtemp(prefix="sppm-kernels-"))
+    return folder
+
+
+@functools.cache
+def kernel_cache_root() -> Path:
+    """The writable folder that holds those of all modules.
 
     It lies under ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache folder, else in the temporary folder.
     """
-    state = _state_of_sources()
     for base in _bases():
-        folder = base / state
         try:
-            new = not folder.exists()
-            folder.mkdir(parents=True, exist_ok=True)
-            if not os.access(folder, os.W_OK | os.X_OK):
-                continue
-            if new:
-                _prune(base, folder)
+            base.mkdir(parents=True, exist_ok=True)
         except OSError:
             continue
-        return folder
+        if os.access(base, os.W_OK | os.X_OK):
+            return base
     return Path(tempfile.mkdtemp(prefix="sppm-kernels-"))
 
 
@@ -56,21 +74,43 @@ def _bases() -> list[Path]:
     return bases
 
 
-def _state_of_sources() -> str:
-    """Digest of names, sizes and times of change of all files that hold kernels, and of the interpreter."""
+def _state(source: str) -> str:
+    """Digest of the interpreter, the module and all modules that it imports, directly or not, from its package."""
     h = hashlib.sha256(f"{sys.version_info[:3]}{sys.prefix}".encode())
-    package = Path(__file__).parent.parent
-    for room in ("numerics", "formats"):
-        for folder, _, names in sorted(os.walk(package / room)):
-            for name in sorted(names):
-                if name.endswith(".py"):
-                    status = os.stat(os.path.join(folder, name))
-                    h.update(f"{folder}/{name}:{status.st_size}:{status.st_mtime_ns};".encode())
-    return h.hexdigest()[:20]
+    reached, waiting = set(), [os.path.abspath(source)]
+    while waiting:
+        file = waiting.pop()
+        if file not in reached:
+            reached.add(file)
+            waiting += _read(file)[1]
+    for file in sorted(reached):
+        h.update(f"{os.path.basename(file)}:{_read(file)[0]};".encode())
+    return h.hexdigest()[:16]
+
+
+@functools.cache
+def _read(file: str) -> tuple[str, tuple[str, ...]]:
+    """Digest of a source file, and the files of those modules of its own package that it imports."""
+    with open(file, "rb") as opened:
+        text = opened.read()
+    package, top = os.path.dirname(file), ""
+    while os.path.isfile(os.path.join(package, "__init__.py")):
+        package, top = os.path.split(package)
+    found = []
+    for module, names in _IMPORT.findall(text):
+        parts = module.decode().split(".")
+        if parts[0] != top:
+            continue
+        # what is imported may be a name in a module, or a module in a folder
+        for path in (parts, *([*parts, name] for name in re.findall(r"\w+", names.decode()))):
+            place = os.path.join(package, *path) + ".py"
+            if os.path.isfile(place):
+                found.append(place)
+    return hashlib.sha256(text).hexdigest(), tuple(found)
 
 
 def _prune(base: Path, current: Path) -> None:
-    """Remove the oldest states."""
+    """Remove the oldest states of a module."""
     others = [f for f in base.iterdir() if f.is_dir() and f != current]
     others.sort(key=lambda f: f.stat().st_mtime, reverse=True)
     for old in others[KEPT_STATES:]:
