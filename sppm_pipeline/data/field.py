@@ -75,6 +75,15 @@ class ScalarField(Noun, ABC):
         """
         return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
 
+    def cut_at(self, value: float) -> ScalarField:
+        """The structure whose solid is where this field is smaller than `value`; what tuning the porosity asks for.
+
+        A class that has a name for it (a level, a radius, a thickness) makes one of its own with that changed.
+        """
+        from sppm_pipeline.data.cut import CutField
+
+        return CutField(self, value)
+
     @property
     def finest_radius(self) -> float | None:
         """Radius of the thinnest tunnel, cell edges; None if it is unknown."""

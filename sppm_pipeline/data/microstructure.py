@@ -96,6 +96,10 @@ class Microstructure(ScalarField):
         """The same kernels cut at another level."""
         return replace(self, level=float(level))
 
+    def cut_at(self, value: float) -> Microstructure:
+        """The same kernels, with `value` added to the level."""
+        return self.with_level(self.level + value)
+
     def alone(self, interior: int, colors: tuple[int, int, int]) -> PeriodicTile:
         """Interior t with faces of the given colours on both opposite sides, repeated for ever."""
         return PeriodicTile(self, interior, colors)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 
-__all__ = ["LevelFit", "level_for_porosity", "radius_scale"]
+__all__ = ["LevelFit", "cut_for_porosity", "level_for_porosity", "radius_scale"]
 
 
 class LevelFit(NamedTuple):
@@ -56,6 +56,18 @@ def level_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], targe
     ValueError
         If there are no samples, or one is not finite.
     """
+    found = cut_for_porosity(samples, target)
+    if found.level <= 0.0:
+        reach = np.count_nonzero(samples > 0) / samples.size
+        raise DesignError(
+            f"a porosity of {target:g} would need a level of {found.level:g}; positive levels reach up to {reach:.4g}",
+            hint="add pores, make them larger, or lower the cut-off of the kernels",
+        )
+    return found
+
+
+def cut_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target: float) -> LevelFit:
+    """The value, of any sign, at which to cut any field for a wished share of void; see `level_for_porosity`."""
     if not 0.0 < target < 1.0:
         raise DesignError(f"a porosity of {target} can't be reached by a level", hint="give a value between 0 and 1")
     flat: NDArray[Any] = np.array(samples, copy=True).ravel()
@@ -70,12 +82,6 @@ def level_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], targe
     level = low + (high - low) / 2
     if level <= low:  # neighbouring numbers, or equal ones
         level = high
-    if level <= 0.0:
-        reachable = np.count_nonzero(flat > 0) / flat.size
-        raise DesignError(
-            f"a porosity of {target:g} would need a level of {level:g}; positive levels reach up to {reachable:.4g}",
-            hint="add pores, make them larger, or lower the cut-off of the kernels",
-        )
     return LevelFit(float(level), np.count_nonzero(flat >= level) / flat.size)
 
 

@@ -7,15 +7,19 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.microstructure import Microstructure
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import Grid, cell_centres
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 Options = dict[str, dict[str, Any]]
+
+LARGEST = 1.5e8
+"""Most samples of a field at once; a single cell of 512 voxels along its edge has as many."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +30,9 @@ class TunePorosity(Stage):
     constant packing. Then fine: the level is set to the quantile of the field, which reaches any target in one pass,
     or, as in the paper, the gap d between faces and interior is searched, on the branch d >= spacing where porosity
     falls with d. The result is checked on an independent, finer grid.
+
+    A recipe that makes any other field is tuned by level: the field is cut at its quantile, which such a field may call
+    a strut radius or a wall thickness.
     """
 
     name: ClassVar[str] = "tune.porosity"
@@ -40,7 +47,7 @@ class TunePorosity(Stage):
     tolerance: float = option(0.001, help="largest error of the porosity, checked on a finer grid", above=0, below=0.5)
     evaluations: int = option(40, help="most cells drawn while the gap is searched", minimum=3, maximum=1000)
 
-    def run(self, context: Context, recipe: Recipe) -> Microstructure:
+    def run(self, context: Context, recipe: Recipe) -> Any:
         """Tune the recipe."""
         options: Options = {}
         if self.fit_count:
@@ -50,14 +57,23 @@ class TunePorosity(Stage):
         return self._by_level(context, recipe, options)
 
     def _porosity(self, context: Context, field: ScalarField, n: int) -> float:
-        return float((field.sample(cell_centres(n), context.threads) >= 0).mean())
+        return float((field.sample(_centres(field, n), context.threads) >= 0).mean())
 
-    def _draw(self, context: Context, recipe: Recipe, options: Mapping[str, Mapping[str, Any]]) -> Microstructure:
+    def _draw(self, context: Context, recipe: Recipe, options: Mapping[str, Mapping[str, Any]]) -> ScalarField:
         made = recipe.run(context, palette=context.palette, options=options)
+        if not isinstance(made, ScalarField):
+            raise ConfigError(
+                f"the recipe {recipe.name!r} makes a {type(made).__name__}; tuning needs a field",
+                hint="end the recipe with a stage such as `field.gaussian`",
+            )
+        return made
+
+    def _draw_pores(self, context: Context, recipe: Recipe, options: Mapping[str, Mapping[str, Any]]) -> Microstructure:
+        made = self._draw(context, recipe, options)
         if not isinstance(made, Microstructure):
             raise ConfigError(
-                f"the recipe {recipe.name!r} makes a {type(made).__name__}; tuning needs a Microstructure",
-                hint="end the recipe with `field.gaussian`",
+                f"the recipe {recipe.name!r} makes a {type(made).__name__}; the gap is one between pores",
+                hint="end the recipe with `field.gaussian`, or tune `by: level`",
             )
         return made
 
@@ -103,27 +119,32 @@ class TunePorosity(Stage):
         context.report(count=n, line={name: value for name, value in line._asdict().items() if name != "residuals"})
         return {stage: {"total": n} for stage in stages}
 
-    def _by_level(self, context: Context, recipe: Recipe, options: Options) -> Microstructure:
-        from sppm_pipeline.numerics.porosity.level import level_for_porosity
-
-        micro = self._draw(context, recipe, options)
+    def _by_level(self, context: Context, recipe: Recipe, options: Options) -> ScalarField:
+        field = self._draw(context, recipe, options)
         n = self.resolution
         error = np.inf
         for _ in range(3):  # the porosity of a coarse grid is off by its voxels at the surface
-            g = micro.sample(cell_centres(n), context.threads)
-            micro = micro.with_level(level_for_porosity(g + np.float32(micro.level), self.target).level)
+            field = self._cut(field, field.sample(_centres(field, n), context.threads))
             finer = n + n // 2 + 1
-            reached = self._porosity(context, micro, finer)
+            reached = self._porosity(context, field, finer)
             error = reached - self.target
             if abs(error) <= self.tolerance:
-                context.report(porosity=reached, porosity_error=error, checked_at=finer, level=micro.level)
-                return micro
+                level = {"level": field.level} if isinstance(field, Microstructure) else {}
+                context.report(porosity=reached, porosity_error=error, checked_at=finer, **level)
+                return field
             n = finer
         raise DesignError(
             f"the porosity {self.target:g} is missed by {error:.5f} on a grid of {n} voxels a cell edge; "
             f"allowed are {self.tolerance:g}",
             hint=f"measure on a finer grid, for example `resolution: {2 * self.resolution}`",
         )
+
+    def _cut(self, field: ScalarField, values: NDArray[np.float32]) -> ScalarField:
+        from sppm_pipeline.numerics.porosity.level import cut_for_porosity, level_for_porosity
+
+        if isinstance(field, Microstructure):  # its kernels reach only so far: below level 0 there is nothing
+            return field.with_level(level_for_porosity(values + np.float32(field.level), self.target).level)
+        return field.cut_at(cut_for_porosity(values, self.target).level)
 
     def _by_gap(self, context: Context, recipe: Recipe, options: Options) -> Microstructure:
         from sppm_pipeline.numerics.porosity.bracket import search_monotone
@@ -134,7 +155,7 @@ class TunePorosity(Stage):
             raise ConfigError(
                 "`by: gap` needs a sampler with the option `gap` in the recipe", hint="use `sample.dart_throwing`"
             )
-        first = self._draw(context, recipe, options)
+        first = self._draw_pores(context, recipe, options)
         spacing = first.graph.pores.spacing
         if not first.graph.pores.has_faces or spacing is None:
             raise ConfigError("`by: gap` needs face pores with a spacing", hint="begin with `sample.mirrored_faces`")
@@ -150,7 +171,7 @@ class TunePorosity(Stage):
             changed = {i: dict(options.get(i, {})) for i in {*samplers, *options}}
             for i in samplers:
                 changed[i]["gap"] = Length(gap * first.cell.edge)
-            found[gap] = self._draw(context, recipe, changed)
+            found[gap] = self._draw_pores(context, recipe, changed)
             context.progress(len(found), self.evaluations, "gaps tried")
             return self._porosity(context, found[gap], finer)
 
@@ -164,6 +185,13 @@ class TunePorosity(Stage):
             )
         context.report(porosity=result.value, porosity_error=result.value - self.target, gap=result.x)
         return found[result.x]
+
+
+def _centres(field: ScalarField, n: int) -> Grid:
+    """Voxel centres of the whole field, n along a cell edge, fewer if that were too many."""
+    nx, ny, nz = field.cells
+    n = max(4, min(n, round((LARGEST / (nx * ny * nz)) ** (1 / 3))))
+    return cell_centres(n, field.cells)
 
 
 def _widest_gap(count: int, spacing: float) -> float:

@@ -1,10 +1,16 @@
 """Porosity on target, by level and by gap, and what is said when it cannot be."""
 
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
 import pytest
 
+from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.stage import Stage
 from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
 from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
@@ -91,3 +97,39 @@ def test_recipes_that_cannot_be_tuned(recipe):
         TunePorosity(target=0.5, by="gap").run(PlainContext(), unfaced)
     with pytest.raises(ConfigError, match="PoreSet"):
         TunePorosity(target=0.5).run(PlainContext(), recipe_of(Elimination(count=20)))
+
+
+class Ball(Stage):
+    """A field that is no sum of kernels: the distance from the middle of the cell."""
+
+    name = "field.ball"
+
+    def run(self, context) -> ScalarField:
+        return BallField()
+
+
+@dataclass(frozen=True, eq=False)
+class BallField(ScalarField):
+    cells: ClassVar = (1, 1, 1)
+    periodic: ClassVar = True
+
+    def sample(self, grid, threads=1):
+        x, y, z = (np.mod(grid.axis(axis), 1.0) - 0.5 for axis in range(3))
+        return np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2).astype(np.float32)
+
+
+def test_any_field_is_cut_where_the_target_lies():
+    context = PlainContext(0)
+    made = TunePorosity(target=0.8).run(context, recipe_of(Ball()))
+    assert porosity(made) == pytest.approx(0.8, abs=0.001)
+    assert made.summary()["cut"] == pytest.approx((3 * 0.2 / 4 / np.pi) ** (1 / 3), rel=0.005)
+    assert made.cut_at(0.1).summary()["cut"] == pytest.approx(made.summary()["cut"] + 0.1)
+    grid = cell_centres(9)
+    assert (made.sample_layers(grid, 2, 5) == made.sample(grid)[2:5]).all()
+    assert made.periodic
+    assert made.edge_mm is None
+
+
+def test_only_pores_have_a_gap():
+    with pytest.raises(ConfigError, match="needs a sampler with the option `gap`"):
+        TunePorosity(target=0.8, by="gap").run(PlainContext(0), recipe_of(Ball()))
