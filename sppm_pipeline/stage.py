@@ -40,7 +40,7 @@ FAMILIES: Mapping[str, str] = {
     "tileset": "a recipe is drawn for many interiors and face colours",
     "tile": "cells are laid into a part",
     "fill": "a part is cut from the tiling",
-    "extract": "a field becomes a triangle mesh",
+    "extract": "a field becomes a triangle mesh or an image of voxels",
     "mesh": "a triangle mesh becomes a volume mesh",
     "homogenize": "effective properties are computed",
     "check": "something is measured, and may be rejected",

@@ -1,0 +1,43 @@
+"""``extract.voxels``: the image of a field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE
+from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtractVoxels(Stage):
+    """Sample a field at voxel centres: 1 where it is solid, 0 elsewhere, over all its cells."""
+
+    name: ClassVar[str] = "extract.voxels"
+
+    resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=2, maximum=1024)
+
+    def run(self, context: Context, field: ScalarField) -> Voxels:
+        """Sample, one layer of cells after the other."""
+        n, cells = self.resolution, field.cells
+        grid = cell_centres(n, cells)
+        if np.prod(grid.shape, dtype=float) > LARGEST_IMAGE:
+            raise ResourceError(
+                f"the image would have {' x '.join(map(str, grid.shape))} voxels; the limit is {LARGEST_IMAGE}",
+                hint="lower `resolution`, or take fewer cells",
+            )
+        if told := field.coarseness(1 / n):
+            context.warn(told)
+        solid = np.empty(grid.shape[::-1], np.uint8)
+        for layer in range(cells[2]):
+            solid[layer * n : (layer + 1) * n] = field.solid_layers(grid, layer * n, (layer + 1) * n, context.threads)
+            context.progress(layer + 1, cells[2], "layers of cells")
+        edge = field.edge_mm
+        # the first axis of the samples is z, so that their transpose is x, y, z with x contiguous, without a copy
+        return Voxels(solid.T, ((edge or 1.0) / n,) * 3, edge is not None, (field.periodic,) * 3)
