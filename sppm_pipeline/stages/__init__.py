@@ -31,6 +31,7 @@ BUILT_IN = {
     "extract.voxels": "ExtractVoxels",
     "check.connectivity": "CheckConnectivity",
     "check.porosity": "CheckPorosity",
+    "check.sizes": "CheckSizes",
     "check.residual_periodicity": "CheckResidualPeriodicity",
     "slice.field": "SliceField",
     "write.png": "WritePng",

@@ -1,0 +1,93 @@
+"""``check.sizes``: sizes and surface of a field and of an image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.errors import ConfigError, ResourceError
+from sppm_pipeline.stages.check.sizes import CheckSizes
+from sppm_pipeline.stages.extract.voxels import ExtractVoxels
+from sppm_pipeline.testing.plain_context import PlainContext
+
+
+@dataclass(frozen=True, eq=False)
+class Bubble(ScalarField):
+    """A round pore of some radius in the middle of each cell of a solid."""
+
+    radius: float
+    extent: tuple[int, int, int] = (1, 1, 1)
+    edge: float | None = None
+
+    @property
+    def cells(self):
+        return self.extent
+
+    @property
+    def periodic(self):
+        return True
+
+    @property
+    def edge_mm(self):
+        return self.edge
+
+    def sample(self, grid, threads=1):
+        x, y, z = (np.mod(grid.axis(axis), 1.0) - 0.5 for axis in range(3))
+        return (self.radius - np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2)).astype(np.float32)
+
+
+def measured(source, **options):
+    context = PlainContext()
+    CheckSizes(**options).run(context, source)
+    return context.reported
+
+
+@pytest.mark.parametrize("extent", [(1, 1, 1), (2, 1, 1)])
+@pytest.mark.parametrize("edge", [None, 5.0])
+def test_a_round_pore(extent, edge):
+    found = measured(Bubble(0.3, extent, edge), resolution=48)
+    scale = edge or 1.0
+    assert found["unit"] == ("mm" if edge else "cell edges")
+    # too small by three voxels at most, never too large
+    assert 0.6 - 3 / 48 <= found["void"]["largest"] / scale <= 0.6
+    assert 0.6 - 3 / 48 <= found["void"]["quantiles"][1] / scale <= 0.6
+    assert found["specific_surface"] == pytest.approx(4 * np.pi * 0.3**2 / scale, rel=0.01)
+    # the largest ball between eight bubbles sits at the corner of the cell
+    assert 0 <= 2 * (0.75**0.5 - 0.3) - found["solid"]["largest"] / scale <= 3 / 48
+
+
+def test_a_pore_across_the_seam_has_all_its_surface(cell):
+    """Moving the cell changes nothing: the seam is no surface."""
+
+    @dataclass(frozen=True, eq=False)
+    class Moved(Bubble):
+        def sample(self, grid, threads=1):
+            x, y, z = (np.mod(grid.axis(axis) + 0.4, 1.0) - 0.5 for axis in range(3))
+            return (self.radius - np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2)).astype(np.float32)
+
+    assert measured(Moved(0.3))["specific_surface"] == pytest.approx(
+        measured(Bubble(0.3))["specific_surface"], rel=2e-3
+    )
+
+
+def test_an_image_gives_the_sizes_of_its_field(cell):
+    field = measured(cell, resolution=32)
+    image = measured(ExtractVoxels(resolution=32).run(PlainContext(), cell))
+    assert image["solid"] == field["solid"]
+    assert image["void"] == field["void"]
+    assert "specific_surface" not in image
+
+
+def test_a_phase_that_is_not_there():
+    found = measured(Voxels(np.ones((8, 8, 8), np.uint8), (0.5,) * 3, True, (True,) * 3))
+    assert found["void"] is None
+    assert found["solid"]["mean"] == 4.0
+
+
+def test_what_cannot_be_measured(cell):
+    with pytest.raises(ConfigError, match="cubic"):
+        measured(Voxels(np.ones((2, 2, 2), np.uint8), (1, 1, 2), True, (True,) * 3))
+    with pytest.raises(ResourceError, match="resolution"):
+        measured(Bubble(0.3, (100, 100, 100)), resolution=64)
