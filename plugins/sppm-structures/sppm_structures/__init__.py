@@ -1,0 +1,15 @@
+"""The structures that stochastic porous microstructures are compared with, as stages of sppm_pipeline."""
+
+from __future__ import annotations
+
+from sppm_pipeline.hookspecs import hookimpl
+
+__all__ = ["sppm_stages"]
+
+
+@hookimpl
+def sppm_stages() -> dict[str, str]:
+    """Our stages, by the place of their class, which is imported only when it is used."""
+    return {
+        "field.tpms": "sppm_structures.tpms:Tpms",
+    }

@@ -1,0 +1,128 @@
+"""``field.tpms``: triply periodic minimal surfaces, as networks or sheets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_structures.cell_field import CellField, in_cell_edges
+from sppm_structures.nodal import SURFACES
+
+SHALLOW = 1e-3
+"""Least slope that a value is divided by, where the distance from the surface is estimated: the slope vanishes only
+far from the surface."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TpmsField(CellField):
+    """The solid on one side of a nodal surface, or around it.
+
+    Attributes
+    ----------
+    surface : str
+        A key of `SURFACES`.
+    repeat : int
+        Periods of the surface along the cell edge.
+    form : {"network", "sheet", "wall"}
+        ``f < level`` (or ``>``, if turned); ``|f - level| < width``; the same with the distance ``|f - level| / |f'|``
+        in place of the difference, and half the wall's thickness in place of the width.
+    turned : bool
+        Whether a network is the other of the two.
+    level, width : float
+        The width of a sheet in units of f, of a wall in cell edges.
+    """
+
+    surface: str
+    repeat: int
+    form: str
+    turned: bool
+    level: float
+    width: float
+
+    def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
+        nodal, turn = SURFACES[self.surface], 2 * np.pi * self.repeat
+        phases = (turn * x, turn * y, turn * z)
+        f = nodal.value(*phases)
+        f -= self.level
+        if self.form == "network":
+            return np.negative(f, out=f) if self.turned else f
+        np.abs(f, out=f)
+        if self.form == "wall":
+            f /= np.maximum(nodal.slope(*phases), SHALLOW) * turn
+        f -= self.width
+        return f
+
+    def cut_at(self, value: float) -> TpmsField:
+        if self.form == "network":
+            return replace(self, level=self.level - value if self.turned else self.level + value)
+        return replace(self, width=self.width + value)
+
+    def summary(self) -> dict[str, Any]:
+        """Surface, form and what tuning changes."""
+        summary: dict[str, Any] = {"surface": self.surface, "form": self.form, "level": self.level}
+        if self.form == "sheet":
+            summary["half_width"] = self.width
+        if self.form == "wall":
+            summary["thickness"] = 2 * self.width
+            if self.edge is not None:
+                summary["thickness_mm"] = 2 * self.width * self.edge
+        return summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tpms(Stage):
+    """A triply periodic minimal surface by its nodal approximation f, as a solid network or a sheet.
+
+    A network is the solid on one side of ``f = level``. A sheet is either all points with ``|f - level|`` below a half
+    width, whose thickness varies over the surface, or those nearer than half a thickness, by the distance
+    ``|f - level| / |grad f|``, which is right to first order: thick walls get uneven.
+
+    ``tune.porosity`` changes the level of a network, the half width or thickness of a sheet.
+
+    Sources of the formulas are in the plugin's README; what the paper calls TPMS-L is taken for the Lidinoid.
+    """
+
+    name: ClassVar[str] = "field.tpms"
+
+    surface: str = option("gyroid", help="which surface", choices=tuple(SURFACES))
+    form: str = option("network", help="solid on one side of the surface, or around it", choices=("network", "sheet"))
+    level: float = option(0.0, help="value of f at the surface")
+    side: str = option("low", help="side of a network that is solid: where f is low, or high", choices=("low", "high"))
+    thickness: Length | None = option(
+        None, help="wall thickness of a sheet; 0.1 if neither this nor half_width is given", unit="cell edges", above=0
+    )
+    half_width: float | None = option(None, help="half the width of a sheet in values of f", above=0)
+    repeat: int = option(1, help="periods along the cell edge", minimum=1, maximum=64)
+    edge: Length | None = option(None, help="edge of the cell", unit="mm", above=0)
+
+    def check_options(self) -> None:
+        if self.thickness is not None and self.half_width is not None:
+            raise ConfigError("`thickness` and `half_width` exclude each other")
+        if self.form == "network" and (self.thickness is not None or self.half_width is not None):
+            raise ConfigError("a network has no thickness", hint="give `form: sheet`, or a `level`")
+
+    def run(self, context: Context) -> ScalarField:
+        """Name the surface; it is evaluated where somebody samples it."""
+        edge = self.edge.mm() if self.edge is not None else None
+        form, width = self.form, 0.0
+        if form == "sheet":
+            if self.half_width is not None:
+                width = self.half_width
+            else:
+                form, width = "wall", in_cell_edges(self.thickness or Length(0.1), edge) / 2
+        return TpmsField(
+            surface=self.surface,
+            repeat=self.repeat,
+            form=form,
+            turned=self.side == "high",
+            level=self.level,
+            width=width,
+            edge=edge,
+        )
