@@ -21,7 +21,7 @@ PLUGINS = sorted(path.parent for path in (Path(__file__).resolve().parents[2] / 
 STAGES = {
     "lattice_points": {"sample.hyperuniform", "sample.lattice_points"},
     "even_tiles": {"tile.even_interiors"},
-    "structures": {"field.tpms"},
+    "structures": {"field.struts", "field.tpms"},
 }
 
 

@@ -12,4 +12,5 @@ def sppm_stages() -> dict[str, str]:
     """Our stages, by the place of their class, which is imported only when it is used."""
     return {
         "field.tpms": "sppm_structures.tpms:Tpms",
+        "field.struts": "sppm_structures.struts:Struts",
     }

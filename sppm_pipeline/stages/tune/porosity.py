@@ -18,6 +18,9 @@ from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 Options = dict[str, dict[str, Any]]
 
+OFF_SYMMETRY = (0.3090, 0.7236, 0.1459)
+"""Where the first point lies, as shares of the distance of points."""
+
 LARGEST = 1.5e8
 """Most samples of a field at once; a single cell of 512 voxels along its edge has as many."""
 
@@ -57,7 +60,7 @@ class TunePorosity(Stage):
         return self._by_level(context, recipe, options)
 
     def _porosity(self, context: Context, field: ScalarField, n: int) -> float:
-        return float((field.sample(_centres(field, n), context.threads) >= 0).mean())
+        return float((field.sample(_points(field, n), context.threads) >= 0).mean())
 
     def _draw(self, context: Context, recipe: Recipe, options: Mapping[str, Mapping[str, Any]]) -> ScalarField:
         made = recipe.run(context, palette=context.palette, options=options)
@@ -124,7 +127,7 @@ class TunePorosity(Stage):
         n = self.resolution
         error = np.inf
         for _ in range(3):  # the porosity of a coarse grid is off by its voxels at the surface
-            field = self._cut(field, field.sample(_centres(field, n), context.threads))
+            field = self._cut(field, field.sample(_points(field, n), context.threads))
             finer = n + n // 2 + 1
             reached = self._porosity(context, field, finer)
             error = reached - self.target
@@ -187,11 +190,19 @@ class TunePorosity(Stage):
         return found[result.x]
 
 
-def _centres(field: ScalarField, n: int) -> Grid:
-    """Voxel centres of the whole field, n along a cell edge, fewer if that were too many."""
+def _points(field: ScalarField, n: int) -> Grid:
+    """Points of equal weight in the whole field, n along a cell edge, fewer if that were too many.
+
+    Those of a field that repeats lie off the planes of symmetry of the cell: lattices have whole layers of equal values
+    there, so that a level could only jump over them.
+    """
     nx, ny, nz = field.cells
     n = max(4, min(n, round((LARGEST / (nx * ny * nz)) ** (1 / 3))))
-    return cell_centres(n, field.cells)
+    centres = cell_centres(n, field.cells)
+    if not field.periodic:
+        return centres
+    x, y, z = (share / n for share in OFF_SYMMETRY)
+    return Grid((x, y, z), centres.spacing, centres.shape)
 
 
 def _widest_gap(count: int, spacing: float) -> float:

@@ -1,0 +1,145 @@
+"""Graphs of struts in the periodic unit cell."""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import InputError
+
+__all__ = ["LATTICES", "StrutGraph", "images", "strut_graph"]
+
+_SAME = 1e-9
+"""Positions nearer than this, in cell edges, are one node."""
+
+
+class StrutGraph(NamedTuple):
+    """Struts of one cell; what the neighbours' struts are follows by repetition.
+
+    Attributes
+    ----------
+    starts, ends : (m, 3) float64
+        Cell edges; the start lies in [0, 1)^3, the end may lie in a neighbouring cell.
+    start_radii, end_radii : (m,) float64
+        Radii at the ends over the mean; 1 for cylinders.
+    """
+
+    starts: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    start_radii: NDArray[np.float64]
+    end_radii: NDArray[np.float64]
+
+
+def strut_graph(
+    starts: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    start_radii: NDArray[np.float64] | None = None,
+    end_radii: NDArray[np.float64] | None = None,
+) -> StrutGraph:
+    """Struts with copies left out: one strut stays of those that periodicity makes the same.
+
+    Raises
+    ------
+    InputError
+        If there are no struts, one has no length, a position is not finite, or one is longer than two cells.
+    """
+    starts, ends = np.asarray(starts, np.float64).reshape(-1, 3), np.asarray(ends, np.float64).reshape(-1, 3)
+    ones = np.ones(len(starts))
+    radii = (ones if start_radii is None else start_radii, ones if end_radii is None else end_radii)
+    if not len(starts):
+        raise InputError("a strut lattice needs at least one strut")
+    if not (np.isfinite(starts).all() and np.isfinite(ends).all()):
+        raise InputError("the positions of nodes must be finite")
+    lengths = np.linalg.norm(ends - starts, axis=1)
+    if lengths.min() < 1e-6 or lengths.max() > 2:
+        bad = int(np.argmin(lengths)) if lengths.min() < 1e-6 else int(np.argmax(lengths))
+        raise InputError(f"strut {bad} is {lengths[bad]:g} cell edges long; allowed are 1e-6 to 2")
+    found: dict[tuple[int, ...], tuple[float, ...]] = {}
+    for a, b, ra, rb in zip(starts, ends, *radii, strict=True):
+        ways = []
+        for first, second, r1, r2 in ((a, b, ra, rb), (b, a, rb, ra)):
+            moved = np.floor(first + _SAME)
+            ways.append((*(first - moved), *(second - moved), r1, r2))
+        keyed = [(tuple(int(v) for v in np.round(np.array(way) / (10 * _SAME))), way) for way in ways]
+        key, way = min(keyed)
+        found.setdefault(key, way)
+    rows = np.array([found[key] for key in sorted(found)])
+    return StrutGraph(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7])
+
+
+def images(graph: StrutGraph, reach: float) -> StrutGraph:
+    """The struts of the cell and of its neighbours that come nearer than `reach` to it."""
+    parts: list[list[NDArray[np.float64]]] = [[], [], [], []]
+    low, high = np.minimum(graph.starts, graph.ends), np.maximum(graph.starts, graph.ends)
+    span = int(np.ceil(2 + reach))
+    for shift in product(range(-span, span + 1), repeat=3):
+        near = ((low + shift <= 1 + reach) & (high + shift >= -reach)).all(axis=1)
+        for part, values in zip(
+            parts, (graph.starts + shift, graph.ends + shift, graph.start_radii, graph.end_radii), strict=True
+        ):
+            part.append(values[near])
+    return StrutGraph(*(np.concatenate(part) for part in parts))
+
+
+def _neighbours(points: NDArray[np.float64], distance: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Struts between all periodic points at some distance."""
+    starts, ends = [], []
+    for a in points:
+        for b in points:
+            for shift in product((-1, 0, 1), repeat=3):
+                if abs(np.linalg.norm(b + shift - a) - distance) < 1e-6:
+                    starts.append(a)
+                    ends.append(b + shift)
+    return np.array(starts), np.array(ends)
+
+
+def _face_centred() -> NDArray[np.float64]:
+    return np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]])
+
+
+def _simple_cubic() -> StrutGraph:
+    return strut_graph(*_neighbours(np.zeros((1, 3)), 1.0))
+
+
+def _body_centred() -> StrutGraph:
+    corners = np.array(list(product((0.0, 1.0), repeat=3)))
+    return strut_graph(np.full_like(corners, 0.5), corners)
+
+
+def _corners_to_faces() -> StrutGraph:
+    """Face diagonals only: what is usually called the FCC lattice of struts."""
+    starts, ends = [], []
+    for centre in _face_centred()[1:]:
+        for shift in product((0.0, 1.0), repeat=3):
+            if abs(np.linalg.norm(np.array(shift) - centre) - 0.5**0.5) < 1e-9:
+                starts.append(centre)
+                ends.append(shift)
+    return strut_graph(np.array(starts), np.array(ends))
+
+
+def _octet() -> StrutGraph:
+    return strut_graph(*_neighbours(_face_centred(), 0.5**0.5))
+
+
+def _kelvin() -> StrutGraph:
+    points = {tuple(p) for quarter in (0.25, 0.75) for p in permutations((0.0, quarter, 0.5))}
+    return strut_graph(*_neighbours(np.array(sorted(points)), 0.125**0.5))
+
+
+def _diamond() -> StrutGraph:
+    points = np.concatenate([_face_centred(), _face_centred() + 0.25])
+    return strut_graph(*_neighbours(points, 0.1875**0.5))
+
+
+LATTICES = {
+    "simple_cubic": _simple_cubic,
+    "bcc": _body_centred,
+    "fcc": _corners_to_faces,
+    "octet": _octet,
+    "kelvin": _kelvin,
+    "diamond": _diamond,
+}
+"""Name -> function that makes the graph."""

@@ -1,0 +1,179 @@
+"""``field.struts``: lattices of round struts."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_structures.cell_field import CellField, in_cell_edges
+from sppm_structures.graphs import LATTICES, StrutGraph, strut_graph
+
+LARGEST_FILE = 1 << 24
+MOST_STRUTS = 5000
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StrutField(CellField):
+    """Distance from the surface of struts, less where several are near, so that joints are round.
+
+    Attributes
+    ----------
+    lattice : str
+    starts, ends, radii : (m, 3), (m, 3), (m, 2) float64
+        Axes of the struts in cell edges; radii at both ends over `radius`.
+    radius : float
+        Cell edges.
+    blend : float
+        Length over which joints are rounded, cell edges; 0 for none.
+    repeat : int
+        Copies along the cell edge.
+    """
+
+    lattice: str
+    starts: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    radius: float
+    blend: float
+    repeat: int = 1
+    grown: float = 0.0
+    """What was added to all radii after the shares were applied, cell edges."""
+    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
+        from sppm_structures.strut_kernels import evaluate_struts, strut_table
+
+        n = self.repeat
+        if "table" not in self.kept:
+            graph = StrutGraph(self.starts, self.ends, self.radii[:, 0], self.radii[:, 1])
+            self.kept["table"] = strut_table(graph, self.radius * n, self.blend * n)
+        within = [(n * axis.reshape(-1)) % 1.0 for axis in (x, y, z)]
+        values = evaluate_struts(self.kept["table"], self.blend * n, *within)
+        values /= np.float32(n)
+        values -= np.float32(self.grown)
+        return values
+
+    def cut_at(self, value: float) -> StrutField:
+        return replace(self, grown=self.grown + value)
+
+    def summary(self) -> dict[str, Any]:
+        """The lattice and its radius."""
+        radius = self.radius + self.grown
+        summary: dict[str, Any] = {"lattice": self.lattice, "struts": len(self.starts), "radius": radius}
+        if self.edge is not None:
+            summary["radius_mm"] = radius * self.edge
+        return summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class Struts(Stage):
+    """Round struts along the edges of a periodic graph, joined smoothly.
+
+    The field is the distance d from the nearest strut's surface. With a blend length b, struts that are further away by
+    less than 4 b lower it, as in the smooth minimum ``-b log(sum exp(-d / b))`` (with ``(1 - t/4)^4`` for ``exp(-t)``):
+    joints get fillets. ``tune.porosity`` adds the same to all radii.
+
+    A graph of one's own is a JSON file ``{"nodes": [[x, y, z], ...], "edges": [[i, j], ...], "radii": [...]}`` with
+    positions in cell edges and, if wanted, a radius for each node over the option `radius`; or a CSV file with a strut
+    in each row: x1, y1, z1, x2, y2, z2. Ends may lie in neighbouring cells; copies are counted once.
+    """
+
+    name: ClassVar[str] = "field.struts"
+
+    lattice: str = option("octet", help="which lattice, unless there is a file", choices=tuple(LATTICES))
+    path: Path | None = option(None, help="graph of one's own, .json or .csv")
+    radius: Length = option(Length(0.05), help="radius of the struts", unit="cell edges", above=0)
+    blend: Length = option(Length(0.02), help="length over which joints are rounded", unit="cell edges", minimum=0)
+    repeat: int = option(1, help="copies along the cell edge", minimum=1, maximum=64)
+    edge: Length | None = option(None, help="edge of the cell", unit="mm", above=0)
+
+    def run(self, context: Context) -> ScalarField:
+        """Lay the graph out; the field is evaluated where somebody samples it."""
+        edge = self.edge.mm() if self.edge is not None else None
+        radius, blend = in_cell_edges(self.radius, edge), in_cell_edges(self.blend, edge)
+        if not (radius < 0.5 and blend < 0.5):
+            raise ConfigError(f"radius {radius:g} and blend {blend:g} must be less than half a cell edge")
+        graph = LATTICES[self.lattice]() if self.path is None else read_graph(self.path)
+        return StrutField(
+            lattice=self.lattice if self.path is None else self.path.name,
+            starts=graph.starts,
+            ends=graph.ends,
+            radii=np.column_stack([graph.start_radii, graph.end_radii]),
+            radius=radius,
+            blend=blend,
+            repeat=self.repeat,
+            edge=edge,
+        )
+
+
+def read_graph(path: Path) -> StrutGraph:
+    """Read a graph of struts from JSON or CSV.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read or is no graph; with its place.
+    """
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(f"{path} is larger than {LARGEST_FILE // 2**20} MiB, too large for a graph of struts")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read {path}: {getattr(error, 'strerror', None) or 'it is no text'}") from error
+    if path.suffix.lower() == ".json":
+        return _from_json(text, path.name)
+    if path.suffix.lower() == ".csv":
+        return _from_csv(text, path.name)
+    raise InputError(f"{path.name} should end in .json or .csv")
+
+
+def _from_json(text: str, name: str) -> StrutGraph:
+    try:
+        found = json.loads(text)
+        nodes = np.array(found["nodes"], np.float64).reshape(-1, 3)
+        edges = np.array(found["edges"], np.int64).reshape(-1, 2)
+        radii = np.array(found.get("radii", np.ones(len(nodes))), np.float64).reshape(-1)
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(
+            f"{name} is no graph of struts: {type(error).__name__}: {error}",
+            hint='it should read {"nodes": [[x, y, z], ...], "edges": [[i, j], ...]}',
+        ) from error
+    if len(edges) > MOST_STRUTS:
+        raise InputError(f"{name} has {len(edges)} struts; the limit is {MOST_STRUTS}")
+    if len(edges) and not (edges.min() >= 0 and edges.max() < len(nodes)):
+        bad = int(edges.max() if edges.max() >= len(nodes) else edges.min())
+        raise InputError(f"{name}: an edge names node {bad}; there are nodes 0 to {len(nodes) - 1}")
+    if len(radii) != len(nodes) or not (np.isfinite(radii).all() and (radii > 0).all()):
+        raise InputError(f"{name}: each node has one positive radius, or none has")
+    a, b = edges.T
+    return strut_graph(nodes[a], nodes[b], radii[a], radii[b])
+
+
+def _from_csv(text: str, name: str) -> StrutGraph:
+    rows = []
+    for number, row in enumerate(csv.reader(text.splitlines()), 1):
+        if not row or row[0].lstrip().startswith("#"):
+            continue
+        try:
+            values = [float(word) for word in row]
+        except ValueError:
+            if not rows and number == 1:
+                continue  # a line of headings
+            raise InputError(f"{name}:{number}: a strut is six numbers, got {','.join(row)[:60]!r}") from None
+        if len(values) != 6:
+            raise InputError(f"{name}:{number}: a strut is six numbers x1, y1, z1, x2, y2, z2, got {len(values)}")
+        rows.append(values)
+        if len(rows) > MOST_STRUTS:
+            raise InputError(f"{name} has more struts than the limit of {MOST_STRUTS}")
+    struts = np.array(rows, np.float64).reshape(-1, 6)
+    return strut_graph(struts[:, :3], struts[:, 3:])
