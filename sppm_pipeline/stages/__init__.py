@@ -41,6 +41,7 @@ BUILT_IN = {
     "write.npy": "WriteNpy",
     "write.tiff": "WriteTiff",
     "write.vti": "WriteVti",
+    "write.stiffness": "WriteStiffness",
     "write.graph": "WriteGraph",
     "write.picture": "WritePicture",
     "write.chart": "WriteChart",

@@ -1,0 +1,99 @@
+"""``write.stiffness``: effective stiffness as JSON, material card and picture."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.stiffness import StiffnessReport
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteStiffness(Stage):
+    """Write a folder with all that is known of an effective stiffness.
+
+    ``stiffness.json`` holds the matrix, moduli, isotropy and bounds; ``material.inp`` is a material card that Abaqus
+    and CalculiX read; ``young.png`` shows Young's modulus over all directions, as a surface whose distance from the
+    centre and colour are the modulus; ``young.ply`` is that surface, one unit of length for the largest modulus.
+    """
+
+    name: ClassVar[str] = "write.stiffness"
+
+    path: str = option("stiffness", help="folder to write")
+    material: str = option("SPPM", help="name of the material in the card")
+    size: tuple[int, int] = option((900, 800), help="width and height of the picture", unit="pixels", minimum=300)
+
+    def check_options(self) -> None:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", self.material):
+            raise ConfigError(
+                f"the material is named {self.material!r}; allowed are letters, digits, _ and -, a letter first"
+            )
+
+    def run(self, context: Context, report: StiffnessReport) -> None:
+        """Write everything."""
+        from PIL import Image
+
+        from sppm_pipeline.formats import ply
+        from sppm_pipeline.formats.material_card import abaqus_card
+        from sppm_pipeline.numerics.stiffness.directional import sphere_mesh, young_along
+
+        folder = context.output(self.path)
+        folder.mkdir(parents=True)
+        unit = report.unit or "the unit of the base material"
+        (folder / "stiffness.json").write_text(
+            json.dumps(_plain(report.summary()), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
+        comments = [
+            f"effective stiffness of a porous cell, porosity {report.porosity:.4f}, {report.method}",
+            f"unit of stress: {unit}; axes 1, 2, 3 are x, y, z of the cell",
+        ]
+        (folder / "material.inp").write_text(abaqus_card(self.material, report.stiffness, comments), encoding="ascii")
+        directions, faces = sphere_mesh(5)
+        young = young_along(report.stiffness, directions)
+        largest = float(young.max())
+        if not largest > 0:
+            context.warn("the structure has no stiffness in any direction; there is no surface of moduli to draw")
+            return
+        surface = directions * (young / largest)[:, None]
+        (folder / "young.ply").write_bytes(b"".join(ply.encode(surface, faces)))
+        picture = young_picture(surface, faces, young, report.unit, self.size)
+        Image.fromarray(picture).save(folder / "young.png")
+
+
+def young_picture(
+    surface: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    young: NDArray[np.float64],
+    unit: str | None,
+    size: tuple[int, int],
+) -> NDArray[np.uint8]:
+    """The surface of moduli in colour, with a scale beside it."""
+    from sppm_pipeline.numerics.picture.color_scale import colors_of, with_scale
+    from sppm_pipeline.numerics.picture.mesh_view import render_mesh
+
+    low, high = float(young.min()), float(young.max())
+    # of a nearly isotropic material a range of rounding errors would look like a range
+    low = min(low, 0.999 * high)
+    colors = colors_of(young[faces].mean(axis=1), low, high)
+    picture = render_mesh(surface, faces, size=(size[0] - 140, size[1]), face_colors=colors)
+    return with_scale(picture, low, high, f"E(n) / {unit}" if unit else "E(n)", 140)
+
+
+def _plain(value: object) -> object:
+    """Values as strict JSON has them; NaN and infinities as null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

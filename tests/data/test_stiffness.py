@@ -1,0 +1,60 @@
+"""Reports of stiffness: what they say of known materials."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.stiffness import StiffnessReport
+from sppm_pipeline.engine.jsonable import json_text, jsonable
+from sppm_pipeline.numerics.stiffness.voigt import isotropic
+
+SOLID = ((1.0, 2.0, 0.3),)
+POROUS = ((0.4, 1.0, 0.3), (0.6, 0.0, 0.0))
+
+
+def test_a_solid_cell():
+    report = StiffnessReport(isotropic(2.0, 0.3), SOLID, "exact", unit="GPa")
+    report.check()
+    found = report.summary()
+    assert found["porosity"] == 0
+    assert found["E"] == pytest.approx([2.0] * 3)
+    assert found["E_relative"] == pytest.approx(1.0)
+    assert found["nu"]["xy"] == pytest.approx(0.3)
+    assert found["isotropic"] == pytest.approx({"E": 2.0, "nu": 0.3})
+    assert found["xi"] == pytest.approx(0, abs=1e-12)
+    assert found["zener"] == pytest.approx(1)
+    assert found["E_min"]["value"] == pytest.approx(found["E_max"]["value"])
+    assert found["bounds"]["within_voigt_and_reuss"]
+    assert found["bounds"]["bulk_within"]
+    assert "error" not in found
+
+
+def test_no_stiffness_is_no_nonsense():
+    report = StiffnessReport(np.zeros((6, 6)), POROUS, "voxels")
+    report.check()
+    found = json.loads(json_text(jsonable(report.summary())))
+    assert found["E"] == [0, 0, 0]
+    assert found["nu"]["xy"] is None
+    assert found["universal_anisotropy"] is None
+    assert found["bounds"]["within_voigt_and_reuss"]
+    assert report.porosity == 0.6
+
+
+def test_an_error_bar_is_told_relative_too():
+    report = StiffnessReport(isotropic(1.0, 0.0), SOLID, "voxels", error=0.01 * isotropic(1.0, 0.0))
+    assert report.summary()["error_relative"] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "phases"),
+    [
+        (np.zeros((3, 3)), SOLID),
+        (np.full((6, 6), np.nan), SOLID),
+        (np.triu(np.ones((6, 6))), SOLID),
+        (np.eye(6), ((0.5, 1.0, 0.3),)),
+    ],
+)
+def test_contradictions_are_refused(stiffness, phases):
+    with pytest.raises(ValueError):
+        StiffnessReport(stiffness, phases, "x").check()

@@ -1,0 +1,65 @@
+"""``write.stiffness``: every file of the folder."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sppm_pipeline.data.stiffness import StiffnessReport
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.formats import ply
+from sppm_pipeline.numerics.stiffness.voigt import isotropic
+from sppm_pipeline.stages.write.stiffness import WriteStiffness
+from sppm_pipeline.testing.plain_context import PlainContext
+
+PHASES = ((0.4, 1.0, 0.3), (0.6, 0.0, 0.0))
+
+
+def cubic(a, b, c):
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = b
+    matrix[range(6), range(6)] = [a] * 3 + [c] * 3
+    return matrix
+
+
+def test_the_folder(tmp_path):
+    stiffness = cubic(0.2, 0.06, 0.1)
+    report = StiffnessReport(stiffness, PHASES, "a test", unit="MPa")
+    WriteStiffness(size=(400, 300)).run(PlainContext(directory=tmp_path), report)
+    folder = tmp_path / "stiffness"
+    found = json.loads((folder / "stiffness.json").read_text())
+    assert np.array(found["C"]) == pytest.approx(stiffness)
+    assert found["unit"] == "MPa"
+    card = (folder / "material.inp").read_text()
+    assert "NAME=SPPM" in card
+    assert "MPa" in card
+    vertices, _ = ply.decode((folder / "young.ply").read_bytes(), "young.ply")
+    assert np.linalg.norm(vertices, axis=1).max() == pytest.approx(1, abs=1e-6)
+    # the modulus along x over the largest
+    along = vertices[np.argmax(vertices[:, 0] / np.linalg.norm(vertices, axis=1))]
+    assert np.linalg.norm(along) == pytest.approx(found["E"][0] / found["E_max"]["value"], abs=2e-3)
+    with Image.open(folder / "young.png") as picture:
+        assert picture.size == (400, 300)
+        colours = len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0))
+    assert colours > 500
+
+
+def test_nothing_stiff_is_said_and_the_rest_written(tmp_path):
+    context = PlainContext(directory=tmp_path)
+    WriteStiffness(path="s").run(context, StiffnessReport(np.zeros((6, 6)), PHASES, "a test"))
+    assert "no stiffness" in context.warnings[0]
+    assert (tmp_path / "s/material.inp").exists()
+    assert not (tmp_path / "s/young.png").exists()
+    assert json.loads((tmp_path / "s/stiffness.json").read_text())["nu"]["xy"] is None
+
+
+def test_an_isotropic_material_has_one_colour(tmp_path):
+    report = StiffnessReport(isotropic(1.0, 0.3), ((1.0, 1.0, 0.3),), "a test")
+    WriteStiffness(size=(300, 300)).run(PlainContext(directory=tmp_path), report)
+    assert (tmp_path / "stiffness/young.png").exists()
+
+
+def test_names_of_materials():
+    with pytest.raises(ConfigError, match="letters"):
+        WriteStiffness(material="*STEP").check_options()
