@@ -27,6 +27,7 @@ BUILT_IN = {
     "tile.fresh": "FreshTiling",
     "fill.implicit": "ImplicitFill",
     "extract.marching_cubes": "MarchingCubes",
+    "mesh.isosurface_stuffing": "IsosurfaceStuffing",
     "check.connectivity": "CheckConnectivity",
     "check.porosity": "CheckPorosity",
     "check.residual_periodicity": "CheckResidualPeriodicity",
