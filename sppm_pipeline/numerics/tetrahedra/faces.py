@@ -80,26 +80,26 @@ def _face_keys(tets: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], NDA
     for m in range(tets.shape[0]):
         for i in range(4):
             starts[min(tets[m, (i + 1) % 4], tets[m, (i + 2) % 4], tets[m, (i + 3) % 4]) + 1] += 1
-    for a in range(n):
-        starts[a + 1] += starts[a]
+    for node in range(n):
+        starts[node + 1] += starts[node]
     ends = starts.copy()
     keys = np.empty(4 * tets.shape[0], np.uint64)
     faces = np.empty(4 * tets.shape[0], np.int64)
     for m in range(tets.shape[0]):
         for i in range(4):
-            a, b, c = np.int64(tets[m, (i + 1) % 4]), np.int64(tets[m, (i + 2) % 4]), np.int64(tets[m, (i + 3) % 4])
-            low, high = min(a, b, c), max(a, b, c)
+            a, b, c = int(tets[m, (i + 1) % 4]), int(tets[m, (i + 2) % 4]), int(tets[m, (i + 3) % 4])
+            low, high = int(min(a, b, c)), int(max(a, b, c))
             p = ends[low]
             keys[p] = np.uint64((a + b + c - low - high) * n + high)
             faces[p] = 4 * m + i
             ends[low] += 1
-    for a in range(n):
-        if starts[a + 1] - starts[a] > _LONG:
+    for node in range(n):
+        if starts[node + 1] - starts[node] > _LONG:
             continue
-        for p in range(starts[a] + 1, starts[a + 1]):
+        for p in range(starts[node] + 1, starts[node + 1]):
             key, face = keys[p], faces[p]
             q = p
-            while q > starts[a] and keys[q - 1] > key:
+            while q > starts[node] and keys[q - 1] > key:
                 keys[q], faces[q] = keys[q - 1], faces[q - 1]
                 q -= 1
             keys[q], faces[q] = key, face

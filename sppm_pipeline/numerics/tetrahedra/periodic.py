@@ -100,7 +100,6 @@ def face_match(
     nodes: NDArray[np.floating],
     tets: NDArray[np.integer],
     box: NDArray[np.floating],
-    standing: NDArray[np.int64],
     tolerance: float = TOLERANCE,
 ) -> FaceMatch:
     """Compare the triangles of a mesh in opposite faces of its box.
@@ -110,10 +109,12 @@ def face_match(
     nodes : (n, 3) float
     tets : (m, 4 or more) integers
     box : (2, 3) float
-    standing : (n,) int64
-        As `matched_nodes` finds it.
     tolerance : float
+        As for `matched_nodes`.
     """
+    from scipy.spatial import cKDTree
+
+    reach = 2 * tolerance * float(np.min(box[1] - box[0]))
     points = np.asarray(nodes, np.float64)
     triangles = boundary_triangles(tets, face_neighbours(tets))
     low, high = on_faces(points, box, tolerance)
@@ -122,7 +123,12 @@ def face_match(
         sides = [triangles[flags[triangles, axis].all(1)] for flags in (low, high)]
         plane = np.delete(points, axis, 1)
         area[axis] = sum(np.abs(_doubled_areas(plane[side])).sum() for side in sides) / 4
-        keys = [np.sort(standing[side], axis=1) for side in sides]
+        partner = np.arange(len(points))
+        below, above = (np.unique(side) for side in sides)
+        if len(below) and len(above):
+            away, nearest = cKDTree(plane[below]).query(plane[above], distance_upper_bound=reach)
+            partner[above[away <= reach]] = below[nearest[away <= reach]]
+        keys = [np.sort(partner[side], axis=1) for side in sides]
         _, index, times = np.unique(np.concatenate(keys), axis=0, return_inverse=True, return_counts=True)
         alone = times[index.ravel()] == 1
         lone = [sides[0][alone[: len(sides[0])]], sides[1][alone[len(sides[0]) :]]]

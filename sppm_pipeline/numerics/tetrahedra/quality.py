@@ -57,7 +57,8 @@ def quality(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> Quality:
     points, corners = _prepared(nodes, tets)
     worst = _worst(points, corners)
     angles = np.degrees(np.arccos(np.clip(worst[:2], -1, 1)))
-    return Quality(*(float(v) for v in (*angles, *worst[2:7])), int(worst[7]))
+    ratio, edges, total, least, greatest = (float(v) for v in worst[2:7])
+    return Quality(float(angles[0]), float(angles[1]), ratio, edges, total, least, greatest, int(worst[7]))
 
 
 def dihedral_histogram(nodes: NDArray[np.floating], tets: NDArray[np.integer], bins: int = 90) -> NDArray[np.int64]:
@@ -71,7 +72,7 @@ def dihedral_histogram(nodes: NDArray[np.floating], tets: NDArray[np.integer], b
     if bins < 1 or _FIFTHS % bins:
         raise ValueError(f"the number of bins must divide {_FIFTHS}, not be {bins}")
     counts = _count_angles(*_prepared(nodes, tets))
-    return counts.reshape(bins, -1).sum(1)
+    return np.asarray(counts.reshape(bins, -1).sum(1))
 
 
 def dihedral_extremes(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> NDArray[np.float64]:
@@ -79,7 +80,7 @@ def dihedral_extremes(nodes: NDArray[np.floating], tets: NDArray[np.integer]) ->
 
     A tetrahedron without positive volume has 0 and 180.
     """
-    return np.degrees(np.arccos(np.clip(_cosines(*_prepared(nodes, tets)), -1, 1)))
+    return np.asarray(np.degrees(np.arccos(np.clip(_cosines(*_prepared(nodes, tets)), -1, 1))))
 
 
 def volumes(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> NDArray[np.float64]:
@@ -134,21 +135,21 @@ def _shape(
             out[n] = -dot / (length_i * length_j) if length_i * length_j > 0 else np.nan
             n += 1
             shortest, longest = min(shortest, edge), max(longest, edge)
-    # circumradius: opposite edges multiply to the sides of a triangle of area 6 V R
-    la = np.sqrt(_squared(p, 0, 1) * _squared(p, 2, 3))
-    lb = np.sqrt(_squared(p, 0, 2) * _squared(p, 1, 3))
-    lc = np.sqrt(_squared(p, 0, 3) * _squared(p, 1, 2))
+    # circumradius: products of opposite edges are the sides of a triangle of area 6 V R
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        to_top, opposite = 0.0, 0.0
+        for axis in range(3):
+            to_top += (p[i, axis] - p[3, axis]) ** 2
+            opposite += (p[j, axis] - p[k, axis]) ** 2
+        out[7 + i] = np.sqrt(to_top * opposite)
+    la, lb, lc = out[7], out[8], out[9]
     s = (la + lb + lc) / 2
     product = max(0.0, s * (s - la) * (s - lb) * (s - lc))
     out[6] = volume
     # R = sqrt(product) / (6 V), r = 3 V / A with 6 V = volume, A = area / 2
     out[7] = np.sqrt(product) / volume * area / (3 * volume) if volume > 0 else np.inf
     out[8], out[9] = shortest, longest
-
-
-@kernel
-def _squared(p: NDArray[np.float64], i: int, j: int) -> float:
-    return (p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2
 
 
 @kernel

@@ -121,7 +121,7 @@ def _shares(ends: NDArray[np.int32], fields: tuple[NDArray[np.float32], ...]) ->
         a, b = np.where(solid_first, a, b), np.where(solid_first, b, a)
         crosses = b > 0
         from_solid[crosses] = np.minimum(from_solid[crosses], a[crosses] / (a[crosses] - b[crosses]))
-    return np.where(solid_first, from_solid, 1 - from_solid)
+    return np.asarray(np.where(solid_first, from_solid, 1 - from_solid))
 
 
 def _used(names: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
@@ -141,7 +141,7 @@ def _coordinates(index: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np
 def _wrapped(index: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
     """The representative of points of the doubled grid of a periodic box."""
     at = _coordinates(index, shape) % (np.array(shape[::-1]) - 1)
-    return (at[:, 2] * shape[1] + at[:, 1]) * shape[2] + at[:, 0]
+    return np.asarray((at[:, 2] * shape[1] + at[:, 1]) * shape[2] + at[:, 0])
 
 
 def _twins(used: NDArray[np.int64], shape: tuple[int, ...], periodic: bool) -> NDArray[np.int32]:
@@ -157,7 +157,7 @@ def _twins(used: NDArray[np.int64], shape: tuple[int, ...], periodic: bool) -> N
 def _first_alike(names: NDArray[np.integer]) -> NDArray[np.int32]:
     """For each name the place of the first that is equal to it."""
     _, first, inverse = np.unique(names, return_index=True, return_inverse=True)
-    return first[inverse].astype(np.int32)
+    return np.asarray(first[inverse], np.int32)
 
 
 def _slot_of_nodes(
