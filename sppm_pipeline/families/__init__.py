@@ -20,6 +20,7 @@ from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for
 from sppm_pipeline.families.tileset_maker import TileSetMaker
+from sppm_pipeline.families.volume_mesh_writer import VolumeMeshWriter
 
 __all__ = [
     "Connector",
@@ -30,6 +31,7 @@ __all__ = [
     "Sampler",
     "TileSetMaker",
     "Tiler",
+    "VolumeMeshWriter",
     "lattice_for",
     "start_of",
 ]
