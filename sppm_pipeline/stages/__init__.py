@@ -9,6 +9,7 @@ __all__ = ["BUILT_IN", "sppm_stages"]
 BUILT_IN = {
     "read.mesh": "ReadMesh",
     "read.primitive": "ReadPrimitive",
+    "read.volume_mesh": "ReadVolumeMesh",
     "sample.mirrored_faces": "MirroredFaces",
     "sample.dart_throwing": "DartThrowing",
     "sample.elimination": "Elimination",
