@@ -19,8 +19,11 @@ __all__ = ["ANGLES", "Stuffed", "require_room", "stuff", "without_islands"]
 ANGLES = (10.7, 164.8)
 """Degrees; the paper's bounds of the dihedral angles, which halves of tetrahedra in the box are held to as well."""
 
-MOST_CUBES = 2**25
-"""Cubes of a lattice; they take about 150 bytes each, the tetrahedra of those in the solid some 700 more."""
+MOST_CUBES = 2**24
+"""Cubes of a lattice, at about 100 bytes each."""
+
+MOST_TETRAHEDRA = 50_000_000
+"""Tetrahedra of a mesh, at about 250 bytes each while it is made."""
 
 
 class Stuffed(NamedTuple):
@@ -65,12 +68,19 @@ def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.
     ValueError
         If a periodic box has fewer than 4 cubes along an axis.
     ResourceError
-        If there are too many cubes.
+        If there are too many cubes or tetrahedra.
     """
     nz, ny, nx = (s // 2 for s in values.shape)
     if periodic and min(nx, ny, nz) < 4:
         raise ValueError(f"a periodic box needs 4 cubes along each axis, not {nx} x {ny} x {nz}")
     require_room(nx, ny, nz)
+    # twelve for each cube, which has a corner and a centre to itself
+    expected = 6 * int(np.count_nonzero(values < 0))
+    if expected > MOST_TETRAHEDRA:
+        raise ResourceError(
+            f"the solid would take about {expected} tetrahedra; the limit is {MOST_TETRAHEDRA}",
+            hint="lower the resolution, or mesh a smaller piece",
+        )
     found = find_crossings(values, periodic)
     shares = _shares(found.ends, others or (values,))
     top = (2 * nx, 2 * ny, 2 * nz)

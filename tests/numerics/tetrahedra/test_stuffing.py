@@ -217,6 +217,14 @@ def test_nothing_solid():
     assert len(stuff(np.ones((9, 9, 9), np.float32), True).tets) == 0
 
 
+def test_too_many_tetrahedra_are_refused_before_they_are_made(monkeypatch):
+    values = np.full((13, 13, 13), -1, np.float32)
+    count = len(stuff(values, True).tets)
+    monkeypatch.setattr("sppm_pipeline.numerics.tetrahedra.stuffing.MOST_TETRAHEDRA", count // 2)
+    with pytest.raises(ResourceError, match="tetrahedra"):
+        stuff(values, True)
+
+
 def test_refused():
     with pytest.raises(ValueError, match="4 cubes"):
         stuff(np.ones((7, 9, 9), np.float32), True)
