@@ -41,7 +41,7 @@ FAMILIES: Mapping[str, str] = {
     "tile": "cells are laid into a part",
     "fill": "a part is cut from the tiling",
     "extract": "a field becomes a triangle mesh or an image of voxels",
-    "mesh": "a triangle mesh becomes a volume mesh",
+    "mesh": "a mesh becomes a better one, or a field or mesh becomes one of tetrahedra",
     "homogenize": "effective properties are computed",
     "check": "something is measured, and may be rejected",
     "slice": "a field or mesh becomes a stack of layers",

@@ -71,6 +71,17 @@ class VolumeMesh(Noun):
         a, b, c, d = (self.nodes[self.cells[:, corner]] for corner in range(4))
         return float(np.einsum("ij,ij->", np.cross(b - a, c - a), d - a)) / 6
 
+    @property
+    def material_of_cells(self) -> NDArray[np.uint8]:
+        """`materials`, which are always there once the mesh is made."""
+        assert self.materials is not None
+        return self.materials
+
+    @property
+    def around(self) -> NDArray[np.float64]:
+        """The box, or else the bounding box of the nodes, (2, 3) mm."""
+        return self.box if self.box is not None else np.array([self.nodes.min(axis=0), self.nodes.max(axis=0)])
+
     def summary(self) -> dict[str, Any]:
         """Nodes, cells, volume, and for a periodic cell its porosity."""
         summary: dict[str, Any] = {

@@ -20,6 +20,7 @@ from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for
 from sppm_pipeline.families.tileset_maker import TileSetMaker
+from sppm_pipeline.families.volume_mesh_writer import VolumeMeshWriter
 from sppm_pipeline.families.voxel_writer import VoxelWriter
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Sampler",
     "TileSetMaker",
     "Tiler",
+    "VolumeMeshWriter",
     "VoxelWriter",
     "lattice_for",
     "start_of",

@@ -11,6 +11,7 @@ from sppm_pipeline.testing.contracts import StageContract
 REQUIRED = {
     "read.mesh": {"path": "a.stl"},
     "read.voxels": {"path": "a.npy"},
+    "read.volume_mesh": {"path": "a.vtu"},
     "read.primitive": {"shape": "box", "size": ()},
     "sample.elimination": {"count": 3},
     "tune.porosity": {"target": 0.5},

@@ -1,0 +1,69 @@
+"""Tetrahedral meshes of the paper's cell by isosurface stuffing: size, time, angles, and how the volume converges.
+
+Usage: python -m benchmarks.tetrahedra
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.measure import repeat_in_process, table
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.microstructure import Microstructure
+from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.tetrahedra.quality import dihedral_histogram, quality
+from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.stages.field.gaussian import GaussianField
+from sppm_pipeline.stages.mesh.isosurface_stuffing import IsosurfaceStuffing
+from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+EXACT = 384
+"""Voxels along the edge whose centres tell the volume that the meshes are held against."""
+
+
+def paper_cell() -> Microstructure:
+    """66 pores, half of them on the faces, omega = mu = 30 in the cell [-1, 1]^3, as in configs/cell.yaml."""
+    recipe = recipe_of(
+        MirroredFaces(edge=Length(2.0, "mm"), total=66, share=0.5),
+        DartThrowing(total=66),
+        BoundedDegreeSubgraph(degree=(3, 5), mode="exact"),
+        GaussianField(omega=30.0, mu=30.0, level=0.25),
+    )
+    made = recipe.run(PlainContext(1))
+    assert isinstance(made, Microstructure)
+    return made
+
+
+def solid_share(cell: Microstructure) -> float:
+    """Share of voxel centres in the solid, slab by slab."""
+    grid = cell_centres(EXACT)
+    return float(np.mean([(cell.sample_layers(grid, k, k + 8) < 0).mean() for k in range(0, EXACT, 8)]))
+
+
+def main() -> None:
+    cell = paper_cell()
+    exact = solid_share(cell) * cell.physical_edge() ** 3
+    rows: list[list[object]] = []
+    before = 0.0
+    for n in (16, 32, 64):
+        stage = IsosurfaceStuffing(resolution=n, islands="keep")
+        mesh = stage.run(PlainContext(), cell)
+        wall, cpu = repeat_in_process(lambda: stage.run(PlainContext(), cell), 3)  # noqa: B023
+        shape = quality(mesh.nodes, mesh.cells)
+        error = mesh.volume / exact - 1
+        order = np.log2(before / abs(error)) if before else ""
+        before = abs(error)
+        rows.append(
+            [n, len(mesh.cells), len(mesh.nodes), wall, cpu, shape.least_dihedral, shape.greatest_dihedral,
+             shape.radius_ratio, 100 * error, order]
+        )  # fmt: skip
+        shares = 100 * dihedral_histogram(mesh.nodes, mesh.cells, 18) / (6 * len(mesh.cells))
+        print(f"{n}: % of dihedral angles by tens of degrees: " + " ".join(f"{share:.2f}" for share in shares))
+    head = ["cubes", "tets", "nodes", "wall s", "CPU s", "least", "greatest", "R/3r", "volume error %", "order"]
+    table("isosurface stuffing of a cell, with sampling", head, rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""Base class of stages that write a volume mesh: one method names the encoder."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sppm_pipeline.data.volume_mesh import VolumeMesh
+from sppm_pipeline.stage import Context, Stage
+
+__all__ = ["VolumeMeshWriter"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class VolumeMeshWriter(Stage):
+    """Base of writers of volume meshes: implement `encode` and declare the option `path`."""
+
+    path: str
+
+    @abstractmethod
+    def encode(self, mesh: VolumeMesh) -> Iterator[bytes]:
+        """The content of the file, piece by piece."""
+
+    def run(self, context: Context, mesh: VolumeMesh) -> None:
+        """Write the file chunk by chunk."""
+        size = 0
+        with context.output(self.path).open("wb") as file:
+            for chunk in self.encode(mesh):
+                size += file.write(chunk)
+        context.report(bytes=size, cells=len(mesh.cells), nodes=len(mesh.nodes))

@@ -1,0 +1,80 @@
+"""VTU, the XML format of VTK for unstructured grids, with binary data appended; read by ParaView, PyVista, meshio."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.formats.volume_arrays import as_written
+
+__all__ = ["VTK_TYPES", "encode"]
+
+VTK_TYPES = {4: 10, 10: 24}
+"""VTK's number of straight and quadratic tetrahedra, by the nodes of a cell; its order of nodes is ours."""
+
+_BLOCK = 1 << 16
+_NAMES = {"float64": "Float64", "int32": "Int32", "int64": "Int64", "uint8": "UInt8"}
+
+
+def encode(
+    nodes: NDArray[np.floating], cells: NDArray[np.integer], materials: NDArray[np.integer], compress: bool = False
+) -> Iterator[bytes]:
+    """A VTU file, piece by piece: little-endian, 64-bit sizes, a cell array ``material``.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float
+    cells : (m, 4) or (m, 10) integers
+        Quadratic ones with mid-edge nodes in the order 01, 12, 02, 03, 13, 23, which is VTK's.
+    materials : (m,) integers
+    compress : bool
+        Compress the data with zlib; the bytes may then differ between versions of that library.
+    """
+    points, corners, materials = as_written(nodes, cells, materials)
+    count, per_cell = corners.shape
+    arrays = {
+        "points": points.astype("<f8", copy=False),
+        "connectivity": corners.astype("<i4", copy=False),
+        "offsets": np.arange(per_cell, (count + 1) * per_cell, per_cell, dtype="<i8"),
+        "types": np.full(count, VTK_TYPES[per_cell], np.uint8),
+        "material": materials,
+    }
+    blocks, places, end = {}, {}, 0
+    for name, array in arrays.items():
+        blocks[name] = _compressed(array) if compress else _plain(array)
+        places[name] = end
+        end += sum(len(piece) for piece in blocks[name])
+
+    def declared(name: str, components: int = 1) -> str:
+        kind = _NAMES[arrays[name].dtype.newbyteorder("=").name]
+        more = f' NumberOfComponents="{components}"' if components > 1 else ""
+        return f'<DataArray type="{kind}" Name="{name}"{more} format="appended" offset="{places[name]}"/>\n'
+
+    compressor = ' compressor="vtkZLibDataCompressor"' if compress else ""
+    yield (
+        '<?xml version="1.0"?>\n'
+        f'<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64"{compressor}>\n'
+        f'<UnstructuredGrid>\n<Piece NumberOfPoints="{len(points)}" NumberOfCells="{count}">\n'
+        f"<Points>\n{declared('points', 3)}</Points>\n"
+        f"<Cells>\n{declared('connectivity')}{declared('offsets')}{declared('types')}</Cells>\n"
+        f'<CellData Scalars="material">\n{declared("material")}</CellData>\n'
+        '</Piece>\n</UnstructuredGrid>\n<AppendedData encoding="raw">\n_'
+    ).encode()
+    for pieces in blocks.values():
+        yield from pieces
+    yield b"\n</AppendedData>\n</VTKFile>\n"
+
+
+def _plain(array: NDArray[np.generic]) -> list[bytes]:
+    return [np.array([array.nbytes], "<u8").tobytes(), array.tobytes()]
+
+
+def _compressed(array: NDArray[np.generic]) -> list[bytes]:
+    """Blocks of 64 KiB; in front their number, size, the size of the last if it is smaller, and what each became."""
+    data = array.tobytes()
+    packed = [zlib.compress(data[start : start + _BLOCK], 6) for start in range(0, len(data), _BLOCK)]
+    header = [len(packed), _BLOCK, len(data) % _BLOCK, *(len(piece) for piece in packed)]
+    return [np.array(header, "<u8").tobytes(), *packed]

@@ -1,0 +1,1 @@
+"""Tetrahedral meshes: isosurface stuffing, quality, boundaries, copies on opposite faces of a periodic cell."""

@@ -1,0 +1,104 @@
+"""``check.volume_mesh``: is a volume mesh fit for finite elements?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.volume_mesh import VolumeMesh
+from sppm_pipeline.stage import Context, Rejected, Stage, option
+
+BINS = 18
+"""Intervals of the reported histogram of dihedral angles, of ten degrees each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckVolumeMesh(Stage):
+    """Report the shape of the cells and how they fit together; reject a mesh that finite elements would choke on.
+
+    Rejected are cells without positive volume (for quadratic ones: without positive Jacobian at a node), faces of
+    three or more cells, a boundary that does not close, opposite faces of a matched cell that differ, and dihedral
+    angles below the limit.
+    """
+
+    name: ClassVar[str] = "check.volume_mesh"
+
+    least_angle: float = option(
+        5.0, help="smallest dihedral angle that is accepted", unit="degrees", minimum=0, below=70
+    )
+    one_piece: bool = option(False, help="reject a mesh of several parts that hang together by no face")
+    accept: str = option(
+        "sound", help="sound: reject a mesh with faults; any: only report them", choices=("sound", "any")
+    )
+
+    def run(self, context: Context, mesh: VolumeMesh) -> VolumeMesh:
+        """Measure, and pass the mesh on."""
+        from sppm_pipeline.numerics.surface.measures import edge_counts
+        from sppm_pipeline.numerics.tetrahedra import faces, periodic
+        from sppm_pipeline.numerics.tetrahedra.quadratic import least_jacobian
+        from sppm_pipeline.numerics.tetrahedra.quality import dihedral_histogram, quality
+
+        if not len(mesh.cells):
+            raise Rejected("the mesh has no cells")
+        faults: list[str] = []
+        shape = quality(mesh.nodes, mesh.cells)
+        context.report(
+            cells=len(mesh.cells),
+            nodes=len(mesh.nodes),
+            volume_mm3=shape.volume,
+            least_dihedral_degrees=shape.least_dihedral,
+            greatest_dihedral_degrees=shape.greatest_dihedral,
+            greatest_radius_ratio=shape.radius_ratio,
+            greatest_edge_ratio=shape.edge_ratio,
+            least_volume_mm3=shape.least_volume,
+            inverted=shape.inverted,
+            dihedral_histogram=dihedral_histogram(mesh.nodes, mesh.cells, BINS).tolist(),
+        )
+        if shape.inverted:
+            faults.append(f"{shape.inverted} cells have no positive volume")
+        elif shape.least_dihedral < self.least_angle:
+            faults.append(
+                f"the smallest dihedral angle is {shape.least_dihedral:.3g} degrees, below {self.least_angle:g}"
+            )
+        if mesh.cells.shape[1] == 10:
+            folded = int((least_jacobian(mesh.nodes, mesh.cells) <= 0).sum())
+            context.report(folded=folded)
+            if folded and not shape.inverted:
+                faults.append(f"{folded} quadratic cells have no positive Jacobian at one of their nodes")
+        neighbours = faces.face_neighbours(mesh.cells)
+        crowded = int((neighbours == faces.CROWDED).sum())
+        edges = edge_counts(faces.boundary_triangles(mesh.cells, neighbours))
+        unused = len(mesh.nodes) - len(np.unique(mesh.cells))
+        context.report(
+            crowded_faces=crowded, boundary_closed=edges.bounds_solid, pinched_edges=edges.non_manifold, unused=unused
+        )
+        if crowded:
+            faults.append(f"{crowded} faces of cells are shared by three or more")
+        elif not edges.bounds_solid:
+            faults.append(f"the boundary does not close: {edges.unbalanced} edges have no partner")
+        joined: NDArray[np.integer] = mesh.cells[:, :4]
+        if mesh.matched and mesh.box is not None:
+            match = periodic.face_match(mesh.nodes, mesh.cells, mesh.box)
+            context.report(
+                matched_triangles=match.matched.tolist(),
+                free_triangles=match.free.tolist(),
+                clashing_triangles=match.clashing.tolist(),
+            )
+            if match.clashing.any():
+                faults.append(
+                    f"{match.clashing.sum()} triangles in opposite faces of the box are no copies of each other"
+                )
+            else:
+                joined = periodic.matched_nodes(mesh.nodes, mesh.box)[joined]
+        parts = faces.components(faces.face_neighbours(joined))[0]
+        context.report(components=parts)
+        if self.one_piece and parts > 1:
+            faults.append(f"the mesh falls into {parts} parts")
+        if faults and self.accept == "sound":
+            raise Rejected("; ".join(faults), hint="`accept: any` only reports")
+        for fault in faults:
+            context.warn(fault)
+        return mesh

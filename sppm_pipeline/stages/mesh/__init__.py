@@ -1,0 +1,1 @@
+"""Stages that make meshes of volumes, and surfaces of them."""

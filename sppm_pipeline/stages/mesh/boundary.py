@@ -1,0 +1,34 @@
+"""``mesh.boundary``: the surface of a volume mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.volume_mesh import VolumeMesh
+from sppm_pipeline.stage import Context, Stage
+
+
+@dataclass(frozen=True, kw_only=True)
+class Boundary(Stage):
+    """Take the triangles at which a volume mesh ends, to look at them, to check them or to print them.
+
+    The faces of the box of a cell are part of it. Of quadratic cells the corners are taken.
+    """
+
+    name: ClassVar[str] = "mesh.boundary"
+
+    def run(self, context: Context, mesh: VolumeMesh) -> SurfaceMesh:
+        """Find the faces with a cell on one side only."""
+        import numpy as np
+
+        from sppm_pipeline.numerics.surface.measures import edge_counts
+        from sppm_pipeline.numerics.tetrahedra.faces import boundary_triangles, face_neighbours
+
+        triangles = boundary_triangles(mesh.cells, face_neighbours(mesh.cells))
+        used, corners = np.unique(triangles, return_inverse=True)
+        faces = corners.reshape(-1, 3).astype(np.int32)
+        counts = edge_counts(faces)
+        context.report(closed=counts.bounds_solid, pinched_edges=counts.non_manifold)
+        return SurfaceMesh(mesh.nodes[used], faces, name=f"surface of the {mesh.name}")

@@ -1,0 +1,141 @@
+"""Volume meshes are written, and read back by ``read.volume_mesh``."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from sppm_pipeline.errors import ConfigError, DesignError, InputError, ResourceError
+from sppm_pipeline.stages.mesh.isosurface_stuffing import IsosurfaceStuffing
+from sppm_pipeline.stages.read.volume_mesh import ReadVolumeMesh
+from sppm_pipeline.stages.write.inp import WriteInp
+from sppm_pipeline.stages.write.msh import WriteMsh
+from sppm_pipeline.stages.write.vtu import WriteVtu
+from sppm_pipeline.testing.plain_context import PlainContext
+
+WRITERS = {"a.vtu": WriteVtu, "a.vtk": WriteVtu, "a.inp": WriteInp, "a.msh": WriteMsh}
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def mesh(request, cell):
+    made = IsosurfaceStuffing(resolution=8, order=request.param).run(PlainContext(), cell)
+    materials = 1 + (np.arange(len(made.cells)) >= len(made.cells) // 2)
+    return dataclasses.replace(made, materials=materials.astype(np.uint8))
+
+
+def written(stage, mesh):
+    context = PlainContext()
+    stage.run(context, mesh)
+    path = context.directory / stage.path
+    assert context.reported["bytes"] == path.stat().st_size
+    return path, context
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_what_is_written_can_be_read(mesh, name):
+    path, _keep = written(WRITERS[name](path=name), mesh)
+    context = PlainContext()
+    read = ReadVolumeMesh(path=path, cell=True).run(context)
+    assert np.array_equal(read.nodes, mesh.nodes)
+    assert np.array_equal(read.cells, mesh.cells)
+    assert np.array_equal(read.materials, mesh.materials)
+    assert read.matched
+    assert np.array_equal(read.box, mesh.box)
+    assert not context.warnings
+
+
+def test_units(mesh):
+    path, _keep = written(WriteVtu(compress=True), mesh)
+    assert np.allclose(ReadVolumeMesh(path=path, unit="m").run(PlainContext()).nodes, 1000 * mesh.nodes)
+
+
+def test_constraints_need_matching_faces(mesh):
+    path, _keep = written(WriteInp(periodic=True), mesh)
+    assert "*EQUATION" in path.read_text()
+    with pytest.raises(DesignError, match="do not match"):
+        written(WriteInp(periodic=True), dataclasses.replace(mesh, matched=False))
+
+
+def test_options():
+    with pytest.raises(ConfigError, match="must end"):
+        WriteVtu(path="a.stl").check_options()
+    with pytest.raises(ConfigError, match="compressed"):
+        WriteVtu(path="a.vtk", compress=True).check_options()
+    with pytest.raises(ConfigError, match="known are"):
+        ReadVolumeMesh(path=Path("a.step")).check_options()
+
+
+CORNER = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+
+
+def test_cells_inside_out_are_turned(mesh, tmp_path):
+    kind = "tetra" if mesh.cells.shape[1] == 4 else "tetra10"
+    mirrored = mesh.nodes * [1, 1, -1]
+    meshio.Mesh(mirrored, [(kind, mesh.cells)]).write(tmp_path / "a.vtu")
+    context = PlainContext()
+    read = ReadVolumeMesh(path=tmp_path / "a.vtu").run(context)
+    assert read.volume == pytest.approx(mesh.volume)
+    assert "inside out" in context.warnings[0]
+    if kind == "tetra10":
+        from sppm_pipeline.numerics.tetrahedra.quadratic import least_jacobian
+
+        assert (least_jacobian(read.nodes, read.cells) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ([("hexahedron", [[0, 1, 2, 3, 4, 5, 6, 7]])], "hexahedron"),
+        ([("triangle", [[0, 1, 2]])], "no tetrahedra"),
+        ([("tetra", [[0, 1, 2, 3]]), ("tetra10", [list(range(10))])], "both"),
+        ([("tetra", [[0, 1, 2, 2]])], "no volume"),
+    ],
+)
+def test_what_is_no_mesh_of_tetrahedra(tmp_path, content, words):
+    points = np.random.default_rng(0).random((10, 3))
+    meshio.Mesh(points, content).write(tmp_path / "a.vtu")
+    with pytest.raises(InputError, match=words):
+        ReadVolumeMesh(path=tmp_path / "a.vtu").run(PlainContext())
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("content", [b"", b"nonsense", b"<VTKFile>", b"$MeshFormat\n9 0 8\n", b"\xff\x00" * 50, None])
+def test_broken_files_are_refused(tmp_path, capsys, name, content):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError):
+        ReadVolumeMesh(path=tmp_path / name).run(PlainContext())
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_cut_files_are_refused(mesh, name, tmp_path):
+    path, _keep = written(WRITERS[name](path=name), mesh)
+    data = path.read_bytes()
+    for share in (0.1, 0.4, 0.7):
+        (tmp_path / name).write_bytes(data[: int(share * len(data))])
+        try:
+            read = ReadVolumeMesh(path=tmp_path / name).run(PlainContext())
+        except InputError:
+            continue
+        assert name == "a.inp"  # a text of rows without a count; what is cut off is not missed
+        assert len(read.cells) < len(mesh.cells)
+
+
+def test_a_hint_without_the_library(tmp_path, monkeypatch):
+    (tmp_path / "a.vtu").write_bytes(b"x")
+    monkeypatch.setitem(sys.modules, "meshio.vtu", None)
+    with pytest.raises(ResourceError, match="meshio"):
+        ReadVolumeMesh(path=tmp_path / "a.vtu").run(PlainContext())
+
+
+def test_many_materials_become_one(tmp_path):
+    points = np.concatenate([CORNER + 3 * i for i in range(300)])
+    cells = np.arange(1200).reshape(300, 4)
+    meshio.Mesh(points, [("tetra", cells)], cell_data={"material": [np.arange(300)]}).write(tmp_path / "a.vtu")
+    context = PlainContext()
+    assert set(ReadVolumeMesh(path=tmp_path / "a.vtu").run(context).materials) == {1}
+    assert "too many" in context.warnings[0]
