@@ -12,7 +12,7 @@ from sppm_pipeline.numerics.finite_elements.mortar import collocation, face_pair
 from sppm_pipeline.numerics.finite_elements.solve import Projector, conjugate_gradients, multigrid, rigid_modes
 from sppm_pipeline.numerics.finite_elements.stiffness import assemble
 
-__all__ = ["TetHomogenized", "homogenize_tetrahedra", "match_faces"]
+__all__ = ["TetHomogenized", "homogenize_tetrahedra"]
 
 
 class TetHomogenized(NamedTuple):
@@ -118,27 +118,3 @@ def homogenize_tetrahedra(
     energy = built.mean + work + work.T + np.einsum("in,jn->ij", u, forces)
     stiffness = (energy + energy.T) / 2 / float(np.prod(box[1] - box[0]))
     return TetHomogenized(stiffness, iterations, residuals, 3 * len(kept), 3 * count, built.volume)
-
-
-def match_faces(nodes: NDArray[np.float64], box: NDArray[np.float64], tolerance: float = 1e-6) -> NDArray[np.int64]:
-    """For each node the one that stands for its periodic copies; nodes that have none stand for themselves.
-
-    Parameters
-    ----------
-    nodes : (n, 3) float64
-    box : (2, 3) float64
-    tolerance : float
-        Over the longest edge of the box.
-    """
-    from scipy.spatial import cKDTree
-
-    edges = box[1] - box[0]
-    reach = tolerance * float(edges.max())
-    wrapped = nodes - box[0]
-    wrapped = np.where(np.abs(wrapped - edges) <= reach, 0.0, wrapped)
-    stand_in = np.arange(len(nodes), dtype=np.int64)
-    walls = np.flatnonzero((np.abs(wrapped) <= reach).any(axis=1))
-    for a, b in sorted(cKDTree(wrapped[walls]).query_pairs(reach)):
-        first, second = sorted((stand_in[walls[a]], stand_in[walls[b]]))
-        stand_in[stand_in == second] = first
-    return stand_in

@@ -5,9 +5,10 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.finite_elements.homogenize import homogenize_tetrahedra, match_faces
+from sppm_pipeline.numerics.finite_elements.homogenize import homogenize_tetrahedra
 from sppm_pipeline.numerics.finite_elements.mortar import collocation, face_pairs, mortar
 from sppm_pipeline.numerics.stiffness.voigt import isotropic
+from sppm_pipeline.numerics.tetrahedra.periodic import matched_nodes
 
 BOX = np.array([[0, 0, 0], [1, 1, 1.0]])
 
@@ -49,7 +50,7 @@ def quadratic(mesh, order):
 def homogenized(nodes, cells, young, poisson=0.3, matched=True, **options):
     e = np.broadcast_to(np.asarray(young, float), len(cells))
     nu = np.broadcast_to(np.asarray(poisson, float), len(cells))
-    stand_in = match_faces(nodes, BOX) if matched else None
+    stand_in = matched_nodes(nodes, BOX) if matched else None
     return homogenize_tetrahedra(nodes, cells, BOX, e, nu, stand_in, **options)
 
 
@@ -121,7 +122,7 @@ def skewed(nodes, strength):
 def test_faces_that_do_not_match_pass_the_patch_test_by_the_mortar(order):
     nodes, cells = cube(4)
     nodes, cells = quadratic((skewed(nodes, 0.04), cells), order)
-    assert not np.isin(match_faces(nodes, BOX)[nodes[:, 0] > 0.999], np.flatnonzero(nodes[:, 0] < 0.001)).all()
+    assert not np.isin(matched_nodes(nodes, BOX)[nodes[:, 0] > 0.999], np.flatnonzero(nodes[:, 0] < 0.001)).all()
     found = homogenized(nodes, cells, 2.0, matched=False)
     assert found.constraints > 0
     assert found.stiffness == pytest.approx(isotropic(2.0, 0.3), abs=1e-8)
