@@ -16,6 +16,7 @@ A sampler in a few lines::
 from __future__ import annotations
 
 from sppm_pipeline.families.connector import Connector, Piece
+from sppm_pipeline.families.homogenizer import VoxelHomogenizer
 from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for
@@ -30,6 +31,7 @@ __all__ = [
     "Sampler",
     "TileSetMaker",
     "Tiler",
+    "VoxelHomogenizer",
     "lattice_for",
     "start_of",
 ]

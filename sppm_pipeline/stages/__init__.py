@@ -30,6 +30,7 @@ BUILT_IN = {
     "check.connectivity": "CheckConnectivity",
     "check.porosity": "CheckPorosity",
     "check.residual_periodicity": "CheckResidualPeriodicity",
+    "homogenize.voxel": "HomogenizeVoxel",
     "slice.field": "SliceField",
     "write.png": "WritePng",
     "write.stl": "WriteStl",

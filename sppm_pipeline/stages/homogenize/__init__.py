@@ -1,0 +1,1 @@
+"""Effective properties are computed."""
