@@ -52,10 +52,14 @@ def _add_fractions(samples: NDArray[np.float32], k: Any, out: NDArray[np.float32
         for y in range(1, ny * k + 1):
             for x in range(1, nx * k + 1):
                 value = np.float64(samples[z, y, x])
-                a = 0.5 * (np.float64(samples[z, y, x + 1]) - np.float64(samples[z, y, x - 1]))
-                b = 0.5 * (np.float64(samples[z, y + 1, x]) - np.float64(samples[z, y - 1, x]))
-                c = 0.5 * (np.float64(samples[z + 1, y, x]) - np.float64(samples[z - 1, y, x]))
-                out[(z - 1) // k, (y - 1) // k, (x - 1) // k] += np.float32(share * below_plane(value, a, b, c))
+                left, right = np.float64(samples[z, y, x - 1]), np.float64(samples[z, y, x + 1])
+                front, back = np.float64(samples[z, y - 1, x]), np.float64(samples[z, y + 1, x])
+                low, high = np.float64(samples[z - 1, y, x]), np.float64(samples[z + 1, y, x])
+                # the mean over the part: with the sample alone, curved walls would all be displaced to one side
+                mean = 0.75 * value + (left + right + front + back + low + high) / 24.0
+                slopes = 0.5 * (right - left), 0.5 * (back - front), 0.5 * (high - low)
+                inside = below_plane(mean, slopes[0], slopes[1], slopes[2])
+                out[(z - 1) // k, (y - 1) // k, (x - 1) // k] += np.float32(share * inside)
 
 
 def solid_fractions(
@@ -66,9 +70,10 @@ def solid_fractions(
 ) -> NDArray[np.float32]:
     """Share of each voxel in which a periodic field is negative, (nz, ny, nx) float32.
 
-    Each voxel is cut into ``parts^3``; in each part the field is taken for a plane through its sample with the slope
-    of its neighbours. That is exact for flat walls and of second order for curved ones; with two parts the share of a
-    voxel on a sphere with a radius of four voxels is right within 0.02, the volume within 0.1 %.
+    Each voxel is cut into ``parts^3``; in each part the field is taken for a plane, with its mean and slope from the
+    samples at the centre and its six neighbours. That is exact for flat walls and of second order for curved ones;
+    with two parts the share of a voxel on a sphere with a radius of four voxels is right within 0.02, the volume within
+    0.1 %.
 
     Parameters
     ----------
