@@ -51,12 +51,15 @@ class StiffnessReport(Noun):
             object.__setattr__(self, "error", frozen(np.asarray(self.error, np.float64)))
 
     def check(self) -> None:
-        """Six by six, finite, symmetric; shares that sum to 1."""
+        """Six by six, finite, symmetric, without negative energies; shares that sum to 1."""
         c = self.stiffness
         if c.shape != (6, 6) or not np.isfinite(c).all():
             raise ValueError("a stiffness is a finite 6 x 6 matrix")
-        if np.abs(c - c.T).max() > 1e-6 * max(np.abs(c).max(), 1e-300):
+        largest = float(np.abs(c).max())
+        if np.abs(c - c.T).max() > 1e-6 * largest:
             raise ValueError("a stiffness is symmetric")
+        if np.linalg.eigvalsh(c)[0] < -1e-4 * largest:
+            raise ValueError("a stiffness has no negative energy")
         if abs(sum(share for share, _, _ in self.phases) - 1) > 1e-6:
             raise ValueError(f"the shares of the phases sum to 1, got {self.phases}")
 
@@ -92,6 +95,7 @@ class StiffnessReport(Noun):
             "method": self.method,
             "unit": self.unit,
             "porosity": self.porosity,
+            "phases": [{"share": f, "young": e, "poisson": nu} for f, e, nu in self.phases],
             "C": c,
             "E": constants["E"],
             "G": constants["G"],

@@ -16,6 +16,7 @@ A sampler in a few lines::
 from __future__ import annotations
 
 from sppm_pipeline.families.connector import Connector, Piece
+from sppm_pipeline.families.homogenizer import VoxelHomogenizer
 from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for
@@ -33,6 +34,7 @@ __all__ = [
     "TileSetMaker",
     "Tiler",
     "VolumeMeshWriter",
+    "VoxelHomogenizer",
     "VoxelWriter",
     "lattice_for",
     "start_of",

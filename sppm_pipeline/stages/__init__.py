@@ -38,6 +38,7 @@ BUILT_IN = {
     "check.sizes": "CheckSizes",
     "check.residual_periodicity": "CheckResidualPeriodicity",
     "check.volume_mesh": "CheckVolumeMesh",
+    "homogenize.voxel": "HomogenizeVoxel",
     "slice.field": "SliceField",
     "write.png": "WritePng",
     "write.stl": "WriteStl",

@@ -35,7 +35,7 @@ class HomogenizeTet(Stage):
     poisson: float | tuple[float, ...] = option(
         0.3, help="Poisson's ratio of the solid, or of each material", above=-1, below=0.5
     )
-    unit: str = option("", help="unit of Young's modulus, for reports; for instance MPa")
+    unit: str = option("relative", help="unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
     faces: str = option(
         "auto",
         help="how opposite faces are joined: auto ties nodes where all match, else takes the mortar",
@@ -93,7 +93,7 @@ class HomogenizeTet(Stage):
             found.stiffness,
             self._phases(mesh, cell),
             f"{'quadratic' if mesh.cells.shape[1] == 10 else 'straight'} tetrahedra, {len(mesh.cells)}",
-            unit=self.unit or None,
+            unit=None if self.unit == "relative" else self.unit,
             solver={
                 "iterations": found.iterations,
                 "residuals": found.residuals,

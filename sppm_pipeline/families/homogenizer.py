@@ -1,0 +1,133 @@
+"""What stages that homogenize voxels have in common: from a field or an image to the shares of the phases."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.errors import DesignError, ResourceError
+from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.stage import Context, Stage, option
+
+__all__ = ["Cell", "VoxelHomogenizer"]
+
+
+class Cell(NamedTuple):
+    """A periodic cell of voxels.
+
+    Attributes
+    ----------
+    phase : (nz, ny, nx) uint8, or None
+        The phase of each voxel, 0 for void.
+    share : (nz, ny, nx) float32, or None
+        How much of each voxel is solid; one of both is given.
+    edges : (hx, hy, hz)
+        Of a voxel.
+    """
+
+    phase: NDArray[np.uint8] | None
+    share: NDArray[np.float32] | None
+    edges: tuple[float, float, float]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels along x, y, z."""
+        given = self.phase if self.phase is not None else self.share
+        assert given is not None
+        nz, ny, nx = given.shape
+        return nx, ny, nz
+
+    @property
+    def porosity(self) -> float:
+        """Share of void."""
+        if self.phase is not None:
+            return 1 - float(np.count_nonzero(self.phase)) / self.phase.size
+        assert self.share is not None
+        return 1 - float(self.share.mean(dtype=np.float64))
+
+    def occupied(self) -> NDArray[np.uint8]:
+        """1 where there is any solid."""
+        given = self.phase if self.phase is not None else self.share
+        assert given is not None
+        return (given > 0).view(np.uint8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoxelHomogenizer(Stage):
+    """Base of stages that solve cell problems on voxels."""
+
+    resolution: int = option(
+        64, help="voxels along a cell edge, for fields; images keep theirs", unit="voxels", minimum=2, maximum=1024
+    )
+    fractions: str = option(
+        "auto",
+        help="auto: voxels at the surface count by the share of them that is solid; binary: as their centre does",
+        choices=("auto", "binary"),
+    )
+    tolerance: float = option(
+        1e-4, help="relative error of the result left by the solver, estimated", minimum=1e-12, maximum=0.1
+    )
+    residual: float | None = option(
+        None, help="stop at this residual over the right-hand side instead", minimum=1e-14, maximum=0.1
+    )
+    iterations: int = option(1000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
+    precision: str = option("single", help="precision of the solver's vectors", choices=("single", "double"))
+
+    def cell_of(self, context: Context, source: ScalarField | Voxels, bytes_per_voxel: int) -> Cell:
+        """Voxels of a periodic cell.
+
+        Raises
+        ------
+        DesignError
+            If `source` is not periodic.
+        ResourceError
+            If the solver would need more memory than there is.
+        """
+        if isinstance(source, Voxels):
+            if not all(source.periodic):
+                raise DesignError(
+                    f"homogenization needs an image that is periodic along x, y and z, not {source.periodic}",
+                    hint="declare it periodic where it is read, if opposite sides fit together",
+                )
+            self._check_memory(source.shape, bytes_per_voxel)
+            values = source.values.T
+            if not source.fractions:
+                return Cell(np.ascontiguousarray(values, np.uint8), None, source.spacing)
+            if self.fractions == "binary":
+                return Cell((values >= 0.5).astype(np.uint8), None, source.spacing)
+            return Cell(None, np.ascontiguousarray(values, np.float32), source.spacing)
+        if not source.periodic:
+            raise DesignError(
+                "homogenization needs a periodic cell; this field ends at the border of its cells or part",
+                hint="take the cell itself (`from: tune.porosity`, say), or a tiling with `tile.periodic`",
+            )
+        n = self.resolution
+        if (coarse := source.coarseness(1 / n)) is not None:
+            context.warn(coarse)
+        x, y, z = (n * cells for cells in source.cells)
+        self._check_memory((x, y, z), bytes_per_voxel)
+        edges = (1.0, 1.0, 1.0)
+        if self.fractions == "binary":
+            return Cell(source.solid(cell_centres(n, source.cells), context.threads), None, edges)
+        from sppm_pipeline.numerics.porosity.fractions import solid_fractions
+
+        share = solid_fractions(
+            lambda grid, start, stop: source.sample_layers(grid, start, stop, context.threads), (x, y, z), n
+        )
+        return Cell(None, share, edges)
+
+    def _check_memory(self, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
+        wanted = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
+        there = float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
+        if wanted > there:
+            raise ResourceError(
+                f"{' x '.join(map(str, shape))} voxels would take {wanted / 2**30:.0f} GiB; this machine has "
+                f"{there / 2**30:.0f} GiB",
+                hint="lower the `resolution`, take `precision: single`, or use fewer threads (-j)",
+            )

@@ -1,0 +1,190 @@
+"""The effective stiffness of a periodic voxel cell, by six load cases."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.elasticity.energy import ENERGY_ROWS, energies, energy_coefficients
+from sppm_pipeline.numerics.elasticity.levels import ElasticLevel, elastic_hierarchy
+from sppm_pipeline.numerics.multigrid.hierarchy import Hierarchy, Workspace
+from sppm_pipeline.numerics.multigrid.pcg import Solved, Stop, solve
+from sppm_pipeline.numerics.multigrid.rows import STRIDE
+from sppm_pipeline.numerics.multigrid.vectors import dot
+
+__all__ = ["Homogenized", "isotropic_stiffness", "lame", "stiffness"]
+
+_LAYERS = 8
+"""Layers of voxels whose energies are summed in one go; a constant, so that sums do not depend on threads."""
+
+_FLOOR = 1e-6
+"""Stiffness over the mean of the voxels' stiffness below which no digits are asked for ..."""
+
+_NOTHING = 1e-9
+"""... and below which a direction is said to carry nothing."""
+
+_AGREEMENT = 1e-3
+"""Relative difference of energies that rounding may cause."""
+
+
+class Homogenized(NamedTuple):
+    """Effective stiffness and how it was reached.
+
+    Attributes
+    ----------
+    stiffness : (6, 6) float64
+        Voigt order xx, yy, zz, yz, xz, xy, engineering shear strains; the unit of Young's modulus.
+    solved : tuple of 6 Solved
+        How the load cases went.
+    precision : str
+        In which it was solved in the end: double, if single precision did not do.
+    """
+
+    stiffness: NDArray[np.float64]
+    solved: tuple[Solved, ...]
+    precision: str
+
+
+def lame(young: Any, poisson: Any) -> tuple[Any, Any]:
+    """Lamé constants λ and μ from Young's modulus and Poisson's ratio, scalars or arrays."""
+    return young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
+
+
+def isotropic_stiffness(lam: float, mu: float) -> NDArray[np.float64]:
+    """The 6 x 6 stiffness with these Lamé constants."""
+    matrix = np.diag([2 * mu] * 3 + [mu] * 3)
+    matrix[:3, :3] += lam
+    return matrix
+
+
+def stiffness(
+    lam: NDArray[Any],
+    mu: NDArray[Any],
+    edges: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    *,
+    residual: float = 0.0,
+    tolerance: float = 1e-4,
+    iterations: int = 500,
+    precision: Any = np.float32,
+    threads: int = 1,
+) -> Homogenized:
+    """Effective stiffness of a periodic cell of isotropic voxels, trilinear bricks with full integration.
+
+    The displacement is that of a constant mean strain plus a periodic one. With the energies of the exact solutions
+    the error of the stiffness is of second order in that of the displacements, so that single precision gives about
+    six digits. Voids have no stiffness at all. Parts of the solid that hang on nothing move along freely.
+
+    Parameters
+    ----------
+    lam, mu : (nz, ny, nx) float
+        Lamé constants of the voxels; both 0 in the void, else ``mu > 0`` and ``3 lam + 2 mu > 0``.
+    edges : (hx, hy, hz)
+        Of a voxel, in any unit.
+    residual : float
+        A load case ends when its residual is this part of the right-hand side; 0 for never.
+    tolerance : float
+        ... or when the estimated error of the stiffness along its strain is this part of that stiffness; 0 for never.
+    iterations : int
+        ... or after so many iterations.
+    precision : float32 or float64
+        Of the vectors; scalar products are always summed in double precision.
+    threads : int
+        Load cases that are solved at the same time, each with memory of its own. The result does not depend on it.
+
+    Raises
+    ------
+    ValueError
+        If a stiffness is negative or not finite, or the shapes differ.
+    ArithmeticError
+        If the iteration fails in double precision, too.
+    """
+    dtype = np.dtype(precision)
+    lam, mu = np.asarray(lam, dtype), np.asarray(mu, dtype)
+    if lam.shape != mu.shape or lam.ndim != 3 or not lam.size:
+        raise ValueError(f"Lamé constants need three equal axes, got {lam.shape} and {mu.shape}")
+    if not (mu.min() >= 0 and (3 * lam + 2 * mu).min() >= 0 and np.isfinite(lam).all() and np.isfinite(mu).all()):
+        raise ValueError("the stiffness of a voxel must be finite and not negative")
+    if not mu.any():
+        return Homogenized(np.zeros((6, 6)), (Solved(0, 0.0, 0.0, 0.0, True, True),) * 6, dtype.name)
+    # numbers near 1, whatever the unit
+    scale = float(mu.max())
+    lam, mu = lam / dtype.type(scale), mu / dtype.type(scale)
+    mean = isotropic_stiffness(float(lam.mean(dtype=np.float64)), float(mu.mean(dtype=np.float64)))
+    longest = max(edges)
+    edges = (edges[0] / longest, edges[1] / longest, edges[2] / longest)
+    stop = Stop(residual, tolerance, iterations)
+    for attempt, safe in ((dtype, False), (dtype, True), (np.dtype(np.float64), True)):
+        fields = np.empty((6, 3 * lam.size), attempt)
+        hierarchy = elastic_hierarchy(lam, mu, edges, attempt, safe=safe)
+        solved = _load_cases(hierarchy, fields, mean, stop, threads)
+        if not all(case.definite for case in solved):
+            continue
+        level = hierarchy.levels[0]
+        assert isinstance(level, ElasticLevel)
+        matrix = _energies(level, fields, threads)
+        # energies as the iterations kept count of them: if rounding took over, they differ
+        counted = np.array([case.energy for case in solved]) / (float(np.prod(edges)) * lam.size)
+        slack = (_AGREEMENT + tolerance) * np.abs(counted) + 100 * np.finfo(attempt).eps * np.diag(mean)
+        if (np.abs(counted - np.diag(matrix)) <= slack).all():
+            break
+    else:
+        raise ArithmeticError("the iteration does not converge, not even in double precision")
+    void = np.diag(matrix) < _NOTHING * np.diag(mean)
+    matrix[void] = 0
+    matrix[:, void] = 0
+    return Homogenized(matrix * scale, solved, attempt.name)
+
+
+def _load_cases(
+    hierarchy: Hierarchy, fields: NDArray[Any], mean: NDArray[np.float64], stop: Stop, threads: int
+) -> tuple[Solved, ...]:
+    level = hierarchy.levels[0]
+    assert isinstance(level, ElasticLevel)
+    volume = float(np.prod(level.edges)) * level.weight.size
+    spare: list[tuple[Workspace, NDArray[Any], NDArray[Any]]] = []
+
+    def load_case(case: int) -> Solved:
+        work, b, p = spare.pop() if spare else (hierarchy.workspace(), *np.empty((2, fields.shape[1]), fields.dtype))
+        strain = np.zeros(6)
+        strain[case] = 1.0
+        level.forces(strain, b, work)
+        np.negative(b, out=b)
+        # the forces of a homogeneous body are rounding
+        largest = float(np.abs(level.c[:3]).max()) * float(level.lam.max() + 2 * level.mu.max())
+        noise = 8 * float(np.finfo(b.dtype).eps) * largest * np.sqrt(volume / level.weight.size)
+        if dot(b, b) <= noise**2 * len(b):
+            b[:] = 0
+        energy = volume * mean[case, case]
+        solved = solve(hierarchy, b, fields[case], p, work, stop, energy, _FLOOR * energy)
+        spare.append((work, b, p))
+        return solved
+
+    if threads == 1:
+        return tuple(load_case(case) for case in range(6))
+    with ThreadPoolExecutor(min(threads, 6)) as pool:
+        return tuple(pool.map(load_case, range(6)))
+
+
+def _energies(level: ElasticLevel, fields: NDArray[Any], threads: int) -> NDArray[np.float64]:
+    nz, ny, nx = level.shape
+    root = np.sqrt(np.prod(level.edges))
+    c = energy_coefficients(level.edges).astype(fields.dtype)
+    strains = (np.eye(6) * root).astype(fields.dtype)
+
+    def layers(first: int) -> NDArray[np.float64]:
+        out = np.zeros((6, 6))
+        scratch = np.zeros(ENERGY_ROWS * STRIDE, fields.dtype)
+        last = min(first + _LAYERS, nz)
+        energies(fields, level.lam, level.mu, c, strains, level.size, first, last, scratch, out)
+        return out
+
+    with ThreadPoolExecutor(threads) as pool:
+        parts = list(pool.map(layers, range(0, nz, _LAYERS)))
+    total = np.zeros((6, 6))
+    for part in parts:
+        total += part
+    total /= nz * ny * nx * float(np.prod(level.edges))
+    return total

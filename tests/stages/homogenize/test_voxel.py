@@ -1,0 +1,181 @@
+"""``homogenize.voxel``: inputs, materials, refusals, and what it says of cells that carry nothing."""
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.part import Part
+from sppm_pipeline.data.stiffness import StiffnessReport
+from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.errors import ConfigError, DesignError, ResourceError
+from sppm_pipeline.numerics.elasticity.homogenize import isotropic_stiffness, lame
+from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
+from sppm_pipeline.testing.contracts import StageContract
+from sppm_pipeline.testing.plain_context import PlainContext
+
+
+def voxels(values, periodic=(True, True, True), spacing=(1.0, 1.0, 1.0)):
+    return Voxels(np.asarray(values), spacing, False, periodic)
+
+
+def homogenized(source, context=None, **options):
+    report = HomogenizeVoxel(**options).run(context or PlainContext(), source)
+    report.check()
+    return report
+
+
+def cross():
+    """Bars along x and y, nothing along z."""
+    values = np.zeros((8, 8, 8), np.uint8)
+    values[:, 2:5, 2:5] = values[3:6, :, 2:5] = 1
+    return values
+
+
+class TestContract(StageContract):
+    def stages(self):
+        return [HomogenizeVoxel(resolution=8, tolerance=0.01)]
+
+    def inputs(self):
+        return {"source": voxels(cross())}
+
+
+def test_a_cell_of_the_paper(cell):
+    report = homogenized(cell, resolution=24)
+    assert "fractions" in report.method
+    assert tuple(report.solver["grid"]) == (24, 24, 24)
+    solid = 1 - report.porosity
+    bound = solid * isotropic_stiffness(*lame(1.0, 0.3))
+    assert np.linalg.eigvalsh(report.stiffness)[0] > 0
+    assert np.linalg.eigvalsh(bound - report.stiffness)[0] > 0
+    binary = homogenized(cell, resolution=24, fractions="binary")
+    assert "whole" in binary.method
+    assert binary.stiffness[0, 0] == pytest.approx(report.stiffness[0, 0], rel=0.1)
+    assert report.solver["converged"]
+    assert report.solver["runs_through"] == [True] * 3
+    fine = homogenized(cell, resolution=40)
+    assert report.stiffness[0, 0] == pytest.approx(fine.stiffness[0, 0], rel=0.06)
+
+
+def test_units_and_compliance():
+    solid = voxels(np.ones((4, 4, 4), np.uint8))
+    report = homogenized(solid, young=2100.0, poisson=0.25, unit="MPa")
+    summary = report.summary()
+    assert summary["E"] == pytest.approx([2100.0] * 3, rel=1e-5)
+    assert summary["G"] == pytest.approx([840.0] * 3, rel=1e-5)
+    assert all(value == pytest.approx(0.25, rel=1e-5) for value in summary["nu"].values())
+    assert summary["C"] == pytest.approx(isotropic_stiffness(*lame(2100.0, 0.25)), rel=1e-5, abs=1e-2)
+    assert summary["unit"] == "MPa"
+
+
+def test_axes_of_an_image_are_x_y_z():
+    """A bar along x is stiff along x."""
+    values = np.zeros((4, 5, 6), np.uint8)
+    values[:, 1:3, 1:4] = 1
+    context = PlainContext()
+    report = homogenized(voxels(values), context)
+    assert tuple(report.solver["grid"]) == (4, 5, 6)
+    share = 6 / 30
+    assert report.summary()["E"] == pytest.approx([share, 0, 0], rel=1e-5)
+    assert np.isnan(report.summary()["nu"]["yx"])
+    assert report.solver["runs_through"] == [True, False, False]
+    assert any("carries nothing along yy, zz" in warning for warning in context.warnings)
+
+
+def test_a_long_voxel():
+    """Layers normal to x: their share counts, not the number of voxels."""
+    values = np.ones((4, 3, 3), np.uint8)
+    values[1] = 2
+    flat = homogenized(voxels(values, spacing=(0.2, 1.0, 1.0)), young=(1.0, 0.1), poisson=(0.3, 0.2), residual=1e-6)
+    cube = homogenized(voxels(values), young=(1.0, 0.1), poisson=(0.3, 0.2), residual=1e-6)
+    assert pytest.approx(cube.stiffness, rel=1e-5, abs=1e-6) == flat.stiffness
+
+
+def test_fractions_of_an_image_scale_the_stiffness():
+    report = homogenized(voxels(np.full((3, 3, 3), 0.4, np.float32)))
+    assert pytest.approx(0.4 * isotropic_stiffness(*lame(1.0, 0.3)), rel=1e-5, abs=1e-6) == report.stiffness
+    assert report.porosity == pytest.approx(0.6)
+    binary = homogenized(voxels(np.full((3, 3, 3), 0.4, np.float32)), fractions="binary")
+    assert not binary.stiffness.any()
+    assert binary.solver["components"] == 0
+
+
+def test_ersatz_material_fills_the_void():
+    values = np.zeros((4, 4, 4), np.uint8)
+    report = homogenized(voxels(values), ersatz=1e-3)
+    assert pytest.approx(1e-3 * isotropic_stiffness(*lame(1.0, 0.3)), rel=1e-5, abs=1e-8) == report.stiffness
+    image, shares = homogenized(voxels(cross()), ersatz=0.1), voxels(cross().astype(np.float32))
+    assert pytest.approx(homogenized(shares, ersatz=0.1).stiffness, rel=1e-4) == image.stiffness
+
+
+def test_what_hangs_on_nothing_is_said():
+    values = np.zeros((8, 8, 8), np.uint8)
+    values[2:5, 2:5, 2:5] = 1
+    context = PlainContext()
+    report = homogenized(voxels(values), context)
+    assert not report.stiffness.any()
+    assert report.summary()["E"].tolist() == [0.0, 0.0, 0.0]
+    assert any("carries nothing" in warning for warning in context.warnings)
+    values[6:, :, 6] = 1
+    report = homogenized(voxels(values), context)
+    assert any("not joined" in warning for warning in context.warnings)
+
+
+def test_too_few_iterations_are_said():
+    context = PlainContext()
+    report = homogenized(voxels(cross()), context, iterations=1)
+    assert not report.solver["converged"]
+    assert "allow more `iterations`" in context.warnings[0]
+
+
+def test_a_residual_replaces_the_tolerance():
+    report = homogenized(voxels(cross()), residual=1e-9, precision="double")
+    assert max(report.solver["residuals"]) <= 1e-9
+    assert report.solver["precision"] == "float64"
+    assert pytest.approx(report.stiffness, abs=1e-4 * report.stiffness.max()) == homogenized(voxels(cross())).stiffness
+
+
+def test_what_is_not_periodic_is_refused(cell, ball, wang_tiling):
+    with pytest.raises(DesignError, match="periodic along x, y and z"):
+        homogenized(voxels(cross(), periodic=(True, True, False)))
+    for field in (Part(wang_tiling, ball), wang_tiling):
+        with pytest.raises(DesignError, match="periodic cell"):
+            homogenized(field)
+
+
+def test_phases_need_materials(cell):
+    with pytest.raises(DesignError, match="phases up to 2"):
+        homogenized(voxels(cross() * 2))
+    with pytest.raises(DesignError, match="for 2 phases"):
+        homogenized(cell, resolution=8, young=(1.0, 2.0))
+    with pytest.raises(ConfigError, match="2 Young's moduli and 3"):
+        HomogenizeVoxel(young=(1.0, 2.0), poisson=(0.1, 0.2, 0.3)).check_options()
+
+
+def test_a_cell_that_does_not_fit_into_memory_is_refused(cell, monkeypatch):
+    import os
+
+    monkeypatch.setattr(os, "sysconf", lambda name: 4096 if name == "SC_PAGE_SIZE" else 1024)
+    with pytest.raises(ResourceError, match="GiB"):
+        homogenized(cell, resolution=64)
+
+
+def test_in_a_pipeline(run_yaml, summary):
+    record, _ = run_yaml(
+        """
+pipeline:
+  - {stage: sample.mirrored_faces, count: 9, spacing: 0.2}
+  - {stage: sample.dart_throwing, count: 12, spacing: 0.2}
+  - {stage: connect.mbdst, degree: [2, 4], mode: greedy}
+  - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.05}
+  - {stage: homogenize.voxel, resolution: 12, young: [70], poisson: 0.33, unit: GPa}
+"""
+    )
+    found = summary(record, "homogenize.voxel")
+    assert np.array(found["C"]).shape == (6, 6)
+    assert found["phases"][0]["young"] == 70.0
+
+
+def test_a_broken_report_is_noticed():
+    good = homogenized(voxels(cross()))
+    for matrix in (np.full((6, 6), np.nan), np.zeros((3, 3)), -np.eye(6), np.eye(6) + np.eye(6, k=1)):
+        with pytest.raises(ValueError, match="stiffness"):
+            StiffnessReport(matrix, good.phases, "broken").check()
