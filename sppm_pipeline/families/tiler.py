@@ -16,7 +16,7 @@ from sppm_pipeline.data.tiling import Tiling
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
 
-__all__ = ["Lattice", "Tiler", "lattice_for"]
+__all__ = ["Lattice", "Tiler", "check_repeats", "lattice_for"]
 
 
 class Lattice(NamedTuple):
@@ -78,13 +78,19 @@ class Tiler(Stage):
     cells: tuple[int, int, int] | None = option(
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
     )
+    periodic: bool = option(
+        False, help="the box of `cells` repeats for ever, as homogenization needs it: its opposite ends are neighbours"
+    )
     kinds: ClassVar[tuple[str, ...]] = ("wang",)
+
+    def check_options(self) -> None:
+        check_repeats(self.periodic, self.cells)
 
     @abstractmethod
     def lay(
         self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
     ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
-        """Choose the content of all cells in `mask`.
+        """Choose the content of all cells in `mask`; if `periodic`, so that opposite ends of the box fit together.
 
         Parameters
         ----------
@@ -112,7 +118,15 @@ class Tiler(Stage):
             )
         lattice = lattice_for(self.cell, self.cells, cover, tileset.micro.edge_mm)
         interior, faces = self.lay(context.rng(), lattice.mask, tileset)
-        return Tiling(tileset, TilingArrays(interior, faces, False), lattice.edge, lattice.origin)
+        if self.periodic and any((np.take(f, 0, axis) != np.take(f, -1, axis)).any() for axis, f in enumerate(faces)):
+            raise ConfigError(f"{self.name} does not lay boxes that repeat", hint="use `tile.wang_3color`")
+        return Tiling(tileset, TilingArrays(interior, faces, self.periodic), lattice.edge, lattice.origin)
+
+
+def check_repeats(periodic: bool, cells: tuple[int, int, int] | None) -> None:
+    """Raise `ConfigError` if a part, not a box of cells, should repeat."""
+    if periodic and cells is None:
+        raise ConfigError("only a box of cells repeats", hint="give `cells: [3, 3, 3]`, or leave out `periodic`")
 
 
 KIND_TO_RULE = {"wang": "wang_3color", "free": "free_faces", "corner": "corner_colors"}

@@ -38,9 +38,9 @@ class EvenInteriors(Tiler):
 
         seed, colors, interiors = int(rng.integers(2**62)), tileset.palette_colors, tileset.micro.interiors
         if tileset.kind == "corner":
-            _, faces = tile_corners(mask, seed, colors, interiors)
+            _, faces = tile_corners(mask, seed, colors, interiors, periodic=self.periodic)
         else:
-            _, faces = tile_hashed(mask, seed, interiors, colors)
+            _, faces = tile_hashed(mask, seed, interiors, colors, periodic=self.periodic)
         return deal(rng, mask, interiors), faces
 
     def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:

@@ -24,4 +24,5 @@ class CornerColorsTiling(Tiler):
     ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
         from sppm_pipeline.numerics.tiling.corners import tile_corners
 
-        return tile_corners(mask, int(rng.integers(2**62)), tileset.palette_colors, tileset.micro.interiors)
+        seed = int(rng.integers(2**62))
+        return tile_corners(mask, seed, tileset.palette_colors, tileset.micro.interiors, periodic=self.periodic)

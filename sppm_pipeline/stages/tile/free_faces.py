@@ -24,4 +24,5 @@ class FreeFacesTiling(Tiler):
     ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
         from sppm_pipeline.numerics.tiling.hashed import tile_hashed
 
-        return tile_hashed(mask, int(rng.integers(2**62)), tileset.micro.interiors, tileset.palette_colors)
+        seed = int(rng.integers(2**62))
+        return tile_hashed(mask, seed, tileset.micro.interiors, tileset.palette_colors, periodic=self.periodic)

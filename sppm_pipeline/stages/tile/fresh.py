@@ -16,6 +16,7 @@ from sppm_pipeline.data.tileset import TileSet
 from sppm_pipeline.data.tiling import Tiling
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for
+from sppm_pipeline.families.tiler import check_repeats
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Recipe, Stage, option
@@ -37,6 +38,9 @@ class FreshTiling(Stage):
     cells: tuple[int, int, int] | None = option(
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
     )
+    periodic: bool = option(
+        False, help="the box of `cells` repeats for ever, as homogenization needs it: its opposite ends are neighbours"
+    )
     porosity: float | None = option(
         None, help="porosity of the assembly, reached by the level; the recipe's own level if omitted", above=0, below=1
     )
@@ -44,6 +48,9 @@ class FreshTiling(Stage):
         32, help="voxels along a cell edge when porosity is measured", unit="voxels", minimum=8, maximum=256
     )
     limit: int = option(5000, help="most cells that are drawn", minimum=1)
+
+    def check_options(self) -> None:
+        check_repeats(self.periodic, self.cells)
 
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Number the cells and faces, then draw them all."""
@@ -57,7 +64,7 @@ class FreshTiling(Stage):
                 f"the part takes {wanted} cells, and each would be drawn anew; the limit is {self.limit}",
                 hint=f"give larger cells, raise `limit: {wanted}`, or use `tileset.free_faces` with many interiors",
             )
-        interior, faces = tile_fresh(lattice.mask)
+        interior, faces = tile_fresh(lattice.mask, periodic=self.periodic)
         colors = tuple(int(f.max()) + 1 for f in faces)
         palette = Palette(wanted, (colors[0], colors[1], colors[2]), _meetings(interior, faces))
         micro = recipe.run(context, palette=palette)
@@ -67,7 +74,7 @@ class FreshTiling(Stage):
                 hint="end the recipe with `field.gaussian`",
             )
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
-        tiling = Tiling(TileSet(micro, "fresh", 0), TilingArrays(interior, faces, False), edge, lattice.origin)
+        tiling = Tiling(TileSet(micro, "fresh", 0), TilingArrays(interior, faces, self.periodic), edge, lattice.origin)
         if self.porosity is None:
             return tiling
         # some cells, spread over the part, stand for all

@@ -30,4 +30,6 @@ class WangTiling(Tiler):
     ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
         from sppm_pipeline.numerics.tiling.wang import tile_wang
 
-        return tile_wang(mask, int(rng.integers(2**62)), tileset.palette_colors, scored=self.rule2)
+        return tile_wang(
+            mask, int(rng.integers(2**62)), tileset.palette_colors, scored=self.rule2, periodic=self.periodic
+        )

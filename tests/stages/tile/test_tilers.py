@@ -189,3 +189,18 @@ def test_less_and_less_repeats(sets, recipe):
     assert repeated == pytest.approx(1, abs=1e-3)
     assert repeated > wang > max(free, corner)
     assert min(free, corner) > fresh
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_boxes_that_repeat(rule, sets):
+    """Opposite faces of the assembly are the same, and the field goes on beyond them."""
+    tiling = RULES[rule](cells=(3, 2, 2), periodic=True).run(PlainContext(4), sets[rule], None)
+    assert tiling.periodic
+    n = 9
+    values = tiling.sample(Grid((0, 0, 0), (1 / n,) * 3, (3 * n + 1, 2 * n + 1, 2 * n + 1)))
+    for axis in range(3):
+        assert np.array_equal(np.take(values, 0, axis), np.take(values, -1, axis))
+    once = RULES[rule](cells=(3, 2, 2)).run(PlainContext(4), sets[rule], None)
+    assert not once.periodic
+    with pytest.raises(ConfigError, match="box of cells"):
+        RULES[rule](periodic=True).check_options()
