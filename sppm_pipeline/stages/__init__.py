@@ -32,6 +32,7 @@ BUILT_IN = {
     "extract.voxels": "ExtractVoxels",
     "mesh.isosurface_stuffing": "IsosurfaceStuffing",
     "mesh.boundary": "Boundary",
+    "homogenize.realisations": "HomogenizeRealisations",
     "homogenize.tet": "HomogenizeTet",
     "check.connectivity": "CheckConnectivity",
     "check.porosity": "CheckPorosity",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,15 +17,8 @@ from sppm_pipeline.stage import Context, option
 
 
 @dataclass(frozen=True, kw_only=True)
-class HomogenizeVoxel(VoxelHomogenizer):
-    """Compute the effective stiffness of a periodic cell on voxels (paper, section 3.2).
-
-    Trilinear bricks, six unit strains, periodic displacements, no stiffness at all in the void. A field is sampled;
-    voxels at its surface get the stiffness of the solid times the share of them that is solid, which converges much
-    faster than the binary voxels of the paper. Images may hold several phases, each with a material of its own.
-    """
-
-    name: ClassVar[str] = "homogenize.voxel"
+class ElasticHomogenizer(VoxelHomogenizer):
+    """Base of stages that find effective stiffnesses on voxels: materials, and the way from a cell to its report."""
 
     young: float | tuple[float, ...] = option(
         1.0, help="Young's modulus of the solid, or of each phase from 1 on; 1: results are parts of it", above=0
@@ -53,7 +46,7 @@ class HomogenizeVoxel(VoxelHomogenizer):
         poisson = self.poisson if isinstance(self.poisson, tuple) else (self.poisson,)
         return young, poisson * len(young) if len(poisson) == 1 else poisson
 
-    def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
+    def stiffness_of(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Solve six load cases."""
         from sppm_pipeline.numerics.connectivity.percolation import phase_report
         from sppm_pipeline.numerics.elasticity.homogenize import stiffness
@@ -147,3 +140,47 @@ class HomogenizeVoxel(VoxelHomogenizer):
 
 
 _STRAINS = ("xx", "yy", "zz", "yz", "xz", "xy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HomogenizeVoxel(ElasticHomogenizer):
+    """Compute the effective stiffness of a periodic cell on voxels (paper, section 3.2).
+
+    Trilinear bricks, six unit strains, periodic displacements, no stiffness at all in the void. A field is sampled;
+    voxels at its surface get the stiffness of the solid times the share of them that is solid, which converges much
+    faster than the binary voxels of the paper. Images may hold several phases, each with a material of its own.
+
+    With more than one grid, each coarser by a third than the next, the limit of fine grids is extrapolated
+    (Richardson), and the difference becomes the error bar of the result, which stays that of the finest grid.
+    """
+
+    name: ClassVar[str] = "homogenize.voxel"
+
+    grids: int = option(1, help="grids over which the error is estimated, for fields: 1 for none", minimum=1, maximum=3)
+
+    def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
+        """Homogenize, on coarser grids first if an error bar is wanted."""
+        if self.grids == 1:
+            return self.stiffness_of(context, source)
+        if isinstance(source, Voxels):
+            raise ConfigError("an image has one grid only", hint="leave out `grids`, or homogenize the field")
+        from sppm_pipeline.numerics.stiffness.convergence import richardson
+
+        counts = [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
+        if len(set(counts)) < self.grids:
+            raise ConfigError(f"a resolution of {self.resolution} has no coarser grids")
+        reports = []
+        for number, count in enumerate(counts):
+            reports.append(replace(self, resolution=count).stiffness_of(context, source))
+            context.progress(number + 1, self.grids, "grids")
+        limit = richardson([1 / count for count in counts], [report.stiffness for report in reports])
+        context.report(
+            convergence={
+                "resolutions": counts,
+                "C11": [float(report.stiffness[0, 0]) for report in reports],
+                "limit": limit.value,
+                "order": limit.order,
+                "order_observed": limit.observed,
+            }
+        )
+        return replace(reports[-1], error=limit.error)
