@@ -18,6 +18,7 @@ BUILT_IN = {
     "connect.mbdst": "BoundedDegreeSubgraph",
     "field.gaussian": "GaussianField",
     "tune.porosity": "TunePorosity",
+    "tune.stiffness": "TuneStiffness",
     "tune.retry": "Retry",
     "tileset.wang_3color": "WangTileSet",
     "tileset.free_faces": "FreeFacesTileSet",

@@ -15,6 +15,7 @@ REQUIRED = {
     "read.primitive": {"shape": "box", "size": ()},
     "sample.elimination": {"count": 3},
     "tune.porosity": {"target": 0.5},
+    "tune.stiffness": {"target": 0.1},
     "write.chart": {"x": "a", "y": "b"},
 }
 
