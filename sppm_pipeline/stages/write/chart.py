@@ -1,4 +1,4 @@
-"""``write.chart``: a diagram of a sweep."""
+"""``write.chart``: a diagram of a table."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from sppm_pipeline.stage import Context, Stage, option
 
 @dataclass(frozen=True, kw_only=True)
 class WriteChart(Stage):
-    """Draw one column of a sweep over another: as points, as boxes for equal x, with a fitted line if wished."""
+    """Draw one column of a table over another: as points, as boxes for equal x, with a fitted line if wished.
+
+    The table is that of a sweep, or one that a stage makes.
+    """
 
     name: ClassVar[str] = "write.chart"
 
@@ -23,6 +26,7 @@ class WriteChart(Stage):
     x: str = option(help="column along the axis")
     y: str = option(help="column upward")
     kind: str = option("points", help="how the values are shown", choices=("points", "boxes"))
+    group: str = option("", help="column whose values are told apart by colour; none if empty")
     line: bool = option(False, help="draw the least-squares line through all points and report it")
     title: str = option("", help="text above the diagram")
     x_label: str = option("", help="text below the axis; the column's name if empty")
@@ -37,14 +41,20 @@ class WriteChart(Stage):
         from sppm_pipeline.numerics.porosity.line import fit_line
 
         x, y = (self._column(table, name) for name in (self.x, self.y))
-        good = np.isfinite(x) & np.isfinite(y)
-        x, y = x[good], y[good]
+        groups = self._column(table, self.group) if self.group else np.zeros(len(x))
+        good = np.isfinite(x) & np.isfinite(y) & np.isfinite(groups)
+        x, y, groups = x[good], y[good], groups[good]
         if len(x) < 2:
             raise ConfigError(f"columns {self.x!r} and {self.y!r} have fewer than two rows with numbers in both")
-        places = np.unique(x)
-        shown: list[Boxes | Line | Points] = (
-            [Boxes(places, [y[x == place] for place in places])] if self.kind == "boxes" else [Points(x, y)]
-        )
+        shown: list[Boxes | Line | Points] = []
+        for group in np.unique(groups):
+            own_x, own_y = x[groups == group], y[groups == group]
+            label = f"{self.group} = {group:g}" if self.group else ""
+            if self.kind == "boxes":
+                places = np.unique(own_x)
+                shown.append(Boxes(places, [own_y[own_x == place] for place in places], label=label))
+            else:
+                shown.append(Points(own_x, own_y, label=label))
         if self.line:
             line = fit_line(x, y)
             ends = np.array([x.min(), x.max()])
@@ -56,5 +66,5 @@ class WriteChart(Stage):
 
     def _column(self, table: Table, name: str) -> NDArray[np.float64]:
         if name not in table.columns:
-            raise ConfigError(f"the sweep has no column {name!r}", hint="there are " + ", ".join(sorted(table.columns)))
+            raise ConfigError(f"the table has no column {name!r}", hint="there are " + ", ".join(sorted(table.columns)))
         return np.array([np.nan if v is None or isinstance(v, str) else float(v) for v in table.columns[name]])
