@@ -48,8 +48,8 @@ class ReadMesh(Stage):
     accept: str = option(
         "closed",
         help="closed: refuse a mesh with holes or faces wound against each other; any: fill what a vote of rays along "
-        "x, y and z calls inside, with a warning",
-        choices=("closed", "any"),
+        "x, y and z calls inside, with a warning; broken: hand on whatever it is, to a stage that repairs it",
+        choices=("closed", "any", "broken"),
     )
 
     def check_options(self) -> None:
@@ -98,6 +98,9 @@ class ReadMesh(Stage):
                 raise InputError(
                     message, hint="repair the mesh, or give `accept: any` to let rays along x, y and z vote"
                 )
+            if self.accept == "broken":
+                context.warn(message)
+                return SurfaceMesh(vertices, faces.astype(np.int32), name=self.path.name)
             share = _open_share(vertices, faces)
             context.report(open_rays_share=share)
             if share > MOST_OPEN:
