@@ -41,7 +41,7 @@ FAMILIES: Mapping[str, str] = {
     "tile": "cells are laid into a part",
     "fill": "a part is cut from the tiling",
     "extract": "a field becomes a triangle mesh",
-    "mesh": "a triangle mesh becomes a volume mesh",
+    "mesh": "a mesh becomes a better mesh, or a volume mesh",
     "homogenize": "effective properties are computed",
     "check": "something is measured, and may be rejected",
     "slice": "a field or mesh becomes a stack of layers",
