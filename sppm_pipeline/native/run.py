@@ -182,7 +182,7 @@ def _child(folder: Path, environment: Mapping[str, str], told: int) -> Iterator[
     """The supervisor with the worker below it; both are gone afterwards."""
     process = subprocess.Popen(
         [
-            *(sys.executable, "-I", "-S", str(_ROOM / "supervise.py")),
+            *(sys.executable, "-P", "-S", str(_ROOM / "supervise.py")),
             *(str(os.getpid()), str(told), str(_ROOM / "work.py"), str(folder)),
         ],
         cwd=folder / "work",

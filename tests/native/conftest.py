@@ -32,7 +32,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-def _gone(pids: Sequence[int], seconds: float = 5) -> bool:
+def _gone(pids: Sequence[int], seconds: float = 20) -> bool:
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         if not any(alive(pid) for pid in pids):

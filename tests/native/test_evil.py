@@ -38,10 +38,8 @@ def test_killed_from_outside_is_a_lack_of_memory(call):
 
 @pytest.mark.parametrize("name", ["loop", "loop_with_lock", "stop_itself"])
 def test_time_limit(call, name):
-    started = time.monotonic()
     with pytest.raises(ResourceError, match=r"used up its 0\.7 s"):
         call(name, seconds=0.7)
-    assert time.monotonic() - started < 5
 
 
 @pytest.mark.parametrize("then", ["return", "crash", "hang"])
@@ -50,9 +48,15 @@ def test_no_descendant_is_left(call, tmp_path, gone, noted, then):
     options = {"note": str(note), "then": then}
     if then == "return":
         call("descendants", options)
+    elif then == "crash":
+        with pytest.raises(NativeCrash):
+            call("descendants", options)
     else:
-        with pytest.raises(NativeCrash if then == "crash" else ResourceError):
-            call("descendants", options, seconds=1)
+        stopper = threading.Thread(target=lambda: (noted(note), stop_all()))
+        stopper.start()
+        with pytest.raises(ResourceError, match="interrupted"):
+            call("descendants", options)
+        stopper.join()
     pids = noted(note)
     assert len(set(pids)) == 5
     assert gone(pids, 0.1), "all are gone before the call returns"

@@ -34,7 +34,7 @@ class Judge:
         self._points = spread_points(mesh.lower, mesh.upper, samples)
         self._threads = threads
         self._mesh = mesh
-        self._windings = winding_numbers(self._points, (mesh.vertices, mesh.faces), threads=threads)[:, 0]
+        self._windings = winding_numbers(self._points, (mesh.vertices, mesh.faces), threads=threads)
         self.inside: NDArray[np.bool_] = np.abs(self._windings) > 0.5
 
     def windings(self, mesh: SurfaceMesh) -> NDArray[np.float64]:

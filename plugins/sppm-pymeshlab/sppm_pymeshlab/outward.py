@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.surface.measures import components, volume
+from sppm_pipeline.numerics.surface.measures import components, edge_counts, volume
 from sppm_pymeshlab.winding import winding_numbers
 
 __all__ = ["turned_outward"]
@@ -35,17 +35,14 @@ def turned_outward(
     count, parts = components(faces)
     order = np.argsort(parts, kind="stable")
     pieces = np.split(order, np.cumsum(np.bincount(parts, minlength=count))[:-1])
-    boxes = np.array([[vertices[faces[piece]].min((0, 1)), vertices[faces[piece]].max((0, 1))] for piece in pieces])
-    low, high = boxes[:, 0], boxes[:, 1]
-    enclosing = np.ones((count, count), np.bool_) & ~np.eye(count, dtype=np.bool_)
-    for axis in range(3):
-        enclosing &= (low[:, None, axis] >= low[:, axis]) & (high[:, None, axis] <= high[:, axis])
+    low = np.array([vertices[faces[piece]].min((0, 1)) for piece in pieces])
+    high = np.array([vertices[faces[piece]].max((0, 1)) for piece in pieces])
     depth = np.zeros(count, int)
-    inner = np.flatnonzero(enclosing.any(1))
-    if len(inner):
-        probes = np.array([vertices[faces[pieces[k][0]]].mean(0) for k in inner])
-        windings = winding_numbers(probes, (vertices, faces), threads=threads, parts=parts)
-        depth[inner] = (enclosing[inner] & (np.abs(windings) > 0.5)).sum(1)
+    for k, piece in enumerate(pieces):
+        inner = np.flatnonzero((low >= low[k]).all(1) & (high <= high[k]).all(1) & (np.arange(count) != k))
+        if len(inner) and edge_counts(faces[piece]).bounds_solid:
+            probes = np.array([vertices[faces[pieces[i][0]]].mean(0) for i in inner])
+            depth[inner] += np.abs(winding_numbers(probes, (vertices, faces[piece]), threads=threads)) > 0.5
     turned = faces.copy()
     for piece, around in zip(pieces, depth, strict=True):
         # an open piece has no volume; about its own middle it has one that tells on which side it is hollow

@@ -39,7 +39,6 @@ def winding_numbers(
     *,
     threads: int = 1,
     weights: NDArray[np.float64] | None = None,
-    parts: NDArray[np.int32] | None = None,
 ) -> NDArray[np.float64]:
     """Winding numbers of a mesh about points; a point on the surface gets something between the two sides.
 
@@ -50,27 +49,23 @@ def winding_numbers(
     threads : int
     weights : (m,) float64, optional
         How often each triangle counts.
-    parts : (m,) int32, optional
-        Part of each triangle, numbered from 0.
 
     Returns
     -------
-    (n, parts) float64
-        One column without `parts`.
+    (n,) float64
     """
     vertices, faces = mesh
     weights = np.ones(len(faces)) if weights is None else weights
-    parts = np.zeros(len(faces), np.int32) if parts is None else parts
-    sums = np.zeros((len(points), int(parts.max(initial=0)) + 1))
+    sums = np.zeros(len(points))
     # copies, as read-only arrays would be another type to the compiler, and compiled for again
     corners, numbers = np.array(vertices, np.float64, order="C"), np.array(faces, np.int32, order="C")
     if threads == 1:
-        _solid_angles(points.copy(), corners, numbers, weights, parts, sums)
+        _solid_angles(points.copy(), corners, numbers, weights, sums)
     else:
         bounds = np.linspace(0, len(points), threads + 1).astype(int)
         with ThreadPoolExecutor(threads) as pool:
             tasks = [
-                pool.submit(_solid_angles, points[a:b].copy(), corners, numbers, weights, parts, sums[a:b])
+                pool.submit(_solid_angles, points[a:b].copy(), corners, numbers, weights, sums[a:b])
                 for a, b in itertools.pairwise(bounds)
             ]
             for task in tasks:
@@ -90,7 +85,7 @@ def winding_change(points: NDArray[np.float64], before: Mesh, after: Mesh, *, th
     changed = net != 0
     corners = rows[starts[changed]].reshape(-1, 3)
     faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-    return winding_numbers(points, (corners, faces), threads=threads, weights=net[changed])[:, 0]
+    return winding_numbers(points, (corners, faces), threads=threads, weights=net[changed])
 
 
 def _corner_rows(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -115,7 +110,6 @@ def _solid_angles(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
     weights: NDArray[np.float64],
-    parts: NDArray[np.int32],
     sums: NDArray[np.float64],
 ) -> None:
     """Add half the solid angle of each triangle as seen from each point."""
@@ -139,4 +133,4 @@ def _solid_angles(
                 half = t * (1.0 - t * t * (1.0 / 3.0 - t * t * 0.2))
             else:
                 half = np.arctan2(volume, spread)
-            sums[i, parts[f]] += weights[f] * half
+            sums[i] += weights[f] * half

@@ -33,7 +33,7 @@ def test_an_octant_is_an_eighth():
 def test_a_closed_mesh_counts_whole_times(boxes):
     mesh = boxes(((0, 0, 0), (4, 4, 4), False), ((0, 0, 0), (2, 2, 2), True), ((9, 0, 0), (2, 2, 2), True))
     points = np.array([[0, 0, 0], [1.5, 0.1, 0.2], [9, 0.1, 0.2], [20, 1, 2]])
-    found = winding_numbers(points, (mesh.vertices, mesh.faces))[:, 0]
+    found = winding_numbers(points, (mesh.vertices, mesh.faces))
     np.testing.assert_allclose(found, [0, 1, -1, 0], atol=1e-12)
 
 
@@ -43,7 +43,7 @@ def test_equals_the_sum_over_angles(seed):
     rng = np.random.default_rng(seed)
     vertices, points = rng.random((9, 3)) * 10.0 ** rng.integers(-2, 3), rng.random((5, 3)) * 4
     faces = np.array([[0, 1, 2], [3, 4, 5], [6, 7, 8], [0, 4, 8]], np.int32)
-    found = winding_numbers(points, (vertices, faces))[:, 0]
+    found = winding_numbers(points, (vertices, faces))
     np.testing.assert_allclose(found, angles_one_by_one(points, vertices, faces), atol=1e-7)
 
 
@@ -61,7 +61,7 @@ def test_a_change_is_the_difference(ball):
     turned = ball.faces.copy()
     turned[:50] = turned[:50, ::-1]
     for after in [(moved, ball.faces), (ball.vertices, np.roll(ball.faces[40:], 1, axis=1)), (ball.vertices, turned)]:
-        expected = winding_numbers(points, after)[:, 0] - winding_numbers(points, before)[:, 0]
+        expected = winding_numbers(points, after) - winding_numbers(points, before)
         np.testing.assert_allclose(winding_change(points, before, after), expected, atol=1e-12)
     shuffled = (ball.vertices[::-1].copy(), (len(ball.vertices) - 1 - np.roll(ball.faces, 2, axis=1))[::-1].copy())
     assert not winding_change(points, before, shuffled).any()
