@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, InputError, NativeCrash, ResourceError, SppmError
 from sppm_pipeline.stage import Context, Stage, option
-from sppm_pymeshlab.judge import Judge
+
+if TYPE_CHECKING:
+    from sppm_pymeshlab.judge import Judge
 
 STEPS = ("clean", "merge", "split", "orient", "close", "unite", "wrap")
 """The steps, in the order in which ``auto`` tries them."""
@@ -101,6 +103,8 @@ class _Repair:
     @property
     def judge(self) -> Judge:
         """Made when it is first needed: asking the points takes longer than most steps."""
+        from sppm_pymeshlab.judge import Judge
+
         if self._judge is None:
             self._judge = Judge(self.start, self.options.samples, self.context.threads)
             inside = int(self._judge.inside.sum())

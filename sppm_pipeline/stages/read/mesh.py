@@ -107,7 +107,8 @@ class ReadMesh(Stage):
                 raise InputError(
                     f"{message}; {share:.0%} of the rays through it do not leave it as often as they enter, "
                     f"so that nobody can tell inside from outside (accepted are up to {MOST_OPEN:.0%})",
-                    hint="repair the mesh: close its holes and wind its faces consistently",
+                    hint="repair the mesh: close its holes and wind its faces consistently; `accept: broken` hands it "
+                    "on to a stage that does, such as mesh.repair of the plugin sppm-pymeshlab",
                 )
             context.warn(f"{message}; {share:.1%} of the rays through it do not close, a vote decides what is inside")
         return SurfaceMesh(vertices, faces.astype(np.int32), name=self.path.name)
