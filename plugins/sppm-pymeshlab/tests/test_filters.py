@@ -28,10 +28,23 @@ pytestmark = pytest.mark.skipif(find_spec("pymeshlab") is None, reason="needs py
 @pytest.mark.skipif(find_spec("pymeshlab") is None, reason="needs pymeshlab")
 class TestContract(StageContract):
     def stages(self) -> Sequence[Stage]:
-        return [Remesh(edge=Length(2), iterations=3), SmoothMesh(), DecimateMesh(share=0.5)]
+        return [DecimateMesh(share=0.5)]
 
     def inputs(self) -> Mapping[str, Any]:
         return {"mesh": SurfaceMesh(*ball_mesh((0.0, 0.0, 0.0), 5.0, 2))}
+
+
+@pytest.mark.parametrize("stage", [Remesh(edge=Length(2), iterations=3), SmoothMesh()], ids=lambda stage: stage.name)
+def test_the_others_keep_the_contract(stage, ball):
+    class Suite(StageContract):
+        def stages(self) -> Sequence[Stage]:
+            return [stage]
+
+    suite = Suite()
+    for name in ("has_a_name_of_family_and_word", "says_what_it_does", "is_frozen", "options_survive_a_run_record"):
+        getattr(suite, f"test_{name}")()
+    made = [stage.run(PlainContext(5, threads=threads), ball) for threads in (1, 3)]
+    assert made[0].digest() == made[1].digest() != ball.digest()
 
 
 def edge_lengths(mesh: SurfaceMesh) -> np.ndarray:
