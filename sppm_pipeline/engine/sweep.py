@@ -221,12 +221,17 @@ def _run_rows(
 
 
 def _stop_workers() -> None:
-    """End the processes of this sweep, so that an interrupted one does not go on in the background."""
+    """End the processes of this sweep, so that an interrupted one does not go on in the background.
+
+    Runs in threads do not hear of the interruption; the native code that they wait for is ended for them.
+    """
     import sys
 
     if "multiprocessing" in sys.modules:
         for process in sys.modules["multiprocessing"].active_children():
             process.terminate()
+    if "sppm_pipeline.native" in sys.modules:
+        sys.modules["sppm_pipeline.native"].stop_all()
 
 
 @functools.lru_cache(maxsize=1)

@@ -21,8 +21,8 @@ PLACEHOLDER = "pipeline:\n  - {stage: read.primitive, shape: box, size: [1, 1, 1
 
 
 def check(path: Path, plugins: tuple[Path, ...] = ()) -> list[ConfigError]:
-    """What ``sppm check`` says against a file."""
-    order = Order(str(path), BUILTINS, plugins=tuple(str(plugin) for plugin in plugins), distributions=False)
+    """What ``sppm check`` says against a file; a page that builds an installed plugin again does without them."""
+    order = Order(str(path), BUILTINS, plugins=tuple(str(plugin) for plugin in plugins), distributions=not plugins)
     try:
         session = open_session(order)
         session.plan()

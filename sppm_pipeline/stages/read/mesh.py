@@ -48,8 +48,8 @@ class ReadMesh(Stage):
     accept: str = option(
         "closed",
         help="closed: refuse a mesh with holes or faces wound against each other; any: fill what a vote of rays along "
-        "x, y and z calls inside, with a warning",
-        choices=("closed", "any"),
+        "x, y and z calls inside, with a warning; broken: hand on whatever it is, to a stage that repairs it",
+        choices=("closed", "any", "broken"),
     )
 
     def check_options(self) -> None:
@@ -98,13 +98,17 @@ class ReadMesh(Stage):
                 raise InputError(
                     message, hint="repair the mesh, or give `accept: any` to let rays along x, y and z vote"
                 )
+            if self.accept == "broken":
+                context.warn(message)
+                return SurfaceMesh(vertices, faces.astype(np.int32), name=self.path.name)
             share = _open_share(vertices, faces)
             context.report(open_rays_share=share)
             if share > MOST_OPEN:
                 raise InputError(
                     f"{message}; {share:.0%} of the rays through it do not leave it as often as they enter, "
                     f"so that nobody can tell inside from outside (accepted are up to {MOST_OPEN:.0%})",
-                    hint="repair the mesh: close its holes and wind its faces consistently",
+                    hint="repair the mesh: close its holes and wind its faces consistently; `accept: broken` hands it "
+                    "on to a stage that does, such as mesh.repair of the plugin sppm-pymeshlab",
                 )
             context.warn(f"{message}; {share:.1%} of the rays through it do not close, a vote decides what is inside")
         return SurfaceMesh(vertices, faces.astype(np.int32), name=self.path.name)

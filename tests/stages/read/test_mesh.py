@@ -103,12 +103,20 @@ def test_a_small_hole_is_refused_or_voted_upon(save, turned):
     assert any("vote" in warning for warning in context.warnings)
 
 
-def test_a_hopeless_mesh_is_refused_in_any_case(save):
+def test_a_hopeless_mesh_is_refused_when_it_is_to_be_filled(save):
     rng = np.random.default_rng(0)
     soup = save(rng.random((120, 3)), np.arange(120).reshape(40, 3))
     with pytest.raises(InputError, match="inside from outside") as caught:
         read(soup, accept="any")
     assert "repair" in caught.value.hint
+
+
+def test_a_hopeless_mesh_is_handed_on_to_a_stage_that_repairs(save):
+    rng = np.random.default_rng(0)
+    made, context = read(save(rng.random((120, 3)), np.arange(120).reshape(40, 3)), accept="broken")
+    assert len(made.faces) == 40
+    assert "120 open edges" in context.warnings[-1]
+    assert "open_rays_share" not in context.reported
 
 
 def test_flat_and_missing_and_broken(save, tmp_path, tetra):

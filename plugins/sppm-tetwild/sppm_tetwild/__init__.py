@@ -1,0 +1,13 @@
+"""Tetrahedral meshes by fTetWild, for sppm_pipeline."""
+
+from __future__ import annotations
+
+from sppm_pipeline.hookspecs import hookimpl
+
+__all__ = ["sppm_stages"]
+
+
+@hookimpl
+def sppm_stages() -> dict[str, str]:
+    """Our stage, by the place of its class, which is imported only when it is used."""
+    return {"mesh.tetwild": "sppm_tetwild.tetwild:TetWild"}
