@@ -7,8 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, as_written, require_content, require_faces, require_room
+from sppm_pipeline.errors import DesignError, InputError
+from sppm_pipeline.formats.encoding import as_written, in_blocks, within_float32
+from sppm_pipeline.formats.machine_words import store2, store4
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
 from sppm_pipeline.formats.text import (
     Bytes,
     as_lines,
@@ -27,7 +29,6 @@ __all__ = ["decode", "encode", "is_ascii", "is_binary"]
 
 _HEADER, _RECORD = 84, 50
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_ROWS_AT_ONCE = 65536
 
 
 def is_binary(data: bytes | memoryview | bytearray) -> bool:
@@ -235,7 +236,9 @@ def _merged(bits: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.int
     return first[:count], numbers
 
 
-def encode(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Iterator[bytes]:
+def encode(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], *, threads: int = 1
+) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) and (m, 3), as binary STL, piece by piece.
 
     Positions are rounded to float32; the normals are those of the rounded triangles, 0 for one without area. The unit
@@ -243,42 +246,45 @@ def encode(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Iterat
 
     Raises
     ------
-    ValueError
+    DesignError
         If the mesh has 2^32 triangles or more, or a coordinate beyond float32.
     """
-    points, triangles = as_written(vertices, faces)
-    if points.size and float(np.abs(points).max()) > float(np.finfo(np.float32).max):
-        raise ValueError("a coordinate is beyond the range of STL (float32)")
-    if triangles.shape[0] >= 2**32:
-        raise ValueError("STL counts up to 2^32 - 1 triangles")
+    mesh = as_written(vertices, faces)
+    points = within_float32(mesh, "STL")
+    if len(mesh.faces) >= 2**32:
+        raise DesignError("STL counts up to 2^32 - 1 triangles", hint="write the mesh as PLY")
     # A binary STL must not begin with "solid".
-    yield b"binary STL written by sppm".ljust(80) + triangles.shape[0].to_bytes(4, "little")
-    rounded = points.astype(np.float32)
-    words = np.zeros((min(_ROWS_AT_ONCE, triangles.shape[0]), _RECORD // 2), np.uint16)
-    for start in range(0, triangles.shape[0], _ROWS_AT_ONCE):
-        rows = triangles[start : start + _ROWS_AT_ONCE]
-        _put_triangles(words, rounded, rows)
-        yield words[: rows.shape[0]].astype("<u2", copy=False).tobytes()
+    yield b"binary STL written by sppm".ljust(80) + len(mesh.faces).to_bytes(4, "little")
+    yield from in_blocks(len(mesh.faces), lambda rows: _records(points, mesh.faces[rows]), threads)
+
+
+def _records(points: NDArray[np.float32], faces: NDArray[np.int32]) -> memoryview:
+    out = np.empty(_RECORD * faces.shape[0], np.uint8)
+    _put_triangles(out, points, points.view(np.uint32), faces)
+    return out.data
 
 
 @kernel
-def _put_triangles(words: NDArray[np.uint16], points: NDArray[np.float32], faces: NDArray[np.int32]) -> None:
-    """Records of 25 words of 16 bits: twelve floats would not be aligned in them, their halves are."""
-    numbers = np.empty(12, np.float32)
-    halves = numbers.view(np.uint16)
+def _put_triangles(out: Bytes, points: NDArray[np.float32], bits: NDArray[np.uint32], faces: NDArray[np.int32]) -> None:
+    """Records of the normal, the corners and two bytes of nothing; `bits` are those of the points."""
+    normal = np.empty(3, np.float32)
+    normal_bits = normal.view(np.uint32)
     for row in range(faces.shape[0]):
-        for c in range(3):
-            for axis in range(3):
-                numbers[3 + 3 * c + axis] = points[faces[row, c], axis]
-        ux = np.float64(numbers[6]) - np.float64(numbers[3])
-        uy = np.float64(numbers[7]) - np.float64(numbers[4])
-        uz = np.float64(numbers[8]) - np.float64(numbers[5])
-        vx = np.float64(numbers[9]) - np.float64(numbers[3])
-        vy = np.float64(numbers[10]) - np.float64(numbers[4])
-        vz = np.float64(numbers[11]) - np.float64(numbers[5])
+        i = 50 * row
+        a, b, c = faces[row, 0], faces[row, 1], faces[row, 2]
+        ux = np.float64(points[b, 0]) - np.float64(points[a, 0])
+        uy = np.float64(points[b, 1]) - np.float64(points[a, 1])
+        uz = np.float64(points[b, 2]) - np.float64(points[a, 2])
+        vx = np.float64(points[c, 0]) - np.float64(points[a, 0])
+        vy = np.float64(points[c, 1]) - np.float64(points[a, 1])
+        vz = np.float64(points[c, 2]) - np.float64(points[a, 2])
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         scale = 1.0 / length if length > 0.0 else 0.0
-        numbers[0], numbers[1], numbers[2] = nx * scale, ny * scale, nz * scale
-        for k in range(24):
-            words[row, k] = halves[k]
+        normal[0], normal[1], normal[2] = nx * scale, ny * scale, nz * scale
+        for axis in range(3):
+            store4(out, i + 4 * axis, normal_bits[axis])
+            store4(out, i + 12 + 4 * axis, bits[a, axis])
+            store4(out, i + 24 + 4 * axis, bits[b, axis])
+            store4(out, i + 36 + 4 * axis, bits[c, axis])
+        store2(out, i + 48, np.uint16(0))

@@ -35,6 +35,7 @@ BUILT_IN = {
     "write.stl": "WriteStl",
     "write.ply": "WritePly",
     "write.obj": "WriteObj",
+    "write.off": "WriteOff",
     "write.graph": "WriteGraph",
     "write.picture": "WritePicture",
     "write.chart": "WriteChart",
