@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import kernel
 
-__all__ = ["Written", "as_written", "in_blocks", "in_order", "little_endian", "within_float32"]
+__all__ = ["Written", "as_written", "in_blocks", "in_order", "largest", "little_endian", "within_float32"]
 
 ROWS_AT_ONCE = 65536
 """Rows of a block: a few megabytes, which the allocator reuses and a cache partly holds."""
@@ -50,18 +50,18 @@ def as_written(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Wr
         points = points.astype(np.float64, copy=False)
     if points.ndim != 2 or points.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         raise ValueError(f"a mesh is (n, 3) vertices and (m, 3) faces, not {vertices.shape} and {faces.shape}")
-    largest = _largest(points.reshape(-1))
-    if not np.isfinite(largest):
+    extreme = largest(points.reshape(-1))
+    if not np.isfinite(extreme):
         raise ValueError("the coordinates of a mesh must be finite")
-    limit = min(points.shape[0], 2**31)
+    count = min(points.shape[0], 2**31)
     if faces.dtype == np.int32 and faces.flags.c_contiguous:
         # a negative number is a large one when its sign is not looked at
-        sound = not faces.size or int(faces.view(np.uint32).max()) < limit
+        sound = not faces.size or int(faces.view(np.uint32).max()) < count
     else:
-        sound = not faces.size or bool(faces.min() >= 0 and faces.max() < limit)
+        sound = not faces.size or bool(faces.min() >= 0 and faces.max() < count)
     if not sound:
         raise ValueError(f"faces name vertices {faces.min()} to {faces.max()} of {points.shape[0]}")
-    return Written(points, np.ascontiguousarray(faces, np.int32), largest)
+    return Written(points, np.ascontiguousarray(faces, np.int32), extreme)
 
 
 def within_float32(mesh: Written, format_name: str) -> NDArray[np.float32]:
@@ -109,7 +109,7 @@ def in_order(work: Callable[[slice], T], items: Iterable[slice], threads: int) -
         pool.shutdown(cancel_futures=True)
 
 
-def _largest(values: NDArray[np.floating]) -> float:
+def largest(values: NDArray[np.floating]) -> float:
     """Largest absolute value; infinity or NaN if there is one: without its sign, a float is ordered as its bits are."""
     unsigned = np.uint32 if values.dtype == np.float32 else np.uint64
     bits = np.array([_largest_bits(values.view(unsigned), unsigned(np.iinfo(unsigned).max // 2))], unsigned)
@@ -118,7 +118,7 @@ def _largest(values: NDArray[np.floating]) -> float:
 
 @kernel
 def _largest_bits(bits: NDArray[np.unsignedinteger], mask: np.unsignedinteger) -> int:
-    largest = np.uint64(0)
+    highest = np.uint64(0)
     for k in range(bits.size):
-        largest = max(largest, np.uint64(bits[k] & mask))
-    return int(largest)
+        highest = max(highest, np.uint64(bits[k] & mask))
+    return int(highest)

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError, InputError
-from sppm_pipeline.formats.encoding import as_written, in_blocks, within_float32
+from sppm_pipeline.formats.encoding import as_written, in_blocks, largest, within_float32
 from sppm_pipeline.formats.machine_words import store2, store4
+from sppm_pipeline.formats.merging import merge_equal
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
 from sppm_pipeline.formats.text import (
     Bytes,
@@ -74,24 +75,24 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     """
     require_content(data, name)
     if not is_binary(data) and is_ascii(data):
-        corners = _ascii_corners(data, name)
+        corners: NDArray[np.floating] = _ascii_corners(data, name)
     else:
         corners = _binary_corners(data, name)
     # Adding 0 turns -0 into 0, which is the same place with other bits.
-    first, faces = _merged((corners.astype(np.float32) + np.float32(0)).view(np.uint32))
+    first, faces = merge_equal(corners.astype(np.float32) + np.float32(0))
     faces = faces.reshape(-1, 3)
     require_faces(name, faces)
     if not edge_counts(faces).closed:
         # CAD programs leave noise of 1e-16 where they mean 0, and so rims that are none.
-        step = np.abs(corners).max() / 2**24 or 1.0
-        first_coarse, coarse = _merged(np.rint(corners / step).astype(np.int32).view(np.uint32))
+        step = largest(corners.reshape(-1)) / 2**24 or 1.0
+        first_coarse, coarse = merge_equal(np.rint(corners.astype(np.float64) / step).astype(np.int32))
         coarse = coarse.reshape(-1, 3)
         if edge_counts(coarse).closed:
             first, faces = first_coarse, coarse
-    return corners[first], faces
+    return corners[first].astype(np.float64), faces
 
 
-def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float64]:
+def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float32]:
     if len(data) < _HEADER:
         raise InputError(
             f"{name}: {len(data)} bytes are too few for a binary STL, whose header alone takes {_HEADER}, "
@@ -108,13 +109,13 @@ def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[
         )
     records = np.frombuffer(data, _TRIANGLE, claimed, _HEADER)
     corners = np.ascontiguousarray(records["corners"]).reshape(-1, 3)
-    if not np.isfinite(corners).all():
+    if not np.isfinite(largest(corners.reshape(-1))):
         bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=1))[0])
         raise InputError(
             f"{name}: triangle {bad // 3} (byte {_HEADER + _RECORD * (bad // 3)}): a coordinate must be finite, "
             f"not {corners[bad].tolist()}"
         )
-    return corners.astype(np.float64)
+    return corners
 
 
 def _ascii_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float64]:
@@ -205,35 +206,6 @@ def _scan(
     if open_loop:
         return _CUT_OFF, data.size, n, p
     return _OK, 0, n, p
-
-
-@kernel
-def _merged(bits: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First row of each different row (n, 3), in the order of appearance, and each row's number among them."""
-    size = 16
-    while size < 2 * bits.shape[0]:
-        size *= 2
-    slots = np.full(size, -1, np.int64)
-    first = np.empty(bits.shape[0], np.int64)
-    numbers = np.empty(bits.shape[0], np.int64)
-    mask = np.uint64(size - 1)
-    count = 0
-    for i in range(bits.shape[0]):
-        h = np.uint64(bits[i, 0]) | np.uint64(bits[i, 1]) << np.uint64(32)
-        h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
-        h = ((h ^ (h >> np.uint64(32))) + np.uint64(bits[i, 2])) * np.uint64(0x94D049BB133111EB)
-        slot = np.int64((h ^ (h >> np.uint64(31))) & mask)
-        while slots[slot] >= 0:
-            other = first[slots[slot]]
-            if bits[other, 0] == bits[i, 0] and bits[other, 1] == bits[i, 1] and bits[other, 2] == bits[i, 2]:
-                break
-            slot = (slot + 1) & (size - 1)
-        if slots[slot] < 0:
-            slots[slot] = count
-            first[count] = i
-            count += 1
-        numbers[i] = slots[slot]
-    return first[:count], numbers
 
 
 def encode(
