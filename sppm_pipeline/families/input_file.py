@@ -24,14 +24,15 @@ def content_of(path: Path, limit: int) -> bytes:
             kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
             kind = kinds.get(stat.S_IFMT(status.st_mode), "a device")
             raise InputError(f"{path} is no file, but {kind}", hint="give the path of a file")
+        if status.st_size > limit:
+            raise InputError(f"{path} has {status.st_size} bytes; the limit is {limit}", hint="simplify what is in it")
         with path.open("rb") as file:
-            data = b"" if status.st_size > limit else file.read(limit + 1)
+            data = file.read(status.st_size + 1)
     except (OSError, ValueError) as error:  # a path with a NUL in it is a ValueError
         raise InputError(
             f"cannot read {path}: {getattr(error, 'strerror', None) or error}",
             hint="check the path and the permissions",
         ) from error
-    size = max(len(data), status.st_size)
-    if size > limit:
-        raise InputError(f"{path} has {size} bytes; the limit is {limit}")
+    if len(data) != status.st_size:
+        raise InputError(f"{path} changed its size while it was read", hint="wait until it is written")
     return data
