@@ -7,10 +7,11 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh
 from sppm_pipeline.formats.placing import IDENTITY, MOST_PLACED, MOST_TRIANGLES, Matrix
-from sppm_pipeline.formats.xml_events import XmlReader
+from sppm_pipeline.formats.xml_tables import Table, TableReader, real
 
 __all__ = ["CORE", "PRODUCTION", "UNITS_IN_MM", "Model", "Object", "Use", "read_model"]
 
@@ -45,6 +46,10 @@ _VERTICES, _VERTEX, _TRIANGLES, _TRIANGLE, _COMPONENTS, _COMPONENT = (
     f"{CORE} {tag}" for tag in ("vertices", "vertex", "triangles", "triangle", "components", "component")
 )
 _PATH = f"{PRODUCTION} path"
+_TABLES = (
+    Table(b"<vertices>", _VERTICES, b"<vertex", (b"x", b"y", b"z"), False),
+    Table(b"<triangles>", _TRIANGLES, b"<triangle", (b"v1", b"v2", b"v3"), True),
+)
 
 
 class Use(NamedTuple):
@@ -92,7 +97,9 @@ def read_model(chunks: Iterable[bytes], name: str, part: str) -> Model:
     return reader.model()
 
 
-class _ModelReader(XmlReader):
+class _ModelReader(TableReader):
+    tables = _TABLES
+
     def __init__(self, name: str, part: str) -> None:
         super().__init__(name, part)
         self._unit: str | None = None
@@ -121,18 +128,16 @@ class _ModelReader(XmlReader):
         around = self.path[-1] if self.path else None
         if tag == _VERTEX and around == _VERTICES:
             try:
-                self._coordinates.extend((float(attributes["x"]), float(attributes["y"]), float(attributes["z"])))
+                self._coordinates.extend([real(attributes[axis]) for axis in "xyz"])
             except (KeyError, ValueError):
                 self.fail(f"a vertex has three numbers x, y and z, not {_shown(attributes)}")
-            if len(self._coordinates) > 3 * MOST_TRIANGLES:
-                self.fail(f"there are more than {MOST_TRIANGLES} vertices")
+            self._require_few()
         elif tag == _TRIANGLE and around == _TRIANGLES:
             try:
-                self._corners.extend((int(attributes["v1"]), int(attributes["v2"]), int(attributes["v3"])))
+                self._corners.extend([_whole(attributes[corner]) for corner in ("v1", "v2", "v3")])
             except (KeyError, ValueError, OverflowError):
                 self.fail(f"a triangle has three vertex numbers v1, v2 and v3, not {_shown(attributes)}")
-            if len(self._corners) > 3 * MOST_TRIANGLES:
-                self.fail(f"there are more than {MOST_TRIANGLES} triangles")
+            self._require_few()
         elif around is None:
             self._start_model(tag, attributes)
         elif tag == _OBJECT and around == _RESOURCES:
@@ -148,6 +153,14 @@ class _ModelReader(XmlReader):
             self._components.append(self._use(attributes))
         elif tag == _ITEM and around == _BUILD:
             self._items.append(self._use(attributes))
+
+    def rows(self, table: Table, values: NDArray[np.float64] | NDArray[np.int64]) -> None:
+        (self._corners if table.whole else self._coordinates).frombytes(values.tobytes())
+        self._require_few()
+
+    def _require_few(self) -> None:
+        if max(len(self._coordinates), len(self._corners)) > 3 * MOST_TRIANGLES:
+            self.fail(f"a mesh has more than {MOST_TRIANGLES} vertices or triangles")
 
     def end(self, tag: str) -> None:
         if tag == _OBJECT and self._identifier is not None and self.path[-1] == _RESOURCES:
@@ -214,3 +227,9 @@ _NO_VERTICES, _NO_FACES = np.empty((0, 3)), np.empty((0, 3), np.int64)
 
 def _shown(attributes: dict[str, str]) -> str:
     return repr({key[:20]: value[:20] for key, value in list(attributes.items())[:4]})
+
+
+def _whole(text: str) -> int:
+    if "_" in text or len(text) > 20:
+        raise ValueError
+    return int(text)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NoReturn
 from xml.parsers import expat
 
@@ -30,6 +30,7 @@ class XmlReader:
         self._name = name
         self._part = part
         self._elements = 0
+        self._lines = 0
         self.path: list[str] = []
         """The names of the elements around the place that is being read."""
         parser = expat.ParserCreate(namespace_separator=" ")
@@ -54,22 +55,36 @@ class XmlReader:
         InputError
             With the part and the line of what is wrong.
         """
-        size = 0
         try:
-            for chunk in chunks:
-                size += len(chunk)
-                self._parser.Parse(chunk, False)
-                if size > _SLACK + _PER_ELEMENT * self._elements:
-                    self.fail(f"{size} bytes of XML hold only {self._elements} elements")
+            for part in self.parts(self._counted(chunks)):
+                self._parser.Parse(part, False)
             self._parser.Parse(b"", True)
         except expat.ExpatError as error:
             self.fail(f"this is no well-formed XML: {expat.ErrorString(error.code)}", error.lineno)
         except (LookupError, UnicodeError, ValueError) as error:
             self.fail(f"this is no XML in UTF-8 or UTF-16: {str(error)[:80]}")
 
+    def parts(self, chunks: Iterable[bytes]) -> Iterable[bytes]:
+        """What of the content the parser is given; readers may take something out."""
+        return chunks
+
+    def count(self, elements: int, lines: int) -> None:
+        """Elements and lines that the parser was not given."""
+        self._elements += elements
+        self._lines += lines
+
+    def _counted(self, chunks: Iterable[bytes]) -> Iterator[bytes]:
+        size = 0
+        for chunk in chunks:
+            yield chunk
+            size += len(chunk)
+            if size > _SLACK + _PER_ELEMENT * self._elements:
+                self.fail(f"{size} bytes of XML hold only {self._elements} elements")
+
     def fail(self, message: str, line: int | None = None, hint: str | None = None) -> NoReturn:
         """Raise the InputError for the place that is being read."""
-        where = f"{self._part}, line {self._parser.CurrentLineNumber if line is None else line}"
+        place = self._lines + (self._parser.CurrentLineNumber if line is None else line)
+        where = f"{self._part}, line {place}"
         raise InputError(f"{self._name}: {where}: {message}", hint=hint)
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:

@@ -327,7 +327,7 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "index_missing.3mf": (lambda: with_mesh(triangles='<triangle v1="0" v2="1"/>'), "three vertex numbers"),
     "nan.3mf": (lambda: with_mesh(VERTICES.replace('"1"', '"nan"')), "finite|three numbers"),
     "inf.3mf": (lambda: with_mesh(VERTICES.replace('"1"', '"1e999"')), "vertex 1.*finite"),
-    "word.3mf": (lambda: with_mesh(VERTICES.replace('"1"', '"one"')), "three numbers"),
+    "word.3mf": (lambda: with_mesh(VERTICES.replace('"1"', '"one"')), "a number is expected, not b'one'"),
     "no_z.3mf": (lambda: with_mesh(VERTICES.replace("z=", "w=")), "three numbers"),
     "transform.3mf": (lambda: package(model(items='<item objectid="1" transform="1 0 0"/>')), "twelve"),
     "transform_nan.3mf": (lambda: package(model(items=f'<item objectid="1" transform="{"nan " * 12}"/>')), "twelve"),
