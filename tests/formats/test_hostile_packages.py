@@ -374,6 +374,10 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
 }
 
 
+HANGS = 20.0
+"""Seconds of processor time, many times what is needed: a guard against hanging, not a measurement."""
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _compiled() -> None:
     """Time and memory are those of reading, not of compiling."""
@@ -393,7 +397,7 @@ def test_hostile(name: str) -> None:
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert time.process_time() - start < 2
+    assert time.process_time() - start < HANGS
     assert peak < 10 * len(data) + 60_000_000
     assert str(caught.value).startswith(name)
     assert len(str(caught.value)) < 500

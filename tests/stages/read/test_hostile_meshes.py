@@ -17,6 +17,9 @@ from sppm_pipeline.formats.detect import FORMATS
 from sppm_pipeline.stages.read.mesh import FARTHEST, LARGEST_FILE, ReadMesh
 from sppm_pipeline.testing.plain_context import PlainContext
 
+HANGS = 20.0
+"""Seconds of processor time, many times what is needed: a guard against hanging, not a measurement."""
+
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
@@ -30,7 +33,7 @@ def refused(path: Path, match: str, **options: object) -> InputError:
     start = time.process_time()
     with pytest.raises(InputError, match=match) as caught:
         ReadMesh(path=path, **options).run(PlainContext())
-    assert time.process_time() - start < 2
+    assert time.process_time() - start < HANGS
     return caught.value
 
 
@@ -146,7 +149,7 @@ def test_claims_of_gigabytes_fit_in_300_megabytes(tmp_path: Path) -> None:
     assert list(said) == list(claims)
     for name, (message, seconds) in said.items():
         assert message.startswith(name)
-        assert seconds < 2
+        assert seconds < HANGS
 
 
 def relengthened(glb: bytes) -> bytes:

@@ -229,6 +229,30 @@ def test_no_copies_are_not_written(repeated, tmp_path):
         write(WriteThreeMf(), RepeatedMesh(repeated.mesh, np.zeros((0, 3))), tmp_path)
 
 
+def test_a_pipeline_writes_copies(run_yaml, summary):
+    record, folder = run_yaml("""
+recipes:
+  cell:
+    - {stage: sample.mirrored_faces, count: 9, spacing: 0.2}
+    - {stage: sample.dart_throwing, count: 12, spacing: 0.2}
+    - {stage: connect.mst}
+    - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.05}
+pipeline:
+  - {stage: tune.porosity, recipe: cell, target: 0.5, resolution: 16}
+  - {stage: tile.periodic, cells: [3, 3, 2], cell: 4 mm}
+  - {stage: extract.unit_cell, resolution: 12}
+  - {stage: write.3mf, path: lattice.3mf}
+  - {stage: write.glb, path: lattice.glb}
+""")
+    assert record["status"] == "done"
+    assert summary(record, "extract.unit_cell")["copies"] == 18
+    assert summary(record, "write.3mf")["copies"] == 18
+    assert summary(record, "write.3mf")["triangles"] == summary(record, "write.glb")["triangles"]
+    for name in ("3mf", "glb"):
+        file = decode_mesh_file((folder / f"lattice.{name}").read_bytes(), f"a.{name}")
+        assert len(file.faces) == summary(record, "write.3mf")["triangles"]
+
+
 def test_units_of_files_are_honoured(wedge, tmp_path):
     data, _ = write(WriteThreeMf(path="a.3mf"), wedge, tmp_path)
     with zipfile.ZipFile(io.BytesIO(data)) as file:
