@@ -41,7 +41,8 @@ class Accessors:
         """
         accessor = self._of(user, number)
         values = self._read(accessor, "VEC3")
-        points = values.astype(np.float64)
+        with np.errstate(invalid="ignore"):  # some numbers that are none complain when they are converted
+            points = values.astype(np.float64)
         if accessor.flag("normalized") and values.dtype.kind in "iu":
             points = np.maximum(points / (2 ** (8 * values.dtype.itemsize - (values.dtype.kind == "i")) - 1), -1.0)
         finite = np.isfinite(points).all(axis=1)

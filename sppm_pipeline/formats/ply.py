@@ -243,10 +243,13 @@ def _positions(
             values = np.empty((element.rows, kind.itemsize), np.uint8)
             for k in range(kind.itemsize):
                 values[:, k] = array[starts[:, axis] + k]
-            vertices[:, axis] = values.view(kind)[:, 0]
+            column = values.view(kind)[:, 0]
         elif element.rows:
-            step = (element.least_bytes,)
-            vertices[:, axis] = np.ndarray((element.rows,), kind, array.data, int(starts[0, axis]), step)
+            column = np.ndarray((element.rows,), kind, array.data, int(starts[0, axis]), (element.least_bytes,))
+        else:
+            break
+        with np.errstate(invalid="ignore"):  # some numbers that are none complain when they are converted
+            vertices[:, axis] = column
     finite = np.isfinite(vertices).all(axis=1)
     if not finite.all():
         bad = int(np.flatnonzero(~finite)[0])

@@ -178,6 +178,8 @@ def _scan(
         elif word == _NORMAL:
             values = 3
         elif word == _LOOP:
+            if open_loop:
+                return _CORNERS, start, n, p
             open_loop, in_loop = True, 0
         elif word == _ENDLOOP:
             if in_loop != 3 or not open_loop:

@@ -235,6 +235,7 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "no_binary.glb": (lambda: glb(scene(), b""), "buffer of 0 bytes"),
     "index.glb": (lambda: glb(scene(), POINTS.tobytes() + (FACES + 1).tobytes()), "names vertex 4; there are 4"),
     "position_nan.glb": (lambda: glb(scene(), (POINTS * np.nan).tobytes() + FACES.tobytes()), "vertex 0.*finite"),
+    "position_signalling_nan.glb": (lambda: glb(scene(), b"\x01\x00\xa0\x7f" * 12 + FACES.tobytes()), "finite"),
     "position_inf.glb": (lambda: glb(scene(), (POINTS + np.inf).tobytes() + FACES.tobytes()), "finite"),
     # GLB: the scene
     "no_accessor.glb": (lambda: with_primitive(indices=9), "no accessor 9"),
