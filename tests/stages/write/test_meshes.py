@@ -19,8 +19,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.formats.detect import decode_mesh_file
-from sppm_pipeline.numerics.surface.measures import edge_counts, volume
-from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
+from sppm_pipeline.numerics.surface.measures import volume
 from sppm_pipeline.stages.extract.unit_cell import UnitCell
 from sppm_pipeline.stages.read.mesh import ReadMesh
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling
@@ -147,50 +146,6 @@ def repeated(lattice) -> RepeatedMesh:
     made = UnitCell(resolution=12).run(PlainContext(), lattice)
     made.check()
     return made
-
-
-def in_order(points: np.ndarray) -> np.ndarray:
-    return points[np.lexsort(points.round(9).T)]
-
-
-def test_copies_of_a_cell_fill_the_lattice(lattice, repeated):
-    whole = MarchingCubes(resolution=12).run(PlainContext(), lattice)
-    assert repeated.offsets.tolist() == [[4.0 * i, 4.0 * j, 0.0] for i in range(2) for j in range(3)]
-    assert edge_counts(repeated.mesh.faces).closed
-    copies = repeated.whole()
-    # caps bevel the edges of each cell a little
-    assert volume(copies.vertices, copies.faces) == pytest.approx(volume(whole.vertices, whole.faces), rel=2e-3)
-    assert np.allclose(copies.lower, whole.lower)
-    assert np.allclose(copies.upper, whole.upper)
-    assert repeated.summary()["copies"] == 6
-    # opposite caps are equal (along z up to the bevels), so that copies touch without a gap
-    vertices = repeated.mesh.vertices
-    for axis in range(2):
-        low, high = (vertices[np.isclose(vertices[:, axis], side, rtol=0, atol=1e-9)] for side in (0.0, 4.0))
-        low, high = (np.delete(points, axis, 1) for points in (low, high))
-        assert len(low)
-        assert np.allclose(in_order(low), in_order(high), atol=1e-9)
-
-
-def test_a_lone_cell_is_its_own_lattice(cell):
-    made = UnitCell(resolution=8).run(PlainContext(), cell)
-    assert made.offsets.tolist() == [[0, 0, 0]]
-
-
-def test_a_lattice_around_a_part_stands_where_the_part_is(cell, ball):
-    tiling = PeriodicTiling(cell=Length(2.5, "mm")).run(PlainContext(), cell, ball)
-    made = UnitCell(resolution=8).run(PlainContext(), tiling)
-    assert len(made.offsets) == 64
-    assert np.allclose(made.whole().lower, 0, atol=1e-9)
-    assert np.allclose(made.whole().upper, 10, atol=1e-9)
-
-
-def test_different_cells_are_not_one(wang_tiling, wang, ball):
-    with pytest.raises(DesignError, match="different cells") as caught:
-        UnitCell().run(PlainContext(), wang_tiling)
-    assert "tile.periodic" in caught.value.hint
-    one = PeriodicTiling(cells=(2, 2, 2), cell=Length(4, "mm"), tile=3).run(PlainContext(), wang, None)
-    assert len(UnitCell(resolution=8).run(PlainContext(), one).offsets) == 8
 
 
 @pytest.mark.parametrize("name", ["3mf", "glb"])
