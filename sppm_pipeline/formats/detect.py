@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from difflib import get_close_matches
 from pathlib import PurePath
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats import obj, off, ply, stl
+from sppm_pipeline.formats import glb, obj, off, ply, stl, three_mf
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content
 
-__all__ = ["FORMATS", "decode_mesh", "format_of_name", "sniff"]
+__all__ = ["FORMATS", "MeshFile", "decode_mesh", "decode_mesh_file", "format_of_name", "sniff"]
 
 #: The readers and writers of meshes by extension.
-FORMATS = {"stl": stl, "obj": obj, "ply": ply, "off": off}
+FORMATS = {"stl": stl, "obj": obj, "ply": ply, "off": off, "glb": glb, "3mf": three_mf}
 
 _STRANGERS = {
-    b"PK\x03\x04": "a zip archive (3MF and others)",
-    b"glTF": "a binary glTF (GLB)",
+    b"PK\x03\x04": "a zip archive",
     b"\x89PNG": "a PNG image",
     b"\x1f\x8b": "a gzip archive",
     b"%PDF": "a PDF document",
@@ -25,6 +28,7 @@ _STRANGERS = {
     b"ISO-10303-21": "a STEP file",
     b"version https://git-lfs": "a Git LFS pointer, not the file itself",
 }
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # of UTF-8; it would hide the first word of a text
 _OBJ_WORDS = {b"v", b"vn", b"vt", b"vp", b"f", b"l", b"o", b"g", b"s", b"mtllib", b"usemtl"}
 
 
@@ -37,6 +41,8 @@ def format_of_name(name: str) -> str:
         If the extension is none of `FORMATS`.
     """
     extension = PurePath(name).suffix[1:].lower()
+    if extension == "gltf":
+        raise InputError(f"{name}: glTF spread over several files is not read", hint="export it as GLB, in one file")
     if extension not in FORMATS:
         known = ", ".join(f".{known}" for known in FORMATS)
         close = get_close_matches(extension, FORMATS, n=1)
@@ -51,6 +57,12 @@ def format_of_name(name: str) -> str:
 def sniff(data: bytes | memoryview | bytearray) -> str | None:
     """What the content looks like: a key of `FORMATS`, a description of something else, or None if unclear."""
     head = bytes(data[:4096])
+    if head[:4] == b"glTF":
+        return "glb"
+    if head[:4] == b"PK\x03\x04" and b".model" in bytes(data[-65536:]).lower():
+        return "3mf"
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "text in UTF-16; save it as plain text (ASCII or UTF-8)"
     if head[:4] in (b"ply\n", b"ply\r") or head[:4] == b"ply ":
         return "ply"
     if stl.is_binary(data) or stl.is_ascii(data):
@@ -69,13 +81,53 @@ def sniff(data: bytes | memoryview | bytearray) -> str | None:
     return None
 
 
+class MeshFile(NamedTuple):
+    """What a mesh file says.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64
+        In the unit and with the axes of the file.
+    faces : (m, 3) int64
+    unit : str or None
+        The unit that the file or its format states; None for the formats that have none.
+    mm : float
+        That unit in millimetres; 1 if there is none.
+    up : str
+        The axis that points up by the format's specification, ``y`` for GLB; else ``z``, as in printing.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    unit: str | None
+    mm: float
+    up: str
+
+
 def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     """Read a mesh in the format that the extension of `name` stands for.
 
     Returns
     -------
     vertices : (n, 3) float64
+        In millimetres where the file states a unit (3MF, GLB), else the numbers of the file.
     faces : (m, 3) int64
+
+    Raises
+    ------
+    InputError
+        If the extension is unknown, the content is of another format, or it is broken.
+    """
+    mesh = decode_mesh_file(data, name)
+    with np.errstate(over="ignore"):
+        vertices = mesh.vertices if mesh.mm == 1 else mesh.vertices * mesh.mm
+    if not np.isfinite(vertices).all():
+        raise InputError(f"{name}: coordinates of this size, in {mesh.unit}, are beyond all numbers in millimetres")
+    return vertices, mesh.faces
+
+
+def decode_mesh_file(data: bytes | memoryview | bytearray, name: str) -> MeshFile:
+    """`decode_mesh` with the numbers as they stand in the file, and what they mean.
 
     Raises
     ------
@@ -84,6 +136,9 @@ def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     """
     expected = format_of_name(name)
     require_content(data, name)
+    if bytes(data[:3]) == _BYTE_ORDER_MARK:
+        data = memoryview(data)[3:]
+        require_content(data, name)
     found = sniff(data)
     if found in FORMATS and found != expected:
         raise InputError(
@@ -92,5 +147,10 @@ def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
         )
     if found is not None and found not in FORMATS:
         raise InputError(f"{name}: this file is named .{expected} but is {found}")
-    mesh: DecodedMesh = FORMATS[expected].decode(data, name)
-    return mesh
+    if expected == "3mf":
+        (vertices, faces), unit, mm = three_mf.decode_with_unit(data, name)
+        return MeshFile(vertices, faces, unit, mm, "z")
+    vertices, faces = FORMATS[expected].decode(data, name)
+    if expected == "glb":
+        return MeshFile(vertices, faces, "meter", 1000.0, "y")
+    return MeshFile(vertices, faces, None, 1.0, "z")

@@ -1,4 +1,4 @@
-"""What all mesh formats share: the type of a mesh, and the checks before one is handed out or written."""
+"""What all mesh formats share: the type of a mesh, and the checks before one is handed out."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 
-__all__ = ["DecodedMesh", "as_written", "require_content", "require_faces", "require_room"]
+__all__ = ["DecodedMesh", "require_content", "require_faces", "require_room"]
 
 DecodedMesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 
@@ -32,25 +32,3 @@ def require_faces(name: str, faces: NDArray[np.int64]) -> None:
     """Raise InputError for a mesh without a face."""
     if faces.shape[0] == 0:
         raise InputError(f"{name}: the file holds no faces", hint="a surface is needed, not points or lines alone")
-
-
-def as_written(
-    vertices: NDArray[np.floating], faces: NDArray[np.integer]
-) -> tuple[NDArray[np.floating], NDArray[np.int32]]:
-    """The arrays as the encoders want them: (n, 3) float32 or float64 and (m, 3) int32, C-contiguous.
-
-    Raises
-    ------
-    ValueError
-        If the shapes are wrong, a coordinate is not finite or a face names a vertex that does not exist.
-    """
-    points: NDArray[np.floating] = np.ascontiguousarray(vertices)
-    if points.dtype != np.float32:
-        points = points.astype(np.float64, copy=False)
-    if points.ndim != 2 or points.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise ValueError(f"a mesh is (n, 3) vertices and (m, 3) faces, not {vertices.shape} and {faces.shape}")
-    if not np.isfinite(points).all():
-        raise ValueError("the coordinates of a mesh must be finite")
-    if faces.size and (faces.min() < 0 or faces.max() >= min(points.shape[0], 2**31)):
-        raise ValueError(f"faces name vertices {faces.min()} to {faces.max()} of {points.shape[0]}")
-    return points, np.ascontiguousarray(faces, np.int32)

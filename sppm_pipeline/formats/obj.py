@@ -7,15 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, as_written, require_content, require_faces
+from sppm_pipeline.formats.decimals import Words, decimal_scale, face_rows, vertex_rows
+from sppm_pipeline.formats.encoding import as_written, in_blocks
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces
 from sppm_pipeline.formats.text import (
     Bytes,
     as_lines,
-    decimal_scale,
     fail_at,
     pending_floats,
-    put_integer,
-    put_scaled,
     resolve_floats,
     scan_float,
     scan_index,
@@ -36,7 +35,7 @@ _MESSAGES = {
     _NO_INDEX: "a corner of a face is a vertex number, perhaps with /texture/normal, not {word}",
     _OUT_OF_RANGE: "there is no vertex {word}; the file has {vertices} vertices (vertex numbers start at 1)",
 }
-_ROWS_AT_ONCE = 65536
+_VERTEX, _FACE = Words.of(b"v ", b" ", b" ", b"\n"), Words.of(b"f ", b" ", b" ", b"\n")
 
 
 def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
@@ -139,45 +138,15 @@ def _scan(
     return _OK, 0, n, m, p
 
 
-def encode(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Iterator[bytes]:
+def encode(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], *, threads: int = 1
+) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) and (m, 3), piece by piece.
 
     Coordinates are rounded to 5e-10 of the power of ten above the largest one. Same mesh, same bytes.
     """
-    points, triangles = as_written(vertices, faces)
-    scale, decimals = decimal_scale(points)
+    mesh = as_written(vertices, faces)
+    scale = decimal_scale(mesh.largest)
     yield b"# OBJ written by sppm\n"
-    out = np.empty(64 * _ROWS_AT_ONCE, np.uint8)
-    for start in range(0, points.shape[0], _ROWS_AT_ONCE):
-        scaled = np.rint(points[start : start + _ROWS_AT_ONCE].astype(np.float64) * scale).astype(np.int64)
-        yield out[: _put_vertices(out, scaled, decimals)].tobytes()
-    for start in range(0, triangles.shape[0], _ROWS_AT_ONCE):
-        yield out[: _put_faces(out, triangles[start : start + _ROWS_AT_ONCE])].tobytes()
-
-
-@kernel
-def _put_vertices(out: Bytes, scaled: NDArray[np.int64], decimals: int) -> int:
-    i = 0
-    for row in range(scaled.shape[0]):
-        out[i] = _V
-        i += 1
-        for c in range(3):
-            out[i] = _SPACE
-            i = put_scaled(out, i + 1, scaled[row, c], decimals)
-        out[i] = _NEWLINE
-        i += 1
-    return i
-
-
-@kernel
-def _put_faces(out: Bytes, faces: NDArray[np.int32]) -> int:
-    i = 0
-    for row in range(faces.shape[0]):
-        out[i] = _F
-        i += 1
-        for c in range(3):
-            out[i] = _SPACE
-            i = put_integer(out, i + 1, int(np.int64(faces[row, c])) + 1)
-        out[i] = _NEWLINE
-        i += 1
-    return i
+    yield from in_blocks(len(mesh.points), lambda rows: vertex_rows(mesh.points[rows], scale, _VERTEX), threads)
+    yield from in_blocks(len(mesh.faces), lambda rows: face_rows(mesh.faces[rows], 1, _FACE), threads)

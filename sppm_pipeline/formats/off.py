@@ -8,18 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, as_written, require_content, require_faces, require_room
+from sppm_pipeline.formats.decimals import Words, decimal_scale, face_rows, vertex_rows
+from sppm_pipeline.formats.encoding import as_written, in_blocks
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
 from sppm_pipeline.formats.rows import read_face_rows, read_vertex_rows
-from sppm_pipeline.formats.text import Bytes, as_lines, decimal_scale, fail_at, put_integer, put_scaled, shown
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.formats.text import as_lines, fail_at, shown
 
 __all__ = ["decode", "encode"]
 
-_SPACE, _NEWLINE, _THREE = 32, 10, 51
+_NEWLINE = 10
 _MAGIC = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"STCNOFF")
 _SHORTEST_VERTEX, _SHORTEST_FACE = len(b"0 0 0\n"), len(b"3 0 1 2\n")
 _LINE, _HEADER_LINES = 4096, 1000  # how much of a line is looked at, and how many lines, until the counts are found
-_ROWS_AT_ONCE = 65536
+_VERTEX, _FACE = Words.of(b"", b" ", b" ", b"\n"), Words.of(b"3 ", b" ", b" ", b"\n")
 
 
 def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
@@ -81,42 +82,15 @@ def _header(lines: NDArray[np.uint8], name: str) -> tuple[list[int], int]:
     return counts, min(position, lines.size)
 
 
-def encode(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Iterator[bytes]:
+def encode(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], *, threads: int = 1
+) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) and (m, 3), piece by piece.
 
     Coordinates are rounded to 5e-10 of the power of ten above the largest one. Same mesh, same bytes.
     """
-    points, triangles = as_written(vertices, faces)
-    scale, decimals = decimal_scale(points)
-    yield f"OFF\n# written by sppm\n{points.shape[0]} {triangles.shape[0]} 0\n".encode()
-    out = np.empty(64 * _ROWS_AT_ONCE, np.uint8)
-    for start in range(0, points.shape[0], _ROWS_AT_ONCE):
-        scaled = np.rint(points[start : start + _ROWS_AT_ONCE].astype(np.float64) * scale).astype(np.int64)
-        yield out[: _put_vertices(out, scaled, decimals)].tobytes()
-    for start in range(0, triangles.shape[0], _ROWS_AT_ONCE):
-        yield out[: _put_faces(out, triangles[start : start + _ROWS_AT_ONCE])].tobytes()
-
-
-@kernel
-def _put_vertices(out: Bytes, scaled: NDArray[np.int64], decimals: int) -> int:
-    i = 0
-    for row in range(scaled.shape[0]):
-        for c in range(3):
-            i = put_scaled(out, i, scaled[row, c], decimals)
-            out[i] = _NEWLINE if c == 2 else _SPACE
-            i += 1
-    return i
-
-
-@kernel
-def _put_faces(out: Bytes, faces: NDArray[np.int32]) -> int:
-    i = 0
-    for row in range(faces.shape[0]):
-        out[i] = _THREE
-        i += 1
-        for c in range(3):
-            out[i] = _SPACE
-            i = put_integer(out, i + 1, int(np.int64(faces[row, c])))
-        out[i] = _NEWLINE
-        i += 1
-    return i
+    mesh = as_written(vertices, faces)
+    scale = decimal_scale(mesh.largest)
+    yield f"OFF\n# written by sppm\n{len(mesh.points)} {len(mesh.faces)} 0\n".encode()
+    yield from in_blocks(len(mesh.points), lambda rows: vertex_rows(mesh.points[rows], scale, _VERTEX), threads)
+    yield from in_blocks(len(mesh.faces), lambda rows: face_rows(mesh.faces[rows], 0, _FACE), threads)

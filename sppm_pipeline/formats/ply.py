@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, as_written, require_content, require_faces, require_room
+from sppm_pipeline.formats.encoding import as_written, in_blocks, little_endian
+from sppm_pipeline.formats.machine_words import store4
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
 from sppm_pipeline.formats.rows import read_face_rows, read_vertex_rows, skip_rows
 from sppm_pipeline.formats.text import Bytes, as_lines
 from sppm_pipeline.numerics.compiled import kernel
@@ -23,7 +25,7 @@ _TYPES = {
 }  # fmt: skip
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _LONGEST_HEADER = 1 << 20
-_ROWS_AT_ONCE = 65536
+_FACE_RECORD = 13  # a byte that says 3, and three vertex numbers of four bytes
 
 
 class _Property(NamedTuple):
@@ -241,10 +243,13 @@ def _positions(
             values = np.empty((element.rows, kind.itemsize), np.uint8)
             for k in range(kind.itemsize):
                 values[:, k] = array[starts[:, axis] + k]
-            vertices[:, axis] = values.view(kind)[:, 0]
+            column = values.view(kind)[:, 0]
         elif element.rows:
-            step = (element.least_bytes,)
-            vertices[:, axis] = np.ndarray((element.rows,), kind, array.data, int(starts[0, axis]), step)
+            column = np.ndarray((element.rows,), kind, array.data, int(starts[0, axis]), (element.least_bytes,))
+        else:
+            break
+        with np.errstate(invalid="ignore"):  # some numbers that are none complain when they are converted
+            vertices[:, axis] = column
     finite = np.isfinite(vertices).all(axis=1)
     if not finite.all():
         bad = int(np.flatnonzero(~finite)[0])
@@ -360,24 +365,33 @@ def _fans(
     return -1
 
 
-def encode(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Iterator[bytes]:
+def encode(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], *, threads: int = 1
+) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) and (m, 3), as binary little-endian PLY, piece by piece.
 
     Positions keep their type: float32 as ``float``, everything else as ``double``. Same mesh, same bytes.
     """
-    points, triangles = as_written(vertices, faces)
+    points, triangles, _ = as_written(vertices, faces)
     kind = "float" if points.dtype == np.float32 else "double"
     lines = ["ply", "format binary_little_endian 1.0", "comment written by sppm", f"element vertex {points.shape[0]}"]
     lines += [f"property {kind} {axis}" for axis in "xyz"]
     lines += [f"element face {triangles.shape[0]}", "property list uchar int vertex_indices", "end_header"]
     yield ("\n".join(lines) + "\n").encode()
-    little = points.dtype.newbyteorder("<")
-    for start in range(0, points.shape[0], _ROWS_AT_ONCE):
-        yield points[start : start + _ROWS_AT_ONCE].astype(little, copy=False).tobytes()
-    record = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
-    rows = np.empty(min(_ROWS_AT_ONCE, triangles.shape[0]), record)
-    rows["count"] = 3
-    for start in range(0, triangles.shape[0], _ROWS_AT_ONCE):
-        piece = triangles[start : start + _ROWS_AT_ONCE]
-        rows["corners"][: piece.shape[0]] = piece
-        yield rows[: piece.shape[0]].tobytes()
+    yield from in_blocks(len(points), lambda rows: little_endian(points[rows]), 1)
+    yield from in_blocks(len(triangles), lambda rows: _face_records(triangles[rows]), threads)
+
+
+def _face_records(faces: NDArray[np.int32]) -> memoryview:
+    out = np.empty(_FACE_RECORD * faces.shape[0], np.uint8)
+    _put_faces(out, faces)
+    return out.data
+
+
+@kernel
+def _put_faces(out: Bytes, faces: NDArray[np.int32]) -> None:
+    for row in range(faces.shape[0]):
+        i = 13 * row
+        out[i] = 3
+        for c in range(3):
+            store4(out, i + 1 + 4 * c, np.uint32(faces[row, c]))

@@ -7,8 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, as_written, require_content, require_faces, require_room
+from sppm_pipeline.errors import DesignError, InputError
+from sppm_pipeline.formats.encoding import as_written, in_blocks, largest, within_float32
+from sppm_pipeline.formats.machine_words import store2, store4
+from sppm_pipeline.formats.merging import merge_equal
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
 from sppm_pipeline.formats.text import (
     Bytes,
     as_lines,
@@ -27,7 +30,6 @@ __all__ = ["decode", "encode", "is_ascii", "is_binary"]
 
 _HEADER, _RECORD = 84, 50
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_ROWS_AT_ONCE = 65536
 
 
 def is_binary(data: bytes | memoryview | bytearray) -> bool:
@@ -73,24 +75,24 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     """
     require_content(data, name)
     if not is_binary(data) and is_ascii(data):
-        corners = _ascii_corners(data, name)
+        corners: NDArray[np.floating] = _ascii_corners(data, name)
     else:
         corners = _binary_corners(data, name)
     # Adding 0 turns -0 into 0, which is the same place with other bits.
-    first, faces = _merged((corners.astype(np.float32) + np.float32(0)).view(np.uint32))
+    first, faces = merge_equal(corners.astype(np.float32) + np.float32(0))
     faces = faces.reshape(-1, 3)
     require_faces(name, faces)
     if not edge_counts(faces).closed:
         # CAD programs leave noise of 1e-16 where they mean 0, and so rims that are none.
-        step = np.abs(corners).max() / 2**24 or 1.0
-        first_coarse, coarse = _merged(np.rint(corners / step).astype(np.int32).view(np.uint32))
+        step = largest(corners.reshape(-1)) / 2**24 or 1.0
+        first_coarse, coarse = merge_equal(np.rint(corners.astype(np.float64) / step).astype(np.int32))
         coarse = coarse.reshape(-1, 3)
         if edge_counts(coarse).closed:
             first, faces = first_coarse, coarse
-    return corners[first], faces
+    return corners[first].astype(np.float64), faces
 
 
-def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float64]:
+def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float32]:
     if len(data) < _HEADER:
         raise InputError(
             f"{name}: {len(data)} bytes are too few for a binary STL, whose header alone takes {_HEADER}, "
@@ -107,13 +109,13 @@ def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[
         )
     records = np.frombuffer(data, _TRIANGLE, claimed, _HEADER)
     corners = np.ascontiguousarray(records["corners"]).reshape(-1, 3)
-    if not np.isfinite(corners).all():
+    if not np.isfinite(largest(corners.reshape(-1))):
         bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=1))[0])
         raise InputError(
             f"{name}: triangle {bad // 3} (byte {_HEADER + _RECORD * (bad // 3)}): a coordinate must be finite, "
             f"not {corners[bad].tolist()}"
         )
-    return corners.astype(np.float64)
+    return corners
 
 
 def _ascii_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float64]:
@@ -176,6 +178,8 @@ def _scan(
         elif word == _NORMAL:
             values = 3
         elif word == _LOOP:
+            if open_loop:
+                return _CORNERS, start, n, p
             open_loop, in_loop = True, 0
         elif word == _ENDLOOP:
             if in_loop != 3 or not open_loop:
@@ -206,36 +210,9 @@ def _scan(
     return _OK, 0, n, p
 
 
-@kernel
-def _merged(bits: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First row of each different row (n, 3), in the order of appearance, and each row's number among them."""
-    size = 16
-    while size < 2 * bits.shape[0]:
-        size *= 2
-    slots = np.full(size, -1, np.int64)
-    first = np.empty(bits.shape[0], np.int64)
-    numbers = np.empty(bits.shape[0], np.int64)
-    mask = np.uint64(size - 1)
-    count = 0
-    for i in range(bits.shape[0]):
-        h = np.uint64(bits[i, 0]) | np.uint64(bits[i, 1]) << np.uint64(32)
-        h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
-        h = ((h ^ (h >> np.uint64(32))) + np.uint64(bits[i, 2])) * np.uint64(0x94D049BB133111EB)
-        slot = np.int64((h ^ (h >> np.uint64(31))) & mask)
-        while slots[slot] >= 0:
-            other = first[slots[slot]]
-            if bits[other, 0] == bits[i, 0] and bits[other, 1] == bits[i, 1] and bits[other, 2] == bits[i, 2]:
-                break
-            slot = (slot + 1) & (size - 1)
-        if slots[slot] < 0:
-            slots[slot] = count
-            first[count] = i
-            count += 1
-        numbers[i] = slots[slot]
-    return first[:count], numbers
-
-
-def encode(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Iterator[bytes]:
+def encode(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], *, threads: int = 1
+) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) and (m, 3), as binary STL, piece by piece.
 
     Positions are rounded to float32; the normals are those of the rounded triangles, 0 for one without area. The unit
@@ -243,42 +220,45 @@ def encode(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Iterat
 
     Raises
     ------
-    ValueError
+    DesignError
         If the mesh has 2^32 triangles or more, or a coordinate beyond float32.
     """
-    points, triangles = as_written(vertices, faces)
-    if points.size and float(np.abs(points).max()) > float(np.finfo(np.float32).max):
-        raise ValueError("a coordinate is beyond the range of STL (float32)")
-    if triangles.shape[0] >= 2**32:
-        raise ValueError("STL counts up to 2^32 - 1 triangles")
+    mesh = as_written(vertices, faces)
+    points = within_float32(mesh, "STL")
+    if len(mesh.faces) >= 2**32:
+        raise DesignError("STL counts up to 2^32 - 1 triangles", hint="write the mesh as PLY")
     # A binary STL must not begin with "solid".
-    yield b"binary STL written by sppm".ljust(80) + triangles.shape[0].to_bytes(4, "little")
-    rounded = points.astype(np.float32)
-    words = np.zeros((min(_ROWS_AT_ONCE, triangles.shape[0]), _RECORD // 2), np.uint16)
-    for start in range(0, triangles.shape[0], _ROWS_AT_ONCE):
-        rows = triangles[start : start + _ROWS_AT_ONCE]
-        _put_triangles(words, rounded, rows)
-        yield words[: rows.shape[0]].astype("<u2", copy=False).tobytes()
+    yield b"binary STL written by sppm".ljust(80) + len(mesh.faces).to_bytes(4, "little")
+    yield from in_blocks(len(mesh.faces), lambda rows: _records(points, mesh.faces[rows]), threads)
+
+
+def _records(points: NDArray[np.float32], faces: NDArray[np.int32]) -> memoryview:
+    out = np.empty(_RECORD * faces.shape[0], np.uint8)
+    _put_triangles(out, points, points.view(np.uint32), faces)
+    return out.data
 
 
 @kernel
-def _put_triangles(words: NDArray[np.uint16], points: NDArray[np.float32], faces: NDArray[np.int32]) -> None:
-    """Records of 25 words of 16 bits: twelve floats would not be aligned in them, their halves are."""
-    numbers = np.empty(12, np.float32)
-    halves = numbers.view(np.uint16)
+def _put_triangles(out: Bytes, points: NDArray[np.float32], bits: NDArray[np.uint32], faces: NDArray[np.int32]) -> None:
+    """Records of the normal, the corners and two bytes of nothing; `bits` are those of the points."""
+    normal = np.empty(3, np.float32)
+    normal_bits = normal.view(np.uint32)
     for row in range(faces.shape[0]):
-        for c in range(3):
-            for axis in range(3):
-                numbers[3 + 3 * c + axis] = points[faces[row, c], axis]
-        ux = np.float64(numbers[6]) - np.float64(numbers[3])
-        uy = np.float64(numbers[7]) - np.float64(numbers[4])
-        uz = np.float64(numbers[8]) - np.float64(numbers[5])
-        vx = np.float64(numbers[9]) - np.float64(numbers[3])
-        vy = np.float64(numbers[10]) - np.float64(numbers[4])
-        vz = np.float64(numbers[11]) - np.float64(numbers[5])
+        i = 50 * row
+        a, b, c = faces[row, 0], faces[row, 1], faces[row, 2]
+        ux = np.float64(points[b, 0]) - np.float64(points[a, 0])
+        uy = np.float64(points[b, 1]) - np.float64(points[a, 1])
+        uz = np.float64(points[b, 2]) - np.float64(points[a, 2])
+        vx = np.float64(points[c, 0]) - np.float64(points[a, 0])
+        vy = np.float64(points[c, 1]) - np.float64(points[a, 1])
+        vz = np.float64(points[c, 2]) - np.float64(points[a, 2])
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         scale = 1.0 / length if length > 0.0 else 0.0
-        numbers[0], numbers[1], numbers[2] = nx * scale, ny * scale, nz * scale
-        for k in range(24):
-            words[row, k] = halves[k]
+        normal[0], normal[1], normal[2] = nx * scale, ny * scale, nz * scale
+        for axis in range(3):
+            store4(out, i + 4 * axis, normal_bits[axis])
+            store4(out, i + 12 + 4 * axis, bits[a, axis])
+            store4(out, i + 24 + 4 * axis, bits[b, axis])
+            store4(out, i + 36 + 4 * axis, bits[c, axis])
+        store2(out, i + 48, np.uint16(0))

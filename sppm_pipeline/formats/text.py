@@ -1,4 +1,4 @@
-"""Numbers in ASCII mesh files: compiled scanners that know where they are, and fast decimal output."""
+"""Numbers in ASCII mesh files: compiled scanners that know where they are."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from sppm_pipeline.numerics.compiled import kernel
 
 __all__ = [
     "as_lines",
-    "decimal_scale",
     "fail_at",
     "pending_floats",
-    "put_integer",
-    "put_scaled",
     "resolve_floats",
     "scan_float",
     "scan_index",
@@ -227,71 +224,3 @@ def scan_index(data: Bytes, i: int) -> tuple[int, int, bool]:
     if negative:
         value = -value
     return value, i, bool(ends and 0 < digits < 19)
-
-
-def decimal_scale(vertices: NDArray[np.floating]) -> tuple[float, int]:
-    """Power of ten that turns coordinates into integers of nine to ten digits, and its exponent.
-
-    The rounding error is at most 5e-10 of the power of ten at or above the largest coordinate.
-    """
-    largest = float(np.abs(vertices).max()) if vertices.size else 0.0
-    if not np.isfinite(largest):
-        raise ValueError("the coordinates of a mesh must be finite")
-    decimals = min(9 - int(np.ceil(np.log10(largest))), 300) if largest > 0.0 else 0
-    return 10.0**decimals, decimals
-
-
-@kernel
-def put_integer(out: Bytes, i: int, value: int) -> int:
-    """Write a number >= 0 in decimal digits at out[i:]; returns the end."""
-    digits = 1
-    bound = 10
-    while value >= bound and digits < 18:
-        bound *= 10
-        digits += 1
-    for k in range(i + digits - 1, i - 1, -1):
-        rest = value // 10
-        out[k] = _ZERO + (value - 10 * rest)
-        value = rest
-    return i + digits
-
-
-@kernel
-def put_scaled(out: Bytes, i: int, value: int, decimals: int) -> int:
-    """Write value / 10^decimals at out[i:] without zeros at its end, as 12.5 or, for odd sizes, as 125e-40."""
-    if value < 0:
-        out[i] = _MINUS
-        i += 1
-        value = -value
-    if value == 0:
-        out[i] = _ZERO
-        return i + 1
-    while value % 10 == 0:
-        value //= 10
-        decimals -= 1
-    if decimals < -9 or decimals > 17:
-        i = put_integer(out, i, value)
-        out[i] = _E | _LOWER
-        i += 1
-        if decimals > 0:
-            out[i] = _MINUS
-            i += 1
-        return put_integer(out, i, abs(decimals))
-    if decimals <= 0:
-        i = put_integer(out, i, value)
-        for _ in range(-decimals):
-            out[i] = _ZERO
-            i += 1
-        return i
-    power = 1
-    for _ in range(decimals):
-        power *= 10
-    whole = value // power
-    i = put_integer(out, i, whole)
-    value -= whole * power
-    out[i] = _POINT
-    for k in range(i + decimals, i, -1):
-        rest = value // 10
-        out[k] = _ZERO + (value - 10 * rest)
-        value = rest
-    return i + 1 + decimals

@@ -50,6 +50,15 @@ def test_files_of_another_kind(data: bytes, message: str) -> None:
         decode_mesh(data, "part.obj")
 
 
+def test_the_byte_order_mark_of_utf_8_hides_no_vertex() -> None:
+    for name, (data, *_) in FILES.items():
+        if name != "stl" or data == STL:
+            vertices, faces = decode_mesh(b"\xef\xbb\xbf" + data.replace(b"# words\n", b""), f"a.{name}")
+            assert (len(vertices), len(faces)) == (3, 1)
+    with pytest.raises(InputError, match="empty"):
+        decode_mesh(b"\xef\xbb\xbf", "a.obj")
+
+
 def test_unknown_extensions() -> None:
     with pytest.raises(InputError, match=r"\.stp .*no mesh format"):
         format_of_name("part.stp")

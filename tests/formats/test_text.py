@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.text import (
     as_lines,
-    decimal_scale,
     pending_floats,
-    put_scaled,
     resolve_floats,
     scan_float,
     scan_index,
@@ -100,25 +98,3 @@ def test_integers(word: str, expected: tuple[int, int, bool]) -> None:
 @pytest.mark.parametrize("word", ["", "-", "1.0", "x", "9" * 19, "9" * 40])
 def test_what_is_no_integer(word: str) -> None:
     assert not scan_index(as_lines(word.encode()), 0)[2]
-
-
-@fixed
-@given(value=st.integers(-(10**10), 10**10), decimals=st.integers(-300, 300))
-def test_decimals_are_written_exactly(value: int, decimals: int) -> None:
-    out = np.zeros(64, np.uint8)
-    text = out[: put_scaled(out, 0, value, decimals)].tobytes().decode()
-    assert float(text) == float(f"{value}e{-decimals}")
-    assert "." not in text or not text.endswith("0")
-
-
-@pytest.mark.parametrize("largest", [1e-290, 1e-40, 0.001, 1.0, 9.99, 10.0, 12345.0, 1e12, 1e300])
-def test_the_scale_keeps_nine_digits(largest: float) -> None:
-    scale, decimals = decimal_scale(np.array([[largest, -largest / 3, 0.0]]))
-    assert 1e8 <= round(largest * scale) <= 1e10
-    assert scale == pytest.approx(float(f"1e{decimals}"))
-
-
-def test_the_scale_of_nothing() -> None:
-    assert decimal_scale(np.zeros((2, 3))) == (1.0, 0)
-    with pytest.raises(ValueError, match="finite"):
-        decimal_scale(np.array([[np.inf, 0, 0]]))

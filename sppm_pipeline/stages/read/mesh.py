@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.length import UNITS_IN_MM, Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.families.input_file import content_of
 from sppm_pipeline.stage import Context, Stage, option
 
 LARGEST_FILE = 2 * 2**30
 """Bytes; larger files are refused before they are read."""
+
+FARTHEST, SMALLEST = 1e9, 1e-6
+"""Largest coordinate and smallest size of a part, mm; beyond, a unit is wrong or a file is broken."""
+
+FLAT = 1e-9
+"""A part is flat if it is thinner than this share of its size, or encloses less than this share of its box."""
 
 PROBED = 64
 """Samples along the longest side when it is found out how open a mesh is."""
@@ -26,15 +33,25 @@ MOST_OPEN = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class ReadMesh(Stage):
-    """Read an STL, OBJ, PLY or OFF file, turn, scale and place it, and judge whether it encloses a volume.
+    """Read an STL, OBJ, PLY, OFF, 3MF or GLB file, turn, scale and place it, and judge whether it encloses a volume.
 
-    First the mesh is turned, then scaled, then placed.
+    The unit that a file or its format states is honoured, and so is its upward axis: 3MF files name their unit, GLB
+    files are in metres with y up. Then the mesh is turned, then scaled, then placed.
     """
 
     name: ClassVar[str] = "read.mesh"
 
-    path: Path = option(help="file to read: .stl, .obj, .ply or .off")
-    unit: str = option("mm", help="unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))
+    path: Path = option(help="file to read: .stl, .obj, .ply, .off, .3mf or .glb")
+    unit: str | None = option(
+        None,
+        help="unit of the coordinates in the file; what the file states (3MF, GLB), or else mm, if omitted",
+        choices=tuple(UNITS_IN_MM),
+    )
+    up: str | None = option(
+        None,
+        help="axis of the file that points up and becomes z; y for GLB, as its specification says, else z if omitted",
+        choices=("x", "y", "z"),
+    )
     turn: tuple[float, float, float] = option(
         (0.0, 0.0, 0.0), help="angles about x, then y, then z", unit="degrees", minimum=-360, maximum=360
     )
@@ -58,34 +75,36 @@ class ReadMesh(Stage):
 
     def run(self, context: Context) -> SurfaceMesh:
         """Read the file."""
-        from sppm_pipeline.formats.detect import decode_mesh
+        from sppm_pipeline.formats.detect import decode_mesh_file
         from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+        from sppm_pipeline.numerics.surface.rotation import rotated, rotation, upright
 
-        try:
-            size = self.path.stat().st_size
-            if size > LARGEST_FILE:
-                raise InputError(f"{self.path} has {size} bytes; the limit is {LARGEST_FILE}")
-            data = self.path.read_bytes()
-        except OSError as error:
-            raise InputError(
-                f"cannot read {self.path}: {error.strerror or error}", hint="check the path and the permissions"
-            ) from error
-        vertices, faces = decode_mesh(data, self.path.name)
-        vertices = vertices * UNITS_IN_MM[self.unit] @ _rotation(self.turn).T
-        used = vertices[np.unique(faces)]
-        lower, upper = used.min(0), used.max(0)
-        extent = upper - lower
-        if not (extent > 0).all():
-            raise InputError(f"{self.path.name} is flat: its size is {extent[0]:g} x {extent[1]:g} x {extent[2]:g} mm")
-        factor = self.height.mm() / extent[2] if self.height is not None else self.scale or 1.0
-        offset = {
-            "keep": np.zeros(3),
-            "corner": -lower * factor,
-            "center": -np.array([(lower[0] + upper[0]) / 2, (lower[1] + upper[1]) / 2, lower[2]]) * factor,
-        }[self.place]
-        vertices = vertices * factor + offset
+        file = decode_mesh_file(content_of(self.path, LARGEST_FILE), self.path.name)
+        faces = file.faces
+        mm = UNITS_IN_MM[self.unit] if self.unit is not None else file.mm
+        if file.unit is not None and mm != file.mm:
+            context.warn(f"{self.path.name} states its unit as {file.unit}; `unit: {self.unit}` is taken instead")
+        up = self.up or file.up
+        with np.errstate(over="ignore", invalid="ignore"):
+            vertices = rotated(file.vertices * mm, rotation(self.turn) @ upright(up))
+        lower, upper = _box(vertices, faces, self.path.name)
+        factor = float(self.height.mm() / (upper - lower)[2]) if self.height is not None else self.scale or 1.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            offset = {
+                "keep": np.zeros(3),
+                "corner": -lower * factor,
+                "center": -np.array([(lower[0] + upper[0]) / 2, (lower[1] + upper[1]) / 2, lower[2]]) * factor,
+            }[self.place]
+            vertices = vertices * factor + offset
+        lower, upper = _box(vertices, faces, self.path.name)
         counts, enclosed = edge_counts(faces), volume(vertices, faces)
-        context.report(closed=counts.closed, boundary_edges=counts.boundary)
+        context.report(
+            unit=self.unit or file.unit or "mm",
+            mm_per_unit=mm,
+            up=up,
+            closed=counts.closed,
+            boundary_edges=counts.boundary,
+        )
         if counts.consistent and enclosed < 0:
             context.warn("the mesh was wound inside out; its faces have been turned")
             faces = faces[:, ::-1]
@@ -111,7 +130,39 @@ class ReadMesh(Stage):
                     "on to a stage that does, such as mesh.repair of the plugin sppm-pymeshlab",
                 )
             context.warn(f"{message}; {share:.1%} of the rays through it do not close, a vote decides what is inside")
+        elif abs(enclosed) <= FLAT * float((upper - lower).prod()):
+            raise InputError(
+                f"{self.path.name} encloses nothing: its volume is {enclosed:g} mm3",
+                hint="are its faces there twice, back to back?",
+            )
         return SurfaceMesh(vertices, faces.astype(np.int32), name=self.path.name)
+
+
+def _box(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], name: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Low and high corner of the triangles.
+
+    Raises
+    ------
+    InputError
+        If the part is flat, or of a size that no part has.
+    """
+    from sppm_pipeline.numerics.surface.measures import bounds
+
+    lower, upper = bounds(vertices, faces)
+    farthest = float(max(np.abs(lower).max(), np.abs(upper).max()))
+    if not farthest <= FARTHEST:  # so is what is not a number
+        raise InputError(
+            f"{name} reaches to {farthest:g} mm; at most {FARTHEST:g} mm make sense", hint="check `unit` and `scale`"
+        )
+    extent = upper - lower
+    shown = " x ".join(f"{size:g}" for size in extent)
+    if not extent.max() >= SMALLEST:
+        raise InputError(f"{name} is as small as a point: its size is {shown} mm", hint="check `unit` and `scale`")
+    if not extent.min() > FLAT * extent.max():
+        raise InputError(f"{name} is flat: its size is {shown} mm", hint="a part encloses a volume")
+    return lower, upper
 
 
 def _open_share(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> float:
@@ -126,17 +177,3 @@ def _open_share(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> fl
     x, y, z = ((lower + upper - (np.array([nx, ny, nz]) - 1) * h) / 2).tolist()
     probe = inside_layers(prepare_inside(vertices, faces, Grid((x, y, z), (h,) * 3, (nx, ny, nz)), False), 0, nz)
     return probe.open_rays / max(1, probe.crossed_rays)
-
-
-def _rotation(degrees: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Turn about x, then y, then z; quarter turns are exact."""
-    total = np.eye(3)
-    for axis, angle in enumerate(degrees):
-        quarter = angle % 360
-        exact = {0.0: (1.0, 0.0), 90.0: (0.0, 1.0), 180.0: (-1.0, 0.0), 270.0: (0.0, -1.0)}
-        c, s = exact.get(quarter, (float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))))
-        turn = np.eye(3)
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
-        total = turn @ total
-    return total

@@ -19,7 +19,7 @@ class WriteObj(MeshWriter):
 
     path: str = option("mesh.obj", help="file to write")
 
-    def encode(self, mesh: SurfaceMesh) -> Iterator[bytes]:
+    def encode(self, mesh: SurfaceMesh, threads: int) -> Iterator[bytes | memoryview]:
         from sppm_pipeline.formats import obj
 
-        return obj.encode(mesh.vertices, mesh.faces)
+        return obj.encode(mesh.vertices, mesh.faces, threads=threads)

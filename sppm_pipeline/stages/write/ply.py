@@ -19,7 +19,7 @@ class WritePly(MeshWriter):
 
     path: str = option("mesh.ply", help="file to write")
 
-    def encode(self, mesh: SurfaceMesh) -> Iterator[bytes]:
+    def encode(self, mesh: SurfaceMesh, threads: int) -> Iterator[bytes | memoryview]:
         from sppm_pipeline.formats import ply
 
-        return ply.encode(mesh.vertices, mesh.faces)
+        return ply.encode(mesh.vertices, mesh.faces, threads=threads)

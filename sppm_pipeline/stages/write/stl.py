@@ -19,7 +19,7 @@ class WriteStl(MeshWriter):
 
     path: str = option("mesh.stl", help="file to write")
 
-    def encode(self, mesh: SurfaceMesh) -> Iterator[bytes]:
+    def encode(self, mesh: SurfaceMesh, threads: int) -> Iterator[bytes | memoryview]:
         from sppm_pipeline.formats import stl
 
-        return stl.encode(mesh.vertices, mesh.faces)
+        return stl.encode(mesh.vertices, mesh.faces, threads=threads)

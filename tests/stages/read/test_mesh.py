@@ -43,7 +43,7 @@ def test_as_it_is(tetra, wedge):
     made, context = read(tetra)
     assert np.allclose(made.vertices, wedge.vertices)
     assert np.array_equal(made.faces, wedge.faces)
-    assert context.reported == {"closed": True, "boundary_edges": 0}
+    assert context.reported == {"unit": "mm", "mm_per_unit": 1.0, "up": "z", "closed": True, "boundary_edges": 0}
     assert not context.warnings
     assert made.name == "part.ply"
 

@@ -1,0 +1,238 @@
+"""GLB, the binary form of glTF 2.0: one mesh of all that its scene shows, in metres, y up, as the specification says.
+
+Materials, textures and animations are skipped. Compressed meshes and data outside of the file are refused.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.formats.glb_encode import encode
+from sppm_pipeline.formats.gltf_accessors import Accessors
+from sppm_pipeline.formats.gltf_json import Entry, read_document
+from sppm_pipeline.formats.merging import merge_equal
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces
+from sppm_pipeline.formats.placing import IDENTITY, MOST_PLACED, Matrix, after, place
+from sppm_pipeline.numerics.surface.measures import edge_counts
+
+__all__ = ["decode", "encode"]
+
+_HEADER, _JSON, _BINARY = 12, 0x4E4F534A, 0x004E4942
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_NO_SURFACE = {0, 1, 2, 3}  # points and lines
+_HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_mesh_quantization", "KHR_lights_punctual")
+_COMPRESSED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
+
+
+def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
+    """Read the scene of a file as one mesh, in metres and with y up, as it stands there.
+
+    Vertices are split in such files where a texture or an edge needs it; those of equal position are merged in a mesh
+    that is not closed as it is, the first one being kept.
+
+    Parameters
+    ----------
+    data : bytes-like
+        The content of the file.
+    name : str
+        How to call the file in messages.
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+    faces : (m, 3) int64
+
+    Raises
+    ------
+    InputError
+        With the place of what is wrong.
+    """
+    require_content(data, name)
+    text, binary = _chunks(memoryview(data).cast("B"), name)
+    document = read_document(text, name)
+    _require_readable(document)
+    accessors = Accessors(document, binary)
+    entries = document.entries("meshes")
+    numbers: dict[int, int] = {}
+    meshes: list[DecodedMesh] = []
+    copies: list[tuple[int, Matrix]] = []
+    for node, matrix in _nodes(document):
+        which = node.whole("mesh")
+        if which >= len(entries):
+            node.fail(f"there is no mesh {which}; the file has {len(entries)}")
+        if which not in numbers:
+            numbers[which] = len(meshes)
+            meshes.append(_mesh(entries[which], accessors))
+        _require_rigid(node)
+        copies.append((numbers[which], matrix))
+    mesh = place(name, meshes, copies)
+    require_faces(name, mesh[1])
+    return mesh
+
+
+def _chunks(data: memoryview, name: str) -> tuple[bytes, memoryview]:
+    """The JSON and the binary part."""
+    if bytes(data[:4]) != b"glTF":
+        raise InputError(f"{name}: a GLB file begins with glTF, not {bytes(data[:4])!r}")
+    if len(data) < _HEADER:
+        raise InputError(f"{name}: {len(data)} bytes are too few for a GLB", hint="the file is cut off")
+    version, length = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))
+    if version != 2:
+        raise InputError(f"{name}: version {version} of glTF is not read, only 2", hint="export it as glTF 2.0")
+    if length > len(data):
+        raise InputError(
+            f"{name}: the header claims {length} bytes, but the file has {len(data)}",
+            hint="the file is cut off: write or download it again",
+        )
+    found: list[memoryview] = []
+    position = _HEADER
+    for wanted, word in ((_JSON, "JSON"), (_BINARY, "binary")):
+        if position == length and found:
+            break
+        size, kind = (int.from_bytes(data[position + k : position + k + 4], "little") for k in (0, 4))
+        if position + 8 + size > length:
+            raise InputError(
+                f"{name}: byte {position}: a chunk of {size} bytes begins here, but only "
+                f"{max(0, length - position - 8)} follow",
+                hint="the file is cut off or damaged",
+            )
+        if kind != wanted:
+            if wanted == _BINARY:
+                break  # a chunk of an extension; without a binary part there is no mesh, which the accessors will say
+            raise InputError(f"{name}: byte {position}: the {word} chunk is expected here, not one of type {kind:#x}")
+        found.append(data[position + 8 : position + 8 + size])
+        position += 8 + (size + 3) // 4 * 4
+    return bytes(found[0]), found[1] if len(found) > 1 else memoryview(b"")
+
+
+def _require_readable(document: Entry) -> None:
+    version = document.entry("asset").word("version")
+    if not version.startswith("2"):
+        document.fail(f"version {version[:20]!r} of glTF is not read, only 2", hint="export it as glTF 2.0")
+    for extension in document.words("extensionsRequired"):
+        if extension in _COMPRESSED:
+            document.fail(f"its meshes are compressed ({extension})", hint="export without compression")
+        if not extension.startswith(_HARMLESS):
+            document.fail(f"it requires the extension {extension[:60]!r}, which is not read")
+
+
+def _nodes(document: Entry) -> list[tuple[Entry, Matrix]]:
+    """The nodes of the scene that have a mesh, with their transformation, in the order of the tree."""
+    nodes, scenes = document.entries("nodes"), document.entries("scenes")
+    if len(nodes) > MOST_PLACED:
+        document.fail(f"it has {len(nodes)} nodes; at most {MOST_PLACED} are read")
+    children = [node.wholes("children") for node in nodes]
+    if scenes:
+        number = document.whole("scene", 0)
+        if number >= len(scenes):
+            document.fail(f"there is no scene {number}; the file has {len(scenes)}")
+        roots = scenes[number].wholes("nodes")
+    else:
+        inner = {child for some in children for child in some}
+        roots = [k for k in range(len(nodes)) if k not in inner]
+    found: list[tuple[Entry, Matrix]] = []
+    seen: set[int] = set()
+    waiting: list[tuple[int, Matrix]] = [(root, IDENTITY) for root in reversed(roots)]
+    while waiting:
+        number, outer = waiting.pop()
+        if number >= len(nodes):
+            document.fail(f"there is no node {number}; the file has {len(nodes)}")
+        if number in seen:
+            nodes[number].fail("it has two parents, or is inside itself")
+        seen.add(number)
+        matrix = after(outer, _matrix(nodes[number]))
+        if "mesh" in nodes[number]:
+            found.append((nodes[number], matrix))
+        waiting += [(child, matrix) for child in reversed(children[number])]
+    return found
+
+
+def _matrix(node: Entry) -> Matrix:
+    """The transformation of a node: a matrix, stored column by column, or a shift after a turn after a scaling."""
+    columns = node.numbers("matrix", 16)
+    if columns is not None:
+        whole = np.array(columns).reshape(4, 4).T
+        if whole[3].tolist() != [0, 0, 0, 1]:
+            node.fail("the last row of its matrix must be 0 0 0 1")
+        return np.ascontiguousarray(whole[:3])
+    shift, turn, scale = node.numbers("translation", 3), node.numbers("rotation", 4), node.numbers("scale", 3)
+    if shift is None and turn is None and scale is None:
+        return IDENTITY
+    matrix = IDENTITY.copy()
+    if turn is not None:
+        length = float(np.hypot(np.hypot(turn[0], turn[1]), np.hypot(turn[2], turn[3])))
+        if abs(length - 1) > 1e-2:
+            node.fail(f"its rotation must be a unit quaternion, not {turn}")
+        x, y, z, w = (value / length for value in turn)
+        matrix[:, :3] = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    if scale is not None:
+        with np.errstate(over="ignore"):
+            matrix[:, :3] *= scale
+    if shift is not None:
+        matrix[:, 3] = shift
+    return matrix
+
+
+def _require_rigid(node: Entry) -> None:
+    """Refuse what would move vertices in a way that is not read."""
+    if "skin" in node:
+        node.fail("its mesh is moved by a skeleton (skin)", hint="apply the pose and export a plain mesh")
+    if any(node.numbers("weights", None) or []):
+        node.fail("its mesh is deformed by morph targets", hint="apply the shape and export a plain mesh")
+    if "EXT_mesh_gpu_instancing" in node.entry("extensions"):
+        node.fail("it stands for many copies (EXT_mesh_gpu_instancing)", hint="export real copies")
+
+
+def _mesh(entry: Entry, accessors: Accessors) -> DecodedMesh:
+    """All surfaces of a mesh, equal positions merged unless it is closed without."""
+    if any(entry.numbers("weights", None) or []):
+        entry.fail("it is deformed by morph targets", hint="apply the shape and export a plain mesh")
+    points: list[NDArray[np.float64]] = [np.empty((0, 3))]
+    faces: list[NDArray[np.int64]] = [np.empty((0, 3), np.int64)]
+    n = 0
+    for primitive in entry.entries("primitives"):
+        mode = primitive.whole("mode", _TRIANGLES)
+        if mode in _NO_SURFACE:
+            continue
+        if "KHR_draco_mesh_compression" in primitive.entry("extensions"):
+            primitive.fail("it is compressed by Draco", hint="export without compression")
+        positions = accessors.positions(primitive, primitive.entry("attributes").whole("POSITION"))
+        if "indices" in primitive:
+            corners = accessors.indices(primitive, primitive.whole("indices"), len(positions))
+        else:
+            corners = np.arange(len(positions))
+        faces.append(n + _triangles(primitive, mode, corners))
+        points.append(positions)
+        n += len(positions)
+    vertices, triangles = np.concatenate(points), np.concatenate(faces)
+    if len(triangles) and not edge_counts(triangles).closed:
+        # Adding 0 turns -0 into 0, which is the same place with other bits.
+        first, numbers = merge_equal(vertices.astype(np.float32) + np.float32(0))
+        vertices, triangles = vertices[first], numbers[triangles]
+    return vertices, triangles
+
+
+def _triangles(primitive: Entry, mode: int, corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    if mode == _TRIANGLES:
+        if len(corners) % 3:
+            primitive.fail(f"its {len(corners)} corners are no whole number of triangles")
+        return corners.reshape(-1, 3)
+    if mode not in (_STRIP, _FAN):
+        primitive.fail(f"the mode {mode} is unknown; there are 0 to 6")
+    if mode == _FAN:
+        first = np.broadcast_to(corners[:1], corners[2:].shape)
+        return np.stack([first, corners[1:-1], corners[2:]], 1) if len(corners) > 2 else np.empty((0, 3), np.int64)
+    if len(corners) < 3:
+        return np.empty((0, 3), np.int64)
+    faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], 1)
+    faces[1::2] = faces[1::2, [1, 0, 2]]
+    # strips are joined by triangles without area
+    flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    solid: NDArray[np.int64] = faces[~flat]
+    return solid

@@ -1,0 +1,74 @@
+"""``extract.unit_cell``: the mesh of one periodic cell, and the places where it is repeated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.part import Part
+from sppm_pipeline.data.repeated_mesh import RepeatedMesh
+from sppm_pipeline.data.tiling import RepeatedField, Tiling
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
+
+_HINT = "lay one cell with `tile.periodic`, or mesh the whole with `extract.marching_cubes`"
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitCell(Stage):
+    """Extract the surface of one cell of a periodic lattice, capped at the faces of the cell, to be written once.
+
+    The lattice is what `tile.periodic` lays. Formats that know copies (3MF, GLB) hold the mesh of one cell and place
+    it as often as there are cells: files are smaller by that number. Copies touch with their caps; slicing programs
+    unite solids that touch, a mesh of one piece is made by `extract.marching_cubes`.
+    """
+
+    name: ClassVar[str] = "extract.unit_cell"
+
+    resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=1024)
+    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+
+    def run(self, context: Context, field: ScalarField) -> RepeatedMesh:
+        """Extract one cell, in mm, and list the cells."""
+        unit, cells = _unit_and_cells(field)
+        alone = RepeatedField(unit, (1, 1, 1), field.edge_mm, field.origin_mm)
+        mesh = MarchingCubes(resolution=self.resolution, islands=self.islands).run(context, alone)
+        edge = field.edge_mm if field.edge_mm is not None else 1.0
+        return RepeatedMesh(mesh, cells * np.float64(edge))
+
+
+def _unit_and_cells(field: ScalarField) -> tuple[ScalarField, NDArray[np.int64]]:
+    """The periodic cell, and the indices (k, 3) of the cells of the lattice.
+
+    Raises
+    ------
+    DesignError
+        If the cells differ.
+    """
+    if isinstance(field, Tiling):
+        interior = field.arrays.interior
+        cells = np.argwhere(interior >= 0)
+        kinds = np.unique(interior[interior >= 0])
+        # of each axis, the colours on both sides of the cells that are there
+        colors = [
+            np.unique(np.concatenate([plane[tuple(cells.T)], plane[tuple((cells + np.eye(3, dtype=int)[axis]).T)]]))
+            for axis, plane in enumerate(field.arrays.faces)
+        ]
+        if len(kinds) != 1 or any(len(found) != 1 for found in colors):
+            raise DesignError(f"{len(kinds)} different cells cannot be copies of one", hint=_HINT)
+        x, y, z = (max(0, int(found[0])) for found in colors)
+        return field.tileset.micro.alone(int(kinds[0]), (x, y, z)), cells
+    if isinstance(field, Part) or not field.periodic:
+        raise DesignError(f"a {type(field).__name__} has no cell that is repeated", hint=_HINT)
+    if isinstance(field, RepeatedField):
+        if field.base.cells != (1, 1, 1):
+            raise DesignError(f"the lattice repeats {field.base.cells} cells at once", hint=_HINT)
+        return field.base, np.argwhere(np.ones(field.extent, bool))
+    if field.cells != (1, 1, 1):
+        raise DesignError(f"a {type(field).__name__} of {field.cells} cells is not the repetition of one", hint=_HINT)
+    return field, np.zeros((1, 3), np.int64)

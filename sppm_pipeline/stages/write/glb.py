@@ -1,0 +1,30 @@
+"""``write.glb``: a triangle mesh as binary glTF, for viewers and web pages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.repeated_mesh import RepeatedMesh
+from sppm_pipeline.families.mesh_writer import write_mesh
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteGlb(Stage):
+    """Write a triangle mesh as binary glTF 2.0, for viewers and web pages; in metres and with y up, as it must be.
+
+    What `extract.unit_cell` makes is written once and placed by a node for each cell.
+    """
+
+    name: ClassVar[str] = "write.glb"
+
+    path: str = option("mesh.glb", help="file to write")
+    normals: bool = option(False, help="whether each vertex gets a normal, so that viewers shade smoothly")
+
+    def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
+        """Write the file."""
+        from sppm_pipeline.formats import glb
+
+        write_mesh(context, self.path, mesh, glb.encode, normals=self.normals)
