@@ -28,6 +28,7 @@ BUILT_IN = {
     "fill.implicit": "ImplicitFill",
     "extract.marching_cubes": "MarchingCubes",
     "check.connectivity": "CheckConnectivity",
+    "check.mesh": "CheckMesh",
     "check.porosity": "CheckPorosity",
     "check.residual_periodicity": "CheckResidualPeriodicity",
     "slice.field": "SliceField",
