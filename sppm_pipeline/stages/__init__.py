@@ -32,6 +32,7 @@ BUILT_IN = {
     "check.porosity": "CheckPorosity",
     "check.residual_periodicity": "CheckResidualPeriodicity",
     "slice.field": "SliceField",
+    "slice.mesh": "SliceMesh",
     "write.png": "WritePng",
     "write.stl": "WriteStl",
     "write.ply": "WritePly",

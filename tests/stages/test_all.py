@@ -5,6 +5,7 @@ import importlib.resources
 
 import pytest
 
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.stages import BUILT_IN, sppm_stages
 from sppm_pipeline.testing.contracts import StageContract
 
@@ -12,6 +13,7 @@ REQUIRED = {
     "read.mesh": {"path": "a.stl"},
     "read.primitive": {"shape": "box", "size": ()},
     "sample.elimination": {"count": 3},
+    "slice.mesh": {"pixel": Length(0.1)},
     "tune.porosity": {"target": 0.5},
     "write.chart": {"x": "a", "y": "b"},
 }

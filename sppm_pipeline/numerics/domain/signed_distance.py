@@ -4,7 +4,7 @@ Every triangle writes its exact distance to the samples within two spacings of i
 handed from sample to sample in eight sweeps, and each sample keeps the exact distance to the best triangle it was
 offered (closest-point propagation, as in Bridson 2015, "Fluid Simulation for Computer Graphics", chapter 4). Beyond the
 band a sample may miss its nearest triangle by a neighbouring one, which errs by a small fraction of the spacing. The
-sign comes from signed scanlines, so overlapping shells count once.
+sign is that of the voxels of layers, from the same function; where shells overlap they count once.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
-from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
+from sppm_pipeline.numerics.domain.inside import Method, inside_layers, prepare_inside
 from sppm_pipeline.numerics.grid import Grid
 
 __all__ = ["signed_distance"]
 
 
 def signed_distance(
-    vertices: ArrayLike, faces: ArrayLike, grid: Grid, reach: float, closed: bool = True
+    vertices: ArrayLike, faces: ArrayLike, grid: Grid, reach: float, method: Method = "scanline"
 ) -> NDArray[np.float32]:
     """Distance of the samples of a grid from a closed mesh, negative inside, up to a reach.
 
@@ -33,8 +33,8 @@ def signed_distance(
     grid : Grid
     reach : float
         Distances are sought up to here; what lies further off gets the reach itself, with its sign.
-    closed : bool
-        Whether the mesh bounds a solid, see `prepare_inside`.
+    method : Method
+        How the sign is told, see `prepare_inside`.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def signed_distance(
     if reach > 2 * min(grid.spacing):
         _sweep(triangles, origin, spacing, squared, nearest)
     distance = np.sqrt(squared, out=squared)
-    inside = inside_layers(prepare_inside(points, faces, grid, closed), 0, nz).mask
+    inside = inside_layers(prepare_inside(points, faces, grid, method), 0, nz).mask
     np.negative(distance, out=distance, where=inside.view(bool))
     return distance
 
