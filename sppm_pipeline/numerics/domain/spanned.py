@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_pipeline.numerics.domain.mesh_arrays import as_mesh
 from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.surface.box_tree import DEPTH, box_tree
 from sppm_pipeline.numerics.surface.measures import components
@@ -29,6 +30,7 @@ UNDECIDED = 0.25
 
 _CALM = 0.2  # bounds below this are not looked into
 _CLEAR = 0.45  # numbers of spanning triangles below this leave the count alone; less than half by the error of dipoles
+_CLEAR_INSIDE = 1 - _CLEAR
 _LARGE, _SMALL = 32, 4  # edges of blocks, in voxels
 _OFF = (0.00131, -0.00173, 0.00097)  # keeps spanning triangles out of the planes that voxels and rims share
 
@@ -121,6 +123,7 @@ def spanned_layers(scan: SpannedScan, start: int, stop: int) -> Occupancy:
         return found
     undecided = _correct(
         scan.mesh.triangles,
+        scan.mesh.boxes,
         scan.mesh.starts,
         scan.mesh.poles,
         scan.spans.triangles,
@@ -160,10 +163,10 @@ def _seen_under(
     waiting: NDArray[np.int64],
     low: NDArray[np.float64],
     high: NDArray[np.float64],
-) -> tuple[float, float]:
-    """Bounds for all points of a box: the winding number of triangles, and the square of the distance from them."""
+) -> float:
+    """A bound of the winding number of triangles at all points of a box."""
     leaves = (areas.size + 1) // 2
-    bound, nearest = 0.0, np.inf
+    bound = 0.0
     waiting[0] = 0
     left = 1
     while left > 0:
@@ -181,16 +184,72 @@ def _seen_under(
             waiting[left], waiting[left + 1] = 2 * node + 2, 2 * node + 1
             left += 2
             continue
-        nearest = min(nearest, square)
         if square == 0.0:
-            return 1.0, 0.0
+            return 1.0
         bound += areas[node] / (4 * np.pi * square)
-    return bound, nearest
+    return bound
+
+
+@kernel
+def _within(
+    triangles: NDArray[np.float64],
+    boxes: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    waiting: NDArray[np.int64],
+    point: NDArray[np.float64],
+    limit: float,
+) -> bool:
+    """Whether a triangle lies nearer to a point than a distance, given squared."""
+    leaves = starts.size - 1
+    waiting[0] = 0
+    left = 1
+    while left > 0:
+        left -= 1
+        node = waiting[left]
+        square = 0.0
+        for a in range(3):
+            gap = max(boxes[node, a] - point[a], point[a] - boxes[node, a + 3], 0.0)
+            square += gap * gap
+        if square >= limit:
+            continue
+        if node < leaves - 1:
+            waiting[left], waiting[left + 1] = 2 * node + 2, 2 * node + 1
+            left += 2
+            continue
+        for i in range(starts[node - leaves + 1], starts[node - leaves + 2]):
+            if squared_to_triangle(triangles[i], point[0], point[1], point[2]) < limit:
+                return True
+    return False
+
+
+@kernel
+def _range(
+    triangles: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    poles: NDArray[np.float64],
+    waiting: NDArray[np.int64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+) -> tuple[float, float, float]:
+    """Least and largest winding number at the corners and in the middle of a box, and that in the middle.
+
+    Half a diagonal off all triangles the number is smooth (it solves Laplace's equation), so that these tell how far
+    it may go in between.
+    """
+    least, most, middle = np.inf, -np.inf, 0.0
+    for corner in range(9):
+        x = (low[0] + high[0]) / 2 if corner == 8 else (high[0] if corner & 1 else low[0])
+        y = (low[1] + high[1]) / 2 if corner == 8 else (high[1] if corner & 2 else low[1])
+        z = (low[2] + high[2]) / 2 if corner == 8 else (high[2] if corner & 4 else low[2])
+        middle = winding_at(triangles, starts, poles, waiting, x, y, z)
+        least, most = min(least, middle), max(most, middle)
+    return least, most, middle
 
 
 @kernel
 def _correct(
     triangles: NDArray[np.float64],
+    mesh_boxes: NDArray[np.float64],
     starts: NDArray[np.int64],
     poles: NDArray[np.float64],
     spans: NDArray[np.float64],
@@ -209,7 +268,7 @@ def _correct(
     """
     nz, ny, nx = mask.shape
     waiting = np.empty(DEPTH, np.int64)
-    low, high = np.empty(3), np.empty(3)
+    low, high, centre = np.empty(3), np.empty(3), np.empty(3)
     blocks = np.empty((8 * 4, 4), np.int64)  # an edge is halved three times
     first = start // _LARGE * _LARGE
     undecided = 0
@@ -229,28 +288,34 @@ def _correct(
             for a in range(3):
                 low[a] = origin[a] + blocks[left, a] * spacing[a]
                 high[a] = origin[a] + (blocks[left, a] + edge - 1) * spacing[a]
-            bound, nearest = _seen_under(span_boxes, areas, waiting, low, high)
-            if bound < _CALM:
+            if _seen_under(span_boxes, areas, waiting, low, high) < _CALM:
                 continue
             i1, j1, k1 = min(i0 + edge, nx), min(j0 + edge, ny), min(k0 + edge, start + nz)
             size = 0.0
             for a in range(3):
                 size += (high[a] - low[a]) ** 2
-            if nearest > size / 4:
-                # the number is smooth in the block: its corners and its middle tell how far it may go
-                least, most, middle = np.inf, -np.inf, 0.0
-                for corner in range(9):
-                    x = (low[0] + high[0]) / 2 if corner == 8 else (high[0] if corner & 1 else low[0])
-                    y = (low[1] + high[1]) / 2 if corner == 8 else (high[1] if corner & 2 else low[1])
-                    z = (low[2] + high[2]) / 2 if corner == 8 else (high[2] if corner & 4 else low[2])
-                    middle = winding_at(spans, span_starts, span_poles, waiting, x, y, z)
-                    least, most = min(least, middle), max(most, middle)
+                centre[a] = (low[a] + high[a]) / 2
+            # a diagonal off from the middle is half a diagonal off from all the block
+            if not _within(spans, span_boxes, span_starts, waiting, centre, size):
+                least, most, middle = _range(spans, span_starts, span_poles, waiting, low, high)
                 if max(most, -least) + (most - least) / 2 < _CLEAR:
                     if abs(middle) > UNDECIDED:
                         for k in range(max(k0, start), k1):
                             for j in range(j0, j1):
                                 for i in range(i0, i1):
                                     undecided += (mask[k - start, j, i] > 0) == (middle > 0.0)
+                    continue
+            if not _within(triangles, mesh_boxes, starts, waiting, centre, size):
+                least, most, middle = _range(triangles, starts, poles, waiting, low, high)
+                reach = (most - least) / 2
+                if least - reach > _CLEAR_INSIDE or most + reach < _CLEAR:
+                    inside = least > 0.5
+                    for k in range(max(k0, start), k1):
+                        for j in range(j0, j1):
+                            for i in range(i0, i1):
+                                mask[k - start, j, i] = inside
+                    if abs(middle - 0.5) < UNDECIDED:
+                        undecided += (i1 - i0) * (j1 - j0) * (k1 - max(k0, start))
                     continue
             if edge > _SMALL:
                 half = edge // 2
