@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,13 @@ from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.numerics.grid import Grid
 
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.domain.inside import Method
+
 __all__ = ["Part"]
 
 VOTED_LAYERS = 64
-"""Layers of a mesh that does not close which are decided together."""
+"""Layers that are decided together where rays along all axes vote."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +36,15 @@ class Part(ScalarField):
         Thickness of the solid skin inside the domain's surface; 0 for none.
     islands : {"remove", "keep"}
         Whether solid that is not connected to the largest component is left out where the part is sliced or meshed.
+    inside : {"scanline", "winding", "vote"} or None
+        How it is told what lies in the domain; None for the first if the domain bounds a solid, else the second.
     """
 
     field: ScalarField
     domain: SurfaceMesh
     skin_mm: float = 0.0
     islands: str = "remove"
+    inside: Method | None = None
     _prepared: dict[str, Any] = dataclasses.field(default_factory=dict, compare=False, repr=False)
 
     @property
@@ -60,6 +66,13 @@ class Part(ScalarField):
     @property
     def origin_mm(self) -> tuple[float, float, float]:
         return self.field.origin_mm
+
+    @property
+    def method(self) -> Method:
+        """How it is told what lies in the domain."""
+        from sppm_pipeline.numerics.domain.inside import way_for
+
+        return self.inside or way_for(self.domain.bounds_solid)
 
     def in_mm(self, grid: Grid) -> Grid:
         """`grid`, given in cell edges, in world millimetres."""
@@ -86,7 +99,7 @@ class Part(ScalarField):
         values = self.field.sample(grid, threads)
         world, edge = self.in_mm(grid), np.float32(self.physical_edge())
         reach = max(world.spacing) + self.skin_mm
-        outer = signed_distance(self.domain.vertices, self.domain.faces, world, reach, self.domain.bounds_solid)
+        outer = signed_distance(self.domain.vertices, self.domain.faces, world, reach, self.method)
         outer /= edge
         if self.skin_mm:
             # inside the skin the field does not matter: solid where the surface is nearer than the skin is thick
@@ -121,11 +134,11 @@ class Part(ScalarField):
         """Which voxels of some layers of `grid` lie in the domain; what the whole grid needs is kept between slabs."""
         from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
 
-        kept, closed = self._prepared, self.domain.bounds_solid
+        kept = self._prepared
         if kept.get("grid") != grid:
             kept["grid"], kept["block"] = grid, None
-            kept["scan"] = prepare_inside(self.domain.vertices, self.domain.faces, self.in_mm(grid), closed)
-        if closed:
+            kept["scan"] = prepare_inside(self.domain.vertices, self.domain.faces, self.in_mm(grid), self.method)
+        if self.method != "vote":
             return inside_layers(kept["scan"], start, stop).mask
         # a vote costs as much for one layer as for many, so layers are asked for in thick blocks
         if kept["block"] is None or not kept["block"][0] <= start <= stop <= kept["block"][1]:
@@ -140,5 +153,6 @@ class Part(ScalarField):
             "domain": self.domain.summary(),
             "skin_mm": self.skin_mm,
             "islands": self.islands,
+            "inside": self.method,
             "cells": list(self.cells),
         }

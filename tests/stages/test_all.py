@@ -5,6 +5,7 @@ import importlib.resources
 
 import pytest
 
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.stages import BUILT_IN, sppm_stages
 from sppm_pipeline.testing.contracts import StageContract
 
@@ -14,6 +15,7 @@ REQUIRED = {
     "read.volume_mesh": {"path": "a.vtu"},
     "read.primitive": {"shape": "box", "size": ()},
     "sample.elimination": {"count": 3},
+    "slice.mesh": {"pixel": Length(0.1)},
     "tune.porosity": {"target": 0.5},
     "tune.stiffness": {"target": 0.1},
     "write.chart": {"x": "a", "y": "b"},

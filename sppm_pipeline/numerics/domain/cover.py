@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
-from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
+from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside, way_for
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.surface.orientation import orient
 
 __all__ = ["cells_touched"]
 
@@ -28,25 +29,32 @@ def cells_touched(
     ----------
     vertices : (n, 3) floats
     faces : (m, 3) integers
-        Wound outwards.
+        Wound outwards, if they bound a solid; others are turned first.
     origin : (3,) float64
         Low corner of cell (0, 0, 0).
     edge : float
     shape : tuple of 3 ints
     closed : bool
-        Whether the mesh bounds a solid, see `prepare_inside`.
+        Whether the mesh bounds a solid (`EdgeCounts.bounds_solid`).
 
     Returns
     -------
     (nx, ny, nz) bool
     """
     points = np.ascontiguousarray(vertices, np.float64)
-    centre = Grid(tuple(float(o) + edge / 2 for o in origin), (edge,) * 3, shape)  # type: ignore[arg-type]
-    # a cell that no triangle touches lies wholly inside or outside, so its centre decides
-    inside = inside_layers(prepare_inside(points, faces, centre, closed), 0, shape[2]).mask.transpose(2, 1, 0)
+    if not closed:
+        faces = orient(points, np.asarray(faces, np.int32)).faces
+    # a cell that no triangle touches lies wholly inside or outside, so its centre decides; but where a mesh is open,
+    # the border of the inside runs through cells without a triangle
+    n = 1 if closed else 4
+    (nx, ny, nz), h = (n * s for s in shape), edge / n
+    x, y, z = (float(o) + h / 2 for o in origin)
+    samples = Grid((x, y, z), (h, h, h), (nx, ny, nz))
+    found = inside_layers(prepare_inside(points, faces, samples, way_for(closed)), 0, nz).mask.transpose(2, 1, 0)
+    inside = found.reshape(shape[0], n, shape[1], n, shape[2], n).any(axis=(1, 3, 5))
     touched = np.zeros(shape, np.bool_)
     _touch(points[np.asarray(faces, np.int64)], np.asarray(origin, np.float64), edge, touched)
-    touched |= inside.astype(bool)
+    touched |= inside
     return touched
 
 

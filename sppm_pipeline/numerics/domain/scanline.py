@@ -63,11 +63,14 @@ class Occupancy(NamedTuple):
     open_rays : int
         How many of them do not leave as often as they enter. 0 for a closed mesh that is wound consistently; the
         caller decides from the share what is still acceptable.
+    undecided : int
+        Voxels about which rays or winding number are not of one mind.
     """
 
     mask: NDArray[np.uint8]
     crossed_rays: int
     open_rays: int
+    undecided: int = 0
 
 
 def prepare_scan(vertices: ArrayLike, faces: ArrayLike, grid: Grid, axis: int = 0) -> Scan:

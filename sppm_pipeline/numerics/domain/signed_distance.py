@@ -4,7 +4,7 @@ Every triangle writes its exact distance to the samples within two spacings of i
 handed from sample to sample in eight sweeps, and each sample keeps the exact distance to the best triangle it was
 offered (closest-point propagation, as in Bridson 2015, "Fluid Simulation for Computer Graphics", chapter 4). Beyond the
 band a sample may miss its nearest triangle by a neighbouring one, which errs by a small fraction of the spacing. The
-sign comes from signed scanlines, so overlapping shells count once.
+sign is that of the voxels of layers, from the same function; where shells overlap they count once.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
-from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
+from sppm_pipeline.numerics.domain.inside import Method, inside_layers, prepare_inside
+from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
 from sppm_pipeline.numerics.grid import Grid
 
 __all__ = ["signed_distance"]
 
 
 def signed_distance(
-    vertices: ArrayLike, faces: ArrayLike, grid: Grid, reach: float, closed: bool = True
+    vertices: ArrayLike, faces: ArrayLike, grid: Grid, reach: float, method: Method = "scanline"
 ) -> NDArray[np.float32]:
     """Distance of the samples of a grid from a closed mesh, negative inside, up to a reach.
 
@@ -33,8 +34,8 @@ def signed_distance(
     grid : Grid
     reach : float
         Distances are sought up to here; what lies further off gets the reach itself, with its sign.
-    closed : bool
-        Whether the mesh bounds a solid, see `prepare_inside`.
+    method : Method
+        How the sign is told, see `prepare_inside`.
 
     Returns
     -------
@@ -50,38 +51,9 @@ def signed_distance(
     if reach > 2 * min(grid.spacing):
         _sweep(triangles, origin, spacing, squared, nearest)
     distance = np.sqrt(squared, out=squared)
-    inside = inside_layers(prepare_inside(points, faces, grid, closed), 0, nz).mask
+    inside = inside_layers(prepare_inside(points, faces, grid, method), 0, nz).mask
     np.negative(distance, out=distance, where=inside.view(bool))
     return distance
-
-
-@kernel
-def _squared_to_triangle(t: NDArray[np.float64], x: float, y: float, z: float) -> float:
-    """Squared distance of a point from triangle (3, 3): the foot lies inside, on an edge or at a corner."""
-    ax, ay, az = t[0, 0], t[0, 1], t[0, 2]
-    ux, uy, uz = t[1, 0] - ax, t[1, 1] - ay, t[1, 2] - az
-    vx, vy, vz = t[2, 0] - ax, t[2, 1] - ay, t[2, 2] - az
-    px, py, pz = x - ax, y - ay, z - az
-    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
-    pu, pv = px * ux + py * uy + pz * uz, px * vx + py * vy + pz * vz
-    det = uu * vv - uv * uv
-    s, r = vv * pu - uv * pv, uu * pv - uv * pu
-    if det > 0.0 and s >= 0.0 and r >= 0.0 and s + r <= det:
-        s, r = s / det, r / det
-        dx, dy, dz = px - s * ux - r * vx, py - s * uy - r * vy, pz - s * uz - r * vz
-        return float(dx * dx + dy * dy + dz * dz)
-    best = np.inf
-    for e in range(3):
-        b = (e + 1) % 3
-        ex, ey, ez = t[b, 0] - t[e, 0], t[b, 1] - t[e, 1], t[b, 2] - t[e, 2]
-        qx, qy, qz = x - t[e, 0], y - t[e, 1], z - t[e, 2]
-        length = ex * ex + ey * ey + ez * ez
-        share = 0.0
-        if length > 0.0:
-            share = min(1.0, max(0.0, (qx * ex + qy * ey + qz * ez) / length))
-        dx, dy, dz = qx - share * ex, qy - share * ey, qz - share * ez
-        best = min(best, dx * dx + dy * dy + dz * dz)
-    return best
 
 
 @kernel
@@ -105,7 +77,7 @@ def _near_band(
         for k in range(low[2], high[2]):
             for j in range(low[1], high[1]):
                 for i in range(low[0], high[0]):
-                    d = _squared_to_triangle(
+                    d = squared_to_triangle(
                         t, origin[0] + i * spacing[0], origin[1] + j * spacing[1], origin[2] + k * spacing[2]
                     )
                     if d < squared[k, j, i]:
@@ -140,7 +112,7 @@ def _sweep(
                         if f < 0 or f == last or f == nearest[k, j, i]:
                             continue
                         last = f
-                        d = _squared_to_triangle(
+                        d = squared_to_triangle(
                             triangles[f],
                             origin[0] + i * spacing[0],
                             origin[1] + j * spacing[1],

@@ -49,7 +49,8 @@ def vote_layers(
     Returns
     -------
     Occupancy
-        The rays of all three axes are counted; those along z with every slab.
+        The rays of all three axes are counted; those along z with every slab. Undecided are voxels with two to four
+        of the six ballots.
     """
     n_x, n_y, n_z = scan.x.shape
     if not 0 <= start <= stop <= n_z:
@@ -69,4 +70,5 @@ def vote_layers(
     votes += along_y.transpose(0, 2, 1)
     votes += along_z.transpose(2, 0, 1)
     mask = (votes > 3).view(np.uint8)
-    return Occupancy(mask, sum(c for c, _ in counts), sum(o for _, o in counts))
+    split = int(np.count_nonzero((votes > 1) & (votes < 5)))
+    return Occupancy(mask, sum(c for c, _ in counts), sum(o for _, o in counts), split)

@@ -9,6 +9,7 @@ from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
+from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -16,10 +17,13 @@ from sppm_pipeline.stage import Context, Stage, option
 class ImplicitFill(Stage):
     """Intersect the implicit fields of the microstructure and of the part (paper, "Mesh-free Slicing").
 
-    Nothing is computed here; layers, meshes and pictures evaluate the part where they need it.
+    The field is not evaluated here; layers, meshes and pictures evaluate the part where they need it. A part that is
+    not closed is judged on a coarse grid: its triangles are wound outwards, and it is filled where its winding number
+    is above one half, or refused if too much of it is near one half.
     """
 
     name: ClassVar[str] = "fill.implicit"
+    version: ClassVar[int] = 2
 
     skin: Length | None = option(
         None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0
@@ -27,8 +31,10 @@ class ImplicitFill(Stage):
     islands: str = option(
         "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
     )
+    inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> Part:
         """Put the two together."""
         field.physical_edge()
-        return Part(field, domain, self.skin.mm() if self.skin else 0.0, self.islands)
+        domain, method = judged(context, domain, self.inside)
+        return Part(field, domain, self.skin.mm() if self.skin else 0.0, self.islands, method)

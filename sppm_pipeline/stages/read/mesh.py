@@ -24,12 +24,6 @@ FARTHEST, SMALLEST = 1e9, 1e-6
 FLAT = 1e-9
 """A part is flat if it is thinner than this share of its size, or encloses less than this share of its box."""
 
-PROBED = 64
-"""Samples along the longest side when it is found out how open a mesh is."""
-
-MOST_OPEN = 0.3
-"""Share of rays that do not leave a mesh as often as they enter it; above, what is inside is guesswork."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ReadMesh(Stage):
@@ -64,9 +58,9 @@ class ReadMesh(Stage):
     )
     accept: str = option(
         "closed",
-        help="closed: refuse a mesh with holes or faces wound against each other; any: fill what a vote of rays along "
-        "x, y and z calls inside, with a warning; broken: hand on whatever it is, to a stage that repairs it",
-        choices=("closed", "any", "broken"),
+        help="closed: refuse a mesh with holes or faces wound against each other; any: pass it on with a warning, "
+        "for `check.mesh` to say what is wrong, or for `fill.implicit` to judge whether it can be filled all the same",
+        choices=("closed", "any"),
     )
 
     def check_options(self) -> None:
@@ -115,21 +109,11 @@ class ReadMesh(Stage):
             )
             if self.accept == "closed":
                 raise InputError(
-                    message, hint="repair the mesh, or give `accept: any` to let rays along x, y and z vote"
+                    message,
+                    hint="repair the mesh; or give `accept: any`, to have `check.mesh` say what is wrong, "
+                    "or `fill.implicit` judge whether it can be filled all the same",
                 )
-            if self.accept == "broken":
-                context.warn(message)
-                return SurfaceMesh(vertices, faces.astype(np.int32), name=self.path.name)
-            share = _open_share(vertices, faces)
-            context.report(open_rays_share=share)
-            if share > MOST_OPEN:
-                raise InputError(
-                    f"{message}; {share:.0%} of the rays through it do not leave it as often as they enter, "
-                    f"so that nobody can tell inside from outside (accepted are up to {MOST_OPEN:.0%})",
-                    hint="repair the mesh: close its holes and wind its faces consistently; `accept: broken` hands it "
-                    "on to a stage that does, such as mesh.repair of the plugin sppm-pymeshlab",
-                )
-            context.warn(f"{message}; {share:.1%} of the rays through it do not close, a vote decides what is inside")
+            context.warn(message)
         elif abs(enclosed) <= FLAT * float((upper - lower).prod()):
             raise InputError(
                 f"{self.path.name} encloses nothing: its volume is {enclosed:g} mm3",
@@ -163,17 +147,3 @@ def _box(
     if not extent.min() > FLAT * extent.max():
         raise InputError(f"{name} is flat: its size is {shown} mm", hint="a part encloses a volume")
     return lower, upper
-
-
-def _open_share(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> float:
-    """Share of rays along x, y and z that do not leave the mesh as often as they enter it."""
-    from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
-    from sppm_pipeline.numerics.grid import Grid
-
-    used = vertices[np.unique(faces)]
-    lower, upper = used.min(0), used.max(0)
-    h = float((upper - lower).max()) / PROBED
-    nx, ny, nz = (max(1, round(float(v))) for v in (upper - lower) / h)
-    x, y, z = ((lower + upper - (np.array([nx, ny, nz]) - 1) * h) / 2).tolist()
-    probe = inside_layers(prepare_inside(vertices, faces, Grid((x, y, z), (h,) * 3, (nx, ny, nz)), False), 0, nz)
-    return probe.open_rays / max(1, probe.crossed_rays)

@@ -1,0 +1,61 @@
+"""``slice.mesh``: layers of any mesh."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.mesh_slices import MeshSlices
+from sppm_pipeline.data.slices import SliceStack
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
+from sppm_pipeline.stage import Context, Stage, option
+
+MOST_PIXELS = 2**31
+"""Pixels of a layer; more are a mistaken unit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SliceMesh(Stage):
+    """Cut a mesh into layers, each at its mid-height: a pixel is solid if its middle lies in the mesh.
+
+    Shells that overlap are united. Layers are computed while they are written; memory does not grow with their number.
+    A mesh that is not closed is judged as `fill.implicit` does.
+    """
+
+    name: ClassVar[str] = "slice.mesh"
+
+    pixel: Length = option(help="pixel pitch", unit="mm", above=0)
+    layer: Length | None = option(None, help="layer height; the pixel pitch if omitted", unit="mm", above=0)
+    anchor: str = option(
+        "part",
+        help="where pixels and layers are counted from: the low corner of the part, or the origin of the coordinates, "
+        "so that several parts share one grid",
+        choices=("part", "origin"),
+    )
+    grey: int = option(
+        1, help="samples along a pixel's edge for grey by area coverage; 1 for black and white", minimum=1, maximum=16
+    )
+    inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
+
+    def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:
+        """Judge the mesh and place the pixels; no layer is computed yet."""
+        mesh, method = judged(context, mesh, self.inside)
+        pixel = self.pixel.mm()
+        layer = self.layer.mm() if self.layer is not None else pixel
+        pitch = (pixel, pixel, layer)
+        start = mesh.lower.tolist() if self.anchor == "part" else [0.0, 0.0, 0.0]
+        # whole pixels; a millionth of one is rounding, not part
+        first = [math.floor((v - s) / h + 1e-6) for v, s, h in zip(mesh.lower, start, pitch, strict=True)]
+        last = [math.ceil((v - s) / h - 1e-6) for v, s, h in zip(mesh.upper, start, pitch, strict=True)]
+        nx, ny, nz = (max(1, b - a) for a, b in zip(first, last, strict=True))
+        if nx * ny * self.grey**2 > MOST_PIXELS:
+            raise DesignError(
+                f"a layer would have {nx} x {ny} pixels of {pixel:g} mm, {self.grey} x {self.grey} samples each",
+                hint="take a larger `pixel`, or check the unit of the mesh",
+            )
+        x, y, z = (s + a * h for s, a, h in zip(start, first, pitch, strict=True))
+        return MeshSlices(mesh, pixel, layer, (x, y, z), (nx, ny, nz), method, self.grey)

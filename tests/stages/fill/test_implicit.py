@@ -1,0 +1,67 @@
+"""What becomes of parts that are whole, inside out, open or hopeless."""
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh
+from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.stages.fill.implicit import ImplicitFill
+from sppm_pipeline.testing.plain_context import PlainContext
+
+GRID = cell_centres(12, (4, 3, 3))
+
+
+def filled(field, mesh, **options):
+    context = PlainContext()
+    return ImplicitFill(**options).run(context, field, mesh), context
+
+
+def test_a_closed_part_is_taken_as_it_is(wang_tiling, ball):
+    part, context = filled(wang_tiling, ball)
+    assert part.domain is ball
+    assert context.reported == {"inside": "scanline", "closed": True, "turned_triangles": 0}
+    assert not context.warnings
+    assert part.summary()["inside"] == "scanline"
+
+
+def test_shells_that_are_inside_out_are_turned_but_hollows_are_not(wang_tiling, ball):
+    v, f = ball_mesh((5.0, 5.0, 5.0), 2.0, 2)
+    hollow = SurfaceMesh(
+        np.concatenate([ball.vertices, v]), np.concatenate([ball.faces, f[:, ::-1] + len(ball.vertices)])
+    )
+    expected, context = filled(wang_tiling, hollow)
+    assert not context.warnings
+    assert expected.domain is hollow
+    turned, context = filled(wang_tiling, SurfaceMesh(hollow.vertices, hollow.faces[:, ::-1]))
+    assert "turned" in context.warnings[0]
+    assert np.array_equal(turned.solid(GRID), expected.solid(GRID))
+
+
+@pytest.mark.parametrize("inside", ["auto", "winding", "vote"])
+@pytest.mark.parametrize("skin", [None, Length(0.7)])
+def test_an_open_part_wound_at_random_is_filled_with_a_warning(wang_tiling, ball, inside, skin):
+    whole, _ = filled(wang_tiling, ball, skin=skin)
+    faces = ball.faces[3:]
+    faces = np.where(np.random.default_rng(0).random(len(faces))[:, None] < 0.4, faces[:, ::-1], faces)
+    part, context = filled(wang_tiling, SurfaceMesh(ball.vertices, faces, name="scan.ply"), inside=inside, skin=skin)
+    assert part.method == ("vote" if inside == "vote" else "winding")
+    assert context.reported["closed"] is False
+    assert 0 < context.reported["undecided_share"] < 0.05
+    assert context.reported["disagreement"] < 0.02
+    assert "scan.ply is not closed" in context.warnings[-1]
+    solid = part.solid(GRID)
+    assert np.mean(solid != whole.solid(GRID)) < 0.005
+    assert np.array_equal(part.sample(GRID) < 0, solid) or skin is not None
+
+
+def test_a_hopeless_part_is_refused(wang_tiling):
+    rng = np.random.default_rng(0)
+    soup = SurfaceMesh(3 + 6 * rng.random((120, 3)), np.arange(120).reshape(40, 3), name="soup.stl")
+    with pytest.raises(InputError, match=r"soup.stl is not closed.*inside from outside") as caught:
+        filled(wang_tiling, soup)
+    assert "repair" in caught.value.hint
+    with pytest.raises(InputError, match="no triangles"):
+        filled(wang_tiling, SurfaceMesh(np.zeros((0, 3)), np.zeros((0, 3), int)))
