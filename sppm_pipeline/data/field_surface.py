@@ -101,12 +101,16 @@ class FieldSurface:
         out. On the grid of a lone periodic cell components are found on the torus, so that opposite faces stay equal.
     caps : bool
         Whether the surface is closed where the solid meets the border of the grid.
+    cut : bool
+        Whether a part ends at the surface of its domain. Otherwise it ends at least a voxel outside of it, without
+        regard to shape, and is there to be cut by the mesh of the domain; `islands` are then to be kept.
     """
 
     source: ScalarField
     grid: Grid
     islands: str = "remove"
     caps: bool = True
+    cut: bool = True
     _found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def mesh(self, threads: int = 1, progress: Callable[[float, float], None] | None = None) -> Mesh:
@@ -126,7 +130,7 @@ class FieldSurface:
 
         origin, spacing, (_, _, nz) = self.grid
         slabs = self.slabs(threads)
-        if not isinstance(self.source, Part):
+        if not (isinstance(self.source, Part) and self.cut):
             values = (slab.values for slab in _told(slabs, nz, progress))
             if self.caps:
                 yield from capped_marching_cubes_slabs(values, 0.0, origin, spacing)
@@ -194,12 +198,34 @@ class FieldSurface:
         nx, ny, nz = self.grid.shape
         step = max(2, SLAB_SAMPLES // (nx * ny))
         for start in range(0, nz, step):
-            stop = min(start + step, nz)
-            if isinstance(self.source, Part):
-                apart = self.source.sample_apart(self.grid, threads, start, stop)
-                yield SampledSlab(start, np.maximum(*apart), apart)
-            else:
-                yield SampledSlab(start, self.source.sample_layers(self.grid, start, stop, threads), None)
+            yield self._planes(start, min(start + step, nz), threads)
+
+    def _planes(self, start: int, stop: int, threads: int) -> SampledSlab:
+        if not isinstance(self.source, Part):
+            return SampledSlab(start, self.source.sample_layers(self.grid, start, stop, threads), None)
+        inner, outer = self.source.sample_apart(self.grid, threads, start, stop)
+        if self.cut:
+            return SampledSlab(start, np.maximum(inner, outer), (inner, outer))
+        # All nodes a voxel or more outside are void, by so little that the surface lies at them: a point of the domain
+        # is nearer than that to some corner of its cube of nodes, so the surface never passes through the domain.
+        outside = outer >= (1 - 1e-4) * self.grid.spacing[0]
+        outside &= inner < 0
+        np.copyto(inner, np.float32(1e-30), where=outside)
+        return SampledSlab(start, inner, None)
+
+    def expected_triangles(self, threads: int = 1, layers: int = 24) -> int:
+        """About how many triangles the surface will have, from some layers of cubes spread over the grid."""
+        from sppm_pipeline.numerics.surface.sign_words import pack_signs, slab_counts
+
+        nx, ny, nz = self.grid.shape
+        looked = sorted({round((i + 0.5) * (nz - 1) / layers - 0.5) for i in range(layers)})
+        vertices = 0
+        for start in looked:
+            values = self._planes(start, start + 2, threads).values
+            words = np.empty((2, ny, -(-nx // 64)), np.uint64)
+            pack_signs(values, np.float32(0), words)
+            vertices += slab_counts(words, nx, False)[0]
+        return int(2 * vertices * (nz - 1) / len(looked))  # a closed surface has two triangles for each vertex
 
     def findings(self) -> dict[str, Any]:
         """What was removed; known after the slabs were read."""

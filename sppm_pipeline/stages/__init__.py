@@ -26,6 +26,8 @@ BUILT_IN = {
     "tile.corner_colors": "CornerColorsTiling",
     "tile.fresh": "FreshTiling",
     "fill.implicit": "ImplicitFill",
+    "fill.boolean": "BooleanFill",
+    "fill.combine": "Combine",
     "extract.marching_cubes": "MarchingCubes",
     "check.connectivity": "CheckConnectivity",
     "check.porosity": "CheckPorosity",

@@ -12,6 +12,7 @@ REQUIRED = {
     "read.mesh": {"path": "a.stl"},
     "read.primitive": {"shape": "box", "size": ()},
     "sample.elimination": {"count": 3},
+    "fill.combine": {"operation": "union"},
     "tune.porosity": {"target": 0.5},
     "write.chart": {"x": "a", "y": "b"},
 }

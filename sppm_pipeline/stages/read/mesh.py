@@ -59,6 +59,7 @@ class ReadMesh(Stage):
     def run(self, context: Context) -> SurfaceMesh:
         """Read the file."""
         from sppm_pipeline.formats.detect import decode_mesh
+        from sppm_pipeline.numerics.rotation import rotation
         from sppm_pipeline.numerics.surface.measures import edge_counts, volume
 
         try:
@@ -71,7 +72,7 @@ class ReadMesh(Stage):
                 f"cannot read {self.path}: {error.strerror or error}", hint="check the path and the permissions"
             ) from error
         vertices, faces = decode_mesh(data, self.path.name)
-        vertices = vertices * UNITS_IN_MM[self.unit] @ _rotation(self.turn).T
+        vertices = vertices * UNITS_IN_MM[self.unit] @ rotation(self.turn).T
         used = vertices[np.unique(faces)]
         lower, upper = used.min(0), used.max(0)
         extent = upper - lower
@@ -122,17 +123,3 @@ def _open_share(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> fl
     x, y, z = ((lower + upper - (np.array([nx, ny, nz]) - 1) * h) / 2).tolist()
     probe = inside_layers(prepare_inside(vertices, faces, Grid((x, y, z), (h,) * 3, (nx, ny, nz)), False), 0, nz)
     return probe.open_rays / max(1, probe.crossed_rays)
-
-
-def _rotation(degrees: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Turn about x, then y, then z; quarter turns are exact."""
-    total = np.eye(3)
-    for axis, angle in enumerate(degrees):
-        quarter = angle % 360
-        exact = {0.0: (1.0, 0.0), 90.0: (0.0, 1.0), 180.0: (-1.0, 0.0), 270.0: (0.0, -1.0)}
-        c, s = exact.get(quarter, (float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))))
-        turn = np.eye(3)
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
-        total = turn @ total
-    return total
