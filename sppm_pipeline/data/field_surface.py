@@ -78,13 +78,13 @@ class SampledSlab(NamedTuple):
         Number of the first plane.
     values : (planes, ny, nx) float32
         Negative in the solid.
-    apart : pair of (planes, ny, nx) float32, or None
-        Of a part the fields whose larger one `values` is.
+    apart : tuple of (planes, ny, nx) float32, or None
+        Of a part: the fields of the microstructure, of the domain, and of the skin if there is one.
     """
 
     start: int
     values: NDArray[np.float32]
-    apart: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    apart: tuple[NDArray[np.float32], ...] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ class FieldSurface:
 
         origin, spacing, (_, _, nz) = self.grid
         slabs = self.slabs(threads)
-        if not (isinstance(self.source, Part) and self.cut):
+        if not isinstance(self.source, Part):
             values = (slab.values for slab in _told(slabs, nz, progress))
             if self.caps:
                 yield from capped_marching_cubes_slabs(values, 0.0, origin, spacing)
@@ -150,13 +150,12 @@ class FieldSurface:
         for vertices, faces in marching_cubes_slabs(values_of_part(), 0.0, origin, spacing):
             slab = current.pop()
             assert slab.apart is not None
-            if below is None:
-                first, second = slab.apart
-            else:
-                first, second = (np.concatenate(pair) for pair in zip(below, slab.apart, strict=True))
+            fields = slab.apart
+            if below is not None:
+                fields = tuple(np.concatenate(pair) for pair in zip(below, slab.apart, strict=True))
             start = slab.start - (below is not None)
             below = tuple(part[-1:].copy() for part in slab.apart)
-            yield on_both_fields(vertices, first, second, self.grid, start), faces
+            yield on_both_fields(vertices, fields[0], fields[1], self.grid, start, *fields[2:]), faces
 
     def slabs(self, threads: int = 1) -> Iterator[SampledSlab]:
         """The samples, without islands if they are to be removed."""
@@ -203,15 +202,16 @@ class FieldSurface:
     def _planes(self, start: int, stop: int, threads: int) -> SampledSlab:
         if not isinstance(self.source, Part):
             return SampledSlab(start, self.source.sample_layers(self.grid, start, stop, threads), None)
-        inner, outer = self.source.sample_apart(self.grid, threads, start, stop)
-        if self.cut:
-            return SampledSlab(start, np.maximum(inner, outer), (inner, outer))
-        # All nodes a voxel or more outside are void, by so little that the surface lies at them: a point of the domain
-        # is nearer than that to some corner of its cube of nodes, so the surface never passes through the domain.
-        outside = outer >= (1 - 1e-4) * self.grid.spacing[0]
-        outside &= inner < 0
-        np.copyto(inner, np.float32(1e-30), where=outside)
-        return SampledSlab(start, inner, None)
+        inner, skin, outer = self.source.sample_fields(self.grid, threads, start, stop)
+        if not self.cut:
+            # All nodes a voxel or more outside are void, by so little that the surface lies at them: a point of the
+            # domain is nearer than that to some corner of its cube of nodes, so the surface never passes through the
+            # domain.
+            outside = outer >= (1 - 1e-4) * self.grid.spacing[0]
+            outer = np.where(outside, np.float32(1e-30), np.float32(-1e30))
+        united = inner if skin is None else np.minimum(inner, skin)
+        fields = (inner, outer) if skin is None else (inner, outer, skin)
+        return SampledSlab(start, np.maximum(united, outer), fields)
 
     def expected_triangles(self, threads: int = 1, layers: int = 24) -> int:
         """About how many triangles the surface will have, from some layers of cubes spread over the grid."""

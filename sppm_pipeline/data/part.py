@@ -91,15 +91,27 @@ class Part(ScalarField):
         The distance is cut off one spacing from the surface of the domain; with a skin, as much farther as that is
         thick. Layers start <= k < stop of the grid, all of them unless given.
         """
+        inner, skin, outer = self.sample_fields(grid, threads, start, stop)
+        if skin is not None:
+            # farther in, the microstructure decides alone; a distance cut off would lie between
+            deep = outer <= np.float32(-0.999 * (self.skin_mm / self.physical_edge() + max(grid.spacing)))
+            np.minimum(inner, skin, out=inner, where=~deep)
+        return inner, outer
+
+    def sample_fields(
+        self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32]]:
+        """The fields of the microstructure, of the skin (None without one) and of the domain; see `sample_apart`.
+
+        Solid is where the domain's field is negative and one of the other two as well. Those of the domain and of the
+        skin are distances in cell edges; that of the microstructure is steeper or flatter.
+        """
         stop = grid.shape[2] if stop is None else stop
-        values = self.field.sample_layers(grid, start, stop, threads)
+        inner = self.field.sample_layers(grid, start, stop, threads)
         outer = self._distance(grid, start, stop)
         edge = np.float32(self.physical_edge())
         outer /= edge
-        if self.skin_mm:
-            # inside the skin the field does not matter: solid where the surface is nearer than the skin is thick
-            np.minimum(values, -np.float32(self.skin_mm) / edge - outer, out=values)
-        return values, outer
+        return inner, -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None, outer
 
     def _distance(self, grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
         """Signed distance from the domain for layers of `grid`, mm.

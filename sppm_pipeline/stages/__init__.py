@@ -29,6 +29,7 @@ BUILT_IN = {
     "fill.boolean": "BooleanFill",
     "fill.combine": "Combine",
     "extract.marching_cubes": "MarchingCubes",
+    "extract.manifold_sdf": "ManifoldSdf",
     "check.connectivity": "CheckConnectivity",
     "check.porosity": "CheckPorosity",
     "check.residual_periodicity": "CheckResidualPeriodicity",

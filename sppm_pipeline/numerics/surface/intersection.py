@@ -2,7 +2,8 @@
 
 The intersection of two fields is their maximum, and marching cubes finds its topology. But the maximum mixes, at the
 two ends of a grid edge, values of fields of different size, so its interpolated zero lies where neither field has one.
-Here every vertex is put where, going from the solid end, the first of the two fields reaches its zero.
+Here every vertex is put where, going from the solid end, the first of the two fields reaches its zero. With a third
+solid, united with the first one beforehand, that is where the last of the two has its zero.
 """
 
 from __future__ import annotations
@@ -23,19 +24,22 @@ def on_both_fields(
     second: NDArray[np.float32],
     grid: Grid,
     start: int = 0,
+    third: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float64]:
     """Move the vertices of the surface of ``max(first, second) = 0`` along their grid edges.
+
+    With a third field, of that of ``max(min(first, third), second) = 0``.
 
     Parameters
     ----------
     vertices : (n, 3) float64
         As marching cubes gives them, each inside a grid edge; others, on caps at the border, stay.
-    first, second : (planes, ny, nx) float32
+    first, second, third : (planes, ny, nx) float32
         Fields, negative inside their solids; their sizes need not have anything to do with each other.
     grid : Grid
         Where the fields were sampled.
     start : int
-        The plane of the grid that comes first in `first` and `second`; vertices beyond their planes stay.
+        The plane of the grid that comes first in the fields; vertices beyond their planes stay.
 
     Returns
     -------
@@ -46,6 +50,7 @@ def on_both_fields(
         moved,
         np.ascontiguousarray(first, np.float32),
         np.ascontiguousarray(second, np.float32),
+        np.ascontiguousarray(np.empty((0, 0, 0)) if third is None else third, np.float32),
         np.array(grid.origin),
         np.array(grid.spacing),
         np.array([0, 0, start]),
@@ -54,11 +59,13 @@ def on_both_fields(
 
 
 @kernel
-def _crossing(solid: float, void: float) -> float:
-    """Where, as a share of the way from the solid end, a field reaches its zero; 1 if it does not."""
-    if solid < 0.0 <= void:
-        return solid / (solid - void)
-    return 1.0
+def _leaves(solid: float, void: float) -> float:
+    """Where, as a share of the way, a field leaves its solid: -1 if it never is in it, 2 if it does not leave."""
+    if not solid < 0.0:
+        return -1.0
+    if void < 0.0:
+        return 2.0
+    return solid / (solid - void)
 
 
 @kernel
@@ -66,6 +73,7 @@ def _move(
     vertices: NDArray[np.float64],
     first: NDArray[np.float32],
     second: NDArray[np.float32],
+    third: NDArray[np.float32],
     origin: NDArray[np.float64],
     spacing: NDArray[np.float64],
     start: NDArray[np.int64],
@@ -92,9 +100,12 @@ def _move(
         kk, jj, ii = beyond[2], beyond[1], beyond[0]
         f0, f1 = np.float64(first[k, j, i]), np.float64(first[kk, jj, ii])
         s0, s1 = np.float64(second[k, j, i]), np.float64(second[kk, jj, ii])
-        if f0 < 0.0 and s0 < 0.0:
-            share = min(_crossing(f0, f1), _crossing(s0, s1))
+        t0, t1 = 0.0, 0.0
+        if third.size > 0:
+            t0, t1 = np.float64(third[k, j, i]), np.float64(third[kk, jj, ii])
+        if s0 < 0.0 and (f0 < 0.0 or t0 < 0.0):
+            share = min(max(_leaves(f0, f1), _leaves(t0, t1)), _leaves(s0, s1))
         else:
-            share = 1.0 - min(_crossing(f1, f0), _crossing(s1, s0))
+            share = 1.0 - min(max(_leaves(f1, f0), _leaves(t1, t0)), _leaves(s1, s0))
         share = min(max(share, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
         vertices[v, axis] = origin[axis] + (node[axis] + start[axis] + share) * spacing[axis]

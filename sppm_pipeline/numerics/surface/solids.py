@@ -60,7 +60,7 @@ def run_boolean(
     def solid(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> manifold3d.Manifold:
         # the binding takes no read-only arrays, though it only reads them
         return manifold3d.Manifold(
-            manifold3d.Mesh64(np.require(vertices, np.float64, ("C", "W")), faces.astype(np.uint64))
+            manifold3d.Mesh64(np.require(vertices, np.float64, ("C", "W")), faces.astype(np.uint64, order="C"))
         )
 
     operands = [solid(first_vertices, first_faces), solid(second_vertices, second_faces)]

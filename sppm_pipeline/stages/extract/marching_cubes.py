@@ -84,8 +84,7 @@ def _by_reference(surface: FieldSurface, context: Context) -> tuple[NDArray[np.f
     padded = np.pad(np.concatenate([slab.values for slab in slabs]), 1, constant_values=1.0)
     vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
     if isinstance(surface.source, Part):
-        first, second = (
-            np.concatenate([slab.apart[which] for slab in slabs if slab.apart is not None]) for which in (0, 1)
-        )
-        vertices = on_both_fields(vertices, first, second, grid)
+        fields = zip(*(slab.apart for slab in slabs if slab.apart is not None), strict=True)
+        first, second, *skin = (np.concatenate(planes) for planes in fields)
+        vertices = on_both_fields(vertices, first, second, grid, 0, *skin)
     return vertices, faces
