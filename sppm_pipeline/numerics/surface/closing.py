@@ -82,7 +82,18 @@ def capped_marching_cubes(
     if np.ndim(field) != 3 or min(np.shape(field)) < 2:
         raise ValueError(f"marching cubes need at least 2 x 2 x 2 samples, not an array of shape {np.shape(field)}")
     slabs = (field[k : k + _PLANES_AT_ONCE] for k in range(0, field.shape[0], _PLANES_AT_ONCE))
-    return joined_mesh(capped_marching_cubes_slabs(slabs, level, origin, spacing, border=border, axes=axes))
+    pieces = capped_marching_cubes_slabs(slabs, level, origin, spacing, border=border, axes=axes)
+    return joined_mesh(pieces, lambda: _expected(field, level))
+
+
+def _expected(field: NDArray[np.float32], level: float) -> tuple[int, int]:
+    """About how many vertices and faces the capped surface has, from where some of the planes change sign along x."""
+    some = field[:: max(1, field.shape[0] // 12)] < np.float32(level)
+    crossed = np.count_nonzero(some[:, :, 1:] != some[:, :, :-1]) + 4 * np.count_nonzero(
+        some[:, :, :: field.shape[2] - 1]
+    )
+    vertices = int(1.1 * 3 * crossed * field.shape[0] / len(some))
+    return vertices, 2 * vertices
 
 
 def capped_marching_cubes_slabs(
