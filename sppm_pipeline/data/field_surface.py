@@ -18,7 +18,7 @@ from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["FEWEST", "MOST", "FieldSurface", "SampledSlab", "node_grid", "voxels_along_edge"]
+__all__ = ["FEWEST", "MOST", "FieldSurface", "SampledSlab", "node_grid", "on_torus", "voxels_along_edge"]
 
 SLAB_SAMPLES = 2**20
 """Samples taken at a time; a slab holds at least two planes."""
@@ -51,6 +51,11 @@ def voxels_along_edge(field: ScalarField, resolution: int | None, spacing: Lengt
             hint="choose another `spacing`, or give `resolution` instead",
         )
     return n
+
+
+def on_torus(field: ScalarField) -> bool:
+    """Whether a field is a lone periodic cell, of which what touches a face goes on at the opposite one."""
+    return field.periodic and field.cells == (1, 1, 1) and not isinstance(field, Part)
 
 
 def node_grid(field: ScalarField, per_cell: int) -> Grid:
@@ -167,7 +172,7 @@ class FieldSurface:
         from sppm_pipeline.numerics.connectivity.runs import find_runs, stack_runs
 
         # on the torus the last node of an axis is the first one
-        torus = self.source.periodic and self.source.cells == (1, 1, 1) and not isinstance(self.source, Part)
+        torus = on_torus(self.source)
         nx, ny, nz = (n - torus for n in self.grid.shape)
         keep = nx * ny * nz * (3 if isinstance(self.source, Part) else 1) <= KEPT_SAMPLES
         kept: deque[SampledSlab] = deque()

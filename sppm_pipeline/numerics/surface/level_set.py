@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.surface.kissing import parted_vertices
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
 
 __all__ = ["lattice_bytes", "lattice_samples", "run_level_set"]
@@ -42,7 +43,7 @@ def run_level_set(
     Returns
     -------
     (vertices (n, 3) float64, faces (m, 3) int32)
-        Closed by the box, wound outwards.
+        Closed by the box, wound outwards; no two vertices at one place.
     status : str
         "NoError" if all is well.
     """
@@ -60,9 +61,15 @@ def run_level_set(
     made = manifold3d.Manifold.level_set(
         inside, box, spacing * (1 - 1e-9), 0.0, -1.0 if tolerance is None else tolerance
     )
+    if made.num_tri():
+        # read in anew, it loses the triangles without area that the extractor leaves
+        arrays = made.to_mesh64()
+        made = manifold3d.Manifold(manifold3d.Mesh64(np.array(arrays.vert_properties), np.array(arrays.tri_verts)))
     arrays = made.to_mesh64()
     vertices = np.array(arrays.vert_properties[:, :3], np.float64)
-    return (vertices, np.array(arrays.tri_verts, np.int32).reshape(-1, 3)), str(made.status().name)
+    faces = np.array(arrays.tri_verts, np.int32).reshape(-1, 3)
+    vertices = parted_vertices(vertices, faces, np.array(box[:3]), np.array(box[3:]))
+    return (vertices, faces), str(made.status().name)
 
 
 def lattice_samples(grid: Grid) -> int:

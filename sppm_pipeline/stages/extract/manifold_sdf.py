@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, node_grid, voxels_along_edge
+from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, node_grid, on_torus, voxels_along_edge
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
@@ -73,6 +73,8 @@ class ManifoldSdf(Stage):
         context.report(resolution=n, voxel=scale / n)
         if part is not None:
             made = self._cut(context, made, part, grid)
+        if not on_torus(field):
+            made = self._without_islands(context, made)
         if field.edge_mm is None:
             context.warn("the cell has no physical size: one cell edge is written as 1 mm")
         return SurfaceMesh(*made, name="surface")
@@ -96,7 +98,6 @@ class ManifoldSdf(Stage):
 
     def _cut(self, context: Context, made: Mesh, part: Part, grid: Grid) -> Mesh:
         """The domain of a part, less the voids in its core: what is within the domain but not within the skin."""
-        from sppm_pipeline.numerics.surface.bodies import find_shells, largest_body
         from sppm_pipeline.numerics.surface.solids import boolean
 
         domain = (part.domain.vertices, part.domain.faces)
@@ -111,15 +112,29 @@ class ManifoldSdf(Stage):
             made = boolean(domain, made, "difference", (names[1], "its void"))
         else:
             made = boolean(made, domain, "intersection", names)
+        return made
+
+    def _without_islands(self, context: Context, made: Mesh) -> Mesh:
+        from sppm_pipeline.numerics.surface.bodies import find_shells, largest_body
+
         shells = find_shells(*made)
         context.report(bodies=shells.bodies, cavities=shells.cavities)
-        return largest_body(*made, shells) if self.islands == "remove" else made
+        if self.islands == "keep":
+            return made
+        kept = largest_body(*made, shells)
+        context.report(removed_share=1 - float(find_shells(*kept).volumes.sum() / shells.volumes.sum()))
+        return kept
 
     def _samples(self, context: Context, field: ScalarField, grid: Grid) -> NDArray[np.float32]:
         """The field on the grid of half the spacing; of a part without its domain, which a Boolean adds."""
         half = _half(grid)
-        if isinstance(field, Part):
-            return field.field.sample(half, context.threads)  # what hangs on nothing is known after the Boolean
+        if not on_torus(field):
+            # what hangs on nothing is known when the surface is there
+            return (
+                field.field.sample(half, context.threads)
+                if isinstance(field, Part)
+                else field.sample(half, context.threads)
+            )
         surface = FieldSurface(field, half, self.islands)
         samples = np.concatenate([slab.values for slab in surface.slabs(context.threads)])
         context.report(**surface.findings())
