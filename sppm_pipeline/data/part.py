@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from sppm_pipeline.numerics.domain.inside import Method
 
 __all__ = ["Part"]
+
+DISTANCE_SAMPLES = 2**22
+"""Samples whose distance from the domain is found at a time."""
 
 VOTED_LAYERS = 64
 """Layers that are decided together where rays along all axes vote."""
@@ -86,25 +90,66 @@ class Part(ScalarField):
 
         Who extracts a surface takes both apart, as their sizes have nothing to do with each other.
         """
-        inner, outer = self.sample_apart(grid, threads)
+        return self.sample_layers(grid, 0, grid.shape[2], threads)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        inner, outer = self.sample_apart(grid, threads, start, stop)
         return np.maximum(inner, outer, out=inner)
 
-    def sample_apart(self, grid: Grid, threads: int = 1) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def sample_apart(
+        self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The microstructure's field, made solid inside the skin, and the distance from the domain in cell edges.
 
-        The distance is cut off one spacing from the surface of the domain.
+        The distance is cut off one spacing from the surface of the domain; with a skin, as much farther as that is
+        thick. Layers start <= k < stop of the grid, all of them unless given.
         """
-        from sppm_pipeline.numerics.domain.signed_distance import signed_distance
+        inner, skin, outer = self.sample_fields(grid, threads, start, stop)
+        if skin is not None:
+            # farther in, the microstructure decides alone; a distance cut off would lie between
+            deep = outer <= np.float32(-0.999 * (self.skin_mm / self.physical_edge() + max(grid.spacing)))
+            np.minimum(inner, skin, out=inner, where=~deep)
+        return inner, outer
 
-        values = self.field.sample(grid, threads)
-        world, edge = self.in_mm(grid), np.float32(self.physical_edge())
-        reach = max(world.spacing) + self.skin_mm
-        outer = signed_distance(self.domain.vertices, self.domain.faces, world, reach, self.method)
+    def sample_fields(
+        self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32]]:
+        """The fields of the microstructure, of the skin (None without one) and of the domain; see `sample_apart`.
+
+        Solid is where the domain's field is negative and one of the other two as well. Those of the domain and of the
+        skin are distances in cell edges; that of the microstructure is steeper or flatter.
+        """
+        stop = grid.shape[2] if stop is None else stop
+        inner = self.field.sample_layers(grid, start, stop, threads)
+        outer = self._distance(grid, start, stop)
+        edge = np.float32(self.physical_edge())
         outer /= edge
-        if self.skin_mm:
-            # inside the skin the field does not matter: solid where the surface is nearer than the skin is thick
-            np.minimum(values, -np.float32(self.skin_mm) / edge - outer, out=values)
-        return values, outer
+        return inner, -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None, outer
+
+    def _distance(self, grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+        """Signed distance from the domain for layers of `grid`, mm.
+
+        It is computed in blocks that belong to the grid, whichever layers are asked for: where the skin is thick, the
+        distance in a block depends a little on where the block ends. The last block is kept.
+        """
+        from sppm_pipeline.numerics.domain.signed_distance import distance_layers
+
+        kept, world = self._prepared, self.in_mm(grid)
+        reach = max(world.spacing) + self.skin_mm
+        nx, ny, nz = grid.shape
+        block = max(1, DISTANCE_SAMPLES // (nx * ny), 4 * math.ceil(self.skin_mm / world.spacing[2]))
+        out = np.empty((stop - start, ny, nx), np.float32)
+        for number in range(start // block, -(-stop // block)):
+            first, last = number * block, min(nz, (number + 1) * block)
+            if kept.get("distance_of") != (grid, number):
+                if "triangles" not in kept:
+                    kept["triangles"] = self.domain.vertices[self.domain.faces]
+                distance = distance_layers(kept["triangles"], world, first, last, reach)
+                np.negative(distance, out=distance, where=self._inside(grid, first, last).view(bool))
+                kept["distance_of"], kept["distance"] = (grid, number), distance
+            low, high = max(start, first), min(stop, last)
+            out[low - start : high - start] = kept["distance"][low - first : high - first]
+        return out
 
     def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
         return self.solid_layers(grid, 0, grid.shape[2], threads)

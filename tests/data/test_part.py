@@ -86,3 +86,29 @@ def test_a_mesh_with_a_hole_is_filled_by_vote(wang_tiling):
     assert (along_x & expected).sum() < 0.8 * expected.sum()
     assert np.array_equal(opened.solid(GRID), expected)
     assert np.array_equal(opened.sample(GRID) < 0, expected)
+
+
+def test_a_skin_does_not_move_the_surface_of_the_core(wang_tiling, ball):
+    """Deep inside, the field is that of the microstructure, whatever its size."""
+    grid = Grid((0.2,) * 3, (1 / 16,) * 3, (34, 34, 34))
+    part = Part(wang_tiling, ball, 1.0)
+    inner, outer = part.sample_apart(grid)
+    plain = wang_tiling.sample(grid)
+    deep = outer <= -0.999 * (1 / 4 + 1 / 16)
+    assert deep.sum() > 1000
+    assert np.array_equal(inner[deep], plain[deep])
+    skin = (outer < 0) & (outer > -0.99 / 4)
+    assert (inner[skin] < 0).all()
+    fields = part.sample_fields(grid)
+    assert np.array_equal(fields[0], plain)
+    assert np.array_equal(fields[2], outer)
+    assert Part(wang_tiling, ball).sample_fields(grid)[1] is None
+
+
+def test_layers_are_those_of_the_whole(wang_tiling, ball, monkeypatch):
+    grid = Grid((0.2, 0.1, 0.3), (1 / 12,) * 3, (25, 26, 27))
+    for skin in (0.0, 0.9):
+        whole = Part(wang_tiling, ball, skin).sample(grid)
+        part = Part(wang_tiling, ball, skin)
+        cut = [part.sample_layers(grid, a, b) for a, b in ((0, 3), (3, 4), (4, 19), (19, 27))]
+        assert np.array_equal(np.concatenate(cut), whole)

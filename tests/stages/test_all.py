@@ -16,6 +16,7 @@ REQUIRED = {
     "read.primitive": {"shape": "box", "size": ()},
     "sample.elimination": {"count": 3},
     "slice.mesh": {"pixel": Length(0.1)},
+    "fill.combine": {"operation": "union"},
     "tune.porosity": {"target": 0.5},
     "tune.stiffness": {"target": 0.1},
     "write.chart": {"x": "a", "y": "b"},

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_runs, join_rows, neighbour_reach
 
-__all__ = ["Components", "find_components", "paint_runs"]
+__all__ = ["Components", "components_of_runs", "find_components", "paint_runs"]
 
 
 class Components(NamedTuple):
@@ -65,8 +65,14 @@ def find_components(
     -------
     Components
     """
+    return components_of_runs(find_runs(as_bytes(mask), zeros), periodic, connectivity)
+
+
+def components_of_runs(
+    runs: Runs, periodic: tuple[bool, bool, bool] = (False, False, False), connectivity: int = 6
+) -> Components:
+    """`find_components` of a mask that is there only as its runs."""
     reach = neighbour_reach(connectivity)
-    runs = find_runs(as_bytes(mask), zeros)
     nz, ny, nx = runs.shape
     # the component of a run inside the box, its size in voxels and the faces it touches as bits
     in_box, sizes, faces = _box_components(runs.rows, runs.bounds, nz, ny, nx, reach)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_pipeline.numerics.connectivity.components import find_components
 
-__all__ = ["LooseParts", "clear_runs", "keep_largest", "loose_parts"]
+__all__ = ["LooseParts", "clear_runs", "keep_largest", "loose_parts", "negate_runs"]
 
 Mask = TypeVar("Mask", NDArray[np.bool_], NDArray[np.uint8])
 
@@ -97,3 +97,29 @@ def clear_runs(
             for r in range(rows[z * ny + y], rows[z * ny + y + 1]):
                 if not keep[r]:
                     row[bounds[2 * r] : bounds[2 * r + 1]] = 0
+
+
+@kernel
+def negate_runs(
+    rows: NDArray[np.int64],
+    bounds: NDArray[np.int32],
+    keep: NDArray[np.bool_],
+    size: tuple[int, int, int],
+    start: int,
+    values: NDArray[np.float32],
+) -> None:
+    """Turn the sign of samples (planes, ny, nx) in the runs that are not kept; the first plane has the number `start`.
+
+    `size` is the shape (nz, ny, nx) in which the runs were found; samples beyond it are periodic images, at most one
+    along x.
+    """
+    nz, ny, nx = size
+    for k in range(values.shape[0]):
+        for y in range(values.shape[1]):
+            row = (start + k) % nz * ny + y % ny
+            for r in range(rows[row], rows[row + 1]):
+                if not keep[r]:
+                    for x in range(bounds[2 * r], bounds[2 * r + 1]):
+                        values[k, y, x] = -values[k, y, x]
+                    if bounds[2 * r] == 0 and values.shape[2] > nx:
+                        values[k, y, nx] = -values[k, y, nx]

@@ -7,6 +7,7 @@ multiplication, and the set bits of ``word ^ (word << 1)`` are where runs begin 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
 
-__all__ = ["Runs", "as_bytes", "find_root", "find_runs", "join_rows", "neighbour_reach"]
+__all__ = ["Runs", "as_bytes", "find_root", "find_runs", "join_rows", "neighbour_reach", "stack_runs"]
 
 _ONE = np.uint64(1)
 # byte i of a word of zeros and ones lands in bit 56 + i; the partial products never meet, so nothing is carried
@@ -98,6 +99,15 @@ def find_runs(mask: NDArray[np.uint8], zeros: bool = False) -> Runs:
     """
     rows, bounds = _find_runs(mask, np.uint8(zeros))
     return Runs((mask.shape[0], mask.shape[1], mask.shape[2]), rows, bounds.copy())
+
+
+def stack_runs(slabs: Sequence[Runs]) -> Runs:
+    """The runs of a mask from those of its consecutive slabs, which have ny and nx in common; at least one."""
+    _, ny, nx = slabs[0].shape
+    starts = np.cumsum([0, *(slab.n_runs for slab in slabs)])
+    rows = [slab.rows[:-1] + start for slab, start in zip(slabs, starts[:-1], strict=True)]
+    bounds = np.concatenate([slab.bounds for slab in slabs])
+    return Runs((sum(slab.shape[0] for slab in slabs), ny, nx), np.concatenate([*rows, starts[-1:]]), bounds)
 
 
 @kernel

@@ -9,6 +9,8 @@ sign is that of the voxels of layers, from the same function; where shells overl
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,7 +19,7 @@ from sppm_pipeline.numerics.domain.inside import Method, inside_layers, prepare_
 from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["signed_distance"]
+__all__ = ["distance_layers", "signed_distance"]
 
 
 def signed_distance(
@@ -41,19 +43,53 @@ def signed_distance(
     -------
     (nz, ny, nx) float32
     """
-    nx, ny, nz = grid.shape
     points = np.ascontiguousarray(vertices, np.float64)
-    triangles = np.ascontiguousarray(points[np.asarray(faces, np.int64)])
-    squared = np.full((nz, ny, nx), reach * reach, np.float32)
-    nearest = np.full((nz, ny, nx), -1, np.int32)
-    origin, spacing = np.array(grid.origin), np.array(grid.spacing)
-    _near_band(triangles, origin, spacing, squared, nearest)
-    if reach > 2 * min(grid.spacing):
-        _sweep(triangles, origin, spacing, squared, nearest)
-    distance = np.sqrt(squared, out=squared)
+    nz = grid.shape[2]
+    distance = distance_layers(np.ascontiguousarray(points[np.asarray(faces, np.int64)]), grid, 0, nz, reach)
     inside = inside_layers(prepare_inside(points, faces, grid, method), 0, nz).mask
     np.negative(distance, out=distance, where=inside.view(bool))
     return distance
+
+
+def distance_layers(
+    triangles: NDArray[np.float64], grid: Grid, start: int, stop: int, reach: float
+) -> NDArray[np.float32]:
+    """Distance of the layers start <= k < stop of a grid from the nearest of some triangles, without a sign.
+
+    Up to a reach of one spacing the distances are exact, and so the same however a grid is cut into layers; farther
+    ones may differ in what closest-point propagation misses.
+
+    Parameters
+    ----------
+    triangles : (m, 3, 3) float64
+        Corners, in the unit of the grid.
+    grid : Grid
+    start, stop : int
+    reach : float
+        As in `signed_distance`.
+
+    Returns
+    -------
+    (stop - start, ny, nx) float32
+    """
+    nx, ny, nz = grid.shape
+    step = grid.spacing[2]
+    swept = reach > 2 * min(grid.spacing)
+    # the way from a triangle to a sample within reach of it must not leave the layers that are looked at
+    halo = math.ceil(reach / step) + 2 if swept else 0
+    first, last = max(0, start - halo), min(nz, stop + halo)
+    window = grid.layers(first, last)
+    heights = triangles[:, :, 2]
+    low, high = window.origin[2] - 2 * step, window.origin[2] + (last - first + 1) * step
+    near = np.ascontiguousarray(triangles[(heights.max(1) >= low) & (heights.min(1) <= high)])
+    squared = np.full((last - first, ny, nx), reach * reach, np.float32)
+    nearest = np.full(squared.shape, -1, np.int32)
+    origin, spacing = np.array(window.origin), np.array(window.spacing)
+    _near_band(near, origin, spacing, squared, nearest)
+    if swept:
+        _sweep(near, origin, spacing, squared, nearest)
+    wanted = squared[start - first : stop - first]
+    return np.sqrt(wanted, out=wanted)
 
 
 @kernel

@@ -8,7 +8,8 @@ How a cap is made: a layer of void around the samples makes the extractor close 
 vertices between sample and void layer are then moved into the border plane. The samples on an edge of the box have two
 such vertices, those in a corner three; they are kept half an `EDGE_MARGIN` of a voxel away from the edge, each in its
 own plane, so that no triangle loses its area. A solid box thereby gets bevels of 1/2048 voxel on its edges; its faces
-are exact, and the mesh has the topology of the sampled solid.
+are exact, and the mesh has the topology of the sampled solid. Where opposite faces have equal samples, the vertices of
+the two caps match one by one.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.surface.joining import joined_mesh
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN, Mesh, marching_cubes_slabs
 
 __all__ = ["capped_marching_cubes", "capped_marching_cubes_slabs", "wrapped"]
@@ -79,8 +82,18 @@ def capped_marching_cubes(
     if np.ndim(field) != 3 or min(np.shape(field)) < 2:
         raise ValueError(f"marching cubes need at least 2 x 2 x 2 samples, not an array of shape {np.shape(field)}")
     slabs = (field[k : k + _PLANES_AT_ONCE] for k in range(0, field.shape[0], _PLANES_AT_ONCE))
-    pieces = list(capped_marching_cubes_slabs(slabs, level, origin, spacing, border=border, axes=axes))
-    return np.concatenate([vertices for vertices, _ in pieces]), np.concatenate([faces for _, faces in pieces])
+    pieces = capped_marching_cubes_slabs(slabs, level, origin, spacing, border=border, axes=axes)
+    return joined_mesh(pieces, lambda: _expected(field, level))
+
+
+def _expected(field: NDArray[np.float32], level: float) -> tuple[int, int]:
+    """About how many vertices and faces the capped surface has, from where some of the planes change sign along x."""
+    some = field[:: max(1, field.shape[0] // 12)] < np.float32(level)
+    crossed = np.count_nonzero(some[:, :, 1:] != some[:, :, :-1]) + 4 * np.count_nonzero(
+        some[:, :, :: field.shape[2] - 1]
+    )
+    vertices = int(1.1 * 3 * crossed * field.shape[0] / len(some))
+    return vertices, 2 * vertices
 
 
 def capped_marching_cubes_slabs(
@@ -94,7 +107,8 @@ def capped_marching_cubes_slabs(
 ) -> Iterator[Mesh]:
     """`capped_marching_cubes` of a field that arrives as consecutive slabs of planes.
 
-    Takes what `marching_cubes_slabs` takes and yields pieces like it: one for each slab, one before and one after.
+    Takes what `marching_cubes_slabs` takes and yields pieces like it, whose vertices and faces follow upon each other;
+    a piece belongs to no particular slab. The bytes do not depend on how the field is cut.
     """
     if border not in ("samples", "voxels"):
         raise ValueError(f"border is 'samples' or 'voxels', not {border!r}")
@@ -108,54 +122,78 @@ def capped_marching_cubes_slabs(
     complete = False
 
     def padded() -> Iterator[NDArray[np.float32]]:
+        # The last plane of a slab is held back until it is known whether another follows, as the border passes there.
         nonlocal complete
-        last = None
+        room = np.empty((0, 0, 0), np.float32)
+        held = None
         for slab in slabs:
             if slab.shape[0] == 0:
                 continue
             counts[:2] = slab.shape[2], slab.shape[1]
-            if last is None and axes[2]:
-                yield _void_around(slab[:1], pad, layers, before=True)
             counts[2] += slab.shape[0]
-            last = slab[-1:].copy()
-            yield _void_around(slab, pad, layers)
-        if last is not None and axes[2]:
+            ahead = held[None] if held is not None else slab[:0]
+            before = int(pad[2]) if held is None else 0
+            room = _void_around(room, ahead, slab[:-1], pad, layers, before, slab[0])
+            held = slab[-1].copy()
+            if room.shape[0]:
+                yield room
+        if held is not None:
             complete = True
-            yield _void_around(last, pad, layers, after=True)
+            yield _void_around(room, held[None], held[None][:0], pad, layers, -int(pad[2]), held)
 
     start = tuple(float(value) for value in np.asarray(origin) - pad * step)
+    capped = np.array(axes, np.bool_)
     for vertices, faces in marching_cubes_slabs(padded(), level, start, spacing):  # type: ignore[arg-type]
         high = low + (counts - 1 + (layers - 1)) * step
         last_sample = outermost + (counts - 1 + 2 * (layers - 1)) * step
         if not complete:
             high[2] = last_sample[2] = np.inf
-        _move_to_border(vertices, axes, step, outermost, last_sample, low, high)
+        _move_to_border(vertices, capped, step, outermost, last_sample, low, high)
         yield vertices, faces
 
 
 def _void_around(
-    slab: NDArray[np.float32], pad: NDArray[np.int64], layers: int, before: bool = False, after: bool = False
+    room: NDArray[np.float32],
+    ahead: NDArray[np.float32],
+    slab: NDArray[np.float32],
+    pad: NDArray[np.int64],
+    layers: int,
+    outside: int,
+    border: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """The slab with (repeated samples and) void around it in x and y; or what goes before or after a plane."""
+    """The planes `ahead` and of a slab with (repeated samples and) void around them in x and y.
+
+    `outside` planes of void, and of repeats of the plane `border`, come before them; if it is negative, after them.
+    `room` is a former result, which is overwritten if it has the right size.
+    """
+    ny, nx = border.shape
     px, py = int(pad[0]), int(pad[1])
     repeated = layers - 1
-    if before or after:
-        slab = np.repeat(slab, repeated, axis=0)
-    outside = int(before) + int(after)
-    nz, ny, nx = slab.shape
-    padded = np.full((nz + outside, ny + 2 * py, nx + 2 * px), np.inf, np.float32)
-    inner = padded[outside * int(before) : nz + outside * int(before)]
-    inner[:, py : py + ny, px : px + nx] = slab
+    shape = (abs(outside) + ahead.shape[0] + slab.shape[0], ny + 2 * py, nx + 2 * px)
+    padded = room if room.shape == shape else np.empty(shape, np.float32)
+    # only the frame is void; x and y first, as the planes outside are overwritten as a whole
+    padded[:, :py], padded[:, ny + py :] = np.inf, np.inf
+    padded[:, :, :px], padded[:, :, nx + px :] = np.inf, np.inf
+    inner = padded[:, py : py + ny, px : px + nx]
+    first = max(outside, 0)
+    inner[first : first + ahead.shape[0]] = ahead
+    inner[first + ahead.shape[0] : shape[0] - max(-outside, 0)] = slab
+    if outside and repeated:
+        inner[first - 1 if outside > 0 else outside] = border
     if repeated and px:
-        inner[:, py : py + ny, 1], inner[:, py : py + ny, -2] = slab[:, :, 0], slab[:, :, -1]
+        padded[:, py : py + ny, 1] = padded[:, py : py + ny, 2]
+        padded[:, py : py + ny, -2] = padded[:, py : py + ny, -3]
     if repeated and py:
-        inner[:, 1], inner[:, -2] = inner[:, 2], inner[:, -3]
+        padded[:, 1], padded[:, -2] = padded[:, 2], padded[:, -3]
+    if outside:
+        padded[0 if outside > 0 else -1] = np.inf
     return padded
 
 
+@kernel
 def _move_to_border(
     vertices: NDArray[np.float64],
-    axes: Axes,
+    capped: NDArray[np.bool_],
     step: NDArray[np.float64],
     first: NDArray[np.float64],
     last: NDArray[np.float64],
@@ -163,19 +201,22 @@ def _move_to_border(
     high: NDArray[np.float64],
 ) -> None:
     """Move vertices in or beyond the outermost planes of samples (first, last) into the border (low, high)."""
-    capped = [axis for axis in range(3) if axes[axis]]
     # Vertices keep EDGE_MARGIN off the planes of samples unless they lie in them, so a quarter of it tells them apart.
-    slack, inset = EDGE_MARGIN / 4 * step, EDGE_MARGIN / 2 * step
-    for axis in capped:
-        values = vertices[:, axis]
-        below, above = values < first[axis] - slack[axis], values > last[axis] + slack[axis]
-        beyond = np.flatnonzero(below | above)
-        for other in capped:
-            if other != axis:
-                vertices[beyond, other] = np.clip(
-                    vertices[beyond, other], low[other] + inset[other], high[other] - inset[other]
-                )
-    for axis in capped:
-        values = vertices[:, axis]
-        values[values < first[axis] + slack[axis]] = low[axis]
-        values[values > last[axis] - slack[axis]] = high[axis]
+    slack, inset = EDGE_MARGIN / 4, EDGE_MARGIN / 2
+    for i in range(vertices.shape[0]):
+        for axis in range(3):
+            if not capped[axis]:
+                continue
+            value = vertices[i, axis]
+            if value < first[axis] - slack * step[axis] or value > last[axis] + slack * step[axis]:
+                for other in range(3):
+                    if other != axis and capped[other]:
+                        least, most = low[other] + inset * step[other], high[other] - inset * step[other]
+                        vertices[i, other] = min(max(vertices[i, other], least), most)
+        for axis in range(3):
+            if capped[axis]:
+                value = vertices[i, axis]
+                if value < first[axis] + slack * step[axis]:
+                    vertices[i, axis] = low[axis]
+                elif value > last[axis] - slack * step[axis]:
+                    vertices[i, axis] = high[axis]

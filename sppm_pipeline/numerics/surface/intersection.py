@@ -2,7 +2,8 @@
 
 The intersection of two fields is their maximum, and marching cubes finds its topology. But the maximum mixes, at the
 two ends of a grid edge, values of fields of different size, so its interpolated zero lies where neither field has one.
-Here every vertex is put where, going from the solid end, the first of the two fields reaches its zero.
+Here every vertex is put where, going from the solid end, the first of the two fields reaches its zero. With a third
+solid, united with the first one beforehand, that is where the last of the two has its zero.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.numerics.compiled import kernel
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
 
@@ -17,50 +19,93 @@ __all__ = ["on_both_fields"]
 
 
 def on_both_fields(
-    vertices: NDArray[np.float64], first: NDArray[np.float32], second: NDArray[np.float32], grid: Grid
+    vertices: NDArray[np.float64],
+    first: NDArray[np.float32],
+    second: NDArray[np.float32],
+    grid: Grid,
+    start: int = 0,
+    third: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float64]:
     """Move the vertices of the surface of ``max(first, second) = 0`` along their grid edges.
+
+    With a third field, of that of ``max(min(first, third), second) = 0``.
 
     Parameters
     ----------
     vertices : (n, 3) float64
         As marching cubes gives them, each inside a grid edge; others, on caps at the border, stay.
-    first, second : (nz, ny, nx) float32
+    first, second, third : (planes, ny, nx) float32
         Fields, negative inside their solids; their sizes need not have anything to do with each other.
     grid : Grid
         Where the fields were sampled.
+    start : int
+        The plane of the grid that comes first in the fields; vertices beyond their planes stay.
 
     Returns
     -------
     (n, 3) float64
     """
-    place = (vertices - grid.origin) / grid.spacing
-    whole = np.round(place)
-    # vertices keep EDGE_MARGIN from the ends of their edge; the bevels of caps lie at half of it
-    inside = np.abs(place - whole) > 0.75 * EDGE_MARGIN
-    last = np.array(grid.shape) - 1
-    on_edge = (inside.sum(1) == 1) & ((place > 0) & (place < last) | ~inside).all(1)
-    on_edge &= ((whole >= 0) & (whole <= last)).all(1)
-    axis = np.argmax(inside, 1)[on_edge]
-    rows = np.arange(len(axis))
-    low = whole[on_edge].astype(np.int64)
-    low[rows, axis] = np.floor(place[on_edge][rows, axis]).astype(np.int64)
-    high = low.copy()
-    high[rows, axis] += 1
-    share = np.full(len(axis), 1.0)
-    solid_is_low = _at(first, low) < 0
-    solid_is_low &= _at(second, low) < 0
-    for field in (first, second):
-        a, b = _at(field, low), _at(field, high)
-        solid, void = np.where(solid_is_low, a, b), np.where(solid_is_low, b, a)
-        crosses = (void >= 0) & (solid < 0)
-        share[crosses] = np.minimum(share[crosses], solid[crosses] / (solid[crosses] - void[crosses]))
-    share = np.clip(np.where(solid_is_low, share, 1 - share), EDGE_MARGIN, 1 - EDGE_MARGIN)
-    moved = vertices.copy()
-    rows_moved = np.flatnonzero(on_edge)
-    moved[rows_moved, axis] = np.array(grid.origin)[axis] + (low[rows, axis] + share) * np.array(grid.spacing)[axis]
+    moved = np.array(vertices, np.float64)
+    _move(
+        moved,
+        np.ascontiguousarray(first, np.float32),
+        np.ascontiguousarray(second, np.float32),
+        np.ascontiguousarray(np.empty((0, 0, 0)) if third is None else third, np.float32),
+        np.array(grid.origin),
+        np.array(grid.spacing),
+        np.array([0, 0, start]),
+    )
     return moved
 
 
-def _at(field: NDArray[np.float32], index: NDArray[np.int64]) -> NDArray[np.float64]:
-    return field[index[:, 2], index[:, 1], index[:, 0]].astype(np.float64)
+@kernel
+def _leaves(solid: float, void: float) -> float:
+    """Where, as a share of the way, a field leaves its solid: -1 if it never is in it, 2 if it does not leave."""
+    if not solid < 0.0:
+        return -1.0
+    if void < 0.0:
+        return 2.0
+    return solid / (solid - void)
+
+
+@kernel
+def _move(
+    vertices: NDArray[np.float64],
+    first: NDArray[np.float32],
+    second: NDArray[np.float32],
+    third: NDArray[np.float32],
+    origin: NDArray[np.float64],
+    spacing: NDArray[np.float64],
+    start: NDArray[np.int64],
+) -> None:
+    node, beyond = np.empty(3, np.int64), np.empty(3, np.int64)
+    for v in range(vertices.shape[0]):
+        axis, inside, known = 0, 0, True
+        for a in range(3):
+            place = (vertices[v, a] - origin[a]) / spacing[a]
+            whole = np.floor(place + 0.5)
+            # vertices keep EDGE_MARGIN from the ends of their edge; the bevels of caps lie at half of it
+            if abs(place - whole) > 0.75 * EDGE_MARGIN:
+                axis = a
+                inside += 1
+                whole = np.floor(place)
+            node[a] = np.int64(whole) - start[a]
+            beyond[a] = node[a]
+        beyond[axis] += 1
+        for a in range(3):
+            known &= node[a] >= 0 and beyond[a] < first.shape[2 - a]
+        if inside != 1 or not known:
+            continue
+        k, j, i = node[2], node[1], node[0]
+        kk, jj, ii = beyond[2], beyond[1], beyond[0]
+        f0, f1 = np.float64(first[k, j, i]), np.float64(first[kk, jj, ii])
+        s0, s1 = np.float64(second[k, j, i]), np.float64(second[kk, jj, ii])
+        t0, t1 = 0.0, 0.0
+        if third.size > 0:
+            t0, t1 = np.float64(third[k, j, i]), np.float64(third[kk, jj, ii])
+        if s0 < 0.0 and (f0 < 0.0 or t0 < 0.0):
+            share = min(max(_leaves(f0, f1), _leaves(t0, t1)), _leaves(s0, s1))
+        else:
+            share = 1.0 - min(max(_leaves(f1, f0), _leaves(t1, t0)), _leaves(s1, s0))
+        share = min(max(share, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
+        vertices[v, axis] = origin[axis] + (node[axis] + start[axis] + share) * spacing[axis]

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, node_grid, voxels_along_edge
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -19,63 +21,70 @@ from sppm_pipeline.stage import Context, Stage, option
 class MarchingCubes(Stage):
     """Extract the boundary of the solid: closed, oriented outward, without degenerate triangles.
 
-    Cells and tilings are capped at the border of their box. With ``backend: reference`` scikit-image's independent
-    implementation is used, slower, for comparison.
+    Cells and tilings are capped at the border of their box; the nodes of the mesh on opposite faces of a periodic cell
+    match one by one. The field is sampled slab by slab, so that the memory is that of the mesh. With ``backend:
+    reference`` scikit-image's independent implementation is used, slower and on all samples at once, for comparison.
     """
 
     name: ClassVar[str] = "extract.marching_cubes"
+    version: ClassVar[int] = 2
 
-    resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=1024)
+    resolution: int | None = option(
+        None, help="voxels along a cell edge; 32 if `spacing` is not given either", minimum=FEWEST, maximum=MOST
+    )
+    spacing: Length | None = option(
+        None, help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts", above=0
+    )
+    caps: bool = option(
+        True, help="close the surface at the border of a cell or tiling; without, it ends there in open rims"
+    )
     islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
     backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
 
+    def check_options(self) -> None:
+        if self.resolution is not None and self.spacing is not None:
+            raise ConfigError("`resolution` and `spacing` exclude each other")
+        if self.backend == "reference" and not self.caps:
+            raise ConfigError("the reference implementation always closes the surface: leave out `caps: false`")
+
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample the nodes of a grid and extract the surface, in mm (cell edges for a cell without a size)."""
-        from sppm_pipeline.numerics.connectivity.islands import keep_largest
-        from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
-        from sppm_pipeline.numerics.surface.intersection import on_both_fields
+        from sppm_pipeline.numerics.surface.measures import balanced_edges
 
-        n, h = self.resolution, 1.0 / self.resolution
-        if (coarse := field.coarseness(h)) is not None:
+        n = voxels_along_edge(field, self.resolution, self.spacing)
+        if (coarse := field.coarseness(1 / n)) is not None:
             context.warn(coarse)
-        if isinstance(field, Part):
-            edge = field.physical_edge()
-            low = np.floor((field.domain.lower - field.origin_mm) / edge * n).astype(int) - 1
-            high = np.ceil((field.domain.upper - field.origin_mm) / edge * n).astype(int) + 1
-        else:
-            low, high = np.zeros(3, int), np.array(field.cells) * n
-        nx, ny, nz = (int(v) for v in high - low + 1)
-        x, y, z = (float(v) * h for v in low)
-        grid, apart = Grid((x, y, z), (h, h, h), (nx, ny, nz)), None
-        if isinstance(field, Part):
-            apart = field.sample_apart(grid, context.threads)
-            values = np.maximum(*apart)
-        else:
-            values = field.sample(grid, context.threads)
-        if self.islands == "remove":
-            solid = values < 0
-            if field.periodic and field.cells == (1, 1, 1):
-                # on the torus, so that opposite faces of a cell stay equal; the last node of an axis is the first one
-                kept = np.pad(keep_largest(np.ascontiguousarray(solid[:-1, :-1, :-1])), (0, 1), mode="wrap")
-            else:
-                kept = keep_largest(solid, (False, False, False))
-            removed = solid & ~kept
-            if removed.any():
-                np.negative(values, out=values, where=removed)
-            context.report(removed_share=float(removed.sum()) / max(1, int(solid.sum())))
-        if not (values < 0).any():
-            raise DesignError("there is no solid to mesh", hint="lower the porosity or the level")
-        if self.backend == "reference":
-            from sppm_pipeline.numerics.surface.reference import marching_cubes_reference
-
-            padded = np.pad(values, 1, constant_values=1.0)
-            vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
-        else:
-            vertices, faces = capped_marching_cubes(values, 0.0, (x, y, z), (h, h, h))
-        if apart is not None:
-            vertices = on_both_fields(vertices, *apart, grid)
+        surface = FieldSurface(field, node_grid(field, n), self.islands, self.caps)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
+        if self.backend == "reference":
+            vertices, faces = _by_reference(surface, context)
+        else:
+            vertices, faces = surface.mesh(context.threads, lambda done, all_: context.progress(done, all_, "planes"))
+        context.report(resolution=n, voxel=scale / n, **surface.findings())
+        if not len(faces):
+            raise DesignError(
+                "there is no surface to mesh: at this resolution the whole box is void, or solid without `caps`",
+                hint="there is no solid if the porosity is too high or the level too low; lower the porosity",
+            )
+        if self.caps and not balanced_edges(faces):
+            raise ValueError("the mesh is not closed")
+        vertices *= scale
+        vertices += np.array(field.origin_mm)
         if field.edge_mm is None:
             context.warn("the cell has no physical size: one cell edge is written as 1 mm")
-        placed = np.asarray(vertices, np.float64) * scale + np.array(field.origin_mm)
-        return SurfaceMesh(placed, faces, name="surface")
+        return SurfaceMesh(vertices, faces, name="surface")
+
+
+def _by_reference(surface: FieldSurface, context: Context) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    from sppm_pipeline.numerics.surface.intersection import on_both_fields
+    from sppm_pipeline.numerics.surface.reference import marching_cubes_reference
+
+    (x, y, z), (h, _, _), _ = grid = surface.grid
+    slabs = list(surface.slabs(context.threads))
+    padded = np.pad(np.concatenate([slab.values for slab in slabs]), 1, constant_values=1.0)
+    vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
+    if isinstance(surface.source, Part):
+        fields = zip(*(slab.apart for slab in slabs if slab.apart is not None), strict=True)
+        first, second, *skin = (np.concatenate(planes) for planes in fields)
+        vertices = on_both_fields(vertices, first, second, grid, 0, *skin)
+    return vertices, faces

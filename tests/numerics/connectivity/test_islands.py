@@ -4,7 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.connectivity.islands import keep_largest, loose_parts
+from sppm_pipeline.numerics.connectivity.components import components_of_runs
+from sppm_pipeline.numerics.connectivity.islands import keep_largest, loose_parts, negate_runs
+from sppm_pipeline.numerics.connectivity.runs import find_runs
 from sppm_pipeline.numerics.connectivity.torus import label
 
 
@@ -47,3 +49,17 @@ def test_read_only_and_transposed_masks_are_taken():
     mask.setflags(write=False)
     np.testing.assert_array_equal(keep_largest(mask), expected)
     np.testing.assert_array_equal(keep_largest(np.asfortranarray(mask)), expected)
+
+
+def test_signs_turn_in_the_runs_that_go_and_in_their_images():
+    values = np.random.default_rng(6).standard_normal((5, 4, 9)).astype(np.float32)
+    mask = (values < 0).view(np.uint8)
+    found = components_of_runs(find_runs(mask), (True, True, True))
+    around = np.pad(values, (0, 1), mode="wrap")
+    for start, stop in ((0, 2), (2, 6)):
+        slab = around[start:stop]
+        negate_runs(found.runs.rows, found.runs.bounds, found.of_run == 0, mask.shape, start, slab)
+    kept = keep_largest(mask)
+    expected = np.where((mask == 1) & (kept == 0), -values, values)
+    assert (kept != mask).any()
+    assert np.array_equal(around, np.pad(expected, (0, 1), mode="wrap"))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sppm_pipeline.numerics.connectivity.runs import as_bytes, find_runs, neighbour_reach
+from sppm_pipeline.numerics.connectivity.runs import as_bytes, find_runs, neighbour_reach, stack_runs
 
 
 def slow_runs(row):
@@ -51,3 +51,13 @@ def test_only_two_connectivities_exist():
     assert (neighbour_reach(6), neighbour_reach(26)) == (0, 1)
     with pytest.raises(ValueError, match="18"):
         neighbour_reach(18)
+
+
+def test_runs_of_slabs_are_stacked_to_those_of_the_whole():
+    mask = np.random.default_rng(5).integers(0, 2, (7, 4, 70)).astype(np.uint8)
+    whole = find_runs(mask)
+    stacked = stack_runs([find_runs(mask[:2]), find_runs(mask[2:2]), find_runs(mask[2:])])
+    assert stacked.shape == whole.shape
+    assert np.array_equal(stacked.rows, whole.rows)
+    assert np.array_equal(stacked.bounds, whole.bounds)
+    assert stacked.rows.dtype == whole.rows.dtype

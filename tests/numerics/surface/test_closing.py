@@ -115,6 +115,16 @@ def test_wrapped_repeats_the_first_planes() -> None:
     assert np.array_equal(wrapped(field), np.pad(field, (0, 1), mode="wrap"))
 
 
+@pytest.mark.parametrize("border", ["samples", "voxels"])
+def test_a_mirrored_field_has_the_mirrored_caps(border: str) -> None:
+    field = np.random.default_rng(14).standard_normal((5, 6, 7)).astype(np.float32)
+    vertices = capped_marching_cubes(field, border=border)[0]
+    for axis in range(3):
+        mirrored = capped_marching_cubes(np.ascontiguousarray(np.flip(field, 2 - axis)), border=border)[0]
+        mirrored[:, axis] = field.shape[2 - axis] - 1 - mirrored[:, axis]
+        assert {tuple(v) for v in mirrored.round(9).tolist()} == {tuple(v) for v in vertices.round(9).tolist()}
+
+
 def test_no_slabs_no_mesh() -> None:
     assert list(capped_marching_cubes_slabs([])) == []
 

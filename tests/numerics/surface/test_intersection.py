@@ -65,3 +65,37 @@ def test_vertices_on_caps_stay():
     inside = np.full((11, 11, 11), -1.0, np.float32)
     vertices, _ = capped_marching_cubes(inside, 0.0, grid.origin, grid.spacing)
     np.testing.assert_array_equal(on_both_fields(vertices, inside, inside, grid), vertices)
+
+
+@pytest.mark.parametrize("steepness", [0.01, 1.0, 100.0])
+def test_a_third_solid_is_united_with_the_first(steepness):
+    """A ball and a slab, whose fields differ in size, together cut by a half-space."""
+    ball, plane, grid = fields(31, 1.0)
+    x, _, z = (grid.axis(a) for a in range(3))
+    slab = np.broadcast_to((steepness * (np.abs(x) - 0.2)).astype(np.float32), ball.shape).copy()
+    values = np.maximum(np.minimum(ball, slab), plane)
+    vertices, faces = capped_marching_cubes(values, 0.0, grid.origin, grid.spacing)
+    capped = (np.abs(vertices) > 1 - 1e-3).any(1)  # of these, the ones within a cap stay
+    moved = on_both_fields(vertices, ball, plane, grid, 0, slab)
+    off = [
+        np.abs(np.sqrt((moved**2).sum(1)) - 0.8),
+        np.abs(np.abs(moved[:, 0]) - 0.2),
+        np.abs(moved[:, 2] - 0.3),
+    ]
+    assert np.minimum.reduce(off)[~capped].max() < 0.05 * grid.spacing[0]
+    assert np.array_equal(moved[capped].round(), vertices[capped].round())
+    assert edge_counts(faces).closed
+    assert moved[:, 2].max() < 0.3 + 1e-3
+    assert z.max() > 0.9
+
+
+def test_planes_of_a_slab_are_enough():
+    ball, plane, grid = fields(24, 3.0)
+    vertices, _ = capped_marching_cubes(np.maximum(ball, plane), 0.0, grid.origin, grid.spacing)
+    whole = on_both_fields(vertices, ball, plane, grid)
+    place = (vertices[:, 2] - grid.origin[2]) / grid.spacing[2]
+    within = (place > 6) & (place < 11)
+    part = on_both_fields(vertices, ball[6:12], plane[6:12], grid, 6)
+    assert np.array_equal(part[within], whole[within])
+    beyond = (place < 5) | (place > 12)
+    assert np.array_equal(part[beyond], vertices[beyond])

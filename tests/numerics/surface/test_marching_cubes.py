@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.numerics.surface import marching_cubes as module
+from sppm_pipeline.numerics.surface.closing import wrapped
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN, marching_cubes, marching_cubes_slabs
 from sppm_pipeline.numerics.surface.marching_tables import case_tables
 from sppm_pipeline.numerics.surface.measures import edge_counts, euler_number, measure_surface, volume
@@ -249,3 +250,35 @@ def test_too_many_vertices_are_refused_before_they_are_made(monkeypatch: pytest.
     monkeypatch.setattr(module, "slab_counts", lambda *_: (2**31, 2**32))
     with pytest.raises(ResourceError, match="vertices"):
         marching_cubes(np.zeros((2, 2, 2), np.float32))
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("gyroid", -8), ("schwarz p", -4), ("diamond", -16)],  # of the cubic cell; Schoen (1970)
+)
+@pytest.mark.parametrize("n", [12, 25])
+def test_euler_number_of_minimal_surfaces_on_the_torus(name: str, expected: int, n: int) -> None:
+    t = 2 * np.pi * (np.arange(n) + 0.3) / n
+    z, y, x = np.meshgrid(t, t, t, indexing="ij")
+    field = {
+        "gyroid": np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x),
+        "schwarz p": np.cos(x) + np.cos(y) + np.cos(z),
+        "diamond": np.cos(x) * np.cos(y) * np.cos(z) - np.sin(x) * np.sin(y) * np.sin(z),
+    }[name]
+    vertices, faces = marching_cubes(wrapped(field.astype(np.float32)))
+    _, number = np.unique((vertices % n).round(6) % n, axis=0, return_inverse=True)
+    on_torus = number.reshape(-1)[faces]
+    assert edge_counts(on_torus).closed  # the rims on opposite faces are the same vertices
+    assert euler_number(on_torus) == expected
+
+
+def test_volume_and_area_of_a_torus_converge_at_second_order() -> None:
+    errors = []
+    for n in (25, 50, 100):
+        field, h = torus(n)
+        found = measure_surface(*marching_cubes(field, 0.0, (-1, -1, -1), (h, h, h)))
+        assert (found.genus, found.components) == (1, 1)
+        exact = 2 * np.pi**2 * 0.6 * 0.25**2, 4 * np.pi**2 * 0.6 * 0.25
+        errors.append([abs(found.volume / exact[0] - 1), abs(found.area / exact[1] - 1)])
+    for coarse, fine in pairwise(np.array(errors)):
+        assert (fine < coarse / 3).all()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.surface.measures import (
+    balanced_edges,
     bounds,
     components,
     degenerate_faces,
@@ -133,3 +134,19 @@ def test_no_triangles_and_wrong_numbers() -> None:
         edge_counts(np.array([[0, 1, -1]]))
     with pytest.raises(ValueError, match="only 4"):
         volume(CORNERS, np.array([[0, 1, 4]]))
+
+
+def test_balanced_edges_say_what_the_counts_say() -> None:
+    flipped = TETRAHEDRON.copy()
+    flipped[0] = flipped[0, ::-1]
+    shared = np.concatenate([TETRAHEDRON, np.array([0, 1, 4, 5])[TETRAHEDRON]])
+    doubled = np.concatenate([TETRAHEDRON, TETRAHEDRON])
+    for faces in (TETRAHEDRON, TETRAHEDRON[1:], flipped, shared, doubled, ring(9), ring(9)[:-1], np.array([[0, 1, 1]])):
+        assert balanced_edges(faces) == edge_counts(faces).bounds_solid
+    assert not balanced_edges(np.empty((0, 3), np.int32))
+    rng = np.random.default_rng(2)
+    for seed in range(200):
+        faces = np.random.default_rng(seed).integers(0, 5, (6, 3))
+        assert balanced_edges(faces) == edge_counts(faces).bounds_solid
+    faces = rng.integers(0, 2**31 - 1, (1000, 3)).astype(np.int32)
+    assert balanced_edges(np.concatenate([faces, faces[rng.permutation(1000)][:, ::-1]]))

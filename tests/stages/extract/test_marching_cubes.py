@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from sppm_pipeline.data import field_surface
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.part import Part
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.numerics.surface.measures import components, measure_surface
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
@@ -27,17 +29,31 @@ def test_a_cell(cell):
     assert "cell edge" in context.warnings[0]
 
 
-def test_opposite_sides_of_a_cell_match(cell):
-    made, _, _ = mesh(cell, islands="keep")
+def side(vertices, axis, at):
+    """Places on a face of the unit cell of all vertices there, sorted."""
+    on = np.delete(vertices[vertices[:, axis] == at], axis, axis=1).round(12)
+    return on[np.lexsort(on.T)]
+
+
+@pytest.mark.parametrize("caps", [True, False])
+@pytest.mark.parametrize("islands", ["keep", "remove"])
+def test_opposite_sides_of_a_cell_match_node_for_node(cell, caps, islands):
+    made, found, _ = mesh(cell, islands=islands, caps=caps)
+    assert found.edges.closed == caps
+    assert found.edges.consistent
     for axis in range(3):
-        sides = []
-        for side in (0.0, 1.0):
-            on = made.vertices[np.abs(made.vertices[:, axis] - side) < 1e-12]
-            on = np.delete(on, axis, axis=1).round(12)
-            inner = ((on > 1e-4) & (on < 1 - 1e-4)).all(1)  # the caps are joined along the edges of the box
-            sides.append(np.unique(on[inner], axis=0))
-        assert len(sides[0]) > 100
-        assert np.array_equal(*sides)
+        low, high = side(made.vertices, axis, 0.0), side(made.vertices, axis, 1.0)
+        assert len(low) > 100
+        assert np.array_equal(low, high)
+
+
+def test_without_caps_the_surface_ends_in_rims_on_the_faces(cell):
+    made, found, _ = mesh(cell, caps=False)
+    edges = np.sort(made.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges, uses = np.unique(edges, axis=0, return_counts=True)
+    rim = made.vertices[edges[uses == 1]]  # (n, 2, 3)
+    assert len(rim) == found.edges.boundary > 0
+    assert (((rim == 0.0) | (rim == 1.0)).all(1).any(1)).all()
 
 
 @pytest.mark.parametrize("backend", ["compiled", "reference"])
@@ -83,3 +99,62 @@ def test_islands_go_or_stay(cell):
 def test_nothing_to_mesh(cell):
     with pytest.raises(DesignError, match="no solid"):
         mesh(cell.with_level(1e-9))
+
+
+def part_of(tiling, domain, skin):
+    return Part(tiling, domain, skin, "remove")
+
+
+@pytest.mark.parametrize("what", ["cell", "tiling", "part", "skin"])
+def test_same_bytes_however_it_is_cut(what, cell, wang_tiling, ball, monkeypatch):
+    def made(threads):
+        source = {
+            "cell": lambda: cell.with_level(0.05),
+            "tiling": lambda: wang_tiling,
+            "part": lambda: part_of(wang_tiling, ball, 0.0),
+            "skin": lambda: part_of(wang_tiling, ball, 1.3),
+        }[what]()
+        return MarchingCubes(resolution=13).run(PlainContext(threads=threads), source)
+
+    whole = made(1)
+    assert len(whole.faces) > 1000
+    for slab, kept in ((1, 2**25), (4000, 0), (10**9, 0), (9000, 2**25)):
+        monkeypatch.setattr(field_surface, "SLAB_SAMPLES", slab)
+        monkeypatch.setattr(field_surface, "KEPT_SAMPLES", kept)
+        for threads in (1, 3):
+            again = made(threads)
+            assert again.vertices.tobytes() == whole.vertices.tobytes()
+            assert again.faces.tobytes() == whole.faces.tobytes()
+
+
+def test_spacing_is_the_largest_edge_of_a_voxel(wang_tiling):
+    made, _, context = mesh(wang_tiling, resolution=None, spacing=Length(0.3, "mm"))
+    assert context.reported["resolution"] == 14
+    assert context.reported["voxel"] == pytest.approx(4 / 14)
+    assert made.digest() == mesh(wang_tiling, resolution=14)[0].digest()
+
+
+@pytest.mark.parametrize("spacing", [3.0, 1e-5])
+def test_a_spacing_that_makes_no_sense(wang_tiling, spacing):
+    with pytest.raises(DesignError, match="voxels along a cell edge"):
+        mesh(wang_tiling, resolution=None, spacing=Length(spacing, "mm"))
+
+
+def test_a_spacing_needs_a_size(cell):
+    with pytest.raises(DesignError, match="physical size"):
+        mesh(cell, resolution=None, spacing=Length(0.1, "mm"))
+
+
+@pytest.mark.parametrize(
+    "options", [{"resolution": 20, "spacing": Length(0.1)}, {"backend": "reference", "caps": False}]
+)
+def test_options_that_contradict_each_other(options):
+    with pytest.raises(ConfigError):
+        MarchingCubes(**options).check_options()
+
+
+def test_progress_reaches_its_end(wang_tiling):
+    _, _, context = mesh(wang_tiling)
+    done, total, what = context.progress_calls[-1]
+    assert done == total == 3 * 24 + 1
+    assert what == "planes"

@@ -1,0 +1,87 @@
+"""``fill.boolean``: microstructure AND part, as a Boolean of two meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, node_grid, voxels_along_edge
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.part import Part
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families.memory import require_memory
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class BooleanFill(Stage):
+    """Extract the microstructure's surface and intersect it with the mesh of the part, by manifold3d.
+
+    The result is a mesh in which the part's own surface is kept exactly, sharp edges included. It costs memory and time
+    for every triangle; `fill.implicit` needs neither and is the way to layers. The skin is what a Boolean with a second
+    mesh, offset inwards, would leave: the offset is a level set of the distance from the part's surface, exact to
+    within a fraction of a voxel.
+    """
+
+    name: ClassVar[str] = "fill.boolean"
+
+    resolution: int | None = option(
+        None, help="voxels along a cell edge; 32 if `spacing` is not given either", minimum=FEWEST, maximum=MOST
+    )
+    spacing: Length | None = option(
+        None, help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts", above=0
+    )
+    skin: Length | None = option(
+        None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0
+    )
+    islands: str = option(
+        "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
+    )
+
+    def check_options(self) -> None:
+        if self.resolution is not None and self.spacing is not None:
+            raise ConfigError("`resolution` and `spacing` exclude each other")
+
+    def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> SurfaceMesh:
+        """Extract, predict the memory, intersect, judge."""
+        from sppm_pipeline.numerics.surface.bodies import find_shells, largest_body
+        from sppm_pipeline.numerics.surface.measures import volume
+        from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, boolean, check_solid
+
+        edge = field.physical_edge()
+        check_solid(domain.vertices, domain.faces, domain.name)
+        n = voxels_along_edge(field, self.resolution, self.spacing)
+        if (coarse := field.coarseness(1 / n)) is not None:
+            context.warn(coarse)
+        part = Part(field, domain, self.skin.mm() if self.skin else 0.0, "keep")
+        surface = FieldSurface(part, node_grid(part, n), "keep", caps=False, cut=False)
+        expected = surface.expected_triangles(context.threads) + len(domain.faces)
+        needed = expected * BYTES_PER_TRIANGLE
+        context.report(resolution=n, expected_triangles=expected, expected_gigabytes=needed / 1e9)
+        require_memory(
+            needed,
+            f"a Boolean of about {expected / 1e6:.3g} million triangles",
+            f"lower `resolution` (now {n}; half of it needs a quarter of the memory), or use `fill.implicit`, which "
+            "needs no mesh",
+        )
+        vertices, faces = surface.mesh(context.threads, lambda done, planes: context.progress(done, planes, "planes"))
+        if not len(faces):
+            raise DesignError("there is no solid in the part", hint="lower the porosity or the level, or add a skin")
+        vertices *= edge
+        vertices += np.array(field.origin_mm)
+        made = boolean(
+            (vertices, faces), (domain.vertices, domain.faces), "intersection", ("the microstructure", domain.name)
+        )
+        context.report(microstructure_triangles=len(faces), domain_volume_mm3=volume(domain.vertices, domain.faces))
+        del vertices, faces
+        shells = find_shells(*made)
+        whole = float(shells.volumes.sum())
+        context.report(bodies=shells.bodies, cavities=shells.cavities)
+        if self.islands == "remove":
+            made = largest_body(*made, shells)
+            context.report(removed_share=1 - volume(*made) / whole)
+        return SurfaceMesh(*made, name=domain.name)

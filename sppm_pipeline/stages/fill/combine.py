@@ -1,0 +1,65 @@
+"""``fill.combine``: plates, handles and screw holes, added to a mesh or cut out of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families.memory import require_memory
+from sppm_pipeline.stage import Context, Stage, option
+
+ZERO = Length(0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Combine(Stage):
+    """Unite a mesh with another one, the tool, cut the tool out of it, or keep what both have in common.
+
+    The tool is first scaled, then turned about the axes through the origin, then moved. With several places it is set
+    down at each of them: four screw holes are one cylinder at four places. Both meshes must be closed.
+    """
+
+    name: ClassVar[str] = "fill.combine"
+
+    operation: str = option(
+        help="union: mesh and tool; difference: mesh without tool; intersection: what both have in common",
+        choices=("union", "difference", "intersection"),
+    )
+    scale: float = option(1.0, help="factor of all lengths of the tool", above=0)
+    turn: tuple[float, float, float] = option(
+        (0.0, 0.0, 0.0), help="angles of the tool about x, then y, then z", unit="degrees", minimum=-360, maximum=360
+    )
+    at: tuple[tuple[Length, Length, Length], ...] = option(
+        ((ZERO, ZERO, ZERO),), help="where copies of the tool go: how far each is moved along x, y, z", unit="mm"
+    )
+
+    def check_options(self) -> None:
+        if not self.at:
+            raise ConfigError("`at` names no place for the tool", hint="leave it out to take the tool where it is")
+
+    def run(self, context: Context, mesh: SurfaceMesh, tool: SurfaceMesh) -> SurfaceMesh:
+        """Place the copies of the tool, unite them, and combine."""
+        from sppm_pipeline.numerics.surface.measures import volume
+        from sppm_pipeline.numerics.surface.rotation import rotation
+        from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, boolean, check_solid
+
+        check_solid(mesh.vertices, mesh.faces, mesh.name)
+        check_solid(tool.vertices, tool.faces, tool.name)
+        triangles = len(mesh.faces) + len(self.at) * len(tool.faces)
+        require_memory(
+            triangles * BYTES_PER_TRIANGLE, f"a Boolean of {triangles} triangles", "give meshes with fewer triangles"
+        )
+        turned = rotated(tool.vertices * self.scale, rotation(self.turn))
+        places = [np.array([length.mm() for length in place]) for place in self.at]
+        tools = (turned + places[0], tool.faces)
+        for place in places[1:]:
+            tools = boolean(tools, (turned + place, tool.faces), "union", (tool.name, tool.name))
+        before, removed = volume(mesh.vertices, mesh.faces), volume(*tools)
+        vertices, faces = boolean((mesh.vertices, mesh.faces), tools, self.operation, (mesh.name, tool.name))
+        context.report(mesh_mm3=before, tool_mm3=removed)
+        return SurfaceMesh(vertices, faces, name=mesh.name)
