@@ -69,6 +69,8 @@ class OptionSpec:
         Exclusive bounds.
     choices : tuple of str
         Allowed words.
+    output : bool
+        Whether the value names a file or folder that the stage writes.
     """
 
     help: str
@@ -78,6 +80,7 @@ class OptionSpec:
     above: float | None = None
     below: float | None = None
     choices: tuple[str, ...] = ()
+    output: bool = False
 
 
 def option(
@@ -90,13 +93,15 @@ def option(
     above: float | None = None,
     below: float | None = None,
     choices: Iterable[str] = (),
+    output: bool = False,
 ) -> Any:
     """Declare an option of a stage; without `default` the option is required.
 
     The type comes from the annotation: bool, int, float, str, `pathlib.Path` (an input file, taken relative to the
     configuration file), `Length`, ``tuple[int, int]``, ``tuple[float, ...]``, and any of these ``| None``.
+    A text with `output` names a file or folder below the run directory, which is checked before any work starts.
     """
-    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices))
+    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices), output)
     return dataclasses.field(default=default, metadata={"option": spec})
 
 

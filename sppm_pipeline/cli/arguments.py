@@ -48,13 +48,12 @@ def add_configuration(parser: ArgumentParser) -> None:
 
 def _seed(text: str) -> int:
     """A seed; argparse turns the error into a message."""
-    value = int(text)
-    if value < 0:
-        raise ValueError(text)
-    return value
+    if not (text.isascii() and text.isdecimal() and len(text) <= 19) or int(text) >= 2**63:
+        raise ValueError(text[:40])
+    return int(text)
 
 
-_seed.__name__ = "whole number, at least 0"  # argparse shows it: "invalid whole number, at least 0 value"
+_seed.__name__ = "whole number from 0 to 2^63 - 1"  # argparse shows it: "invalid whole number ... value"
 
 
 def find_configuration(name: str) -> Path:

@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Iterator
 
 from sppm_pipeline.engine.plugins import Plugin, Plugins
-from sppm_pipeline.engine.problems import listed, nearest
+from sppm_pipeline.engine.problems import listed, nearest, shown
 from sppm_pipeline.errors import ConfigError, PluginError, Position
 from sppm_pipeline.stage import FAMILIES, Stage
 
@@ -53,7 +53,7 @@ class Registry:
             If its module can't be imported, or the class breaks the contract.
         """
         if name not in self._owners:
-            raise ConfigError(f"there is no stage {name!r}", where=where, hint=self._hint(name))
+            raise ConfigError(f"there is no stage {shown(name)}", where=where, hint=self._hint(name))
         if name not in self._classes:
             self._classes[name] = self._load(name)
         return self._classes[name]

@@ -55,7 +55,10 @@ class Sampler(Stage):
     """
 
     edge: Length | None = option(
-        None, help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted", above=0
+        None,
+        help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted",
+        minimum=1e-6,
+        maximum=1e6,
     )
     gap: Length | None = option(
         None,
@@ -63,6 +66,7 @@ class Sampler(Stage):
         "distances to face pores are checked one by one",
         unit="cell lengths",
         minimum=0,
+        maximum=1e6,
     )
 
     @abstractmethod

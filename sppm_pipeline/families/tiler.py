@@ -73,7 +73,7 @@ class Tiler(Stage):
     """Base of tile rules: implement `lay`; `run` finds the cells that are needed."""
 
     cell: Length | None = option(
-        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", above=0
+        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
     )
     cells: tuple[int, int, int] | None = option(
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096

@@ -191,7 +191,7 @@ class WriteNumber(Stage):
 
     name: ClassVar[str] = "write.number"
 
-    path: str = option("number.txt", help="file to write")
+    path: str = option("number.txt", help="file to write", output=True)
 
     def run(self, context: Context, source: Number | Text) -> None:
         """Write."""
@@ -206,7 +206,7 @@ class WriteTable(Stage):
     name: ClassVar[str] = "write.column"
 
     column: str = option(help="name of the column")
-    path: str = option("sum.txt", help="file to write")
+    path: str = option("sum.txt", help="file to write", output=True)
 
     def run(self, context: Context, table: Table) -> None:
         """Add and write."""

@@ -36,13 +36,14 @@ class BoundedDegreeSubgraph(Connector):
     neighbours: int = option(10, help="nearest neighbours a pore may be joined to", minimum=2, maximum=100)
     two_edge_connected: bool = option(False, help="no single tunnel may hold the graph together")
     clearance: Length | None = option(
-        None, help="smallest distance between tunnels that share no pore", unit="cell lengths", above=0
+        None, help="smallest distance between tunnels that share no pore", unit="cell lengths", above=0, maximum=1e6
     )
     connector_clearance: Length | None = option(
         None,
         help="a face pore takes the second nearest interior pore if its tunnel would run closer to another one",
         unit="cell lengths",
         above=0,
+        maximum=1e6,
     )
 
     def check_options(self) -> None:

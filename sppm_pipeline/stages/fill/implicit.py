@@ -22,7 +22,7 @@ class ImplicitFill(Stage):
     name: ClassVar[str] = "fill.implicit"
 
     skin: Length | None = option(
-        None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0
+        None, help="thickness of a solid skin inside the surface of the part", unit="mm", minimum=1e-3, maximum=1e4
     )
     islands: str = option(
         "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")

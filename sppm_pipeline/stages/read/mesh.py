@@ -38,8 +38,10 @@ class ReadMesh(Stage):
     turn: tuple[float, float, float] = option(
         (0.0, 0.0, 0.0), help="angles about x, then y, then z", unit="degrees", minimum=-360, maximum=360
     )
-    scale: float | None = option(None, help="factor of all lengths", above=0)
-    height: Length | None = option(None, help="scale the part to this size along z", unit="mm", above=0)
+    scale: float | None = option(None, help="factor of all lengths", minimum=1e-9, maximum=1e9)
+    height: Length | None = option(
+        None, help="scale the part to this size along z", unit="mm", minimum=1e-3, maximum=1e5
+    )
     place: str = option(
         "keep",
         help="where the part goes: as in the file, low corner at the origin, or standing centred on the origin",

@@ -20,7 +20,9 @@ class ReadPrimitive(Stage):
     name: ClassVar[str] = "read.primitive"
 
     shape: str = option(help="which body", choices=SHAPES)
-    size: tuple[Length, Length, Length] = option(help="box that the body just fills, along x, y, z", unit="mm", above=0)
+    size: tuple[Length, Length, Length] = option(
+        help="box that the body just fills, along x, y, z", unit="mm", minimum=1e-3, maximum=1e5
+    )
     facets: int = option(128, help="straight edges around a full turn of a round body", minimum=8, maximum=4096)
 
     def run(self, context: Context) -> SurfaceMesh:

@@ -29,11 +29,18 @@ class MirroredFaces(Stage):
 
     name: ClassVar[str] = "sample.mirrored_faces"
 
-    count: int | None = option(None, help="face pores of one cell, three faces counted once each", minimum=0)
-    total: int | None = option(
-        None, help="pores of one cell, faces and interior; the faces get their share at equal packing", minimum=2
+    count: int | None = option(
+        None, help="face pores of one cell, three faces counted once each", minimum=0, maximum=100_000
     )
-    spacing: Length | None = option(None, help="smallest distance between pores", unit="cell lengths", above=0)
+    total: int | None = option(
+        None,
+        help="pores of one cell, faces and interior; the faces get their share at equal packing",
+        minimum=2,
+        maximum=100_000,
+    )
+    spacing: Length | None = option(
+        None, help="smallest distance between pores", unit="cell lengths", above=0, maximum=1e6
+    )
     share: float | None = option(
         None, help="packing: pores as a share of the most that the spacing allows", above=0, maximum=1
     )
@@ -42,9 +49,13 @@ class MirroredFaces(Stage):
         help="distance of face pores from the border of the face; with several colours at least half the spacing",
         unit="cell lengths",
         minimum=0,
+        maximum=1e6,
     )
     edge: Length | None = option(
-        None, help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted", above=0
+        None,
+        help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted",
+        minimum=1e-6,
+        maximum=1e6,
     )
 
     def check_options(self) -> None:

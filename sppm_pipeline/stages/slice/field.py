@@ -26,8 +26,10 @@ class SliceField(Stage):
 
     name: ClassVar[str] = "slice.field"
 
-    pixel: Length | None = option(None, help="pixel pitch", unit="mm", above=0)
-    layer: Length | None = option(None, help="layer height; the pixel pitch if omitted", unit="mm", above=0)
+    pixel: Length | None = option(None, help="pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
+    layer: Length | None = option(
+        None, help="layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3
+    )
     resolution: int | None = option(
         None, help="voxels along a cell edge, instead of `pixel` and `layer`", minimum=2, maximum=2048
     )

@@ -32,7 +32,7 @@ class FreshTiling(Stage):
     name: ClassVar[str] = "tile.fresh"
 
     cell: Length | None = option(
-        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", above=0
+        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
     )
     cells: tuple[int, int, int] | None = option(
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
@@ -43,7 +43,7 @@ class FreshTiling(Stage):
     resolution: int = option(
         32, help="voxels along a cell edge when porosity is measured", unit="voxels", minimum=8, maximum=256
     )
-    limit: int = option(5000, help="most cells that are drawn", minimum=1)
+    limit: int = option(5000, help="most cells that are drawn", minimum=1, maximum=1_000_000)
 
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Number the cells and faces, then draw them all."""

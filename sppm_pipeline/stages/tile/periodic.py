@@ -26,12 +26,12 @@ class PeriodicTiling(Stage):
     name: ClassVar[str] = "tile.periodic"
 
     cell: Length | None = option(
-        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", above=0
+        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
     )
     cells: tuple[int, int, int] | None = option(
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
     )
-    tile: int = option(0, help="which tile of a tile set is repeated", minimum=0)
+    tile: int = option(0, help="which tile of a tile set is repeated", minimum=0, maximum=511)
 
     def run(self, context: Context, source: TileSet | ScalarField, cover: SurfaceMesh | None) -> Tiling | RepeatedField:
         """Lay the cells."""

@@ -19,7 +19,7 @@ class WriteChart(Stage):
 
     name: ClassVar[str] = "write.chart"
 
-    path: str = option("chart.png", help="picture to write")
+    path: str = option("chart.png", help="picture to write", output=True)
     x: str = option(help="column along the axis")
     y: str = option(help="column upward")
     kind: str = option("points", help="how the values are shown", choices=("points", "boxes"))

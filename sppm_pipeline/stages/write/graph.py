@@ -18,11 +18,11 @@ class WriteGraph(Stage):
 
     name: ClassVar[str] = "write.graph"
 
-    path: str = option("graph.graphml", help="file to write, .graphml or .json")
+    path: str = option("graph.graphml", help="file to write, .graphml or .json", output=True)
 
     def check_options(self) -> None:
         if not self.path.endswith((".graphml", ".json")):
-            raise ConfigError(f"{self.path!r} must end in .graphml or .json")
+            raise ConfigError(f"option 'path': expected a name that ends in .graphml or .json, got {self.path!r}")
 
     def run(self, context: Context, source: TunnelGraph | Microstructure) -> None:
         """Write the file."""

@@ -17,7 +17,7 @@ class WriteObj(MeshWriter):
 
     name: ClassVar[str] = "write.obj"
 
-    path: str = option("mesh.obj", help="file to write")
+    path: str = option("mesh.obj", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh) -> Iterator[bytes]:
         from sppm_pipeline.formats import obj

@@ -31,7 +31,7 @@ class WritePicture(Stage):
 
     name: ClassVar[str] = "write.picture"
 
-    path: str = option("picture.png", help="file to write")
+    path: str = option("picture.png", help="file to write", output=True)
     resolution: int = option(
         32, help="samples along a cell edge; fewer where the picture could not show them", minimum=4, maximum=512
     )

@@ -17,7 +17,7 @@ class WritePly(MeshWriter):
 
     name: ClassVar[str] = "write.ply"
 
-    path: str = option("mesh.ply", help="file to write")
+    path: str = option("mesh.ply", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh) -> Iterator[bytes]:
         from sppm_pipeline.formats import ply

@@ -27,14 +27,16 @@ class WritePng(Stage):
 
     name: ClassVar[str] = "write.png"
 
-    path: str = option("slices", help="folder to write")
+    path: str = option("slices", help="folder to write", output=True)
     bits: int | None = option(
         None,
         help="bits of a pixel: 1 for black and white, 8 for grey; what the layers need if omitted",
         minimum=1,
         maximum=8,
     )
-    sheet: int = option(6, help="layers shown together in an overview picture beside the folder; 0 for none", minimum=0)
+    sheet: int = option(
+        6, help="layers shown together in an overview picture beside the folder; 0 for none", minimum=0, maximum=100
+    )
 
     def check_options(self) -> None:
         if self.bits not in (None, 1, 8):
