@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.cli.arguments import add_configuration, open_from
+from sppm_pipeline.cli.limits import add_limits, limits_of
 
 __all__ = ["configure", "execute"]
 
@@ -16,6 +17,7 @@ __all__ = ["configure", "execute"]
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     add_configuration(parser)
+    add_limits(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="run directory; runs/<name> if omitted")
     parser.add_argument("--until", metavar="ID", help="stop after this stage")
     parser.add_argument("-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep at the same time")
@@ -37,6 +39,11 @@ def _count(text: str) -> int:
 
 def execute(args: Namespace) -> int:
     """Run."""
+    with limits_of(args):
+        return _execute(args)
+
+
+def _execute(args: Namespace) -> int:
     if args.dry_run:
         from sppm_pipeline.cli import check
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.configuration import FORMAT, Configuration, StageEntry, stage_entries
+from sppm_pipeline.engine.containment import contained
 from sppm_pipeline.engine.document import Entry, Node, plain
 from sppm_pipeline.engine.names import refuse_clashes
 from sppm_pipeline.engine.options import options_of, parse_options, plain_option
+from sppm_pipeline.engine.plugins import Plugin
 from sppm_pipeline.engine.problems import Problems
 from sppm_pipeline.engine.registry import Registry
 from sppm_pipeline.engine.substitution import Overrides, Substitution, override_options, override_params
@@ -174,8 +177,10 @@ def _drafts(
         stage = None
         if values is not None:
             try:
-                stage = cls(**values)
-                stage.check_options()
+                owner = registry.owner(entry.name)
+                with nullcontext() if owner.builtin else contained(_blamer(owner, entry)):
+                    stage = cls(**values)
+                    stage.check_options()
             except SppmError as error:
                 error.where, error.stage = error.where or entry.where, error.stage or entry.address
                 if not isinstance(error, ConfigError):
@@ -190,6 +195,13 @@ def _drafts(
                 ) from error
         drafts.append(Draft(entry, cls, stage, registry.owner(entry.name)))
     return drafts
+
+
+def _blamer(owner: Plugin, entry: StageEntry) -> Callable[[str], SppmError]:
+    def blame(message: str) -> SppmError:
+        return PluginError(f"{owner}: checking the options {message}", where=entry.where, stage=entry.address)
+
+    return blame
 
 
 def step_options(step: Step) -> dict[str, Any]:

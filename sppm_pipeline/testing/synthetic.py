@@ -6,6 +6,7 @@ They register through the hooks like any plugin: ``--plugin`` or `load_plugins([
 from __future__ import annotations
 
 import errno
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -293,7 +294,7 @@ class Failing(Stage):
                 context.report(thing=object())
             case "interrupt":
                 context.output("half.txt").write_text("half", encoding="utf-8")
-                raise KeyboardInterrupt
+                signal.raise_signal(signal.SIGINT)
         return Number(0.0)
 
 
