@@ -42,6 +42,17 @@ class Registry:
             sorted(self._owners, key=lambda n: (order.index(f) if (f := n.split(".")[0]) in order else len(order), n))
         )
 
+    def sound(self) -> list[str]:
+        """Names of the stages that can be loaded; those of a broken plugin are left out."""
+        names = []
+        for name in self:
+            try:
+                self.get(name)
+            except PluginError:
+                continue
+            names.append(name)
+        return names
+
     def owner(self, name: str) -> Plugin:
         """The plugin that supplies the stage."""
         return self._owners[name]

@@ -195,6 +195,7 @@ def test_a_stage_that_breaks_the_contract_disturbs_only_those_who_use_it(here, i
     assert main(["stages", "--json"]) == 0
     assert any(words in stage.get("error", "") for stage in json.loads(capsys.readouterr().out))
     assert main(["plugins", "--check"]) == 4
+    assert main(["schema"]) == 0
 
 
 RUNS = {
