@@ -49,6 +49,7 @@ def _execute(args: Namespace) -> int:
 
         return check.execute(args)
     from sppm_pipeline.cli.progress import ProgressLines
+    from sppm_pipeline.engine.checking import checked, refuse_unfit
     from sppm_pipeline.engine.monitor import Monitor
     from sppm_pipeline.engine.runner import available_threads, run_plan
 
@@ -58,8 +59,9 @@ def _execute(args: Namespace) -> int:
 
         on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
     session = open_from(args)
-    plan = session.plan()
+    plan, rows = checked(session, args.until)
     path = args.output or Path("runs") / plan.name
+    refuse_unfit(session, plan, rows, path, workers=args.jobs, until=args.until)
     threads = args.threads or available_threads()
     try:
         if session.configuration.sweep is None:

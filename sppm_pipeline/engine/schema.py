@@ -64,8 +64,7 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
         "required": ["sppm", "pipeline"],
         "additionalProperties": False,
         "properties": {key: {"description": KEYS[key], **top[key]} for key in KEYS},
-        "$defs": {"stage": {"anyOf": [{"enum": names}, named]}}
-        | {cls.name: _stage_schema(cls) for cls in classes},
+        "$defs": {"stage": {"anyOf": [{"enum": names}, named]}} | {cls.name: _stage_schema(cls) for cls in classes},
     }
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 from sppm_pipeline.families.connector import Connector, Piece
 from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
-from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for
+from sppm_pipeline.families.tiler import Lattice, Tiler, foreseen_tiling, lattice_for
 from sppm_pipeline.families.tileset_maker import TileSetMaker
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "Sampler",
     "TileSetMaker",
     "Tiler",
+    "foreseen_tiling",
     "lattice_for",
     "start_of",
 ]

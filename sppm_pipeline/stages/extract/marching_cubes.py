@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
@@ -28,6 +29,29 @@ class MarchingCubes(Stage):
     resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=1024)
     islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
     backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast import costs
+
+        facts, n = given["field"], self.resolution
+        voxels = float(np.prod(facts["box"])) * n**3
+        part = facts.get("is_part", False)
+        inner = costs.surface_triangles(facts["surface"], n) * facts["volume"]
+        triangles = inner + 2 * facts["envelope"] * (1 - facts["porosity"]) * n**2
+        scale = facts["cell_mm"] or 1.0
+        return Estimate(
+            makes={
+                "triangles": triangles,
+                "size_mm": tuple(scale * v for v in facts["box"]),
+                "volume_mm3": (1 - facts["porosity"]) * facts["volume"] * scale**3,
+                "area_mm2": facts["surface"] * facts["volume"] * scale**2,
+            },
+            keeps=24 * triangles,
+            memory=(24 if part else 14) * voxels + 60 * triangles,
+            seconds=5e-7 * triangles + costs.field_seconds(voxels, facts["kernels"]) + 8e-9 * voxels,
+            voxels=voxels,
+            advice="lower `resolution`, or slice without a mesh (`slice.field`)",
+        )
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample the nodes of a grid and extract the surface, in mm (cell edges for a cell without a size)."""

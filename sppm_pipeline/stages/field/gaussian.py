@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.microstructure import CUTOFF, Microstructure, pieces_from_graph
 from sppm_pipeline.data.tunnels import TunnelGraph
@@ -56,6 +57,41 @@ class GaussianField(Stage):
             raise ConfigError("give the size of the pores by one of `pore_radius` and `omega`")
         if (self.tunnel_radius is None) == (self.mu is None):
             raise ConfigError("give the size of the tunnels by one of `tunnel_radius` and `mu`")
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast.structure import kernels_at_a_point, structure_of
+        from sppm_pipeline.numerics.kernels import parameters as p
+
+        facts, squared = given["graph"], self.tunnel == "squared"
+        edge = facts["edge_mm"] or facts["edge"]
+
+        def fraction(length: Length) -> float:
+            return float((length.mm() if length.unit else length.value) / edge)
+
+        omega = self.omega * edge**2 if self.omega is not None else 0.0
+        if self.pore_radius is not None:
+            omega = p.omega_from_radius(fraction(self.pore_radius), self.level)
+        mu = self.mu * edge ** (2 if squared else 1) if self.mu is not None else 0.0
+        if self.tunnel_radius is not None:
+            mu = p.mu_from_radius(fraction(self.tunnel_radius), self.level, squared)
+        pores, tunnels = facts["pores"] + facts["face_pores"], facts["tunnels"]
+        radii = p.pore_radius(omega, self.level), p.tunnel_radius(mu, self.level, squared)
+        found = structure_of(pores, tunnels, *radii)
+        reach = max((-math.log(CUTOFF) / omega) ** 0.5, (-math.log(CUTOFF) / mu) ** (0.5 if squared else 1.0))
+        makes = {
+            **facts,
+            "structure": (pores, tunnels, *radii),
+            "porosity": found.porosity,
+            "surface": found.surface,
+            "kernels": kernels_at_a_point(pores, tunnels, omega, mu, squared),
+            "reach": reach,
+            "box": (1.0, 1.0, 1.0),
+            "volume": 1.0,
+            "envelope": 6.0,
+            "cell_mm": facts["edge_mm"],
+        }
+        total = facts["interiors"] * (pores + tunnels)
+        return Estimate(makes=makes, keeps=200 * total, memory=200 * total, seconds=2e-3 + 1e-6 * total)
 
     def run(self, context: Context, graph: TunnelGraph) -> Microstructure:
         """Give every pore and tunnel its kernel."""

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import UNITS_IN_MM, Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, InputError
@@ -19,6 +20,9 @@ LARGEST_FILE = 2 * 2**30
 
 PROBED = 64
 """Samples along the longest side when it is found out how open a mesh is."""
+
+PROBED_FILE = 2**26
+"""Bytes of the largest file that is read to foretell a run."""
 
 MOST_OPEN = 0.3
 """Share of rays that do not leave a mesh as often as they enter it; above, what is inside is guesswork."""
@@ -57,6 +61,31 @@ class ReadMesh(Stage):
     def check_options(self) -> None:
         if self.scale is not None and self.height is not None:
             raise ConfigError("`scale` and `height` exclude each other")
+
+    def estimate(self, given: Given) -> Estimate:
+        """From the file itself, which is read: nothing else tells the size of the part."""
+        from sppm_pipeline.formats.detect import decode_mesh
+        from sppm_pipeline.numerics.surface.measures import surface_area, volume
+
+        if self.path.stat().st_size > PROBED_FILE:
+            return Estimate(memory=4 * self.path.stat().st_size, seconds=self.path.stat().st_size * 2e-8)
+        vertices, faces = decode_mesh(self.path.read_bytes(), self.path.name)
+        vertices = vertices * UNITS_IN_MM[self.unit] @ _rotation(self.turn).T
+        used = vertices[np.unique(faces)]
+        extent = used.max(0) - used.min(0)
+        factor = float(self.height.mm() / extent[2]) if self.height is not None else self.scale or 1.0
+        return Estimate(
+            makes={
+                "triangles": len(faces),
+                "size_mm": tuple(float(v) for v in extent * factor),
+                "volume_mm3": abs(volume(vertices, faces)) * factor**3,
+                "area_mm2": surface_area(vertices, faces) * factor**2,
+            },
+            keeps=24 * len(vertices) + 12 * len(faces),
+            memory=200 * len(faces),
+            seconds=4e-7 * len(faces),
+            advice="simplify the mesh",
+        )
 
     def run(self, context: Context) -> SurfaceMesh:
         """Read the file."""

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError, DesignError
@@ -67,6 +68,36 @@ class MirroredFaces(Stage):
                 "give two of: the number of pores (`count` or `total`), `spacing`, `share`",
                 hint="for example `count: 18` and `spacing: 0.16`, or `total: 110` and `share: 0.5`",
             )
+
+    def estimate(self, given: Given) -> Estimate:
+        colors = given.palette.colors
+        before = given.ports["pores"] or {}
+        edge = self.edge
+        if self.total is None and self.count is None:
+            from sppm_pipeline.numerics.sampling.split import split_between_faces_and_interior
+
+            cell = edge.value if edge else 1.0
+            on_faces, _ = split_between_faces_and_interior(
+                total=None,
+                face_count=None,
+                spacing=None if self.spacing is None else self.spacing.value / cell,
+                share=self.share,
+                colors=max(colors),
+            )
+        else:
+            # of the paper's cells two fifths of all pores lie on the faces, three faces counted
+            on_faces = self.count if self.count is not None else round(0.44 * (self.total or 0))
+        makes = {
+            "pores": 0.0,
+            "edge": edge.value if edge else 1.0,
+            "edge_mm": edge.mm() if edge and edge.unit else None,
+            **before,
+            "face_pores": float(on_faces),
+            "interiors": given.palette.interiors,
+            "colors": colors,
+        }
+        thrown = on_faces / 3 * sum(colors)
+        return Estimate(makes=makes, keeps=40 * thrown, memory=20e3 * thrown, seconds=2e-5 * thrown + 1e-7 * thrown**2)
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the patterns of all colours."""

@@ -17,6 +17,7 @@ class WriteObj(MeshWriter):
 
     name: ClassVar[str] = "write.obj"
 
+    bytes_of_a_triangle: ClassVar[float] = 40.0
     path: str = option("mesh.obj", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh) -> Iterator[bytes]:

@@ -17,6 +17,7 @@ class WritePly(MeshWriter):
 
     name: ClassVar[str] = "write.ply"
 
+    bytes_of_a_triangle: ClassVar[float] = 25.0
     path: str = option("mesh.ply", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh) -> Iterator[bytes]:
