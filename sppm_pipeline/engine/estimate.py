@@ -20,7 +20,7 @@ __all__ = ["Forecast", "Foretold", "estimate_plan", "refuse_what_cannot_fit"]
 BASE = 150e6
 """Bytes of the program with its libraries and compiled kernels."""
 
-RECORD, RECORD_STAGE = 4e3, 1.2e3
+RECORD, RECORD_STAGE = 2e3, 450
 """Bytes of ``run.json``, and of each stage in it."""
 
 START = 0.6

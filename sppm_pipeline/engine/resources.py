@@ -53,7 +53,7 @@ def _control_group() -> list[int]:
     found = []
     for name in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
         try:
-            text = Path(name).read_text(encoding="ascii").strip()
+            text = Path(name).read_text(encoding="utf-8").strip()
         except (OSError, UnicodeDecodeError):
             continue
         if text.isdecimal() and int(text) < 2**60:
@@ -63,7 +63,7 @@ def _control_group() -> list[int]:
 
 def _free_memory() -> list[int]:
     try:
-        with Path("/proc/meminfo").open(encoding="ascii") as file:
+        with Path("/proc/meminfo").open(encoding="utf-8") as file:
             for line in file:
                 if line.startswith("MemAvailable:"):
                     return [int(line.split()[1]) * 1024]
