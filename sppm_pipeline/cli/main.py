@@ -24,7 +24,7 @@ VERBS = {
     "stages": "list the stages there are, or describe one",
     "graph": "draw the wiring as text, DOT or Mermaid",
     "schema": "print the JSON Schema of configurations, for editors",
-    "plugins": "list plugins, and why some could not be loaded",
+    "plugins": "list plugins, and with --check why some cannot be loaded",
     "new": "write a first pipeline, or the skeleton of a plugin",
     "doctor": "look at the installation: versions, caches, processors, plugins",
 }

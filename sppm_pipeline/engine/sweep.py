@@ -28,6 +28,9 @@ __all__ = ["check_sweep", "run_row", "run_sweep", "sweep_rows"]
 
 MAX_ROWS = 100_000
 
+MOST_CHECKED = 1000
+"""Rows that are planned before any work."""
+
 Row = Mapping[str, Entry]
 
 
@@ -97,16 +100,17 @@ def _axis(name: str, entry: Entry, problems: Problems) -> list[Entry]:
 def check_sweep(session: Session, rows: Sequence[Row]) -> None:
     """Plan with every value that occurs, so that a bad one is found before any work.
 
-    In a grid each value is tried once, with the first values of the other parameters; in a table each row.
+    In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
+    than `MOST_CHECKED` a part is tried.
     """
     sweep = session.configuration.sweep
     first = rows[0]
     problems = Problems()
+    if sweep is not None and isinstance(sweep.value, dict):
+        rows = [row for row in rows if sum(row[name].node is not first[name].node for name in row) <= 1]
+    if len(rows) > MOST_CHECKED:  # of a long range, values spread evenly over it stand for all, both ends among them
+        rows = [*rows[: -1 : -(-len(rows) // MOST_CHECKED)], rows[-1]]
     for row in rows:
-        if sweep is not None and isinstance(sweep.value, dict):
-            changed = sum(row[name].node is not first[name].node for name in row)
-            if changed > 1:
-                continue
         try:
             session.plan(row)
         except ConfigError as error:

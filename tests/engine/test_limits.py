@@ -146,3 +146,17 @@ def test_ranges_of_sweeps(work, to):
     with pytest.raises(ConfigError) as caught:
         sweep_rows(session.configuration.sweep, session.configuration.params)
     assert caught.value.where.line == 3
+
+
+def test_a_long_sweep_is_checked_by_a_part_of_its_rows(work, monkeypatch):
+    from sppm_pipeline.engine.session import Session
+    from sppm_pipeline.engine.sweep import MOST_CHECKED, check_sweep, sweep_rows
+
+    planned = []
+    original = Session.plan
+    monkeypatch.setattr(Session, "plan", lambda self, row: planned.append(row["a"].node.value) or original(self, row))
+    text = "params: {a: 1}\nsweep: {a: {from: 1, to: 50000}}\npipeline: [{stage: read.number, value: '${a}'}]\n"
+    session = work.session(text)
+    check_sweep(session, sweep_rows(session.configuration.sweep, session.configuration.params))
+    assert len(planned) <= MOST_CHECKED + 1
+    assert (planned[0], planned[-1]) == (1, 50000)
