@@ -89,9 +89,9 @@ def _values(text: str, rng: random.Random) -> bytes:
 
 def _structure(text: str, rng: random.Random) -> bytes:
     """Drop, double, move or indent lines; cut the file off; repeat it; nest it."""
-    lines = text.splitlines(keepends=True)
+    lines = text.splitlines(keepends=True) or ["\n"]
     kind = rng.randrange(8)
-    i, j = rng.randrange(len(lines) or 1), rng.randrange(len(lines) or 1)
+    i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
     if kind == 0:
         del lines[i : i + rng.randint(1, 4)]
     elif kind == 1:
