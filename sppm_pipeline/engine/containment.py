@@ -182,10 +182,15 @@ class _Watchdog:
         threading.Thread(target=self._watch, name="sppm-stage-time", daemon=True).start()
 
     def __exit__(self, *error: object) -> None:
-        with self._lock:
+        try:
+            with self._lock:  # the signal may arrive just here
+                self._done.set()
+        finally:
             self._done.set()
-        if self._main:
-            signal.signal(signal.SIGALRM, self._before)
+            if self._main:
+                signal.signal(signal.SIGALRM, self._before)
+            elif self.fired:  # what has not been delivered must not hit what comes after the stage
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), None)
 
     def _raise(self, number: int, frame: Any) -> None:
         if not self._done.is_set():
