@@ -51,6 +51,9 @@ MAX_NODES = 20_000
 
 _LONG_LINE = re.compile(rf"[^\r\n\x85\u2028\u2029]{{{MAX_LINE + 1}}}")
 _LONG_WORD = re.compile(rf"[^\s,\[\]{{}}]{{{MAX_SCALAR + 1}}}")
+_DEEP = re.compile(rf"(?:[\[{{][ \t]*){{{2 * MAX_DEPTH + 1}}}")
+"""Brackets on brackets: the parser looks ahead over a thousand of them, in quadratic time."""
+
 _ENCODINGS = {
     b"\xff\xfe\x00\x00": "UTF-32",
     b"\x00\x00\xfe\xff": "UTF-32",
@@ -114,11 +117,14 @@ def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None
     if found is not None:
         place = fixed or _place(text, found.start(), file)
         raise ConfigError(f"more than {MAX_SCALAR} characters without a blank, starting {found[0][:20]!r}", where=place)
+    found = _DEEP.search(text)
+    if found is not None:
+        raise ConfigError(f"nested deeper than {MAX_DEPTH} levels", where=fixed or _place(text, found.start(), file))
 
 
 def parsable(text: str) -> str:
     """The beginning of `text` that is not refused unparsed; of a record, what comes after is not read anyway."""
-    found = [match.start() for pattern in (_LONG_LINE, _LONG_WORD) if (match := pattern.search(text))]
+    found = [match.start() for pattern in (_LONG_LINE, _LONG_WORD, _DEEP) if (match := pattern.search(text))]
     return text[: min(found)] if found else text
 
 
