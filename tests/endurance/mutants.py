@@ -24,7 +24,7 @@ from sppm_pipeline.cli.main import main as sppm
 from sppm_pipeline.engine import plugins, session
 
 ROOT = Path(__file__).resolve().parents[2]
-LONGEST = 10.0
+LONGEST = 30.0
 """Seconds after which a check counts as hanging."""
 
 VALUES = [
