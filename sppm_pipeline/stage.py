@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.errors import DesignError
 
@@ -69,6 +70,8 @@ class OptionSpec:
         Exclusive bounds.
     choices : tuple of str
         Allowed words.
+    output : bool
+        Whether the value names a file or folder that the stage writes.
     """
 
     help: str
@@ -78,6 +81,7 @@ class OptionSpec:
     above: float | None = None
     below: float | None = None
     choices: tuple[str, ...] = ()
+    output: bool = False
 
 
 def option(
@@ -90,13 +94,15 @@ def option(
     above: float | None = None,
     below: float | None = None,
     choices: Iterable[str] = (),
+    output: bool = False,
 ) -> Any:
     """Declare an option of a stage; without `default` the option is required.
 
     The type comes from the annotation: bool, int, float, str, `pathlib.Path` (an input file, taken relative to the
     configuration file), `Length`, ``tuple[int, int]``, ``tuple[float, ...]``, and any of these ``| None``.
+    A text with `output` names a file or folder below the run directory, which is checked before any work starts.
     """
-    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices))
+    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices), output)
     return dataclasses.field(default=default, metadata={"option": spec})
 
 
@@ -109,10 +115,13 @@ class Context(ABC):
         How many threads the stage may use; results must not depend on it.
     palette : Palette
         How many interiors and face colours are wanted; one of each outside tile sets.
+    memory : int
+        Bytes that a stage which can choose should plan with; results must not depend on it.
     """
 
     threads: int
     palette: Palette
+    memory: int = 2 * 2**30
 
     @abstractmethod
     def rng(self, *key: int) -> np.random.Generator:
@@ -194,6 +203,13 @@ class Stage(ABC):
     @abstractmethod
     def run(self, context: Context, *inputs: Any) -> Any:
         """Do the work; subclasses state their ports and result by annotation."""
+
+    def estimate(self, given: Given) -> Estimate | None:
+        """Foretell the result and its costs from facts about the inputs, in milliseconds; None if that can't be told.
+
+        A fact that is missing raises `KeyError`, which may pass.
+        """
+        return None
 
     def check_options(self) -> None:  # noqa: B027 - most stages have nothing to add
         """Raise `ConfigError` if options contradict each other; called before any work starts."""

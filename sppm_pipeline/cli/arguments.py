@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import sysconfig
 from argparse import ArgumentParser, Namespace
@@ -13,9 +14,11 @@ if TYPE_CHECKING:
     from sppm_pipeline.engine.session import Order, Session
 
 __all__ = [
+    "ALLOWED",
     "BUILTINS",
     "add_configuration",
     "add_plugins",
+    "allowed_from",
     "find_configuration",
     "open_from",
     "order_from",
@@ -27,9 +30,26 @@ BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
 """Modules whose hook implementations are always there."""
 
 
+ALLOWED = "SPPM_PLUGINS"
+"""Environment variable with the plugins that may be imported."""
+
+
+def allowed_from(args: Namespace) -> tuple[str, ...] | None:
+    """Names of the plugins that may be imported; None for all."""
+    text = args.allow_plugins if args.allow_plugins is not None else os.environ.get(ALLOWED)
+    return None if text is None else tuple(name for part in text.split(",") if (name := part.strip()))
+
+
 def add_plugins(parser: ArgumentParser) -> None:
     """Which plugins are loaded."""
     parser.add_argument("--plugin", action="append", default=[], metavar="FILE", help="a Python file with stages")
+    parser.add_argument(
+        "--allow-plugins",
+        metavar="NAMES",
+        default=None,
+        help="import only these installed plugins, and Python files that the configuration names: names separated by "
+        f"commas, of distributions, entry points or files; from the environment variable {ALLOWED} if omitted",
+    )
     parser.add_argument(
         "--no-plugins", action="store_true", help="load neither installed plugins nor those the configuration names"
     )
@@ -48,13 +68,12 @@ def add_configuration(parser: ArgumentParser) -> None:
 
 def _seed(text: str) -> int:
     """A seed; argparse turns the error into a message."""
-    value = int(text)
-    if value < 0:
-        raise ValueError(text)
-    return value
+    if not (text.isascii() and text.isdecimal() and len(text) <= 19) or int(text) >= 2**63:
+        raise ValueError(text[:40])
+    return int(text)
 
 
-_seed.__name__ = "whole number, at least 0"  # argparse shows it: "invalid whole number, at least 0 value"
+_seed.__name__ = "whole number from 0 to 2^63 - 1"  # argparse shows it: "invalid whole number ... value"
 
 
 def find_configuration(name: str) -> Path:
@@ -100,6 +119,7 @@ def order_from(args: Namespace) -> Order:
         plugins=tuple(args.plugin),
         distributions=not args.no_plugins,
         overrides=Overrides(tuple(args.param), tuple(args.set), args.seed),
+        allowed=allowed_from(args),
     )
 
 
@@ -116,7 +136,9 @@ def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:
     """Plugins without a configuration; if `strict`, a broken contract raises."""
     from sppm_pipeline.engine.plugins import load_plugins
 
-    plugins = load_plugins(BUILTINS, files=[Path(p) for p in args.plugin], distributions=not args.no_plugins)
+    plugins = load_plugins(
+        BUILTINS, files=[Path(p) for p in args.plugin], distributions=not args.no_plugins, allowed=allowed_from(args)
+    )
     if strict:
         plugins.raise_broken()
         warn_of_failed_plugins(plugins)

@@ -19,18 +19,12 @@ def configure(parser: ArgumentParser) -> None:
 
 def execute(args: Namespace) -> int:
     """Check, and print the wiring."""
+    from sppm_pipeline.engine.checking import checked
     from sppm_pipeline.engine.graph import wiring_text
-    from sppm_pipeline.engine.runner import check_until
-    from sppm_pipeline.engine.sweep import check_sweep, sweep_rows
 
     session = open_from(args)
-    plan = session.plan()
-    check_until(plan, getattr(args, "until", None))
-    rows = 0
-    if session.configuration.sweep is not None:
-        found = sweep_rows(session.configuration.sweep, session.configuration.params)
-        check_sweep(session, found)
-        rows = len(found)
+    plan, found = checked(session, getattr(args, "until", None))
+    rows = len(found)
     for message in plan.warnings:
         print(f"sppm: warning: {message}", file=sys.stderr)
     if args.json:

@@ -100,21 +100,12 @@ def _writable(folder: Path) -> tuple[bool, str]:
 
 def _plugins(args: Namespace) -> Iterator[Finding]:
     """Every plugin, and every one of its stages, imported."""
-    from sppm_pipeline.engine.options import options_of
-    from sppm_pipeline.engine.ports import signature_of
+    from sppm_pipeline.cli.plugins import findings_of
     from sppm_pipeline.engine.registry import Registry
-    from sppm_pipeline.errors import SppmError
 
     plugins = plugins_from(args, strict=False)
     registry = Registry(plugins)
     for plugin in plugins.plugins:
-        bad = [str(plugin.error)] if plugin.error else []
-        for name in plugin.stages:
-            try:
-                cls = registry.get(name)
-                options_of(cls)
-                signature_of(cls)
-            except SppmError as error:
-                bad.append(str(error))
+        bad = findings_of(plugin, registry)
         counts = f"{len(plugin.stages)} stages, {len(plugin.executors)} executors"
         yield not bad, f"plugin {plugin.name}", "; ".join(bad) if bad else counts

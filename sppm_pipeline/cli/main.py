@@ -20,10 +20,11 @@ VERBS = {
     "run": "run a pipeline, or every row of its sweep",
     "check": "check a configuration and print its wiring, without running it",
     "explain": "say what each stage of a configuration, or one stage, does",
+    "estimate": "foretell memory, disk and time of a run, without running it",
     "stages": "list the stages there are, or describe one",
     "graph": "draw the wiring as text, DOT or Mermaid",
     "schema": "print the JSON Schema of configurations, for editors",
-    "plugins": "list plugins, and why some could not be loaded",
+    "plugins": "list plugins, and with --check why some cannot be loaded",
     "new": "write a first pipeline, or the skeleton of a plugin",
     "doctor": "look at the installation: versions, caches, processors, plugins",
 }

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.cli.arguments import add_configuration, open_from
+from sppm_pipeline.cli.limits import add_limits, limits_of
 
 __all__ = ["configure", "execute"]
 
@@ -16,6 +17,7 @@ __all__ = ["configure", "execute"]
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     add_configuration(parser)
+    add_limits(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="run directory; runs/<name> if omitted")
     parser.add_argument("--until", metavar="ID", help="stop after this stage")
     parser.add_argument("-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep at the same time")
@@ -37,11 +39,17 @@ def _count(text: str) -> int:
 
 def execute(args: Namespace) -> int:
     """Run."""
+    with limits_of(args):
+        return _execute(args)
+
+
+def _execute(args: Namespace) -> int:
     if args.dry_run:
         from sppm_pipeline.cli import check
 
         return check.execute(args)
     from sppm_pipeline.cli.progress import ProgressLines
+    from sppm_pipeline.engine.checking import checked, refuse_unfit
     from sppm_pipeline.engine.monitor import Monitor
     from sppm_pipeline.engine.runner import available_threads, run_plan
 
@@ -51,8 +59,9 @@ def execute(args: Namespace) -> int:
 
         on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
     session = open_from(args)
-    plan = session.plan()
+    plan, rows = checked(session, args.until)
     path = args.output or Path("runs") / plan.name
+    refuse_unfit(session, plan, rows, path, workers=args.jobs, until=args.until)
     threads = args.threads or available_threads()
     try:
         if session.configuration.sweep is None:

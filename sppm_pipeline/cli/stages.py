@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.cli.arguments import add_plugins, plugins_from
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.registry import Registry
 
 __all__ = ["configure", "execute"]
 
@@ -26,10 +30,21 @@ def execute(args: Namespace) -> int:
     if args.name is None or any(name.split(".")[0] == args.name for name in registry):
         names = [name for name in registry if args.name in (None, name.split(".")[0])]
         if args.json:
-            print(json.dumps([stage_data(registry.get(name), registry) for name in names], indent=1))
+            print(json.dumps([_data(name, registry) for name in names], indent=1))
         else:
             print(stage_list(registry, names), end="")
         return 0
     cls = registry.get(args.name)
     print(json.dumps(stage_data(cls, registry), indent=1) if args.json else stage_text(cls, registry).rstrip("\n"))
     return 0
+
+
+def _data(name: str, registry: Registry) -> dict[str, Any]:
+    """The stage, or why it can't be described; one broken plugin does not hide the others."""
+    from sppm_pipeline.engine.describe import stage_data
+    from sppm_pipeline.errors import PluginError
+
+    try:
+        return stage_data(registry.get(name), registry)
+    except PluginError as error:
+        return {"name": name, "from": str(registry.owner(name)), "error": error.message}

@@ -5,16 +5,17 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+import types
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.document import Entry, Node, Override, read_yaml
-from sppm_pipeline.engine.problems import Problems, did_you_mean
+from sppm_pipeline.engine.document import Entry, Node, Override, plain, read_yaml
+from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, Position
 
-__all__ = ["FORMAT", "RESERVED", "Configuration", "StageEntry", "read_configuration", "stage_entries"]
+__all__ = ["FORMAT", "MAX_SEED", "RESERVED", "Configuration", "StageEntry", "read_configuration", "stage_entries"]
 
 FORMAT = 1
 """Version of the file format: the value of the key `sppm`."""
@@ -34,6 +35,9 @@ KEYS = {
     "after": "list of stages that run once after a sweep and may use its table",
     "folder": "folder that relative paths start from; the folder of this file if omitted",
 }
+MAX_SEED = 2**63 - 1
+"""Seeds fit into 64 bits, so that other programs can read a run record."""
+
 _NAME = re.compile(r"\w[\w .+-]{0,99}")
 _WORD = re.compile(r"\w[\w.#-]*")
 
@@ -52,6 +56,8 @@ class Configuration:
     pipeline: Node
     sweep: Node | None
     after: Node | None
+    errors: tuple[ConfigError, ...] = ()
+    """What is wrong with the top level and does not keep the rest from being looked at; `make_plan` reports it."""
 
     def base_of(self, where: Position) -> Path:
         """The folder that a relative path written at `where` starts from."""
@@ -105,7 +111,8 @@ def read_configuration(path: Path) -> Configuration:
     Raises
     ------
     ConfigError
-        With all the errors of the top level.
+        If the format is another, or params, recipes or the pipeline can't be read, so that the rest would only give
+        errors that follow from it.
     """
     root = read_yaml(path)
     problems = Problems()
@@ -114,55 +121,64 @@ def read_configuration(path: Path) -> Configuration:
     top: dict[str, Entry] = root.value
     for key, entry in top.items():
         if key not in KEYS:
-            problems.report(f"unknown key {key!r}", entry.where, hint=did_you_mean(key, KEYS))
-    _check_format(top, root.where, problems)
+            problems.report(f"unknown key {shown(key)}", entry.where, hint=did_you_mean(key, KEYS))
+    known_format = _check_format(top, root.where, problems)
     if "pipeline" not in top:
         problems.report("the key `pipeline` is missing", root.where, hint="add `pipeline:` with a list of stages")
     name = _name(top, path, problems)
     folder = Path(os.path.abspath(path.parent / str(_value(top, "folder", str, "text", problems, default="."))))
     seed = _value(top, "seed", int, "a whole number, at least 0", problems, default=0)
-    if seed < 0:
-        problems.report(f"`seed` must be a whole number, at least 0, got {seed}", top["seed"].node.where)
+    if not 0 <= seed <= MAX_SEED:
+        problems.report(
+            f"`seed` must be a whole number, at least 0, at most {MAX_SEED}, got {shown(seed)}", top["seed"].node.where
+        )
     params = _value(top, "params", dict, "a map", problems, default={})
     for key, entry in params.items():
         if not key.isidentifier():
-            problems.report(f"the parameter name {key!r} must consist of letters, digits and _", entry.where)
+            problems.report(f"the parameter name {shown(key)} must consist of letters, digits and _", entry.where)
     recipes = _value(top, "recipes", dict, "a map of recipe names to lists of stages", problems, default={})
     for key, entry in recipes.items():
         if not key.isidentifier():
-            problems.report(f"the recipe name {key!r} must consist of letters, digits and _", entry.where)
+            problems.report(f"the recipe name {shown(key)} must consist of letters, digits and _", entry.where)
     if "sweep" in top and not isinstance(top["sweep"].node.value, (dict, list)):
         problems.report("`sweep` must be a map of lists or a list of maps", top["sweep"].node.where)
     if "after" in top and "sweep" not in top:
         problems.report("`after` runs after a sweep, but there is no `sweep`", top["after"].where)
     plugins = _value(top, "plugins", list, "a list of Python files", problems, default=[])
     for node in plugins:
-        if not isinstance(node.value, str):
-            problems.report(f"a plugin is the path of a Python file, got {node.value!r}", node.where)
-    problems.raise_any()
+        if not isinstance(node.value, str) or not node.value:
+            problems.report(f"a plugin is the path of a Python file, got {shown(plain(node))}", node.where)
+    if not known_format or not all(
+        isinstance(top[key].node.value, (kind, types.NoneType)) if key in top else key != "pipeline"
+        for key, kind in (("params", dict), ("recipes", dict), ("pipeline", list))
+    ):
+        problems.raise_any()
     return Configuration(
         file=path,
         folder=folder,
         name=name,
         seed=seed,
         params=params,
-        plugins=tuple(folder / node.value for node in plugins),
+        plugins=tuple(folder / node.value for node in plugins if isinstance(node.value, str) and node.value),
         recipes=recipes,
         pipeline=top["pipeline"].node,
-        sweep=top["sweep"].node if "sweep" in top else None,
-        after=top["after"].node if "after" in top else None,
+        sweep=top["sweep"].node if "sweep" in top and isinstance(top["sweep"].node.value, (dict, list)) else None,
+        after=top["after"].node if "after" in top and "sweep" in top else None,
+        errors=tuple(problems.errors),
     )
 
 
-def _check_format(top: Mapping[str, Entry], where: Position, problems: Problems) -> None:
+def _check_format(top: Mapping[str, Entry], where: Position, problems: Problems) -> bool:
     if "sppm" not in top:
         problems.report(
             "the key `sppm` is missing", where, hint="start the file with `sppm: 1`, the version of its format"
         )
-        return
+        return False
     node = top["sppm"].node
     if node.value != FORMAT or isinstance(node.value, bool):
-        problems.report(f"format version {node.value!r} is unknown; this program reads {FORMAT}", node.where)
+        problems.report(f"format version {shown(plain(node))} is unknown; this program reads {FORMAT}", node.where)
+        return False
+    return True
 
 
 def _name(top: Mapping[str, Entry], path: Path, problems: Problems) -> str:
@@ -171,7 +187,8 @@ def _name(top: Mapping[str, Entry], path: Path, problems: Problems) -> str:
     node = top["name"].node
     if not isinstance(node.value, str) or not _NAME.fullmatch(node.value) or node.value.endswith((".", " ")):
         problems.report(
-            f"`name` must be text of letters, digits, blanks and ._+- of at most 100 characters, got {node.value!r}",
+            f"`name` must be text of letters, digits, blanks and ._+- of at most 100 characters, got "
+            f"{shown(plain(node))}",
             node.where,
         )
     return str(node.value)
@@ -183,8 +200,7 @@ def _value(top: Mapping[str, Entry], key: str, kind: type, words: str, problems:
         return default
     node = top[key].node
     if not isinstance(node.value, kind) or isinstance(node.value, bool):
-        problems.report(f"`{key}` must be {words}, got {node.value!r}" if isinstance(node.value, (str, int, float))
-                        else f"`{key}` must be {words}", node.where)  # fmt: skip
+        problems.report(f"`{key}` must be {words}, got {shown(plain(node))}", node.where)
         return default
     return node.value
 
@@ -226,11 +242,11 @@ def _stage_entry(item: Node, recipe: str | None, problems: Problems) -> StageEnt
     keys: dict[str, Entry] = item.value
     stage = keys["stage"].node
     if not isinstance(stage.value, str):
-        problems.report(f"`stage` must be the name of a stage, got {stage.value!r}", stage.where)
+        problems.report(f"`stage` must be the name of a stage, got {shown(plain(stage))}", stage.where)
         return None
     explicit = keys["id"].node if "id" in keys else None
     if explicit is not None and not (isinstance(explicit.value, str) and _WORD.fullmatch(explicit.value)):
-        problems.report(f"an id consists of letters, digits and ._#-, got {explicit.value!r}", explicit.where)
+        problems.report(f"an id consists of letters, digits and ._#-, got {shown(plain(explicit))}", explicit.where)
         explicit = None
     options = {key: entry for key, entry in keys.items() if key not in RESERVED}
     return StageEntry(

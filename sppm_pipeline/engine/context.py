@@ -14,6 +14,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.jsonable import jsonable
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.outputs import RunFolder
+from sppm_pipeline.engine.resources import memory_budget
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context
 
@@ -120,6 +121,7 @@ class RunContext(Context):
         self.palette = palette
         self.log = log
         self.folder = folder
+        self.memory = memory_budget()
 
     def inside(self, recipe: str, attempt: int, id_: str, address: str, palette: Palette) -> RunContext:
         """The context of a stage of a recipe that this stage repeats."""

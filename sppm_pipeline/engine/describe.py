@@ -11,6 +11,7 @@ from sppm_pipeline.engine.plan import Plan, step_options
 from sppm_pipeline.engine.ports import noun_words, signature_of
 from sppm_pipeline.engine.registry import Registry
 from sppm_pipeline.engine.wiring import Step
+from sppm_pipeline.errors import PluginError
 from sppm_pipeline.stage import FAMILIES, Stage
 
 __all__ = ["explain_plan", "purpose_of", "stage_data", "stage_list", "stage_text"]
@@ -92,9 +93,12 @@ def stage_list(registry: Registry, names: Sequence[str]) -> str:
         if name.split(".")[0] != family:
             family = name.split(".")[0]
             lines += ["", f"{family}: {FAMILIES[family]}" if family in FAMILIES else f"{family}:"]
-        cls = registry.get(name)
         note = "" if registry.owner(name).builtin else f"  [{registry.owner(name)}]"
-        lines.append(f"  {name:{width}s}  {purpose_of(cls)}{note}")
+        try:
+            purpose = purpose_of(registry.get(name))
+        except PluginError as error:
+            purpose = f"BROKEN: {error.message}"
+        lines.append(f"  {name:{width}s}  {purpose}{note}")
     return "\n".join(lines[1:]) + "\n"
 
 

@@ -13,14 +13,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from sppm_pipeline.engine.limits import (
+    MAX_DEPTH,
+    MAX_DIGITS,
+    MAX_KEY,
+    MAX_NODES,
+    MAX_RECORD,
+    MAX_SCALAR,
+    decoded,
+    parsable,
+    refuse_unparsed,
+    unprintable,
+)
 from sppm_pipeline.errors import ConfigError, Position, ResourceError
 
-__all__ = ["Entry", "Node", "Override", "as_node", "parse_value", "parse_yaml", "plain", "read_yaml"]
-
-MAX_BYTES = 1 << 20
-MAX_DEPTH = 32
-MAX_NODES = 20_000
-"""Counted with every alias expanded."""
+__all__ = ["Entry", "Node", "Override", "as_node", "count_nodes", "parse_value", "parse_yaml", "plain", "read_yaml"]
 
 RECORD_KEY = "sppm_run"
 """First key of a run record; its `config`, which comes next, is then the document, and the rest is not read."""
@@ -82,39 +89,28 @@ def read_yaml(path: Path) -> Node:
     """
     try:
         with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+            data = file.read(MAX_RECORD + 1)
     except (FileNotFoundError, NotADirectoryError):
         raise ConfigError(f"there is no file {str(path)!r}") from None
     except IsADirectoryError:
         raise ConfigError(f"{str(path)!r} is a folder, not a configuration file") from None
     except OSError as error:
         raise ResourceError(f"can't read {str(path)!r}: {error.strerror}") from error
+    # in a record only the configuration counts, which comes first
     is_record = data.lstrip()[:200].startswith(b"{") and f'"{RECORD_KEY}"'.encode() in data[:200]
-    if len(data) > MAX_BYTES and not is_record:
-        raise ConfigError(
-            f"the file is larger than {MAX_BYTES >> 20} MiB, which no configuration needs",
-            where=Position(str(path), 1, 1),
-        )
-    try:
-        text = data[:MAX_BYTES].decode("utf-8-sig", "ignore" if is_record else "strict")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        column = error.start - data.rfind(b"\n", 0, error.start)
-        raise ConfigError(
-            f"byte 0x{data[error.start]:02x} is not UTF-8",
-            where=Position(str(path), line, column),
-            hint="save the file as UTF-8",
-        ) from None
-    return parse_yaml(text, str(path))
+    text = decoded(data, str(path), is_record=is_record)
+    return parse_yaml(parsable(text) if is_record else text, str(path))
 
 
 def parse_yaml(text: str, file: str) -> Node:
     """The tree of the only document in `text`; `file` is the name that positions show."""
+    refuse_unparsed(text, file)
     return _Composer(text, file, None).document()
 
 
 def parse_value(text: str, where: Position) -> Node:
     """A value given on the command line, read as YAML; all of it lies at `where`."""
+    refuse_unparsed(text, where.file, where)
     return _Composer(text, where.file, where).document()
 
 
@@ -136,6 +132,15 @@ def plain(node: Node, *, keep_params: bool = False) -> Any:
     if isinstance(node.value, dict):
         return {key: plain(entry.node, keep_params=keep_params) for key, entry in node.value.items()}
     return node.value
+
+
+def count_nodes(node: Node) -> int:
+    """Values in a tree, the root and keys included."""
+    if isinstance(node.value, list):
+        return 1 + sum(count_nodes(item) for item in node.value)
+    if isinstance(node.value, dict):
+        return 1 + sum(1 + count_nodes(entry.node) for entry in node.value.values())
+    return 1
 
 
 class _Composer:
@@ -218,6 +223,12 @@ class _Composer:
         before = self._count
         self._add(1, where)
         if kind == "ScalarEvent":
+            if len(event.value) > MAX_SCALAR:
+                raise ConfigError(
+                    f"the text {event.value[:20]!r}... is longer than {MAX_SCALAR} characters", where=where
+                )
+            if (bad := unprintable(event.value)) is not None:
+                raise ConfigError(f"the character {bad} is not allowed in a text", where=where)
             node = Node(self._scalar(event.value, where) if event.implicit[0] else event.value, where)
         elif kind == "SequenceStartEvent":
             items = []
@@ -249,6 +260,8 @@ class _Composer:
                 if not all(isinstance(node.value, dict) for node in merged):
                     raise ConfigError("a merge key takes an alias of a map, or a list of them", where=value.where)
                 continue
+            if isinstance(key, str) and len(key) > MAX_KEY:
+                raise ConfigError(f"the key {key[:20]!r}... is longer than {MAX_KEY} characters", where=where)
             if not isinstance(key, str):
                 raise ConfigError(f"keys must be text, got {_shown(key)}", where=where, hint="put quotes around it")
             if key in entries:
@@ -265,14 +278,14 @@ class _Composer:
     def _scalar(self, text: str, where: Position) -> Any:
         if text in _SPECIAL:
             return _SPECIAL[text]
-        try:
-            if _INT.fullmatch(text):
-                return int(text, 0) if text.startswith(("0o", "0x")) else int(text)
-            if _FLOAT.fullmatch(text):
-                return float(text)
-        except ValueError:  # Python refuses to convert thousands of digits
-            raise ConfigError(f"the number {text[:20]}... has too many digits", where=where) from None
-        return text
+        whole = _INT.fullmatch(text)
+        if not whole and not _FLOAT.fullmatch(text):
+            return text
+        if len(text) > MAX_DIGITS:
+            raise ConfigError(f"the number {text[:20]}... has too many digits", where=where)
+        if not whole:
+            return float(text)
+        return int(text, 0) if text.startswith(("0o", "0x")) else int(text)
 
 
 def _shown(value: Any) -> str:

@@ -15,11 +15,15 @@ from typing import Any
 from sppm_pipeline.data.length import UNITS_IN_MM, Length, parse_length
 from sppm_pipeline.engine.configuration import RESERVED
 from sppm_pipeline.engine.document import Entry, plain
-from sppm_pipeline.engine.problems import Problems, did_you_mean
-from sppm_pipeline.errors import PluginError
+from sppm_pipeline.engine.names import output_parts
+from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
+from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.stage import OptionSpec, Stage
 
 __all__ = ["Option", "allowed_words", "options_of", "parse_options", "parse_typed", "plain_option", "type_words"]
+
+SMALLEST_MM, LARGEST_MM = 1e-6, 1e6
+"""A length with a unit lies between a nanometre and a kilometre; anything else is a slip."""
 
 Folder = typing.Callable[[Any], Path]
 """From a value's position to the folder that a relative path written there starts from."""
@@ -168,23 +172,16 @@ def parse_typed(option: Option, value: Any, folder: Path) -> Any:
             except ValueError as error:
                 first = first or error
     if first is None or len([m for m in members if m is not types.NoneType]) > 1:
-        raise ValueError(f"expected {allowed_words(option)}, got {_shown(value)}")
+        raise ValueError(f"expected {allowed_words(option)}, got {shown(value)}")
     raise first
 
 
 def _parse(kind: Any, value: Any, option: Option, folder: Path) -> Any:
     if typing.get_origin(kind) is tuple:
         return _parse_tuple(kind, value, option, folder)
-    refused = ValueError(f"expected {allowed_words(option)}, got {_shown(value)}")
+    refused = ValueError(f"expected {allowed_words(option)}, got {shown(value)}")
     if kind is Length:
-        try:
-            length = parse_length(value)
-        except OverflowError:
-            raise refused from None
-        unit = option.spec.unit
-        scale = UNITS_IN_MM[length.unit] / UNITS_IN_MM[unit] if length.unit and unit in UNITS_IN_MM else 1.0
-        _check_bounds(length.value * scale, refused, option.spec)
-        return length
+        return _parse_length(value, option, refused)
     if kind is bool:
         if not isinstance(value, bool):
             raise refused
@@ -201,7 +198,31 @@ def _parse(kind: Any, value: Any, option: Option, folder: Path) -> Any:
         hint = did_you_mean(value, option.spec.choices)
         near = f"; {hint}" if hint and hint.startswith("did") else ""
         raise ValueError(f"{refused}{near}")
+    if option.spec.output:
+        try:
+            output_parts(value)
+        except ConfigError as error:
+            raise ValueError(error.message) from None
     return value
+
+
+def _parse_length(value: Any, option: Option, refused: ValueError) -> Length:
+    """A length; bounds hold in the option's own unit, or in mm for a size that is given in a physical unit instead."""
+    try:
+        length = parse_length(value)
+    except OverflowError:
+        raise refused from None
+    except ValueError as error:
+        raise ValueError(f"{refused}; {error}") from None
+    unit = option.spec.unit
+    if length.unit is None or unit in UNITS_IN_MM:
+        scale = UNITS_IN_MM[length.unit] / UNITS_IN_MM[unit] if length.unit and unit in UNITS_IN_MM else 1.0
+        _check_bounds(length.value * scale, refused, option.spec)
+    elif option.spec.above is not None or option.spec.minimum is not None:
+        _check_bounds(length.value, refused, OptionSpec("", minimum=option.spec.minimum, above=option.spec.above))
+    if length.unit is not None and length.value and not SMALLEST_MM <= abs(length.mm()) <= LARGEST_MM:
+        raise ValueError(f"{refused}; a length with a unit lies between {SMALLEST_MM:g} mm and {LARGEST_MM:g} mm")
+    return length
 
 
 def _parse_number(kind: type, value: Any, spec: OptionSpec, refused: ValueError) -> Any:
@@ -217,7 +238,7 @@ def _parse_number(kind: type, value: Any, spec: OptionSpec, refused: ValueError)
         except OverflowError:
             raise refused from None
         if not math.isfinite(value):
-            raise ValueError(f"must be finite, got {value}")
+            raise ValueError(f"{refused}, which is not finite")
     _check_bounds(value, refused, spec)
     return value
 
@@ -236,7 +257,7 @@ def _parse_tuple(kind: Any, value: Any, option: Option, folder: Path) -> tuple[A
     elements = typing.get_args(kind)
     variadic = len(elements) == 2 and elements[1] is Ellipsis
     if not isinstance(value, (list, tuple)) or (not variadic and len(value) != len(elements)):
-        raise ValueError(f"expected {allowed_words(option)}, got {_shown(value)}")
+        raise ValueError(f"expected {allowed_words(option)}, got {shown(value)}")
     kinds = [elements[0]] * len(value) if variadic else elements
     result = []
     for number, (element, item) in enumerate(zip(kinds, value, strict=True), 1):
@@ -246,15 +267,6 @@ def _parse_tuple(kind: Any, value: Any, option: Option, folder: Path) -> tuple[A
         except ValueError as error:
             raise ValueError(f"element {number}: {error}") from None
     return tuple(result)
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, dict):
-        return "a map"
-    text = repr(list(value) if isinstance(value, tuple) else value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 _WORDS = {

@@ -7,18 +7,18 @@ import json
 import os
 import shutil
 import threading
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.document import RECORD_KEY
+from sppm_pipeline.engine.names import STAGING as _STAGING
+from sppm_pipeline.engine.names import collide, folded, output_parts
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
 
 __all__ = ["RECORD", "SWEEP_RUNS", "RunFolder", "digest_of", "output_parts", "write_whole"]
 
 RECORD = "run.json"
 SWEEP_RUNS = "runs"
-_STAGING = ".staging-"
-_RESERVED = {RECORD, "sweep.csv", "sweep.json"}
 
 DIGEST_LIMIT = 1 << 28
 """Outputs larger than this many bytes get no digest: hashing would take longer than writing."""
@@ -68,11 +68,10 @@ class RunFolder:
     def claim(self, stage: str, name: str) -> Path:
         """A path in the staging area for the output `name` of a stage; see `Context.output`."""
         parts = output_parts(name)
-        folded = tuple(part.casefold() for part in parts)  # some file systems do not tell case apart
+        key = folded(parts)
         with self._lock:
             for other, (owner, other_name) in self._claims.items():
-                short = min(len(other), len(folded))
-                if other[:short] == folded[:short] and (owner != stage or other != folded):
+                if collide(other, key) and (owner != stage or other != key):
                     raise ConfigError(
                         f"the output {name!r} collides with {other_name!r} of stage {owner!r}",
                         hint="give one of them another path",
@@ -80,7 +79,7 @@ class RunFolder:
             final = self.path.joinpath(*parts)
             if not final.parent.resolve().is_relative_to(self.path.resolve()):
                 raise ConfigError(f"the output {name!r} leaves the run directory through a link")
-            self._claims[folded] = (stage, name)
+            self._claims[key] = (stage, name)
             staged = self._staging.joinpath(*parts)
             staged.parent.mkdir(parents=True, exist_ok=True)
             self._pending["/".join(parts)] = staged
@@ -125,27 +124,6 @@ class RunFolder:
     def discard(self) -> None:
         """Remove the staging area."""
         shutil.rmtree(self._staging, ignore_errors=True)
-
-
-def output_parts(name: str) -> tuple[str, ...]:
-    """The parts of an output's name.
-
-    Raises
-    ------
-    ConfigError
-        If the name leaves the run directory, or is kept for the run itself.
-    """
-    parts = PurePosixPath(name.replace("\\", "/")).parts
-    if not parts or "\0" in name:
-        raise ConfigError(f"an output needs a name, got {name!r}")
-    if PurePosixPath(name.replace("\\", "/")).is_absolute() or ".." in parts or ":" in parts[0]:
-        raise ConfigError(
-            f"the output {name!r} leaves the run directory",
-            hint="outputs are relative to the run directory, which -o chooses",
-        )
-    if parts[0].casefold() in _RESERVED or parts[0].startswith(_STAGING):
-        raise ConfigError(f"the output {name!r} has a name that is kept for the run itself")
-    return parts
 
 
 def _is_run(path: Path) -> bool:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.configuration import FORMAT, Configuration, StageEntry, stage_entries
+from sppm_pipeline.engine.containment import contained
 from sppm_pipeline.engine.document import Entry, Node, plain
+from sppm_pipeline.engine.names import refuse_clashes
 from sppm_pipeline.engine.options import options_of, parse_options, plain_option
+from sppm_pipeline.engine.plugins import Plugin
 from sppm_pipeline.engine.problems import Problems
 from sppm_pipeline.engine.registry import Registry
 from sppm_pipeline.engine.substitution import Overrides, Substitution, override_options, override_params
 from sppm_pipeline.engine.wiring import Draft, Step, recipe_order, wire
-from sppm_pipeline.errors import ConfigError, PluginError, SppmError
+from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError
 
 __all__ = ["SWEEP_ID", "Plan", "make_plan", "step_options"]
 
@@ -77,6 +81,8 @@ def make_plan(
         If a stage breaks its contract.
     """
     problems = Problems()
+    for known in configuration.errors:
+        problems.add(known)
     params = override_params(configuration.params, overrides.params, problems)
     seed = configuration.seed if overrides.seed is None else overrides.seed
     if row is not None:
@@ -94,6 +100,8 @@ def make_plan(
     after: list[Step] = []
     if configuration.after is not None:
         after, _ = wire(drafts[_AFTER], recipes, problems, given={SWEEP_ID: (_table(),)})
+    for group in ([*steps, *(step for name in configuration.recipes for step in wired.get(name, ()))], after):
+        refuse_clashes(_claims(group), problems)
     problems.raise_any()
     used = {name for group in (steps, after, *wired.values()) for step in group for name in step.recipes.values()}
     unused += [
@@ -112,6 +120,16 @@ def make_plan(
         warnings=tuple(unused),
         document=_document(configuration, seed, params, steps, wired, after, single=row is not None),
     )
+
+
+def _claims(steps: Sequence[Step]) -> Iterator[tuple[str, str, Position]]:
+    """The outputs that options name: stage, name, place."""
+    for step in steps:
+        for name, option in options_of(type(step.stage)).items():
+            value = getattr(step.stage, name)
+            if option.spec.output and value is not None:
+                written = step.entry.options.get(name)
+                yield step.address, value, written.node.where if written else step.where
 
 
 _PIPELINE = ""
@@ -159,8 +177,10 @@ def _drafts(
         stage = None
         if values is not None:
             try:
-                stage = cls(**values)
-                stage.check_options()
+                owner = registry.owner(entry.name)
+                with nullcontext() if owner.builtin else contained(_blamer(owner, entry)):
+                    stage = cls(**values)
+                    stage.check_options()
             except SppmError as error:
                 error.where, error.stage = error.where or entry.where, error.stage or entry.address
                 if not isinstance(error, ConfigError):
@@ -175,6 +195,13 @@ def _drafts(
                 ) from error
         drafts.append(Draft(entry, cls, stage, registry.owner(entry.name)))
     return drafts
+
+
+def _blamer(owner: Plugin, entry: StageEntry) -> Callable[[str], SppmError]:
+    def blame(message: str) -> SppmError:
+        return PluginError(f"{owner}: checking the options {message}", where=entry.where, stage=entry.address)
+
+    return blame
 
 
 def step_options(step: Step) -> dict[str, Any]:

@@ -6,9 +6,11 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import re
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -17,15 +19,19 @@ from typing import TYPE_CHECKING, Any
 import pluggy
 
 from sppm_pipeline import hookspecs
-from sppm_pipeline.engine.problems import did_you_mean
-from sppm_pipeline.errors import PluginError
+from sppm_pipeline.engine.containment import contained
+from sppm_pipeline.engine.problems import did_you_mean, listed, shown
+from sppm_pipeline.errors import ConfigError, PluginError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from sppm_pipeline.stage import Stage
 
-__all__ = ["Plugin", "Plugins", "load_plugins"]
+__all__ = ["API_CONSTANT", "Plugin", "Plugins", "installed_plugins", "load_plugins"]
+
+API_CONSTANT = "SPPM_API_VERSION"
+"""Name under which the module of a plugin may say which version of the interface it was written for."""
 
 
 @dataclass
@@ -38,6 +44,8 @@ class Plugin:
         Module, entry point or file.
     distribution, version : str or None
         Of an installed distribution.
+    target : str or None
+        What its entry point names: "module" or "module:attribute".
     builtin : bool
     error : PluginError or None
         Why it could not be loaded.
@@ -48,6 +56,7 @@ class Plugin:
     name: str
     distribution: str | None = None
     version: str | None = None
+    target: str | None = None
     builtin: bool = False
     error: PluginError | None = None
     stages: dict[str, type[Stage] | str] = field(default_factory=dict)
@@ -86,7 +95,41 @@ class BrokenContract(PluginError):
     """A plugin was loaded but does not keep to the hooks."""
 
 
-def load_plugins(builtins: Sequence[str], *, files: Iterable[Path] = (), distributions: bool = True) -> Plugins:
+def installed_plugins(allowed: Iterable[str] | None = None) -> Iterator[tuple[Plugin, Callable[[], Any]]]:
+    """Plugins of installed distributions as their metadata describe them, each with what imports it.
+
+    Parameters
+    ----------
+    allowed : iterable of str, optional
+        Names of distributions or of entry points; others are left out.
+    """
+    from importlib.metadata import entry_points
+
+    wanted = None if allowed is None else {_normal(name) for name in allowed}
+    for entry in sorted(entry_points(group=hookspecs.PROJECT), key=lambda e: e.name):
+        found = entry.dist
+        plugin = Plugin(
+            entry.name,
+            found.name if found else "unknown",
+            (found.version if found else None) or "of no version",
+            getattr(entry, "value", None),
+        )
+        if wanted is None or {_normal(entry.name), _normal(plugin.distribution or "")} & wanted:
+            yield plugin, entry.load
+
+
+def _normal(name: str) -> str:
+    """Names of distributions do not tell ``-``, ``_`` and ``.`` apart, nor case."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def load_plugins(
+    builtins: Sequence[str],
+    *,
+    files: Iterable[Path] = (),
+    distributions: bool = True,
+    allowed: Sequence[str] | None = None,
+) -> Plugins:
     """Load every plugin in its own try.
 
     Parameters
@@ -97,6 +140,13 @@ def load_plugins(builtins: Sequence[str], *, files: Iterable[Path] = (), distrib
         Single Python files.
     distributions : bool
         Whether to look for installed distributions (entry points of the group ``sppm``).
+    allowed : sequence of str, optional
+        Names of distributions or of entry points; the others are not imported.
+
+    Raises
+    ------
+    ConfigError
+        If `allowed` names something that is not installed.
     """
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
@@ -106,13 +156,11 @@ def load_plugins(builtins: Sequence[str], *, files: Iterable[Path] = (), distrib
         result.append(plugin)
         _attempt(manager, plugin, lambda module=module: importlib.import_module(module))  # type: ignore[misc]
     if distributions:
-        from importlib.metadata import entry_points
-
-        for entry in sorted(entry_points(group=hookspecs.PROJECT), key=lambda e: e.name):
-            found = entry.dist
-            plugin = Plugin(entry.name, found.name if found else "unknown", found.version if found else "unknown")
+        if allowed is not None:
+            _refuse_unknown(allowed)
+        for plugin, load in installed_plugins(allowed):
             result.append(plugin)
-            _attempt(manager, plugin, entry.load)
+            _attempt(manager, plugin, load)
     seen = set()
     for path in files:
         if path.resolve() not in seen:
@@ -124,16 +172,40 @@ def load_plugins(builtins: Sequence[str], *, files: Iterable[Path] = (), distrib
     return Plugins(result, disabled=not distributions)
 
 
+def _refuse_unknown(allowed: Sequence[str]) -> None:
+    known = {name for plugin, _ in installed_plugins() for name in (plugin.name, plugin.distribution or "")}
+    for name in allowed:
+        if _normal(name) not in {_normal(other) for other in known}:
+            raise ConfigError(
+                f"--allow-plugins: no installed plugin is called {shown(name)}", hint=did_you_mean(name, known)
+            )
+
+
 def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], Any]) -> None:
     """Load one plugin and ask it for its stages; a failure is kept in `plugin.error`."""
+
+    def blame(message: str) -> PluginError:
+        return PluginError(f"{plugin} can't be loaded: its import {message}")
+
     try:
-        module = load()
+        with nullcontext() if plugin.builtin else contained(blame):
+            module = load()
     except PluginError as error:
         plugin.error = error
         return
     except Exception as error:
-        plugin.error = PluginError(f"{plugin} can't be loaded: {type(error).__name__}: {error}", hint=_missing(error))
+        plugin.error = PluginError(
+            f"{plugin} can't be loaded: {type(error).__name__}: {_first_line(error)}", hint=_missing(error)
+        )
         plugin.error.__cause__ = error
+        return
+    written_for = getattr(module, API_CONSTANT, hookspecs.API_VERSION)
+    if written_for != hookspecs.API_VERSION:
+        plugin.error = BrokenContract(
+            f"{plugin} was written for version {shown(written_for)} of the interface, this program has version "
+            f"{hookspecs.API_VERSION}",
+            hint="install the version of the plugin that goes with this program, or leave it out with --allow-plugins",
+        )
         return
     try:
         manager.register(module, plugin.name)
@@ -141,15 +213,28 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
     except (pluggy.PluginValidationError, ValueError) as error:
         if manager.has_plugin(plugin.name):
             manager.unregister(name=plugin.name)
-        plugin.error = BrokenContract(f"{plugin}: {_first_line(error)}", hint=_hook_hint(module))
+        plugin.error = BrokenContract(f"{plugin}: {' '.join(str(error).split())}", hint=_hook_hint(module))
         return
     try:
         for hook, found in (("sppm_stages", plugin.stages), ("sppm_executors", plugin.executors)):
             for implementation in getattr(manager.hook, hook).get_hookimpls():
                 if implementation.plugin_name == plugin.name:
-                    supplied = implementation.function()
+                    with (
+                        nullcontext()
+                        if plugin.builtin
+                        else contained(
+                            lambda message, hook=hook: BrokenContract(f"{plugin}: {hook} {message}")  # type: ignore[misc]
+                        )
+                    ):
+                        supplied = implementation.function()
                     if not isinstance(supplied, Mapping) or not all(isinstance(name, str) for name in supplied):
                         raise BrokenContract(f"{plugin}: {hook} must return a map of names, got {supplied!r:.80}")
+                    if wrong := [
+                        name for name, value in supplied.items() if not (callable(value) or isinstance(value, str))
+                    ]:
+                        raise BrokenContract(
+                            f"{plugin}: {hook} must name classes or 'module:Class', which {listed(wrong)} is not"
+                        )
                     found.update(supplied)
     except PluginError as error:
         plugin.error = error
@@ -178,11 +263,14 @@ def _import_file(path: Path) -> ModuleType:
         sys.modules[name] = module  # dataclasses look their module up there
         try:
             spec.loader.exec_module(module)
-        except Exception as error:
+        except BaseException as error:
             del sys.modules[name]
+            if not isinstance(error, Exception):
+                raise
             line = _line_in(error, path)
             raise PluginError(
-                f"the plugin {path}{line} can't be loaded: {type(error).__name__}: {error}", hint=_missing(error)
+                f"the plugin {path}{line} can't be loaded: {type(error).__name__}: {_first_line(error)}",
+                hint=_missing(error),
             ) from error
     return module
 

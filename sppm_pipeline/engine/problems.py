@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 from sppm_pipeline.errors import ConfigError, ConfigErrors, Position
 
-__all__ = ["Problems", "did_you_mean", "listed", "nearest"]
+__all__ = ["Problems", "did_you_mean", "listed", "nearest", "shown"]
 
 
 class Problems:
@@ -74,3 +75,15 @@ def listed(words: Iterable[str], conjunction: str = "and") -> str:
     if len(quoted) < 2:
         return "".join(quoted)
     return f"{', '.join(quoted[:-1])} {conjunction} {quoted[-1]}"
+
+
+def shown(value: Any, length: int = 60) -> str:
+    """A value of a configuration as messages show it: on one line, not longer than `length`."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if value is None:
+        return "nothing"
+    if isinstance(value, dict):
+        return "a map"
+    text = repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= length else f"{text[: length - 3]}..."

@@ -6,9 +6,13 @@ import dataclasses
 import importlib
 import inspect
 from collections.abc import Iterator
+from contextlib import nullcontext
 
+from sppm_pipeline.engine.containment import contained
+from sppm_pipeline.engine.options import options_of
 from sppm_pipeline.engine.plugins import Plugin, Plugins
-from sppm_pipeline.engine.problems import listed, nearest
+from sppm_pipeline.engine.ports import signature_of
+from sppm_pipeline.engine.problems import listed, nearest, shown
 from sppm_pipeline.errors import ConfigError, PluginError, Position
 from sppm_pipeline.stage import FAMILIES, Stage
 
@@ -38,6 +42,17 @@ class Registry:
             sorted(self._owners, key=lambda n: (order.index(f) if (f := n.split(".")[0]) in order else len(order), n))
         )
 
+    def sound(self) -> list[str]:
+        """Names of the stages that can be loaded; those of a broken plugin are left out."""
+        names = []
+        for name in self:
+            try:
+                self.get(name)
+            except PluginError:
+                continue
+            names.append(name)
+        return names
+
     def owner(self, name: str) -> Plugin:
         """The plugin that supplies the stage."""
         return self._owners[name]
@@ -53,7 +68,7 @@ class Registry:
             If its module can't be imported, or the class breaks the contract.
         """
         if name not in self._owners:
-            raise ConfigError(f"there is no stage {name!r}", where=where, hint=self._hint(name))
+            raise ConfigError(f"there is no stage {shown(name)}", where=where, hint=self._hint(name))
         if name not in self._classes:
             self._classes[name] = self._load(name)
         return self._classes[name]
@@ -83,8 +98,15 @@ class Registry:
             module, colon, attribute = target.partition(":")
             if not colon:
                 raise PluginError(f"{owner}: the stage {name!r} must be given as 'module:Class', got {target!r}")
+
+            def blame(message: str) -> PluginError:
+                return PluginError(f"{owner}: the stage {name!r} can't be imported: the import {message}")
+
             try:
-                target = getattr(importlib.import_module(module), attribute)
+                with nullcontext() if owner.builtin else contained(blame):
+                    target = getattr(importlib.import_module(module), attribute)
+            except PluginError:
+                raise
             except Exception as error:
                 hint = None
                 if isinstance(error, ModuleNotFoundError):
@@ -105,4 +127,10 @@ class Registry:
             problem = "must be decorated with @dataclass(frozen=True, kw_only=True)"
         if problem is not None:
             raise PluginError(f"{owner}: the class of the stage {name!r} {problem}")
+        if not owner.builtin:
+            try:
+                options_of(target)
+                signature_of(target)
+            except PluginError as error:
+                raise PluginError(f"{owner}: the stage {name!r}: {error.message}", hint=error.hint) from error
         return target

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.engine import contract
+from sppm_pipeline.engine.containment import contained, limited
 from sppm_pipeline.engine.context import RunContext
 from sppm_pipeline.engine.jsonable import jsonable
 from sppm_pipeline.engine.options import options_of, parse_typed
@@ -35,9 +37,17 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
     """
     handed = {port: StepRecipe(name, recipes) for port, name in step.recipes.items()}
     optional = {port.name: None for port in step.signature.ports if port.optional}
+    before = contract.digests(inputs) if contract.is_strict() else {}
     try:
-        made = stage.run(context, **{**optional, **inputs, **handed})
+        with limited(f"{step.owner}: the stage {step.stage.name!r}", builtin=step.owner.builtin):
+            if step.owner.builtin:
+                made = stage.run(context, **{**optional, **inputs, **handed})
+            else:
+                with contained(lambda message: _blame(step, message)):
+                    made = stage.run(context, **{**optional, **inputs, **handed})
         _check_result(step, made)
+        if ports := contract.changed(inputs, before):
+            raise _blame(step, f"changed its input {listed(ports)}, which other stages share")
         return made
     except SppmError as error:
         error.where = error.where or step.where
@@ -56,12 +66,16 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
         raise _blame(step, f"raised {type(error).__name__}: {error}") from error
 
 
+LACKING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOMEM, errno.EMFILE,
+           errno.ENFILE, errno.EAGAIN, errno.EIO, errno.ENAMETOOLONG, errno.EMLINK, errno.ELOOP)  # fmt: skip
+"""Errors of the system that mean: something of this machine is missing."""
+
+
 def _system_error(step: Step, error: OSError) -> SppmError:
     detail = f"{error.strerror or error}" + (f": {error.filename!r}" if error.filename is not None else "")
     if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError)):
         return InputError(detail, where=step.where, stage=step.address)
-    lacking = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOMEM, errno.EMFILE)
-    if error.errno in lacking or error.errno in (errno.EFBIG, errno.EIO):
+    if error.errno in LACKING:
         return ResourceError(detail, where=step.where, stage=step.address)
     return _blame(step, f"raised {type(error).__name__}: {error}")
 
@@ -85,6 +99,11 @@ def _check_result(step: Step, made: Any) -> None:
             check()
         except ValueError as error:
             raise _blame(step, f"made a {type(made).__name__} that contradicts itself: {error}") from error
+        except Exception as error:
+            raise _blame(step, f"made a {type(made).__name__} that can't be checked: {type(error).__name__}: {error}") \
+                from error  # fmt: skip
+    if (not step.owner.builtin or contract.is_strict()) and (place := contract.not_finite(made)) is not None:
+        raise _blame(step, f"made a {type(made).__name__} with numbers that are not finite: {place}")
 
 
 def summary_of(made: Any, reported: Mapping[str, Any], step: Step) -> dict[str, Any]:

@@ -49,9 +49,10 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
         "after": stages,
         "folder": {"type": "string"},
     }
-    classes = [registry.get(name) for name in registry]
+    names = registry.sound()
+    classes = [registry.get(name) for name in names]
     named: dict[str, Any] = {"type": "object", "required": ["stage"]}
-    named["properties"] = {"stage": {"anyOf": [{"enum": list(registry)}, _PARAM]}}
+    named["properties"] = {"stage": {"anyOf": [{"enum": names}, _PARAM]}}
     named["allOf"] = [
         {"if": {"properties": {"stage": {"const": cls.name}}}, "then": {"$ref": f"#/$defs/{cls.name}"}}
         for cls in classes
@@ -63,8 +64,7 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
         "required": ["sppm", "pipeline"],
         "additionalProperties": False,
         "properties": {key: {"description": KEYS[key], **top[key]} for key in KEYS},
-        "$defs": {"stage": {"anyOf": [{"enum": list(registry)}, named]}}
-        | {cls.name: _stage_schema(cls) for cls in classes},
+        "$defs": {"stage": {"anyOf": [{"enum": names}, named]}} | {cls.name: _stage_schema(cls) for cls in classes},
     }
 
 

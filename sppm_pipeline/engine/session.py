@@ -32,6 +32,8 @@ class Order:
     distributions : bool
         Whether installed plugins, and those the configuration names, are loaded.
     overrides : Overrides
+    allowed : tuple of str or None
+        Installed plugins that may be imported, by distribution or entry point; all if None.
     """
 
     file: str
@@ -39,6 +41,7 @@ class Order:
     plugins: tuple[str, ...] = ()
     distributions: bool = True
     overrides: Overrides = field(default_factory=Overrides)
+    allowed: tuple[str, ...] | None = None
 
     def absolute(self) -> Order:
         """The same with absolute plugin files; the configuration keeps its name, which messages show."""
@@ -69,8 +72,9 @@ def open_session(order: Order) -> Session:
     configuration = without_fixed_axes(read_configuration(Path(order.file)), order.overrides)
     files: list[Any] = [Path(path) for path in order.plugins]
     if order.distributions:
-        files += configuration.plugins
-    plugins = load_plugins(order.builtins, files=files, distributions=order.distributions)
+        files += [path for path in configuration.plugins if order.allowed is None or path.name in order.allowed]
+    names = None if order.allowed is None else [name for name in order.allowed if not name.endswith(".py")]
+    plugins = load_plugins(order.builtins, files=files, distributions=order.distributions, allowed=names)
     plugins.raise_broken()
     return Session(order, configuration, plugins, Registry(plugins))
 

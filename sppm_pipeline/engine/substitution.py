@@ -7,8 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sppm_pipeline.engine.configuration import RESERVED, StageEntry
-from sppm_pipeline.engine.document import Entry, Node, Override, parse_value
-from sppm_pipeline.engine.problems import Problems, did_you_mean, listed
+from sppm_pipeline.engine.document import Entry, Node, Override, count_nodes, parse_value
+from sppm_pipeline.engine.limits import MAX_NODES
+from sppm_pipeline.engine.problems import Problems, did_you_mean, listed, shown
 from sppm_pipeline.errors import ConfigError
 
 __all__ = ["Overrides", "Substitution", "override_options", "override_params"]
@@ -38,13 +39,13 @@ def override_params(
     """`params` with the values of the ``-p`` arguments."""
     result = dict(params)
     for argument in overrides:
-        where = Override(f"{flag} {argument}")
+        where = Override(f"{flag} {_short(argument)}")
         name, equals, text = argument.partition("=")
         if not equals:
             problems.report("expected name=value", where)
         elif name not in params:
             hint = did_you_mean(name, params) if params else "the configuration has no `params`"
-            problems.report(f"there is no parameter {name!r}", where, hint=hint)
+            problems.report(f"there is no parameter {shown(name)}", where, hint=hint)
         else:
             try:
                 result[name] = Entry(where, parse_value(text, where))
@@ -60,6 +61,7 @@ class Substitution:
         self._params = params
         self._problems = problems
         self.used: set[str] = set()
+        self._count = 0
         for name, entry in params.items():
             for node in _walk(entry.node):
                 if isinstance(node.value, str) and "${" in node.value:
@@ -76,7 +78,7 @@ class Substitution:
         match = _WHOLE.fullmatch(node.value)
         if match is None:
             self._problems.report(
-                f"${{name}} stands for a whole value, got {node.value!r}",
+                f"${{name}} stands for a whole value, got {shown(node.value)}",
                 node.where,
                 hint="there is no text around a parameter; put the whole text into `params`",
             )
@@ -90,6 +92,11 @@ class Substitution:
             return node
         self.used.add(name)
         value = self._params[name].node
+        self._count += count_nodes(value)
+        if self._count > MAX_NODES:  # a long list put in many times would take more than the file's own values may
+            raise ConfigError(
+                f"with parameters put in, the document has more than {MAX_NODES} values", where=node.where
+            )
         return Node(value.value, value.where, name)
 
     def unused(self) -> list[str]:
@@ -111,11 +118,17 @@ def _walk(node: Node) -> Iterable[Node]:
             yield from _walk(entry.node)
 
 
+def _short(argument: str) -> str:
+    """An argument as messages show it: on one line, not longer than 80 characters."""
+    line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in argument[:81])
+    return line if len(argument) <= 80 else f"{line[:77]}..."
+
+
 def override_options(entries: Sequence[StageEntry], overrides: Iterable[str], problems: Problems) -> list[StageEntry]:
     """`entries`, of the pipeline and all recipes, with the values of the ``-s`` arguments."""
     result = list(entries)
     for argument in overrides:
-        where = Override(f"-s {argument}")
+        where = Override(f"-s {_short(argument)}")
         key, equals, text = argument.partition("=")
         target, dot, option = key.rpartition(".")
         if not equals or not dot or not target or not option:
@@ -129,12 +142,12 @@ def override_options(entries: Sequence[StageEntry], overrides: Iterable[str], pr
             addresses = [entry.address for entry in result]
             if found:
                 problems.report(
-                    f"{target!r} may mean {listed((result[i].address for i in found), 'or')}",
+                    f"{shown(target)} may mean {listed((result[i].address for i in found), 'or')}",
                     where,
-                    hint=f"write for instance -s {result[found[0]].address}.{option}={text}",
+                    hint=f"write for instance -s {result[found[0]].address}.{option}={text[:40]}",
                 )
             else:
-                problems.report(f"there is no stage {target!r}", where, hint=did_you_mean(target, addresses))
+                problems.report(f"there is no stage {shown(target)}", where, hint=did_you_mean(target, addresses))
             continue
         try:
             entry = Entry(where, parse_value(text, where))

@@ -10,13 +10,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sppm_pipeline.engine.configuration import MAX_SEED
 from sppm_pipeline.engine.document import Entry, Node, plain
 from sppm_pipeline.engine.executors import make_executor
 from sppm_pipeline.engine.jsonable import json_text
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.outputs import SWEEP_RUNS, digest_of, write_whole
 from sppm_pipeline.engine.plan import SWEEP_ID, Plan
-from sppm_pipeline.engine.problems import Problems, did_you_mean
+from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
 from sppm_pipeline.engine.record import error_entry
 from sppm_pipeline.engine.runner import Recorder, check_until, run_plan, run_steps
 from sppm_pipeline.engine.session import Order, Session, open_session
@@ -26,6 +27,9 @@ from sppm_pipeline.errors import ConfigError, NativeCrash, SppmError
 __all__ = ["check_sweep", "run_row", "run_sweep", "sweep_rows"]
 
 MAX_ROWS = 100_000
+
+MOST_CHECKED = 1000
+"""Rows that are planned before any work."""
 
 Row = Mapping[str, Entry]
 
@@ -64,8 +68,11 @@ def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]
         if name not in names:
             hint = did_you_mean(name, names)
             problems.report(f"the sweep varies {name!r}, which is no parameter", entry.where, hint=hint)
-        elif name == "seed" and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
-            problems.report(f"a seed is a whole number, at least 0, got {plain(entry.node)!r}", entry.node.where)
+        elif name == "seed" and (isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_SEED):
+            problems.report(
+                f"a seed is a whole number, at least 0, at most {MAX_SEED}, got {shown(plain(entry.node))}",
+                entry.node.where,
+            )
     if not rows and not problems.errors:
         problems.report("the sweep has no runs", sweep.where)
     problems.raise_any()
@@ -81,9 +88,9 @@ def _axis(name: str, entry: Entry, problems: Problems) -> list[Entry]:
         ends = {key: inner.node.value for key, inner in value.items()}
         whole = all(isinstance(end, int) and not isinstance(end, bool) for end in ends.values())
         if {"from", "to"} <= set(ends) <= {"from", "to", "step"} and whole:
-            numbers = range(ends["from"], ends["to"] + 1, max(1, ends.get("step", 1)))
-            if 0 < len(numbers) <= MAX_ROWS and ends.get("step", 1) > 0:
-                return [Entry(entry.where, Node(number, where)) for number in numbers]
+            step = ends.get("step", 1)
+            if step > 0 and 0 <= ends["to"] - ends["from"] < MAX_ROWS * step:
+                return [Entry(entry.where, Node(number, where)) for number in range(ends["from"], ends["to"] + 1, step)]
     problems.report(
         f"the sweep of {name!r} must be a list of values, or whole numbers such as {{from: 1, to: 50}}", where
     )
@@ -93,16 +100,17 @@ def _axis(name: str, entry: Entry, problems: Problems) -> list[Entry]:
 def check_sweep(session: Session, rows: Sequence[Row]) -> None:
     """Plan with every value that occurs, so that a bad one is found before any work.
 
-    In a grid each value is tried once, with the first values of the other parameters; in a table each row.
+    In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
+    than `MOST_CHECKED` a part is tried.
     """
     sweep = session.configuration.sweep
     first = rows[0]
     problems = Problems()
+    if sweep is not None and isinstance(sweep.value, dict):
+        rows = [row for row in rows if sum(row[name].node is not first[name].node for name in row) <= 1]
+    if len(rows) > MOST_CHECKED:  # of a long range, values spread evenly over it stand for all, both ends among them
+        rows = [*rows[: -1 : -(-len(rows) // MOST_CHECKED)], rows[-1]]
     for row in rows:
-        if sweep is not None and isinstance(sweep.value, dict):
-            changed = sum(row[name].node is not first[name].node for name in row)
-            if changed > 1:
-                continue
         try:
             session.plan(row)
         except ConfigError as error:

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sppm_pipeline.engine.configuration import StageEntry
-from sppm_pipeline.engine.document import Node
+from sppm_pipeline.engine.document import Node, plain
 from sppm_pipeline.engine.plugins import Plugin
 from sppm_pipeline.engine.ports import Port, Signature, fits, noun_words, signature_of
-from sppm_pipeline.engine.problems import Problems, did_you_mean, listed
+from sppm_pipeline.engine.problems import Problems, did_you_mean, listed, shown
 from sppm_pipeline.errors import Position, WiringError
 from sppm_pipeline.stage import Stage
 
@@ -188,14 +188,18 @@ def _chosen_sources(
         if port is not None and port not in ports:
             refuse(f"{draft.cls.name} has no port {port!r}", did_you_mean(port, ports), where)
         elif not isinstance(source.value, str):
-            refuse(f"`from` takes the id of a stage or a map of ports to ids, got {source.value!r}", None, source.where)
+            refuse(
+                f"`from` takes the id of a stage or a map of ports to ids, got {shown(plain(source))}",
+                None,
+                source.where,
+            )
         elif source.value not in made:
             if source.value in later or source.value == entry.id:
                 refuse(f"{source.value!r} does not come before this stage", "move it up", source.where)
             else:
                 known = [id_ for id_ in made if not id_.startswith("?")]
                 hint = did_you_mean(source.value, known) or "ids are the names of the stages unless given"
-                refuse(f"there is no earlier stage {source.value!r}", hint, source.where)
+                refuse(f"there is no earlier stage {shown(source.value)}", hint, source.where)
         else:
             nouns = made[source.value]
             candidates = [ports[port]] if port is not None else list(ports.values())
@@ -306,10 +310,10 @@ def _handed_recipes(
         if name not in [port.name for port in ports]:
             refuse(f"{draft.cls.name} has no port {name!r} for a recipe", None, wish.where)
         elif not isinstance(wish.value, str):
-            refuse(f"`recipe` takes the name of a recipe, got {wish.value!r}", None, wish.where)
+            refuse(f"`recipe` takes the name of a recipe, got {shown(plain(wish))}", None, wish.where)
         elif wish.value not in recipes:
             near = did_you_mean(wish.value, recipes) if recipes else "the file has no `recipes`"
-            refuse(f"there is no recipe {wish.value!r}", near, wish.where)
+            refuse(f"there is no recipe {shown(wish.value)}", near, wish.where)
         else:
             handed[name] = wish.value
     for port in ports:

@@ -19,7 +19,7 @@ from sppm_pipeline.families.connector import Connector, Piece
 from sppm_pipeline.families.homogenizer import VoxelHomogenizer
 from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
-from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for
+from sppm_pipeline.families.tiler import Lattice, Tiler, foreseen_tiling, lattice_for
 from sppm_pipeline.families.tileset_maker import TileSetMaker
 from sppm_pipeline.families.volume_mesh_writer import VolumeMeshWriter
 from sppm_pipeline.families.voxel_writer import VoxelWriter
@@ -36,6 +36,7 @@ __all__ = [
     "VolumeMeshWriter",
     "VoxelHomogenizer",
     "VoxelWriter",
+    "foreseen_tiling",
     "lattice_for",
     "start_of",
 ]

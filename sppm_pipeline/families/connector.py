@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
@@ -64,6 +65,30 @@ class Connector(Stage):
         d = ((face_points[:, None, :] - interior_points[None, :, :]) ** 2).sum(-1)
         nearest: NDArray[np.int64] = np.argmin(d, axis=1).astype(np.int64)
         return nearest
+
+    def edges_of_a_pore(self) -> float:
+        """Tunnels that `join` makes for each pore of a piece, on average."""
+        return 1.0
+
+    def estimate(self, given: Given) -> Estimate:
+        facts = given["pores"]
+        within, faces = facts["pores"], facts["face_pores"]
+        pieces = facts["interiors"] + sum(facts["colors"])
+        pores = within * facts["interiors"] + faces / 3 * sum(facts["colors"])
+        tunnels = self.edges_of_a_pore() * (within + faces) + 2 * faces
+        meetings = given.palette.meetings
+        crossings = 2 * faces * facts["interiors"] * (1 if meetings is not None else max(1, facts["colors"][0]))
+        total = self.edges_of_a_pore() * pores + crossings
+        return Estimate(
+            makes={**facts, "tunnels": tunnels},
+            keeps=80 * total,
+            memory=300 * total + 1e3 * within,
+            seconds=pieces * self.seconds_of_a_piece(within) + 1e-6 * crossings,
+        )
+
+    def seconds_of_a_piece(self, pores: float) -> float:
+        """Seconds for joining so many pores."""
+        return 1e-3 + 2e-5 * pores
 
     def run(self, context: Context, pores: PoreSet) -> TunnelGraph:
         """Join all pieces, then connect faces and interiors."""

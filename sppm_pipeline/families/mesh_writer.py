@@ -5,8 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.errors import DesignError
@@ -20,6 +21,15 @@ class MeshWriter(Stage):
     """Base of writers of formats that know no copies: implement `encode` and declare the option `path`."""
 
     path: str
+
+    bytes_of_a_triangle: ClassVar[float] = 50.0
+
+    def estimate(self, given: Given) -> Estimate:
+        triangles = given["mesh"]["triangles"]
+        return Estimate(
+            disk=84 + self.bytes_of_a_triangle * triangles, memory=30e6, seconds=1.5e-7 * triangles,
+            advice="extract with a lower `resolution`, or slice without a mesh (`slice.field`)",
+        )  # fmt: skip
 
     @abstractmethod
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterable[bytes | memoryview]:

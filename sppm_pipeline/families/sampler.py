@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
@@ -55,7 +56,10 @@ class Sampler(Stage):
     """
 
     edge: Length | None = option(
-        None, help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted", above=0
+        None,
+        help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted",
+        minimum=1e-6,
+        maximum=1e6,
     )
     gap: Length | None = option(
         None,
@@ -63,6 +67,7 @@ class Sampler(Stage):
         "distances to face pores are checked one by one",
         unit="cell lengths",
         minimum=0,
+        maximum=1e6,
     )
 
     @abstractmethod
@@ -82,6 +87,30 @@ class Sampler(Stage):
         if self.gap is not None:
             return cell.fraction(self.gap)
         return (self.wished_spacing(cell) or pores.spacing or 0.0) if pores.has_faces else 0.0
+
+    def foreseen_count(self, face_pores: float) -> float:
+        """Pores of one interior, as far as the options tell; `KeyError` if they do not."""
+        for name in ("count", "total"):
+            value = getattr(self, name, None)
+            if value is not None:
+                return max(0.0, float(value) - (face_pores if name == "total" else 0.0))
+        raise KeyError("count")
+
+    def estimate(self, given: Given) -> Estimate:
+        before = given.ports["pores"] or {}
+        faces, interiors = before.get("face_pores", 0.0), given.palette.interiors
+        count = self.foreseen_count(faces)
+        makes = {
+            "edge": self.edge.value if self.edge else 1.0,
+            "edge_mm": self.edge.mm() if self.edge and self.edge.unit else None,
+            "face_pores": 0.0,
+            "colors": (0, 0, 0),
+            **before,
+            "interiors": interiors,
+            "pores": before.get("pores", 0.0) + count,
+        }
+        thrown = count * interiors
+        return Estimate(makes=makes, keeps=40 * thrown, memory=1e3 * count, seconds=4e-6 * thrown + 2e-3)
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the pores of all interiors."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.tileset import TileSet
@@ -16,7 +17,7 @@ from sppm_pipeline.data.tiling import Tiling
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
 
-__all__ = ["Lattice", "Tiler", "check_repeats", "lattice_for"]
+__all__ = ["Lattice", "Tiler", "check_repeats", "foreseen_tiling", "lattice_for"]
 
 
 class Lattice(NamedTuple):
@@ -68,12 +69,34 @@ def lattice_for(
     return Lattice(mask, edge, (float(origin[0]), float(origin[1]), float(origin[2])))
 
 
+def foreseen_tiling(
+    cell: Length | None, cells: tuple[int, int, int] | None, cover: Facts | None, facts: Facts
+) -> tuple[dict[str, Any], float]:
+    """Facts about a tiling before it is laid, and the number of its cells."""
+    edge = cell.mm() if cell is not None else facts["edge_mm"]
+    if cells is not None:
+        box = tuple(float(n) for n in cells)
+        filled = volume = float(np.prod(box))
+    elif cover is None:
+        raise KeyError("cover")
+    else:
+        box = tuple(float(max(1, np.ceil(size / edge - 1e-9))) for size in cover["size_mm"])
+        # cells that the surface passes through are filled, too: half a cell on either side of it, and some corners
+        volume = cover["volume_mm3"] / edge**3
+        filled = min(float(np.prod(box)), volume + 0.7 * cover["area_mm2"] / edge**2 + 8)
+    x, y, z = box
+    envelope = 2 * (x * y + y * z + z * x)
+    return {**facts, "box": box, "volume": filled, "cells": filled, "envelope": envelope, "cell_mm": edge}, float(
+        np.prod(box)
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Tiler(Stage):
     """Base of tile rules: implement `lay`; `run` finds the cells that are needed."""
 
     cell: Length | None = option(
-        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", above=0
+        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
     )
     cells: tuple[int, int, int] | None = option(
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
@@ -106,6 +129,13 @@ class Tiler(Stage):
             Face colours; the array of axis a has one more entry along a: plane i is the low side of cell i. -1
             where no cell touches.
         """
+
+    def estimate(self, given: Given) -> Estimate:
+        makes, lattice = foreseen_tiling(self.cell, self.cells, given.ports["cover"], given["tileset"])
+        return Estimate(
+            makes=makes, keeps=16 * lattice, memory=40 * lattice, seconds=5e-3 + 3e-7 * lattice,
+            advice="give larger cells or fewer of them",
+        )  # fmt: skip
 
     def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
         """Lay the cells."""

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.microstructure import Microstructure
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.tileset import TileSet
@@ -53,6 +54,28 @@ class TileSetMaker(Stage):
     @abstractmethod
     def palette_size(self) -> int:
         """The number of colours that `TileSet.palette_colors` states."""
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast.costs import field_seconds
+        from sppm_pipeline.numerics.forecast.structure import structure_of
+
+        palette = self.palette()
+        recipe = given.recipes["recipe"](palette)
+        facts = dict(recipe.makes)
+        if self.porosity is not None:
+            facts["porosity"], facts["surface"] = structure_of(*facts["structure"], porosity=self.porosity)
+        cells, n = palette.interiors, self.resolution
+        finer = n + n // 2 + 1 if self.porosity is not None else 0
+        voxels = cells * (n**3 + finer**3)
+        facts |= {"kind": self.kind, "palette_colors": self.palette_size(), "pieces": cells + 3 * max(palette.colors)}
+        return Estimate(
+            makes=facts,
+            keeps=recipe.keeps,
+            memory=recipe.memory + 5 * voxels,
+            seconds=recipe.seconds + field_seconds(voxels, facts["kernels"]) + 0.15,
+            voxels=recipe.voxels + voxels,
+            advice="lower `resolution` or the number of interiors",
+        )
 
     def run(self, context: Context, recipe: Recipe) -> TileSet:
         """Draw the set and, if a porosity is wished, choose its level."""

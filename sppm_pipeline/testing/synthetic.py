@@ -6,6 +6,7 @@ They register through the hooks like any plugin: ``--plugin`` or `load_plugins([
 from __future__ import annotations
 
 import errno
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -191,7 +192,7 @@ class WriteNumber(Stage):
 
     name: ClassVar[str] = "write.number"
 
-    path: str = option("number.txt", help="file to write")
+    path: str = option("number.txt", help="file to write", output=True)
 
     def run(self, context: Context, source: Number | Text) -> None:
         """Write."""
@@ -206,7 +207,7 @@ class WriteTable(Stage):
     name: ClassVar[str] = "write.column"
 
     column: str = option(help="name of the column")
-    path: str = option("sum.txt", help="file to write")
+    path: str = option("sum.txt", help="file to write", output=True)
 
     def run(self, context: Context, table: Table) -> None:
         """Add and write."""
@@ -293,7 +294,7 @@ class Failing(Stage):
                 context.report(thing=object())
             case "interrupt":
                 context.output("half.txt").write_text("half", encoding="utf-8")
-                raise KeyboardInterrupt
+                signal.raise_signal(signal.SIGINT)
         return Number(0.0)
 
 

@@ -254,7 +254,7 @@ def test_schema_and_graph_and_plugins(here, capsys):
     assert sppm("plugins") == 0
     assert "sppm_pipeline.stages (built in)" in capsys.readouterr().out
     (here / "bad.py").write_text("raise ValueError('no')")
-    assert sppm("plugins", "--plugin", "bad.py", "--json") == 0
+    assert sppm("plugins", "--check", "--plugin", "bad.py", "--json") == 4
     assert "ValueError: no" in json.loads(capsys.readouterr().out)[-2]["error"]
 
 

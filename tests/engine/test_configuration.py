@@ -11,7 +11,7 @@ ONE = "pipeline:\n  - {stage: read.number, value: 1}\n"
     ("text", "words", "place"),
     [
         ("sppm: 2\n" + ONE, "format version 2 is unknown", (1, 7)),
-        ("sppm: true\n" + ONE, "format version True", (1, 7)),
+        ("sppm: true\n" + ONE, "format version true", (1, 7)),
         ("sppm: 1\nnaem: x\n" + ONE, "did you mean 'name'", (2, 1)),
         ("sppm: 1\nname: a/b\n" + ONE, "`name` must be text", (2, 7)),
         ("sppm: 1\nname: ..\n" + ONE, "`name` must be text", (2, 7)),
@@ -19,7 +19,7 @@ ONE = "pipeline:\n  - {stage: read.number, value: 1}\n"
         ("sppm: 1\nseed: 1.5\n" + ONE, "a whole number", (2, 7)),
         ("sppm: 1\nparams: [1]\n" + ONE, "`params` must be a map", (2, 9)),
         ("sppm: 1\nparams: {a-b: 1}\n" + ONE, "parameter name", (2, 10)),
-        ("sppm: 1\nrecipes: {a.b: []}\n" + ONE, "recipe name", (2, 11)),
+        ("sppm: 1\nrecipes: {a.b: [{stage: read.number, value: 1}]}\n" + ONE, "recipe name", (2, 11)),
         ("sppm: 1\nname: x\n", "`pipeline` is missing", (1, 1)),
         ("sppm: 1\nafter: []\n" + ONE, "there is no `sweep`", (2, 1)),
         ("sppm: 1\nsweep: 3\n" + ONE, "`sweep` must be", (2, 8)),

@@ -94,7 +94,9 @@ def test_values_of_the_command_line_lie_there():
         ("a: &a [1, *a]\n", "alias", 1, 11),
         ("a: 1\n---\nb: 2\n", "one YAML document", 2, 1),
         ("a: 1\nb: \x07\n", "control character", 2, 4),
-        ("a: " + "9" * 5000, "too many digits", 1, 4),
+        ("a: " + "9" * 2000, "too many digits", 1, 4),
+        ("a: 0x" + "f" * 2000, "too many digits", 1, 4),
+        ("a: 1." + "0" * 2000, "too many digits", 1, 4),
         ("a: {<<: 3}\n", "merge key", 1, 9),
         ("x: &x {a: 1}\ny: {<<: *x, <<: *x}\n", "second merge key", 2, 13),
     ],
@@ -148,7 +150,7 @@ def test_bombs_are_refused_before_they_are_built(kind):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ruamel.yaml.YAML, "parse", counted)
         message, line, column = refused(bombs()[kind])
-    assert "deeper than" in message or "more than" in message
+    assert any(words in message for words in ("deeper than", "more than", "longer than"))
     assert events <= 21_000
     assert line <= 12
     assert column >= 1
@@ -157,7 +159,7 @@ def test_bombs_are_refused_before_they_are_built(kind):
 def test_large_files_are_refused_unread(tmp_path):
     path = tmp_path / "large.yaml"
     path.write_bytes(b"a: 1\n" + b"#" * (1 << 20))
-    with pytest.raises(ConfigError, match="larger than 1 MiB"):
+    with pytest.raises(ConfigError, match="larger than 256 KiB"):
         read_yaml(path)
 
 

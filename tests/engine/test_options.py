@@ -178,7 +178,7 @@ def test_all_errors_of_a_file_with_place_value_and_what_is_allowed(work):
     assert "did you mean 'number'" in texts[1]
     assert "element 2: expected a list" not in texts[2]
     assert "'value' is missing: a number" in texts[3]
-    assert "must be finite, got nan" in texts[4]
+    assert "got nan, which is not finite" in texts[4]
     assert "stage 'other'" in texts[4]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.cleaned import CleanedField
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.stage import Context, Rejected, Stage, option
@@ -32,6 +33,17 @@ class CheckConnectivity(Stage):
         choices=("remove", "reject", "keep"),
     )
     bicontinuous: bool = option(False, help="reject a structure whose solid or void does not run through in x, y and z")
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast.costs import field_seconds
+
+        facts = given["field"]
+        x, y, z = facts["box"]
+        voxels = x * y * z * self.resolution**3
+        return Estimate(
+            makes=facts, memory=12 * voxels, seconds=field_seconds(voxels, facts["kernels"]) + 1e-8 * voxels,
+            voxels=voxels, advice="lower `resolution`",
+        )  # fmt: skip
 
     def run(self, context: Context, field: ScalarField) -> ScalarField:
         """Label both phases; the result is the field, without islands if they are removed."""

@@ -8,8 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, node_grid, voxels_along_edge
+from sppm_pipeline.data.field_surface import FEWEST, KEPT_SAMPLES, MOST, FieldSurface, node_grid, voxels_along_edge
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
@@ -46,6 +47,32 @@ class MarchingCubes(Stage):
             raise ConfigError("`resolution` and `spacing` exclude each other")
         if self.backend == "reference" and not self.caps:
             raise ConfigError("the reference implementation always closes the surface: leave out `caps: false`")
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast import costs
+
+        facts = given["field"]
+        n = self.resolution or 32
+        if self.spacing is not None and facts["cell_mm"]:
+            n = int(np.ceil(facts["cell_mm"] / self.spacing.mm()))
+        voxels = float(np.prod(facts["box"])) * n**3
+        part = facts.get("is_part", False)
+        inner = costs.surface_triangles(facts["surface"], n) * facts["volume"]
+        triangles = inner + 2 * facts["envelope"] * (1 - facts["porosity"]) * n**2
+        scale = facts["cell_mm"] or 1.0
+        return Estimate(
+            makes={
+                "triangles": triangles,
+                "size_mm": tuple(scale * v for v in facts["box"]),
+                "volume_mm3": (1 - facts["porosity"]) * facts["volume"] * scale**3,
+                "area_mm2": facts["surface"] * facts["volume"] * scale**2,
+            },
+            keeps=24 * triangles,
+            memory=(24 if part else 14) * min(voxels, KEPT_SAMPLES) + 60 * triangles,
+            seconds=5e-7 * triangles + costs.field_seconds(voxels, facts["kernels"]) + 8e-9 * voxels,
+            voxels=voxels,
+            advice="lower `resolution`, or slice without a mesh (`slice.field`)",
+        )
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample the nodes of a grid and extract the surface, in mm (cell edges for a cell without a size)."""

@@ -45,7 +45,7 @@ class Combine(Stage):
     def run(self, context: Context, mesh: SurfaceMesh, tool: SurfaceMesh) -> SurfaceMesh:
         """Place the copies of the tool, unite them, and combine."""
         from sppm_pipeline.numerics.surface.measures import volume
-        from sppm_pipeline.numerics.surface.rotation import rotation
+        from sppm_pipeline.numerics.surface.rotation import rotated, rotation
         from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, boolean, check_solid
 
         check_solid(mesh.vertices, mesh.faces, mesh.name)

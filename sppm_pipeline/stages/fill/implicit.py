@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
@@ -26,12 +27,25 @@ class ImplicitFill(Stage):
     version: ClassVar[int] = 2
 
     skin: Length | None = option(
-        None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0
+        None, help="thickness of a solid skin inside the surface of the part", unit="mm", minimum=1e-3, maximum=1e4
     )
     islands: str = option(
         "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
     )
     inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
+
+    def estimate(self, given: Given) -> Estimate:
+        facts, domain = given["field"], given["domain"]
+        edge = facts["cell_mm"]
+        return Estimate(
+            makes={
+                **facts,
+                "box": tuple(size / edge for size in domain["size_mm"]),
+                "volume": domain["volume_mm3"] / edge**3,
+                "envelope": domain["area_mm2"] / edge**2,
+                "is_part": True,
+            }
+        )
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> Part:
         """Put the two together."""

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import UNITS_IN_MM, Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, InputError
@@ -23,6 +24,9 @@ FARTHEST, SMALLEST = 1e9, 1e-6
 
 FLAT = 1e-9
 """A part is flat if it is thinner than this share of its size, or encloses less than this share of its box."""
+
+PROBED_FILE = 2**26
+"""Bytes of the largest file that is read to foretell a run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +53,10 @@ class ReadMesh(Stage):
     turn: tuple[float, float, float] = option(
         (0.0, 0.0, 0.0), help="angles about x, then y, then z", unit="degrees", minimum=-360, maximum=360
     )
-    scale: float | None = option(None, help="factor of all lengths", above=0)
-    height: Length | None = option(None, help="scale the part to this size along z", unit="mm", above=0)
+    scale: float | None = option(None, help="factor of all lengths", minimum=1e-9, maximum=1e9)
+    height: Length | None = option(
+        None, help="scale the part to this size along z", unit="mm", minimum=1e-3, maximum=1e5
+    )
     place: str = option(
         "keep",
         help="where the part goes: as in the file, low corner at the origin, or standing centred on the origin",
@@ -66,6 +72,33 @@ class ReadMesh(Stage):
     def check_options(self) -> None:
         if self.scale is not None and self.height is not None:
             raise ConfigError("`scale` and `height` exclude each other")
+
+    def estimate(self, given: Given) -> Estimate:
+        """From the file itself, which is read: nothing else tells the size of the part."""
+        from sppm_pipeline.formats.detect import decode_mesh_file
+        from sppm_pipeline.numerics.surface.measures import surface_area, volume
+        from sppm_pipeline.numerics.surface.rotation import rotated, rotation, upright
+
+        if self.path.stat().st_size > PROBED_FILE:
+            return Estimate(memory=4 * self.path.stat().st_size, seconds=self.path.stat().st_size * 2e-8)
+        file = decode_mesh_file(content_of(self.path, PROBED_FILE), self.path.name)
+        faces, mm = file.faces, UNITS_IN_MM[self.unit] if self.unit is not None else file.mm
+        vertices = rotated(file.vertices * mm, rotation(self.turn) @ upright(self.up or file.up))
+        lower, upper = _box(vertices, faces, self.path.name)
+        extent = upper - lower
+        factor = float(self.height.mm() / extent[2]) if self.height is not None else self.scale or 1.0
+        return Estimate(
+            makes={
+                "triangles": len(faces),
+                "size_mm": tuple(float(v) for v in extent * factor),
+                "volume_mm3": abs(volume(vertices, faces)) * factor**3,
+                "area_mm2": surface_area(vertices, faces) * factor**2,
+            },
+            keeps=24 * len(vertices) + 12 * len(faces),
+            memory=200 * len(faces),
+            seconds=4e-7 * len(faces),
+            advice="simplify the mesh",
+        )
 
     def run(self, context: Context) -> SurfaceMesh:
         """Read the file."""

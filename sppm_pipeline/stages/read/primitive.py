@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.stage import Context, Stage, option
@@ -20,8 +21,41 @@ class ReadPrimitive(Stage):
     name: ClassVar[str] = "read.primitive"
 
     shape: str = option(help="which body", choices=SHAPES)
-    size: tuple[Length, Length, Length] = option(help="box that the body just fills, along x, y, z", unit="mm", above=0)
+    size: tuple[Length, Length, Length] = option(
+        help="box that the body just fills, along x, y, z", unit="mm", minimum=1e-3, maximum=1e5
+    )
     facets: int = option(128, help="straight edges around a full turn of a round body", minimum=8, maximum=4096)
+
+    def estimate(self, given: Given) -> Estimate:
+        n = self.facets
+        sx, sy, sz = (length.mm() for length in self.size)
+        triangles = {
+            "box": 12,
+            "ball": 20 * 4 ** max(1, round(math.log2(n / 5))),
+            "cylinder": 4 * n,
+            "torus": n * n,
+            "torus_knot": 4 * n * n,
+        }[self.shape]
+        # shares of the box: of its volume, and of the surface of its six sides
+        filled, surface = {
+            "box": (1.0, 1.0),
+            "ball": (0.524, 0.524),
+            "cylinder": (0.785, 0.785),
+            "torus": (0.55, 0.9),
+            "torus_knot": (0.35, 1.1),
+        }[self.shape]
+        return Estimate(
+            makes={
+                "triangles": triangles,
+                "size_mm": (sx, sy, sz),
+                "volume_mm3": filled * sx * sy * sz,
+                "area_mm2": surface * 2 * (sx * sy + sy * sz + sz * sx),
+            },
+            keeps=24 * triangles,
+            memory=200 * triangles,
+            seconds=3e-7 * triangles,
+            advice="lower `facets`",
+        )
 
     def run(self, context: Context) -> SurfaceMesh:
         """Make the mesh."""

@@ -25,10 +25,16 @@ class DartThrowing(Sampler):
 
     name: ClassVar[str] = "sample.dart_throwing"
 
-    count: int | None = option(None, help="pores of one interior", minimum=0)
-    total: int | None = option(None, help="pores of one cell; those on its faces are taken off", minimum=2)
+    count: int | None = option(None, help="pores of one interior", minimum=0, maximum=100_000)
+    total: int | None = option(
+        None, help="pores of one cell; those on its faces are taken off", minimum=2, maximum=100_000
+    )
     spacing: Length | None = option(
-        None, help="smallest distance between pores; that of the face pores if omitted", unit="cell lengths", above=0
+        None,
+        help="smallest distance between pores; that of the face pores if omitted",
+        unit="cell lengths",
+        above=0,
+        maximum=1e6,
     )
     share: float | None = option(
         None, help="fill up to this share of the most that the spacing allows; 1 until nothing fits", above=0, maximum=1

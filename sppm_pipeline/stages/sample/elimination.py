@@ -21,7 +21,7 @@ class Elimination(Sampler):
 
     name: ClassVar[str] = "sample.elimination"
 
-    count: int = option(help="pores of one interior", minimum=1)
+    count: int = option(help="pores of one interior", minimum=1, maximum=100_000)
     candidates: float = option(5.0, help="candidates thrown for each pore kept", minimum=2, maximum=100)
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:

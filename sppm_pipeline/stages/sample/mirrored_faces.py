@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError, DesignError
@@ -29,11 +30,18 @@ class MirroredFaces(Stage):
 
     name: ClassVar[str] = "sample.mirrored_faces"
 
-    count: int | None = option(None, help="face pores of one cell, three faces counted once each", minimum=0)
-    total: int | None = option(
-        None, help="pores of one cell, faces and interior; the faces get their share at equal packing", minimum=2
+    count: int | None = option(
+        None, help="face pores of one cell, three faces counted once each", minimum=0, maximum=100_000
     )
-    spacing: Length | None = option(None, help="smallest distance between pores", unit="cell lengths", above=0)
+    total: int | None = option(
+        None,
+        help="pores of one cell, faces and interior; the faces get their share at equal packing",
+        minimum=2,
+        maximum=100_000,
+    )
+    spacing: Length | None = option(
+        None, help="smallest distance between pores", unit="cell lengths", above=0, maximum=1e6
+    )
     share: float | None = option(
         None, help="packing: pores as a share of the most that the spacing allows", above=0, maximum=1
     )
@@ -42,9 +50,13 @@ class MirroredFaces(Stage):
         help="distance of face pores from the border of the face; with several colours at least half the spacing",
         unit="cell lengths",
         minimum=0,
+        maximum=1e6,
     )
     edge: Length | None = option(
-        None, help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted", above=0
+        None,
+        help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted",
+        minimum=1e-6,
+        maximum=1e6,
     )
 
     def check_options(self) -> None:
@@ -56,6 +68,36 @@ class MirroredFaces(Stage):
                 "give two of: the number of pores (`count` or `total`), `spacing`, `share`",
                 hint="for example `count: 18` and `spacing: 0.16`, or `total: 110` and `share: 0.5`",
             )
+
+    def estimate(self, given: Given) -> Estimate:
+        colors = given.palette.colors
+        before = given.ports["pores"] or {}
+        edge = self.edge
+        if self.total is None and self.count is None:
+            from sppm_pipeline.numerics.sampling.split import split_between_faces_and_interior
+
+            cell = edge.value if edge else 1.0
+            on_faces, _ = split_between_faces_and_interior(
+                total=None,
+                face_count=None,
+                spacing=None if self.spacing is None else self.spacing.value / cell,
+                share=self.share,
+                colors=max(colors),
+            )
+        else:
+            # of the paper's cells two fifths of all pores lie on the faces, three faces counted
+            on_faces = self.count if self.count is not None else round(0.44 * (self.total or 0))
+        makes = {
+            "pores": 0.0,
+            "edge": edge.value if edge else 1.0,
+            "edge_mm": edge.mm() if edge and edge.unit else None,
+            **before,
+            "face_pores": float(on_faces),
+            "interiors": given.palette.interiors,
+            "colors": colors,
+        }
+        thrown = on_faces / 3 * sum(colors)
+        return Estimate(makes=makes, keeps=40 * thrown, memory=20e3 * thrown, seconds=2e-5 * thrown + 1e-7 * thrown**2)
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the patterns of all colours."""

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.field_slices import FieldSlices
 from sppm_pipeline.data.length import Length
@@ -26,8 +27,10 @@ class SliceField(Stage):
 
     name: ClassVar[str] = "slice.field"
 
-    pixel: Length | None = option(None, help="pixel pitch", unit="mm", above=0)
-    layer: Length | None = option(None, help="layer height; the pixel pitch if omitted", unit="mm", above=0)
+    pixel: Length | None = option(None, help="pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
+    layer: Length | None = option(
+        None, help="layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3
+    )
     resolution: int | None = option(
         None, help="voxels along a cell edge, instead of `pixel` and `layer`", minimum=2, maximum=2048
     )
@@ -45,6 +48,28 @@ class SliceField(Stage):
             raise ConfigError("give one of `pixel` and `resolution`")
         if self.resolution is not None and self.layer is not None:
             raise ConfigError("`layer` goes with `pixel`; with `resolution` layers are as high as pixels are wide")
+
+    def estimate(self, given: Given) -> Estimate:
+        facts = given["field"]
+        edge = facts["cell_mm"]
+        pixel = self.pixel.mm() if self.pixel is not None else edge / (self.resolution or 1)
+        layer = self.layer.mm() if self.layer is not None else pixel
+        bx, by, bz = facts["box"]
+        nx, ny, nz = (max(1, round(size * edge / pitch)) for size, pitch in ((bx, pixel), (by, pixel), (bz, layer)))
+        return Estimate(
+            makes={
+                "shape": (nx, ny, nz),
+                "pixels": nx * ny,
+                "layers": nz,
+                "inside": facts["volume"] * (edge / pixel) ** 2 * edge / layer,
+                "along": edge / pixel,
+                "commensurate": abs(edge / pixel - round(edge / pixel)) < 1e-6 and layer == pixel,
+                "grey": self.grey,
+                "two_passes": self.islands == "remove",
+                "field": facts,
+            },
+            advice="give a larger `pixel` or `layer`",
+        )
 
     def run(self, context: Context, field: ScalarField) -> SliceStack:
         """Place the pixels; nothing is computed yet."""

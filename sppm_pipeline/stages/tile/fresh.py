@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.microstructure import Microstructure
@@ -15,7 +16,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.tileset import TileSet
 from sppm_pipeline.data.tiling import Tiling
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families import lattice_for
+from sppm_pipeline.families import foreseen_tiling, lattice_for
 from sppm_pipeline.families.tiler import check_repeats
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.grid import Grid
@@ -33,7 +34,7 @@ class FreshTiling(Stage):
     name: ClassVar[str] = "tile.fresh"
 
     cell: Length | None = option(
-        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", above=0
+        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
     )
     cells: tuple[int, int, int] | None = option(
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
@@ -47,7 +48,24 @@ class FreshTiling(Stage):
     resolution: int = option(
         32, help="voxels along a cell edge when porosity is measured", unit="voxels", minimum=8, maximum=256
     )
-    limit: int = option(5000, help="most cells that are drawn", minimum=1)
+    limit: int = option(5000, help="most cells that are drawn", minimum=1, maximum=1_000_000)
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast.structure import structure_of
+
+        one = given.recipes["recipe"](Palette())
+        makes, lattice = foreseen_tiling(self.cell, self.cells, given.ports["cover"], one.makes)
+        if self.porosity is not None:
+            makes["porosity"], makes["surface"] = structure_of(*makes["structure"], porosity=self.porosity)
+        cells = makes["cells"]
+        return Estimate(
+            makes={**makes, "kind": "fresh", "pieces": 7 * cells},
+            keeps=cells * one.keeps + 16 * lattice,
+            memory=one.memory + cells * 3 * one.keeps + 40 * lattice,
+            seconds=cells * one.seconds + 0.2,
+            voxels=min(cells, 64) * self.resolution**3 if self.porosity is not None else 0,
+            advice="give larger cells, or use `tileset.free_faces` with many interiors",
+        )
 
     def check_options(self) -> None:
         check_repeats(self.periodic, self.cells)

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
@@ -14,7 +15,7 @@ from sppm_pipeline.data.microstructure import Microstructure
 from sppm_pipeline.data.tileset import TileSet
 from sppm_pipeline.data.tiling import RepeatedField, Tiling
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families import lattice_for
+from sppm_pipeline.families import foreseen_tiling, lattice_for
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -26,12 +27,19 @@ class PeriodicTiling(Stage):
     name: ClassVar[str] = "tile.periodic"
 
     cell: Length | None = option(
-        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", above=0
+        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
     )
     cells: tuple[int, int, int] | None = option(
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
     )
-    tile: int = option(0, help="which tile of a tile set is repeated", minimum=0)
+    tile: int = option(0, help="which tile of a tile set is repeated", minimum=0, maximum=511)
+
+    def estimate(self, given: Given) -> Estimate:
+        makes, lattice = foreseen_tiling(self.cell, self.cells, given.ports["cover"], given["source"])
+        return Estimate(
+            makes={**makes, "pieces": 1, "repeats": True}, keeps=16 * lattice, memory=40 * lattice,
+            seconds=5e-3 + 1e-7 * lattice, advice="give larger cells or fewer of them",
+        )  # fmt: skip
 
     def run(self, context: Context, source: TileSet | ScalarField, cover: SurfaceMesh | None) -> Tiling | RepeatedField:
         """Lay the cells."""

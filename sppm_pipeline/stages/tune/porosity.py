@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.microstructure import Microstructure
@@ -49,6 +50,26 @@ class TunePorosity(Stage):
     resolution: int = option(64, help="voxels along the cell edge", unit="voxels", minimum=8, maximum=512)
     tolerance: float = option(0.001, help="largest error of the porosity, checked on a finer grid", above=0, below=0.5)
     evaluations: int = option(40, help="most cells drawn while the gap is searched", minimum=3, maximum=1000)
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast.costs import field_seconds
+        from sppm_pipeline.numerics.forecast.structure import structure_of
+
+        recipe = given.recipes["recipe"](given.palette)
+        facts, n = dict(recipe.makes), self.resolution
+        finer, coarse = n + n // 2 + 1, max(24, n // 2)
+        facts["porosity"], facts["surface"] = structure_of(*facts["structure"], porosity=self.target)
+        trials = 8 * self.samples if self.fit_count else 0
+        draws = trials + (self.evaluations // 3 if self.by == "gap" else 1)
+        voxels = trials * coarse**3 + (draws - trials) * (n**3 + finer**3)
+        return Estimate(
+            makes=facts,
+            keeps=recipe.keeps,
+            memory=recipe.memory + 9 * finer**3,
+            seconds=draws * recipe.seconds + field_seconds(voxels, facts["kernels"]) + 0.15,
+            voxels=voxels,
+            advice="lower `resolution`",
+        )
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Tune the recipe."""

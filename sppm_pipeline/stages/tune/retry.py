@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
 
@@ -20,6 +21,10 @@ class Retry(Stage):
     name: ClassVar[str] = "tune.retry"
 
     attempts: int = option(20, help="most draws", minimum=1, maximum=100_000)
+
+    def estimate(self, given: Given) -> Estimate:
+        # how often a check rejects is not known beforehand
+        return given.recipes["recipe"](given.palette)
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Draw until accepted."""

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
@@ -22,7 +23,7 @@ class WriteChart(Stage):
 
     name: ClassVar[str] = "write.chart"
 
-    path: str = option("chart.png", help="picture to write")
+    path: str = option("chart.png", help="picture to write", output=True)
     x: str = option(help="column along the axis")
     y: str = option(help="column upward")
     kind: str = option("points", help="how the values are shown", choices=("points", "boxes"))
@@ -31,6 +32,9 @@ class WriteChart(Stage):
     title: str = option("", help="text above the diagram")
     x_label: str = option("", help="text below the axis; the column's name if empty")
     y_label: str = option("", help="text beside the axis; the column's name if empty")
+
+    def estimate(self, given: Given) -> Estimate:
+        return Estimate(disk=60e3, memory=30e6, seconds=0.5)
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the diagram."""

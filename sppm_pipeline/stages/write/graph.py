@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import ClassVar
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.microstructure import Microstructure
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
@@ -18,11 +19,16 @@ class WriteGraph(Stage):
 
     name: ClassVar[str] = "write.graph"
 
-    path: str = option("graph.graphml", help="file to write, .graphml or .json")
+    path: str = option("graph.graphml", help="file to write, .graphml or .json", output=True)
 
     def check_options(self) -> None:
         if not self.path.endswith((".graphml", ".json")):
-            raise ConfigError(f"{self.path!r} must end in .graphml or .json")
+            raise ConfigError(f"option 'path': expected a name that ends in .graphml or .json, got {self.path!r}")
+
+    def estimate(self, given: Given) -> Estimate:
+        facts = given["source"]
+        size = facts["pores"] + facts["face_pores"] + facts["tunnels"]
+        return Estimate(disk=160 * size, memory=20e6 + 2e3 * size, seconds=0.05 + 1e-4 * size)
 
     def run(self, context: Context, source: TunnelGraph | Microstructure) -> None:
         """Write the file."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
@@ -31,7 +32,7 @@ class WritePicture(Stage):
 
     name: ClassVar[str] = "write.picture"
 
-    path: str = option("picture.png", help="file to write")
+    path: str = option("picture.png", help="file to write", output=True)
     resolution: int = option(
         32, help="samples along a cell edge; fewer where the picture could not show them", minimum=4, maximum=512
     )
@@ -43,6 +44,38 @@ class WritePicture(Stage):
     section: float | None = option(
         None, help="keep only this share along y, the far side, to look inside", above=0, maximum=1
     )
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast import costs
+
+        facts = given["what"]
+        pixels, advice = float(self.size[0] * self.size[1]), "lower `resolution` or `size`"
+        if "kernels" not in facts:
+            return Estimate(
+                disk=costs.PICTURE_BYTES * pixels,
+                memory=costs.picture_memory(pixels, facts["triangles"], 0, part=False),
+                seconds=costs.picture_seconds(pixels, facts["triangles"], part=False),
+                advice=advice,
+            )
+        n, tiles, box, volume = self.resolution, 1, facts["box"], facts["volume"]
+        if "palette_colors" in facts and "cells" not in facts:  # a sheet of a tile set
+            tiles, pixels = min(facts["interiors"], MOST_TILES), 300.0 * 270
+        share = self.section or 1.0
+        while n > 4 and float(np.prod(box)) * share * n**3 > MOST_SAMPLES:
+            n -= 1
+        part = facts.get("is_part", False)
+        voxels = float(np.prod(box)) * share * n**3
+        inner = costs.surface_triangles(facts["surface"], n) * volume * share
+        outer = 2 * facts["envelope"] * (1 - facts["porosity"]) * n**2
+        triangles = inner + outer
+        return Estimate(
+            disk=costs.PICTURE_BYTES * pixels * tiles,
+            memory=25e6 + costs.picture_memory(pixels, triangles, voxels, part=part) + 4 * pixels * (tiles - 1),
+            seconds=tiles
+            * (costs.picture_seconds(pixels, triangles, part=part) + costs.field_seconds(voxels, facts["kernels"])),
+            voxels=tiles * voxels,
+            advice=advice,
+        )
 
     def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet) -> None:
         """Render and write."""

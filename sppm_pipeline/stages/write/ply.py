@@ -17,7 +17,8 @@ class WritePly(MeshWriter):
 
     name: ClassVar[str] = "write.ply"
 
-    path: str = option("mesh.ply", help="file to write")
+    bytes_of_a_triangle: ClassVar[float] = 25.0
+    path: str = option("mesh.ply", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterator[bytes | memoryview]:
         from sppm_pipeline.formats import ply

@@ -17,7 +17,7 @@ class WriteStl(MeshWriter):
 
     name: ClassVar[str] = "write.stl"
 
-    path: str = option("mesh.stl", help="file to write")
+    path: str = option("mesh.stl", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterator[bytes | memoryview]:
         from sppm_pipeline.formats import stl

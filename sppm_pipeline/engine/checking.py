@@ -1,0 +1,70 @@
+"""Everything that is known before any work: the plan, the rows of the sweep, and whether they fit the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from sppm_pipeline.engine.estimate import Forecast, estimate_plan, refuse_what_cannot_fit
+from sppm_pipeline.engine.plan import Plan
+from sppm_pipeline.engine.problems import Problems
+from sppm_pipeline.engine.runner import check_until
+from sppm_pipeline.engine.session import Session
+from sppm_pipeline.engine.sweep import Row, check_sweep, sweep_rows
+from sppm_pipeline.errors import ConfigError
+
+__all__ = ["checked", "forecasts", "refuse_unfit"]
+
+MOST_FORECASTS = 50
+"""Rows of a sweep that are foretold; of more, evenly spread ones stand for all."""
+
+
+def checked(session: Session, until: str | None = None) -> tuple[Plan, Sequence[Row]]:
+    """The plan and the rows of its sweep, none if there is no sweep.
+
+    Raises
+    ------
+    ConfigError
+        With the errors of all of them.
+    """
+    problems = Problems()
+    plan: Plan | None = None
+    rows: Sequence[Row] = []
+    try:
+        plan = session.plan()
+        check_until(plan, until)
+    except ConfigError as error:
+        problems.add(error)
+    if session.configuration.sweep is not None:
+        try:
+            rows = sweep_rows(session.configuration.sweep, session.configuration.params)
+            if plan is not None:
+                check_sweep(session, rows)
+        except ConfigError as error:
+            problems.add(error)
+    problems.raise_any()
+    assert plan is not None
+    return plan, rows
+
+
+def forecasts(session: Session, plan: Plan, rows: Sequence[Row], until: str | None = None) -> list[Forecast]:
+    """The forecast of the plan, or of the rows of its sweep."""
+    if not rows:
+        return [estimate_plan(plan, until=until)]
+    step = -(-len(rows) // MOST_FORECASTS)
+    return [estimate_plan(session.plan(row), until=until) for row in rows[::step]]
+
+
+def refuse_unfit(
+    session: Session, plan: Plan, rows: Sequence[Row], folder: Path, *, workers: int = 1, until: str | None = None
+) -> None:
+    """Raise `ResourceError` if the run or any of a sweep's can't fit into memory or onto the disk."""
+    found = forecasts(session, plan, rows, until)
+    runs = max(1, len(rows))
+    for forecast in found:
+        refuse_what_cannot_fit(forecast, folder, workers=min(workers, runs))
+    if runs > 1:
+        total = sum(forecast.disk for forecast in found) / len(found) * runs
+        largest = max(found, key=lambda forecast: forecast.disk)
+        if largest.disk:
+            refuse_what_cannot_fit(largest, folder, runs=round(total / largest.disk) or 1)

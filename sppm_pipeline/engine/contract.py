@@ -1,0 +1,69 @@
+"""Whether a stage keeps its contract at run time: results without NaN, inputs left alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from sppm_pipeline.data.noun import Noun
+
+__all__ = ["CONTRACT", "changed", "digests", "is_strict", "not_finite"]
+
+CONTRACT = "SPPM_CONTRACT"
+"""Environment variable that switches the costly checks on, for those who write plugins."""
+
+
+def is_strict() -> bool:
+    """Whether inputs are digested before and after each stage, and results of built-in stages looked at, too."""
+    return os.environ.get(CONTRACT, "") not in ("", "0")
+
+
+def not_finite(made: Any) -> str | None:
+    """The place of a NaN or infinity in the arrays and numbers of a noun; None if there is none.
+
+    Infinities in private fields, and in fields that no comparison looks at, are the noun's own business.
+    """
+    for place, value in _parts(made, type(made).__name__):
+        if isinstance(value, np.ndarray):
+            if value.dtype.kind in "fc" and not np.isfinite(value).all():
+                bad = np.argwhere(~np.isfinite(value))
+                return f"{place}{bad[0].tolist()} is {value[tuple(bad[0])]} ({len(bad)} of {value.size} are not finite)"
+        elif isinstance(value, float) and not math.isfinite(value):
+            return f"{place} is {value}"
+    return None
+
+
+def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """Arrays and numbers of nouns, tuples and lists, with their places; tables may hold NaN where a run failed."""
+    if isinstance(value, Noun):
+        for field in dataclasses.fields(value):  # type: ignore[arg-type]
+            if field.compare and not field.name.startswith("_"):
+                yield from _parts(getattr(value, field.name), f"{place}.{field.name}")
+    elif isinstance(value, (tuple, list)):
+        names: Any = getattr(value, "_fields", range(len(value)))
+        for name, item in zip(names, value, strict=True):
+            yield from _parts(item, f"{place}.{name}" if isinstance(name, str) else f"{place}[{name}]")
+    else:
+        yield place, value
+
+
+def digests(inputs: Mapping[str, Any]) -> dict[str, str]:
+    """The digest of each input that has one."""
+    found = {}
+    for port, value in inputs.items():
+        if isinstance(value, Noun):
+            try:
+                found[port] = value.digest()
+            except (TypeError, AttributeError):  # a noun that computes what it holds while it is read
+                continue
+    return found
+
+
+def changed(inputs: Mapping[str, Any], before: Mapping[str, str]) -> list[str]:
+    """The ports whose nouns are not what they were."""
+    return [port for port, digest in digests({name: inputs[name] for name in before}).items() if digest != before[port]]

@@ -1,0 +1,139 @@
+"""How large a configuration may be: what is refused before it is parsed, and what while it is.
+
+The parser is written in Python and takes up to a second for a megabyte; some of its tokens take quadratic time. So a
+text is held to a size, a length of line and a length of word by expressions that run at the speed of memory, and only
+then parsed. The limits leave a hand-written configuration a factor of a hundred.
+"""
+
+from __future__ import annotations
+
+import re
+
+from sppm_pipeline.errors import ConfigError, Position
+
+__all__ = [
+    "MAX_BYTES",
+    "MAX_DEPTH",
+    "MAX_DIGITS",
+    "MAX_KEY",
+    "MAX_NODES",
+    "MAX_RECORD",
+    "MAX_SCALAR",
+    "decoded",
+    "parsable",
+    "refuse_unparsed",
+    "unprintable",
+]
+
+MAX_BYTES = 1 << 18
+"""Bytes of a configuration file."""
+
+MAX_RECORD = 1 << 20
+"""Bytes of a run record that its configuration has to lie in; there all defaults are written out."""
+
+MAX_LINE = 1 << 16
+"""Characters of a line."""
+
+MAX_SCALAR = 4096
+"""Characters of one value, or of anything else that is written without blanks, such as a tag or an anchor."""
+
+MAX_KEY = 200
+"""Characters of a key."""
+
+MAX_DIGITS = 1000
+"""Characters of a number."""
+
+MAX_DEPTH = 32
+"""Levels of lists and maps."""
+
+MAX_NODES = 20_000
+"""Values, counted with every alias and every parameter expanded."""
+
+_LONG_LINE = re.compile(rf"[^\r\n\x85\u2028\u2029]{{{MAX_LINE + 1}}}")
+_LONG_WORD = re.compile(rf"[^\s,\[\]{{}}]{{{MAX_SCALAR + 1}}}")
+_DEEP = re.compile(rf"(?:[\[{{][ \t]*){{{2 * MAX_DEPTH + 1}}}")
+"""Brackets on brackets: the parser looks ahead over a thousand of them, in quadratic time."""
+
+_ENCODINGS = {
+    b"\xff\xfe\x00\x00": "UTF-32",
+    b"\x00\x00\xfe\xff": "UTF-32",
+    b"\xff\xfe": "UTF-16",
+    b"\xfe\xff": "UTF-16",
+    b"\x1f\x8b": "compressed by gzip",
+    b"PK\x03\x04": "a ZIP archive",
+}
+_UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x84\x86-\x9f\ud800-\udfff\ufeff\ufffe\uffff]")
+
+
+def decoded(data: bytes, file: str, *, is_record: bool = False) -> str:
+    """The text of a configuration file.
+
+    Raises
+    ------
+    ConfigError
+        If it is too large or no UTF-8, with line and column.
+    """
+    if len(data) > MAX_BYTES and not is_record:
+        raise ConfigError(
+            f"the file is larger than {MAX_BYTES >> 10} KiB, which no configuration needs", where=Position(file, 1, 1)
+        )
+    for mark, name in _ENCODINGS.items():
+        if data.startswith(mark):
+            raise ConfigError(
+                f"the file is {name}, not UTF-8", where=Position(file, 1, 1), hint="save the file as UTF-8"
+            )
+    try:
+        return data[:MAX_RECORD].decode("utf-8-sig", "ignore" if is_record else "strict")
+    except UnicodeDecodeError as error:
+        before = data[: error.start].decode("utf-8-sig", "replace")
+        raise ConfigError(
+            f"byte 0x{data[error.start]:02x} is not UTF-8",
+            where=_place(before, len(before), file),
+            hint="save the file as UTF-8",
+        ) from None
+
+
+def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None:
+    """Refuse what need not be parsed to be refused.
+
+    Parameters
+    ----------
+    text : str
+    file : str
+        Name that positions show.
+    fixed : Position, optional
+        The place of all of the text, for values given on the command line.
+
+    Raises
+    ------
+    ConfigError
+        At the line and column of the first offence.
+    """
+    found = _LONG_LINE.search(text)
+    if found is not None:
+        place = fixed or _place(text, found.start(), file)
+        raise ConfigError(f"the line is longer than {MAX_LINE} characters, which no configuration needs", where=place)
+    found = _LONG_WORD.search(text)
+    if found is not None:
+        place = fixed or _place(text, found.start(), file)
+        raise ConfigError(f"more than {MAX_SCALAR} characters without a blank, starting {found[0][:20]!r}", where=place)
+    found = _DEEP.search(text)
+    if found is not None:
+        raise ConfigError(f"nested deeper than {MAX_DEPTH} levels", where=fixed or _place(text, found.start(), file))
+
+
+def parsable(text: str) -> str:
+    """The beginning of `text` that is not refused unparsed; of a record, what comes after is not read anyway."""
+    found = [match.start() for pattern in (_LONG_LINE, _LONG_WORD, _DEEP) if (match := pattern.search(text))]
+    return text[: min(found)] if found else text
+
+
+def unprintable(text: str) -> str | None:
+    """What of `text` can be in no name and no label: a control character, half of a pair; None if all is well."""
+    found = _UNPRINTABLE.search(text)
+    return None if found is None else f"\\u{ord(found[0]):04x}"
+
+
+def _place(text: str, offset: int, file: str) -> Position:
+    """Line and column of a character."""
+    return Position(file, text.count("\n", 0, offset) + 1, offset - text.rfind("\n", 0, offset))

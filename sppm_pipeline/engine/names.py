@@ -1,0 +1,96 @@
+"""Names of outputs: inside the run directory, and possible on every file system that a run may be copied to."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable
+from pathlib import PurePosixPath
+
+from sppm_pipeline.engine.limits import unprintable
+from sppm_pipeline.engine.problems import Problems, shown
+from sppm_pipeline.errors import ConfigError, Position
+
+__all__ = ["RESERVED_NAMES", "STAGING", "collide", "folded", "output_parts", "refuse_clashes"]
+
+STAGING = ".staging-"
+RESERVED_NAMES = frozenset({"run.json", "sweep.csv", "sweep.json", "runs"})
+
+MAX_PART = 255
+"""Bytes of a file's name; the limit of nearly every file system."""
+
+MAX_NAME = 1000
+"""Bytes of a path below the run directory."""
+
+_DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]|conin\$|conout\$)( *\..*)?", re.IGNORECASE)
+_FORBIDDEN = re.compile(r'[<>:"|?*\t\n\x85\u2028\u2029]')
+
+
+def output_parts(name: str) -> tuple[str, ...]:
+    """The parts of an output's name.
+
+    Raises
+    ------
+    ConfigError
+        If the name leaves the run directory, is kept for the run itself, or can't be a file's name everywhere.
+    """
+    posix = PurePosixPath(name.replace("\\", "/"))
+    parts = posix.parts
+    if (bad := unprintable(name)) is not None:
+        raise ConfigError(f"the output {shown(name)} holds the character {bad}, which no file name can")
+    if not parts:
+        raise ConfigError(f"an output needs a name, got {name!r}")
+    if posix.is_absolute() or ".." in parts or ":" in parts[0]:
+        raise ConfigError(
+            f"the output {shown(name)} leaves the run directory",
+            hint="outputs are relative to the run directory, which -o chooses",
+        )
+    if parts[0].casefold() in RESERVED_NAMES or parts[0].casefold().startswith(STAGING):
+        raise ConfigError(f"the output {shown(name)} has a name that is kept for the run itself")
+    if len(name.encode()) > MAX_NAME:
+        raise ConfigError(f"the output {shown(name)} has more than {MAX_NAME} bytes in its name")
+    for part in parts:
+        if len(part.encode()) > MAX_PART:
+            raise ConfigError(f"{shown(part)} is longer than the {MAX_PART} bytes that a file name can have")
+        if found := _FORBIDDEN.search(part):
+            raise ConfigError(f"the output {shown(name)} holds {found[0]!r}, which not every file system allows")
+        if part.endswith((".", " ")) or part.startswith(" "):
+            raise ConfigError(f"the output {shown(name)} has a part that begins with a blank or ends in a dot or blank")
+        if _DEVICE.fullmatch(part):
+            raise ConfigError(f"{shown(part)} is the name of a device on Windows, not of a file")
+    return parts
+
+
+def folded(parts: tuple[str, ...]) -> tuple[str, ...]:
+    """Equal for names that some file system takes for one: they may differ in case, or in how an accent is composed."""
+    return tuple(unicodedata.normalize("NFC", unicodedata.normalize("NFC", part).casefold()) for part in parts)
+
+
+def collide(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
+    """Whether two folded names are the same, or one lies in the other."""
+    short = min(len(one), len(other))
+    return one[:short] == other[:short]
+
+
+def refuse_clashes(claims: Iterable[tuple[str, str, Position]], problems: Problems) -> None:
+    """Report outputs of different stages that are one file, or of which one lies in the other.
+
+    Parameters
+    ----------
+    claims : iterable of (address of the stage, name of the output, place in the configuration)
+    problems : Problems
+    """
+    seen: dict[tuple[str, ...], tuple[str, str]] = {}
+    for stage, name, where in claims:
+        key = folded(output_parts(name))
+        for other, (owner, other_name) in seen.items():
+            if collide(other, key) and owner != stage:
+                problems.report(
+                    f"the output {shown(name)} collides with {shown(other_name)} of stage {owner!r}",
+                    where,
+                    hint="give one of them another path",
+                    stage=stage,
+                )
+                break
+        else:
+            seen[key] = (stage, name)

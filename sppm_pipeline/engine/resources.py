@@ -1,0 +1,95 @@
+"""What the machine has: memory that is free or allowed, and space on a disk."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+__all__ = ["MEMORY", "allowed_memory", "free_disk", "memory_budget", "words_for_bytes"]
+
+MEMORY = "SPPM_MEMORY"
+"""Environment variable with the bytes that a run may take; set by ``--memory``."""
+
+DEFAULT_BUDGET = 2 * 2**30
+"""Bytes that a stage which can choose plans with, if nobody set a limit; results must not depend on it."""
+
+
+def memory_budget() -> int:
+    """Bytes that stages may plan with."""
+    return _wished() or DEFAULT_BUDGET
+
+
+def allowed_memory() -> tuple[int | None, str]:
+    """Bytes that this process may take at most, and what limits them; None if nobody can tell.
+
+    The smallest of: the user's wish, the address space that the process is allowed, the memory that its control
+    group is allowed, and the memory of the machine that is free or can be freed.
+    """
+    limits: list[tuple[int, str]] = []
+    if wished := _wished():
+        limits.append((wished, "the limit given by --memory"))
+    limits += [(space, "the address space this process is allowed") for space in _address_space()]
+    limits += [(left, "the memory of this container") for left in _control_group()]
+    limits += [(free, "the free memory of this machine") for free in _free_memory()]
+    return min(limits, default=(None, ""), key=lambda limit: limit[0])
+
+
+def _wished() -> int | None:
+    text = os.environ.get(MEMORY, "")
+    return int(text) if text.isascii() and text.isdecimal() and int(text) > 0 else None
+
+
+def _address_space() -> list[int]:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return []
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return [] if soft == resource.RLIM_INFINITY else [soft]
+
+
+def _control_group() -> list[int]:
+    found = []
+    for name in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
+        try:
+            text = Path(name).read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError):
+            continue
+        if text.isdecimal() and int(text) < 2**60:
+            found.append(int(text))
+    return found
+
+
+def _free_memory() -> list[int]:
+    try:
+        with Path("/proc/meminfo").open(encoding="utf-8") as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return [int(line.split()[1]) * 1024]
+    except (OSError, ValueError):
+        pass
+    try:
+        return [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    except (AttributeError, OSError, ValueError):
+        return []
+
+
+def free_disk(folder: Path) -> int | None:
+    """Bytes free for this user where `folder` is or will be; None if nobody can tell."""
+    place = Path(os.path.abspath(folder))
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    try:
+        return shutil.disk_usage(place).free
+    except OSError:
+        return None
+
+
+def words_for_bytes(count: float) -> str:
+    """``3.4 GB``; powers of 1000, as sizes of files are shown."""
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if abs(count) < 999.5:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} TB"

@@ -1,0 +1,1 @@
+"""Sizes and times foretold from counts, without computing anything."""

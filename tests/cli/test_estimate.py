@@ -1,0 +1,184 @@
+"""``sppm estimate``: foretold against run, refusals, and what can't be foretold."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sppm_pipeline.cli.limits import size
+from sppm_pipeline.cli.main import main
+from sppm_pipeline.engine import resources
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+
+PART = """sppm: 1
+name: part
+recipes:
+  cell:
+    - {stage: sample.mirrored_faces, total: 40, share: 0.5}
+    - {stage: sample.dart_throwing, total: 40}
+    - {stage: connect.mbdst, mode: greedy}
+    - {stage: field.gaussian, pore_radius: 0.12, tunnel_radius: 0.04}
+pipeline:
+  - {stage: tileset.free_faces, recipe: cell, colors: 1, interiors: 2, porosity: 0.6, resolution: 16, tolerance: 0.05}
+  - {stage: read.primitive, shape: ball, size: [12 mm, 12 mm, 12 mm], facets: 40}
+  - {stage: tile.free_faces, cell: 3 mm}
+  - {stage: fill.implicit}
+  - {stage: slice.field, pixel: 0.1 mm}
+  - {stage: write.png}
+  - {stage: extract.marching_cubes, resolution: 24}
+  - {stage: write.ply}
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.yaml").write_text(PART)
+    return tmp_path
+
+
+def sppm(*words: str) -> int:
+    return main([*words, "--no-plugins"])
+
+
+def estimated(capsys, *words: str) -> dict:
+    assert sppm("estimate", *words, "--json") == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_stage_of_every_example_is_foretold(path, here, capsys):
+    words = ["-p", f"mesh={mesh(here)}"] if path.stem == "bunny" else []
+    found = estimated(capsys, str(path), *words)
+    assert found["unknown"] == []
+    assert found["memory_bytes"] > 1e8
+    assert found["seconds"] > 0.5
+    assert not (here / "runs").exists()
+
+
+def mesh(folder: Path) -> Path:
+    from sppm_pipeline.formats import stl
+    from sppm_pipeline.numerics.domain.primitive_meshes import box_mesh
+
+    path = folder / "box.stl"
+    path.write_bytes(b"".join(stl.encode(*box_mesh((0.0, 0.0, 5.0), (10.0, 10.0, 10.0)))))
+    return path
+
+
+def test_what_is_foretold_comes_true(here, capsys):
+    """In a process of its own, as the peak of memory belongs to a process."""
+    found = estimated(capsys, "part.yaml")
+    command = [sys.executable, "-m", "sppm_pipeline.cli.main", "run", "part.yaml", "--no-plugins", "-q", "-o", "out"]
+    subprocess.run([*command, "--threads", "1"], check=True, cwd=here, stdout=subprocess.DEVNULL)
+    record = json.loads((here / "out" / "run.json").read_text())
+    written = sum(file.stat().st_size for file in (here / "out").rglob("*") if file.is_file())
+    assert 0.5 < found["disk_bytes"] / written < 1.5
+    assert 0.5 < found["memory_bytes"] / (record["peak_memory_mb"] * 1e6) < 1.5
+    layers = next(stage["summary"]["layers"] for stage in record["stages"] if stage["id"] == "slice.field")
+    assert next(stage["layers"] for stage in found["stages"] if stage["id"] == "write.png") == layers
+    foretold = {stage["id"]: stage["disk_bytes"] for stage in found["stages"]}
+    for stage in record["stages"]:
+        if size_ := sum(output["bytes"] for output in stage.get("outputs", ())):
+            assert 0.4 < foretold[stage["id"]] / size_ < 2, stage["id"]
+
+
+def test_costs_grow_with_the_work(here, capsys):
+    small = estimated(capsys, "part.yaml", "-s", "marching_cubes.resolution=16")
+    large = estimated(capsys, "part.yaml", "-s", "marching_cubes.resolution=64")
+    assert large["memory_bytes"] > small["memory_bytes"]
+    assert large["disk_bytes"] > 5 * small["disk_bytes"]
+    until = estimated(capsys, "part.yaml", "--until", "write.png")
+    assert [stage["id"] for stage in until["stages"]][-1] == "write.png"
+
+
+def test_as_text(here, capsys):
+    assert sppm("estimate", "part.yaml") == 0
+    out = capsys.readouterr().out
+    assert "120 layers" in out
+    assert "in all: " in out
+
+
+@pytest.mark.parametrize("verb", ["estimate", "run"])
+def test_too_little_memory_is_refused_before_any_work(here, capsys, verb):
+    assert sppm(verb, "part.yaml", "-s", "marching_cubes.resolution=800", "--memory", "2G") == 5
+    err = capsys.readouterr().err
+    assert "part.yaml:16:13: stage 'extract.marching_cubes': about " in err
+    assert "the limit given by --memory is 2.15 GB" in err
+    assert "hint: lower `resolution`, or slice without a mesh" in err
+    assert not (here / "runs").exists()
+    assert "SPPM_MEMORY" not in os.environ
+
+
+@pytest.mark.parametrize("verb", ["estimate", "run"])
+def test_too_small_a_disk_is_refused_before_any_work(here, capsys, verb, monkeypatch):
+    monkeypatch.setattr("sppm_pipeline.engine.estimate.free_disk", lambda folder: 1000)
+    assert sppm(verb, "part.yaml", "-o", "there") == 5
+    err = capsys.readouterr().err
+    assert "would be written; free where 'there' lies are 1 kB" in err
+    assert "choose another place with -o" in err
+    assert not (here / "there").exists()
+
+
+def test_a_sweep_counts_all_its_runs(here, capsys):
+    text = PART.replace("name: part", "name: part\nparams: {n: 16}").replace("resolution: 24", 'resolution: "${n}"')
+    (here / "sweep.yaml").write_text(text + "sweep: {n: [16, 24, 32]}\n")
+    one = [estimated(capsys, "sweep.yaml", "-p", f"n={n}")["disk_bytes"] for n in (16, 24, 32)]
+    found = estimated(capsys, "sweep.yaml")
+    assert found["runs"] == 3
+    assert found["disk_bytes"] == pytest.approx(sum(one), rel=1e-6)
+
+
+def test_work_for_years_is_refused_by_its_size(here, capsys):
+    assert sppm("run", "part.yaml", "-s", "slice.field.pixel=1 um", "-s", "slice.field.layer=0.01 um") == 5
+    assert "slice with a larger `pixel` or `layer`" in capsys.readouterr().err
+
+
+def test_a_stage_that_fails_to_foretell_runs_anyway(here, capsys, monkeypatch):
+    from sppm_pipeline.stages.read.primitive import ReadPrimitive
+
+    for broken in (lambda self, given: 1 / 0, lambda self, given: "much", lambda self, given: None):
+        monkeypatch.setattr(ReadPrimitive, "estimate", broken)
+        found = estimated(capsys, "part.yaml")
+        assert "read.primitive" in found["unknown"]
+        assert "tileset.free_faces" not in found["unknown"]
+    assert sppm("run", "part.yaml", "-q", "--until", "read.primitive") == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [("1", 1), ("800M", 800 * 2**20), ("1.5G", 3 * 2**29), ("2 GiB", 2**31), ("64 kb", 2**16), ("1T", 2**40)],
+)
+def test_sizes(text, count):
+    assert size(text) == count
+
+
+@pytest.mark.parametrize("text", ["", "x", "-1", "0", "nan", "1e9", "5Q", "9" * 400, "99999999999T", "0.1"])
+def test_sizes_that_make_no_sense(text, capsys):
+    assert main(["run", "x.yaml", f"--memory={text}"]) == 2
+    assert "expected a size" in capsys.readouterr().err
+
+
+def test_the_smallest_limit_counts(monkeypatch):
+    monkeypatch.setenv(resources.MEMORY, "1000")
+    assert resources.allowed_memory() == (1000, "the limit given by --memory")
+    assert resources.memory_budget() == 1000
+    monkeypatch.setenv(resources.MEMORY, "nonsense")
+    limit, words = resources.allowed_memory()
+    assert limit is None or limit > 10**6
+    assert words != "the limit given by --memory"
+
+
+def test_free_space_of_a_folder_that_is_not_there_yet(tmp_path):
+    assert resources.free_disk(tmp_path / "a" / "b") == pytest.approx(resources.free_disk(tmp_path), rel=0.05)
+
+
+def test_words_for_bytes():
+    assert [resources.words_for_bytes(n) for n in (0, 999, 1000, 2.5e6, 3e9, 4e15)] == [
+        "0 bytes", "999 bytes", "1 kB", "2.5 MB", "3 GB", "4e+03 TB"
+    ]  # fmt: skip

@@ -1,0 +1,246 @@
+"""Running out of disk, permissions, descriptors or listeners: one clear line, exit 5, nothing half-written.
+
+Each case is a child process under a real limit of the system.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+PART = """sppm: 1
+name: part
+pipeline:
+  - {stage: read.primitive, shape: torus_knot, size: [9 mm, 9 mm, 9 mm], facets: 200}
+  - {stage: write.stl, path: part.stl}
+"""
+LAYERS = """sppm: 1
+name: layers
+pipeline:
+  - {stage: sample.elimination, count: 30, edge: 9 mm}
+  - {stage: connect.mst}
+  - {stage: field.gaussian, pore_radius: 1 mm, tunnel_radius: 0.4 mm}
+  - {stage: slice.field, pixel: 0.15 mm}
+  - {stage: write.png, path: slices}
+"""
+
+
+@pytest.fixture
+def here(tmp_path):
+    (tmp_path / "part.yaml").write_text(PART)
+    (tmp_path / "layers.yaml").write_text(LAYERS)
+    return tmp_path
+
+
+def sppm(*words: str, cwd: Path, before=None, **how) -> subprocess.CompletedProcess:
+    how = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **how}
+    command = [sys.executable, "-m", "sppm_pipeline.cli.main", *words, "--no-plugins"]
+    return subprocess.run(command, cwd=cwd, preexec_fn=before, text=True, timeout=120, check=False, **how)
+
+
+def one_line(done: subprocess.CompletedProcess, *words: str) -> None:
+    lines = done.stderr.splitlines()
+    assert done.returncode == 5, done.stderr
+    assert "Traceback" not in done.stderr
+    assert sum(line.startswith("sppm: ") for line in lines) == 1, done.stderr
+    assert len(lines) <= 2, done.stderr
+    assert all(word in done.stderr for word in words), done.stderr
+
+
+def left(folder: Path) -> list[str]:
+    """What lies in a run directory, its record apart."""
+    return sorted(path.name for path in folder.iterdir() if path.name != "run.json") if folder.exists() else []
+
+
+@pytest.mark.parametrize(("name", "limit"), [("part", 200_000), ("layers", 300)])
+def test_a_limit_of_the_size_of_files(here, name, limit):
+    sppm("run", f"{name}.yaml", "-q", "-o", "warm", cwd=here)  # so that no compiled kernel has to be kept
+
+    def before():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    done = sppm("run", f"{name}.yaml", "-q", "-o", "out", cwd=here, before=before)
+    one_line(done, "File too large")
+    assert left(here / "out") == []
+
+
+def test_a_limit_below_the_record_itself(here):
+    done = sppm("run", "part.yaml", "-q", "-o", "out", cwd=here,
+                before=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)))  # fmt: skip
+    one_line(done, "File too large")
+    assert not (here / "out").exists() or os.listdir(here / "out") == []
+
+
+@pytest.mark.parametrize("limit", [4, 6, 8, 12])
+def test_a_limit_of_open_files(here, limit):
+    """Python itself may be unable to start; once it runs, it says what is missing."""
+    done = sppm("run", "layers.yaml", "-q", "-o", "out", cwd=here,
+                before=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit)))  # fmt: skip
+    if done.returncode == 0:
+        assert left(here / "out") == ["slices", "slices-overview.png"]
+        return
+    assert left(here / "out") == []
+    if "sppm: " in done.stderr:
+        one_line(done, "Too many open files")
+    else:
+        assert limit < 6, done.stderr
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 300 kB."""
+    place = tmp_path / "small"
+    place.mkdir()
+    mount = shutil.which("mount")
+    if mount is None or subprocess.run([mount, "-t", "tmpfs", "-o", "size=300k", "tmpfs", place], check=False,
+                                       capture_output=True).returncode:  # fmt: skip
+        pytest.skip("no right to mount a small file system")
+    yield place
+    subprocess.run(["umount", place], check=False)
+
+
+@pytest.mark.parametrize("name", ["part", "layers"])
+def test_a_full_disk(here, small_disk, name):
+    # the forecast would refuse the run at once; here the disk fills up while it goes on
+    code = (
+        "import sys; from sppm_pipeline.engine import estimate; estimate.free_disk = lambda folder: None\n"
+        "from sppm_pipeline.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"
+    )
+    (small_disk / "filler").write_bytes(b"x" * 200_000)
+    words = ["run", f"{name}.yaml", "-q", "-o", str(small_disk / "out"), "--no-plugins"]
+    done = subprocess.run([sys.executable, "-c", code, *words], cwd=here, capture_output=True, text=True, check=False)
+    one_line(done, "No space left on device")
+    assert left(small_disk / "out") == []
+
+
+def test_a_full_disk_is_foreseen(here, small_disk):
+    done = sppm("run", "part.yaml", "-q", "-o", str(small_disk / "out"), cwd=here)
+    one_line(done, "would be written", "free where")
+    assert not (small_disk / "out").exists()
+
+
+def test_a_read_only_disk(here, small_disk):
+    if subprocess.run(["mount", "-o", "remount,ro", small_disk], check=False, capture_output=True).returncode:
+        pytest.skip("can't be made read-only")
+    one_line(sppm("run", "layers.yaml", "-q", "-o", str(small_disk / "out"), cwd=here), "Read-only file system")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="permissions do not bind root")
+def test_a_folder_without_permission(here):
+    (here / "closed").mkdir(mode=0o500)
+    one_line(sppm("run", "part.yaml", "-q", "-o", "closed/out", cwd=here), "Permission denied")
+
+
+@pytest.fixture
+def open_place():
+    """A folder that everybody can enter and read, which those of pytest are not."""
+    with tempfile.TemporaryDirectory() as place:
+        os.chmod(place, 0o755)
+        yield Path(place)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs the right to become somebody else")
+@pytest.mark.parametrize("verb", ["run", "check"])
+def test_somebody_without_permissions(open_place, verb):
+    """In a child that gives up being root after it has loaded the program."""
+    (open_place / "part.yaml").write_text(PART)
+    (open_place / "secret.yaml").write_text(PART)
+    (open_place / "secret.yaml").chmod(0o600)
+    name = "secret" if verb == "check" else "part"
+    code = (
+        "import os, sys; from sppm_pipeline.cli.main import main\n"
+        "main(['run', 'part.yaml', '--no-plugins', '-n', '--json'])\n"
+        "os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    words = [verb, f"{name}.yaml", "--no-plugins", *(["-q"] if verb == "run" else [])]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], cwd=open_place, capture_output=True, text=True, check=False
+    )
+    one_line(done, "Permission denied")
+
+
+@pytest.mark.parametrize("words", [["schema"], ["run", "part.yaml"]])
+def test_nobody_listens(here, words):
+    """Whoever read the results has gone; whoever read the messages, too."""
+    done = sppm(*words, cwd=here, stdout=broken_pipe())
+    assert (done.returncode, done.stderr.count("Traceback")) == (0, 0)
+    assert "rror" not in done.stderr
+    assert sppm(*words, cwd=here, stderr=broken_pipe()).returncode == 0
+    assert sppm(*words, cwd=here, stdout=broken_pipe(), stderr=broken_pipe()).returncode == 0
+
+
+def test_nobody_hears_the_error(here):
+    assert sppm("check", "missing.yaml", cwd=here, stderr=broken_pipe()).returncode == 2
+
+
+def broken_pipe() -> int:
+    read, write = os.pipe()
+    os.close(read)
+    return write
+
+
+@pytest.mark.parametrize("closed", [[1], [2], [0, 1, 2]])
+@pytest.mark.parametrize("words", [["run", "part.yaml"]])
+def test_streams_that_were_never_open(here, words, closed):
+    def before():
+        for number in closed:
+            os.close(number)
+
+    done = sppm(*words, cwd=here, before=before)
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_behind_stdout(here):
+    with open("/dev/full", "w") as full:
+        done = sppm("schema", cwd=here, stdout=full)
+    one_line(done, "No space left on device")
+    with open("/dev/full", "w") as full:
+        assert sppm("run", "part.yaml", cwd=here, stderr=full).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EMFILE, errno.ENAMETOOLONG]
+)
+def test_errors_of_the_system_in_a_stage(tmp_path, monkeypatch, capsys, number):
+    from sppm_pipeline.cli.main import main
+    from sppm_pipeline.numerics.domain import primitive_meshes
+
+    def fails(*args, **kwargs):
+        raise OSError(number, os.strerror(number), "place")
+
+    monkeypatch.setattr(primitive_meshes, "torus_knot_mesh", fails)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.yaml").write_text(PART)
+    assert main(["run", "part.yaml", "-q", "--no-plugins"]) == 5
+    err = capsys.readouterr().err
+    assert err.startswith("sppm: part.yaml:4:13: stage 'read.primitive': ")
+    assert os.listdir(tmp_path / "runs" / "part") == ["run.json"]
+
+
+def test_too_little_address_space(here):
+    """Memory that is refused while a stage works, where nothing was foretold."""
+    code = (
+        "import resource, sys; from sppm_pipeline.engine import checking\n"
+        "checking.refuse_unfit = lambda *a, **k: None\n"
+        "import sppm_pipeline.stages.extract.marching_cubes, sppm_pipeline.numerics.surface.closing\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))\n"
+        "from sppm_pipeline.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"
+    )
+    (here / "large.yaml").write_text(
+        LAYERS[: LAYERS.index("  - {stage: slice")] + "  - {stage: extract.marching_cubes, resolution: 1024}\n"
+    )
+    words = ["run", "large.yaml", "-q", "-o", "out", "--no-plugins", "--threads", "1"]
+    done = subprocess.run([sys.executable, "-c", code, *words], cwd=here, capture_output=True, text=True, check=False)
+    one_line(done, "not enough memory", "stage 'extract.marching_cubes'")
+    assert left(here / "out") == []

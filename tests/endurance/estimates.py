@@ -1,0 +1,88 @@
+"""Run the example configurations and variants, and compare what was foretold with what they took.
+
+    python tests/endurance/estimates.py [NAME ...]
+
+Memory and disk have to lie within a factor of .5 to 1.5 of the truth, the processor time within 3. It takes some
+minutes and is not part of the test suite; tests/cli/test_estimate.py holds a short form.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+KNOT = """sppm: 1
+pipeline:
+  - {stage: read.primitive, shape: torus_knot, size: [46 mm, 60 mm, 60 mm], facets: 200}
+  - {stage: write.ply, path: knot.ply}
+"""
+CASES = {
+    "quickstart": ["quickstart"],
+    "quickstart small cells": ["quickstart", "-p", "cell=3 mm", "-p", "porosity=0.5"],
+    "quickstart extract": ["quickstart", "-s", "tiles_picture.resolution=8", "-s", "part_picture.resolution=8"],
+    "cell": ["cell"],
+    "tileset_27": ["tileset_27"],
+    "table 3^3": ["table_mesh_free", "-p", "cells=[3, 3, 3]"],
+    "table 8^3": ["table_mesh_free", "-p", "cells=[8, 8, 8]"],
+    "table 8^3 at 64": ["table_mesh_free", "-p", "cells=[8, 8, 8]", "-s", "slice.field.resolution=64"],
+    "porosity_map": ["porosity_map", "-p", "pores=66", "--seed", "1"],
+    "periodic_vs_stochastic": ["periodic_vs_stochastic", "-p", "cells=[4, 4, 4]"],
+    "bunny": ["bunny", "-p", "mesh=KNOT"],
+    "bunny, coarse": ["bunny", "-p", "mesh=KNOT", "-p", "voxels=50"],
+}
+
+
+def sppm(*words: str) -> str:
+    command = [sys.executable, "-m", "sppm_pipeline.cli.main", *words, "--no-plugins"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(words)}: {done.stderr}")
+    return done.stdout
+
+
+def compare(words: list[str], folder: Path) -> dict[str, tuple[float, float]]:
+    """Quantity -> (foretold, true)."""
+    words = [
+        str(ROOT / "configs" / f"{words[0]}.yaml"),
+        *(w.replace("KNOT", str(folder / "knot.ply")) for w in words[1:]),
+    ]
+    foretold = json.loads(sppm("estimate", *words, "--json"))
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    record = json.loads(sppm("run", *words, "-q", "--threads", "1", "-o", str(folder / "run"), "--json"))
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    size = sum(file.stat().st_size for file in (folder / "run").rglob("*") if file.is_file())
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {
+        "memory MB": (foretold["memory_bytes"] / 1e6, record["peak_memory_mb"]),
+        "disk MB": (foretold["disk_bytes"] / 1e6, size / 1e6),
+        "seconds": (foretold["seconds"], seconds),
+    }
+
+
+def main(names: list[str]) -> int:
+    os.environ["OMP_NUM_THREADS"] = "1"
+    wrong = 0
+    with tempfile.TemporaryDirectory() as place:
+        (Path(place) / "knot.yaml").write_text(KNOT)
+        sppm("run", str(Path(place) / "knot.yaml"), "-q", "-o", str(Path(place) / "knot"))
+        for name in names or list(CASES):
+            folder = Path(place) / name.replace(" ", "_")
+            folder.mkdir()
+            (folder / "knot.ply").symlink_to(Path(place) / "knot" / "knot.ply")
+            for what, (foretold, true) in compare(CASES[name], folder).items():
+                low, high = (1 / 3, 3.0) if what == "seconds" else (0.5, 1.5)
+                good = low <= foretold / true <= high
+                wrong += not good
+                print(f"{name:24s} {what:10s} foretold {foretold:9.3f} true {true:9.3f} ratio {foretold / true:5.2f}"
+                      + ("" if good else "  OUTSIDE"), flush=True)  # fmt: skip
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

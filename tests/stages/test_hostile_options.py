@@ -1,0 +1,239 @@
+"""Every option of every built-in stage against values that mean harm: refused at its place, or a valid result.
+
+Each stage stands in a small pipeline of its own. A value must either be refused before any work, with the option, the
+value, what is allowed and the line; or it is accepted, and then the pipeline must end well, or with an error that the
+user can cure (exit codes 2, 3 and 5), in seconds.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import signal
+import types
+import typing
+from pathlib import Path
+
+import pytest
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.engine.options import options_of, parse_typed
+from sppm_pipeline.engine.runner import run_plan
+from sppm_pipeline.engine.session import Order, open_session
+from sppm_pipeline.errors import ConfigError, ConfigErrors, SppmError
+from sppm_pipeline.stages import BUILT_IN, sppm_stages
+
+BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
+
+RECIPE = """  cell:
+    - {stage: sample.mirrored_faces, count: 6, spacing: 0.25}
+    - {stage: sample.dart_throwing, count: 5, spacing: 0.25}
+    - {stage: connect.mst}
+    - {stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.06}
+"""
+CELL = RECIPE.splitlines()[1:]
+SET = "  - {stage: tileset.wang_3color, recipe: cell, colors: 1, resolution: 8}"
+FREE = "  - {stage: tileset.free_faces, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
+CORNER = "  - {stage: tileset.corner_colors, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
+BOX = "  - {stage: read.primitive, shape: box, size: [3, 3, 3]}"
+TILED = [SET, "  - {stage: tile.wang_3color, cells: [2, 1, 1], cell: 2 mm}"]
+AS_CELL = [line[2:] for line in CELL]
+
+CHECKED = ["  - {stage: check.porosity, resolution: 8}"]
+LAYERS = ["  - {stage: slice.field, pixel: 0.5}", "  - write.png"]
+SMALL = "recipe: cell, porosity: 0.5, colors: 1, resolution: 8, tolerance: 0.1"
+
+PLACES: dict[str, tuple[list[str], str, list[str]]] = {
+    "read.mesh": ([], "path: part.stl", []),
+    "read.primitive": ([], "shape: torus, size: [3, 3, 3]", []),
+    "sample.mirrored_faces": ([], "count: 6, spacing: 0.25", AS_CELL[1:]),
+    "sample.dart_throwing": (AS_CELL[:1], "count: 5, spacing: 0.25", AS_CELL[2:]),
+    "sample.elimination": (AS_CELL[:1], "count: 5", AS_CELL[2:]),
+    "connect.mst": (AS_CELL[:2], "", AS_CELL[3:]),
+    "connect.mbdst": (AS_CELL[:2], "degree: [1, 4], mode: greedy", AS_CELL[3:]),
+    "field.gaussian": (AS_CELL[:3], "pore_radius: 0.16, tunnel_radius: 0.06", CHECKED),
+    "tune.porosity": ([], "recipe: cell, target: 0.5, resolution: 16, tolerance: 0.05, samples: 1, evaluations: 4", []),
+    "tune.retry": ([], "recipe: cell", []),
+    "tileset.wang_3color": ([], SMALL, []),
+    "tileset.free_faces": ([], SMALL + ", interiors: 2", []),
+    "tileset.corner_colors": ([], SMALL + ", interiors: 2", []),
+    "tile.periodic": ([SET], "cells: [2, 1, 1], cell: 2 mm", []),
+    "tile.wang_3color": ([SET], "cells: [2, 1, 1], cell: 2 mm", []),
+    "tile.free_faces": ([FREE], "cells: [2, 1, 1], cell: 2 mm", []),
+    "tile.corner_colors": ([CORNER], "cells: [2, 1, 1], cell: 2 mm", []),
+    "tile.fresh": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
+    "fill.implicit": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "", LAYERS),
+    "extract.marching_cubes": (TILED, "resolution: 8", []),
+    "check.connectivity": (TILED, "resolution: 8", []),
+    "check.porosity": (TILED, "resolution: 8", []),
+    "check.residual_periodicity": (TILED, "resolution: 8", []),
+    "slice.field": (TILED, "pixel: 0.25", ["  - write.png"]),
+    "write.png": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
+    "write.stl": ([BOX], "", []),
+    "write.ply": ([BOX], "", []),
+    "write.obj": ([BOX], "", []),
+    "write.graph": (AS_CELL[:3], "", []),
+    "write.picture": ([BOX], "size: [32, 32], resolution: 4", []),
+}  # fmt: skip
+"""What comes before a stage, the options it gets, and what comes after."""
+
+NO_PIPELINE = {"write.chart"}
+"""Stands only after a sweep and has no numbers."""
+
+HOSTILE = [
+    ".nan", ".inf", "-.inf", "-1", "0", "1e300", "-1e300", "1e400", "1" + "0" * 400, "1e-300", "x", "''", "~", "true",
+    "[]", "[1]", "[1, 2, 3, 4, 5, 6, 7]", "[.nan, .nan]", "[.nan, .nan, .nan]", "{}", "{a: 1}", "5 mm", "5 parsec",
+    "-5 mm", "0 mm", "1e300 mm", "1e-300 mm", "1e300 m", ".nan mm", "'\\0'", "1e-9", "0.5", "3", "'3'",
+]  # fmt: skip
+
+HARMLESS = {"title", "x_label", "y_label", "x", "y"}
+"""Free texts."""
+
+
+def stage_class(name):
+    module, _, cls = sppm_stages()[name].partition(":")
+    return getattr(importlib.import_module(module), cls)
+
+
+def all_options():
+    return [(name, option) for name in BUILT_IN for option in options_of(stage_class(name)).values()]
+
+
+def members(kind):
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        return [m for part in typing.get_args(kind) if part is not types.NoneType for m in members(part)]
+    if typing.get_origin(kind) is tuple:
+        return [m for part in typing.get_args(kind) if part is not Ellipsis for m in members(part)]
+    return [kind]
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_number_has_two_ends(name):
+    for option in options_of(stage_class(name)).values():
+        if {int, float, Length} & set(members(option.kind)):
+            spec = option.spec
+            assert spec.minimum is not None or spec.above is not None, option.name
+            assert spec.maximum is not None or spec.below is not None, option.name
+
+
+def test_every_stage_is_tested():
+    assert set(PLACES) | NO_PIPELINE >= set(BUILT_IN)
+
+
+def document(name: str, option: str, value: str) -> tuple[str, int]:
+    """A configuration with one option of one stage set; and the line it stands in."""
+    before, given, after = PLACES[name]
+    options = [] if not given else [part for part in _split(given) if part.split(":")[0].strip() != option]
+    entry = "  - {" + ", ".join([f"stage: {name}", *options, f"{option}: {value}"]) + "}"
+    head = ["sppm: 1", "recipes:", *RECIPE.splitlines(), "pipeline:"]
+    return "\n".join([*head, *before, entry, *after]) + "\n", len(head) + len(before) + 1
+
+
+def _split(given: str) -> list[str]:
+    parts, depth, word = [], 0, ""
+    for c in given:
+        depth += (c == "[") - (c == "]")
+        if c == "," and not depth:
+            parts.append(word.strip())
+            word = ""
+        else:
+            word += c
+    return [*parts, word.strip()]
+
+
+def plan_of(path: Path):
+    return open_session(Order(str(path), BUILTINS, (), False)).plan()
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_hostile_values(name, tmp_path, request):
+    """Refused with option, value, what is allowed and line; accepted ones stay within the declared bounds."""
+    path = tmp_path / "config.yaml"
+    for option in options_of(stage_class(name)).values():
+        if option.name in HARMLESS:
+            continue
+        for value in HOSTILE:
+            text, line = document(name, option.name, value)
+            path.write_text(text, encoding="utf-8")
+            refused = None
+            try:
+                plan = plan_of(path)
+            except ConfigError as error:
+                refused = error
+            if refused is not None:
+                errors = refused.errors if isinstance(refused, ConfigErrors) else (refused,)
+                assert all(one.where is not None and one.where.line == line for one in errors), (value, str(refused))
+                words = str(refused)
+                assert len(words) < 900, (option.name, value)
+                if "not allowed in a text" not in words and "`" not in words:  # options that exclude each other
+                    assert f"option {option.name!r}" in words, (value, words)
+                    assert "expected" in words or "output" in words, (value, words)
+                continue
+            stage = next(step.stage for step in plan.steps if step.stage.name == name)
+            accepted = getattr(stage, option.name)
+            for number in accepted if isinstance(accepted, tuple) else (accepted,):
+                size = number.value if isinstance(number, Length) else number
+                if isinstance(size, (int, float)) and not isinstance(size, bool):
+                    assert math.isfinite(size), (option.name, value)
+                    assert abs(size) <= 1e15, (option.name, value)
+
+
+def ends(option) -> list[str]:
+    """Values at the ends of what is allowed, as YAML; whole numbers only where they stay small."""
+    spec, kinds = option.spec, members(option.kind)
+    found = []
+    for bound, step in ((spec.minimum, 0), (spec.above, 1), (spec.maximum, 0), (spec.below, -1)):
+        if bound is None:
+            continue
+        whole = int in kinds and not {float, Length} & set(kinds)
+        if whole and (bound > 20 or bound + step < 0):
+            continue
+        number = int(bound + step) if whole else bound + step * (1e-300 if not bound else 1e-12)
+        many = len(typing.get_args(option.kind)) if typing.get_origin(option.kind) is tuple else 0
+        many = many or max((len(typing.get_args(p)) for p in typing.get_args(option.kind)
+                            if typing.get_origin(p) is tuple), default=0)  # fmt: skip
+        found.append(str([number] * many) if many else str(number))
+        if Length in kinds and not many:
+            found += ["0.001 mm", "900 m"]
+    return found
+
+
+LARGE = {("slice.field", "pixel"), ("slice.field", "layer")}
+"""Options whose lower ends ask for a great deal of honest work."""
+
+
+def too_slow(number, frame):
+    raise TimeoutError("took too long")
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_the_ends_of_what_is_allowed_give_results_or_errors_that_can_be_cured(name, tmp_path, ball):
+    from sppm_pipeline.formats import stl
+
+    (tmp_path / "part.stl").write_bytes(b"".join(stl.encode(ball.vertices, ball.faces)))
+    path = tmp_path / "config.yaml"
+    for option in options_of(stage_class(name)).values():
+        for value in dict.fromkeys(ends(option)) if (name, option.name) not in LARGE else ():
+            text, _ = document(name, option.name, value)
+            path.write_text(text, encoding="utf-8")
+            failed = None
+            before = signal.signal(signal.SIGALRM, too_slow)
+            signal.setitimer(signal.ITIMER_REAL, 20)
+            try:
+                run_plan(plan_of(path), tmp_path / "out", threads=1)
+            except SppmError as error:
+                failed = error
+            finally:
+                signal.setitimer(signal.ITIMER_REAL, 0)
+                signal.signal(signal.SIGALRM, before)
+            if failed is not None:
+                assert failed.exit_code in (2, 3, 5), (option.name, value, str(failed))
+                assert failed.where is not None or isinstance(failed, ConfigErrors), (option.name, value)
+
+
+def test_values_that_stages_set_have_the_same_bounds():
+    for _, option in all_options():
+        if {int, float, Length} & set(members(option.kind)):
+            for value in (math.nan, math.inf, -math.inf, 1e300, 10**400, True, "x", {}):
+                with pytest.raises(ValueError):
+                    parse_typed(option, value, Path())
