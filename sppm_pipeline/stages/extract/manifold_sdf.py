@@ -41,6 +41,7 @@ class ManifoldSdf(Stage):
     spacing: Length | None = option(
         None,
         help="largest edge of a lattice cube, instead of `resolution`; the cell edge is cut into equal parts",
+        unit="mm",
         above=0,
     )
     tolerance: Length | None = option(

@@ -34,7 +34,10 @@ class MarchingCubes(Stage):
         None, help="voxels along a cell edge; 32 if `spacing` is not given either", minimum=FEWEST, maximum=MOST
     )
     spacing: Length | None = option(
-        None, help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts", above=0
+        None,
+        help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts",
+        unit="mm",
+        above=0,
     )
     caps: bool = option(
         True, help="close the surface at the border of a cell or tiling; without, it ends there in open rims"

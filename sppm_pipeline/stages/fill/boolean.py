@@ -33,7 +33,10 @@ class BooleanFill(Stage):
         None, help="voxels along a cell edge; 32 if `spacing` is not given either", minimum=FEWEST, maximum=MOST
     )
     spacing: Length | None = option(
-        None, help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts", above=0
+        None,
+        help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts",
+        unit="mm",
+        above=0,
     )
     skin: Length | None = option(
         None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0
