@@ -38,6 +38,9 @@ CORNER = "  - {stage: tileset.corner_colors, recipe: cell, colors: 1, interiors:
 BOX = "  - {stage: read.primitive, shape: box, size: [3, 3, 3]}"
 TILED = [SET, "  - {stage: tile.wang_3color, cells: [2, 1, 1], cell: 2 mm}"]
 AS_CELL = [line[2:] for line in CELL]
+REPEATED = [*AS_CELL, "  - {stage: tile.periodic, cells: [1, 1, 1], cell: 2 mm}"]
+VOLUME = [*REPEATED, "  - {stage: mesh.isosurface_stuffing, resolution: 6}"]
+IMAGE = [*REPEATED, "  - {stage: extract.voxels, resolution: 6}"]
 
 CHECKED = ["  - {stage: check.porosity, resolution: 8}"]
 LAYERS = ["  - {stage: slice.field, pixel: 0.5}", "  - write.png"]
@@ -46,6 +49,8 @@ SMALL = "recipe: cell, porosity: 0.5, colors: 1, resolution: 8, tolerance: 0.1"
 PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "read.mesh": ([], "path: part.stl", []),
     "read.primitive": ([], "shape: torus, size: [3, 3, 3]", []),
+    "read.voxels": ([], "path: image.npy", []),
+    "read.volume_mesh": ([], "path: part.vtu", []),
     "sample.mirrored_faces": ([], "count: 6, spacing: 0.25", AS_CELL[1:]),
     "sample.dart_throwing": (AS_CELL[:1], "count: 5, spacing: 0.25", AS_CELL[2:]),
     "sample.elimination": (AS_CELL[:1], "count: 5", AS_CELL[2:]),
@@ -53,6 +58,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "connect.mbdst": (AS_CELL[:2], "degree: [1, 4], mode: greedy", AS_CELL[3:]),
     "field.gaussian": (AS_CELL[:3], "pore_radius: 0.16, tunnel_radius: 0.06", CHECKED),
     "tune.porosity": ([], "recipe: cell, target: 0.5, resolution: 16, tolerance: 0.05, samples: 1, evaluations: 4", []),
+    "tune.stiffness": (
+        [], "recipe: cell, target: 0.3, vary: field.gaussian.level, low: 0.2, high: 0.5, resolution: 6, evaluations: 4",
+        []),
     "tune.retry": ([], "recipe: cell", []),
     "tileset.wang_3color": ([], SMALL, []),
     "tileset.free_faces": ([], SMALL + ", interiors: 2", []),
@@ -64,6 +72,20 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "tile.fresh": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
     "fill.implicit": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "", LAYERS),
     "extract.marching_cubes": (TILED, "resolution: 8", []),
+    "extract.manifold_sdf": (TILED, "resolution: 8", []),
+    "extract.unit_cell": (REPEATED, "resolution: 8", []),
+    "extract.voxels": (TILED, "resolution: 8", []),
+    "fill.boolean": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "resolution: 8", []),
+    "fill.combine": ([BOX, "  - {stage: read.primitive, id: ball, shape: ball, size: [1, 1, 1]}"], "operation: union, from: {tool: ball}", []),
+    "mesh.isosurface_stuffing": (REPEATED, "resolution: 8", []),
+    "mesh.boundary": (VOLUME, "", []),
+    "homogenize.voxel": (REPEATED, "resolution: 6", []),
+    "homogenize.tet": (VOLUME, "", []),
+    "homogenize.realisations": ([], "recipe: cell, samples: 2, resolution: 6", []),
+    "check.mesh": ([BOX], "", []),
+    "check.sizes": (TILED, "resolution: 8", []),
+    "check.volume_mesh": (VOLUME, "", []),
+    "slice.mesh": ([BOX], "pixel: 0.25", ["  - write.png"]),
     "check.connectivity": (TILED, "resolution: 8", []),
     "check.porosity": (TILED, "resolution: 8", []),
     "check.residual_periodicity": (TILED, "resolution: 8", []),
@@ -72,6 +94,16 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.stl": ([BOX], "", []),
     "write.ply": ([BOX], "", []),
     "write.obj": ([BOX], "", []),
+    "write.off": ([BOX], "", []),
+    "write.glb": ([BOX], "", []),
+    "write.3mf": ([BOX], "", []),
+    "write.vtu": (VOLUME, "", []),
+    "write.inp": (VOLUME, "", []),
+    "write.msh": (VOLUME, "", []),
+    "write.npy": (IMAGE, "", []),
+    "write.tiff": (IMAGE, "", []),
+    "write.vti": (IMAGE, "", []),
+    "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "size: [300, 300]", []),
     "write.graph": (AS_CELL[:3], "", []),
     "write.picture": ([BOX], "size: [32, 32], resolution: 4", []),
 }  # fmt: skip
@@ -198,7 +230,7 @@ def ends(option) -> list[str]:
     return found
 
 
-LARGE = {("slice.field", "pixel"), ("slice.field", "layer")}
+LARGE = {(stage, option) for stage in ("slice.field", "slice.mesh") for option in ("pixel", "layer")}
 """Options whose lower ends ask for a great deal of honest work."""
 
 

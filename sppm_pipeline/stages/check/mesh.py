@@ -30,7 +30,7 @@ class CheckMesh(Stage):
 
     name: ClassVar[str] = "check.mesh"
 
-    thin: Length | None = option(None, help="walls thinner than this are thin", unit="mm", above=0)
+    thin: Length | None = option(None, help="walls thinner than this are thin", unit="mm", above=0, maximum=1e6)
     thin_share: float = option(
         0.01, help="share of the surface from which on thin walls are a problem", minimum=0, maximum=1
     )

@@ -43,6 +43,7 @@ class ManifoldSdf(Stage):
         help="largest edge of a lattice cube, instead of `resolution`; the cell edge is cut into equal parts",
         unit="mm",
         above=0,
+        maximum=1e6,
     )
     tolerance: Length | None = option(
         None,
@@ -50,6 +51,7 @@ class ManifoldSdf(Stage):
         "between two lattice points by linear interpolation",
         unit="mm",
         above=0,
+        maximum=1e6,
     )
     islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
 

@@ -38,6 +38,7 @@ class MarchingCubes(Stage):
         help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts",
         unit="mm",
         above=0,
+        maximum=1e6,
     )
     caps: bool = option(
         True, help="close the surface at the border of a cell or tiling; without, it ends there in open rims"

@@ -37,9 +37,10 @@ class BooleanFill(Stage):
         help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts",
         unit="mm",
         above=0,
+        maximum=1e6,
     )
     skin: Length | None = option(
-        None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0
+        None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0, maximum=1e6
     )
     islands: str = option(
         "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")

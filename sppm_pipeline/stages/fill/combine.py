@@ -30,12 +30,16 @@ class Combine(Stage):
         help="union: mesh and tool; difference: mesh without tool; intersection: what both have in common",
         choices=("union", "difference", "intersection"),
     )
-    scale: float = option(1.0, help="factor of all lengths of the tool", above=0)
+    scale: float = option(1.0, help="factor of all lengths of the tool", above=0, maximum=1e9)
     turn: tuple[float, float, float] = option(
         (0.0, 0.0, 0.0), help="angles of the tool about x, then y, then z", unit="degrees", minimum=-360, maximum=360
     )
     at: tuple[tuple[Length, Length, Length], ...] = option(
-        ((ZERO, ZERO, ZERO),), help="where copies of the tool go: how far each is moved along x, y, z", unit="mm"
+        ((ZERO, ZERO, ZERO),),
+        help="where copies of the tool go: how far each is moved along x, y, z",
+        unit="mm",
+        minimum=-1e9,
+        maximum=1e9,
     )
 
     def check_options(self) -> None:

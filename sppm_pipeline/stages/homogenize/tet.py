@@ -30,7 +30,7 @@ class HomogenizeTet(Stage):
     name: ClassVar[str] = "homogenize.tet"
 
     young: float | tuple[float, ...] = option(
-        1.0, help="Young's modulus of the solid, or of each material of the mesh", above=0
+        1.0, help="Young's modulus of the solid, or of each material of the mesh", above=0, maximum=1e15
     )
     poisson: float | tuple[float, ...] = option(
         0.3, help="Poisson's ratio of the solid, or of each material", above=-1, below=0.5
@@ -45,7 +45,7 @@ class HomogenizeTet(Stage):
         1e-6, help="how far nodes of a face may lie from the box, over its longest edge", above=0, maximum=0.05
     )
     tolerance: float = option(1e-8, help="residual of a load case over its load", above=0, maximum=1e-2)
-    iterations: int = option(2000, help="most iterations of a load case", minimum=1)
+    iterations: int = option(2000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
 
     def run(self, context: Context, mesh: VolumeMesh) -> StiffnessReport:
         """Solve the six load cases."""

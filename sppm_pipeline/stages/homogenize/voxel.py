@@ -21,7 +21,10 @@ class ElasticHomogenizer(VoxelHomogenizer):
     """Base of stages that find effective stiffnesses on voxels: materials, and the way from a cell to its report."""
 
     young: float | tuple[float, ...] = option(
-        1.0, help="Young's modulus of the solid, or of each phase from 1 on; 1: results are parts of it", above=0
+        1.0,
+        help="Young's modulus of the solid, or of each phase from 1 on; 1: results are parts of it",
+        above=0,
+        maximum=1e15,
     )
     poisson: float | tuple[float, ...] = option(
         0.3, help="Poisson's ratio of the solid, or of each phase from 1 on", above=-1, below=0.5
@@ -37,7 +40,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
         young, poisson = self._materials()
         if not young or len(young) != len(poisson):
             raise ConfigError(
-                f"{len(young)} Young's moduli and {len(poisson)} Poisson's ratios",
+                f"`young` has {len(young)} Young's moduli and `poisson` {len(poisson)} Poisson's ratios",
                 hint="give one of each, or one of each for every phase",
             )
 

@@ -35,7 +35,9 @@ class ReadVoxels(Stage):
         "fractions are solid shares, 0 to 1 or over the full range of an integer type",
         choices=("auto", "phases", "fractions", "threshold", "otsu"),
     )
-    threshold: float | None = option(None, help="grey value from which on a voxel is solid")
+    threshold: float | None = option(
+        None, help="grey value from which on a voxel is solid", minimum=-1e15, maximum=1e15
+    )
     invert: bool = option(False, help="solid is where the values are low")
     axes: str = option("xyz", help="what the axes of a .npy array are, in order", choices=("xyz", "zyx"))
     array: str = option("", help="name of the array of a .vti file; may be empty if there is only one")
@@ -44,6 +46,7 @@ class ReadVoxels(Stage):
         help="edge of a voxel; what the file says if omitted, in mm, else one cell is the whole image",
         unit="mm",
         above=0,
+        maximum=1e6,
     )
     periodic: bool = option(False, help="the image is one cell that repeats: opposite sides are neighbours")
 

@@ -28,8 +28,10 @@ class SliceMesh(Stage):
 
     name: ClassVar[str] = "slice.mesh"
 
-    pixel: Length = option(help="pixel pitch", unit="mm", above=0)
-    layer: Length | None = option(None, help="layer height; the pixel pitch if omitted", unit="mm", above=0)
+    pixel: Length = option(help="pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
+    layer: Length | None = option(
+        None, help="layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3
+    )
     anchor: str = option(
         "part",
         help="where pixels and layers are counted from: the low corner of the part, or the origin of the coordinates, "

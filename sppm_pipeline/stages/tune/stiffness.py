@@ -27,15 +27,15 @@ class TuneStiffness(ElasticHomogenizer):
 
     name: ClassVar[str] = "tune.stiffness"
 
-    target: float = option(help="wished Young's modulus, in the unit of `young`", above=0)
+    target: float = option(help="wished Young's modulus, in the unit of `young`", above=0, maximum=1e15)
     modulus: str = option(
         "isotropic", help="which modulus: of the nearest isotropic material, or along an axis",
         choices=("isotropic", "x", "y", "z"),
     )  # fmt: skip
     accuracy: float = option(0.01, help="largest relative error of the modulus", above=0, below=0.5)
     vary: str = option("", help="stage and option that is varied, as id.option; the recipe's target porosity if empty")
-    low: float = option(0.3, help="smallest value of the varied option")
-    high: float = option(0.85, help="largest value of the varied option")
+    low: float = option(0.3, help="smallest value of the varied option", minimum=-1e15, maximum=1e15)
+    high: float = option(0.85, help="largest value of the varied option", minimum=-1e15, maximum=1e15)
     first: int = option(4, help="values that are homogenized before any is proposed", minimum=2, maximum=50)
     evaluations: int = option(20, help="most homogenizations", minimum=3, maximum=1000)
 

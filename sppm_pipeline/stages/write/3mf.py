@@ -27,7 +27,7 @@ class WriteThreeMf(Stage):
 
     name: ClassVar[str] = "write.3mf"
 
-    path: str = option("mesh.3mf", help="file to write")
+    path: str = option("mesh.3mf", help="file to write", output=True)
     title: str | None = option(None, help="title of the file; the name of the mesh if omitted")
     description: str | None = option(
         None, help="a sentence kept in the file, for instance the parameters of the design"

@@ -20,7 +20,7 @@ class WriteGlb(Stage):
 
     name: ClassVar[str] = "write.glb"
 
-    path: str = option("mesh.glb", help="file to write")
+    path: str = option("mesh.glb", help="file to write", output=True)
     normals: bool = option(False, help="whether each vertex gets a normal, so that viewers shade smoothly")
 
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:

@@ -29,7 +29,7 @@ class WriteInp(VolumeMeshWriter):
 
     name: ClassVar[str] = "write.inp"
 
-    path: str = option("mesh.inp", help="file to write")
+    path: str = option("mesh.inp", help="file to write", output=True)
     periodic: bool = option(
         False,
         help="tie copies on opposite faces by *EQUATION to three nodes REFX, REFY, REFZ that carry the mean strain",

@@ -21,7 +21,7 @@ class WriteMsh(VolumeMeshWriter):
 
     name: ClassVar[str] = "write.msh"
 
-    path: str = option("mesh.msh", help="file to write")
+    path: str = option("mesh.msh", help="file to write", output=True)
 
     def encode(self, mesh: VolumeMesh) -> Iterator[bytes]:
         from sppm_pipeline.formats import msh

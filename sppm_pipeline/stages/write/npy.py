@@ -17,7 +17,7 @@ class WriteNpy(VoxelWriter):
 
     name: ClassVar[str] = "write.npy"
 
-    path: str = option("voxels.npy", help="file to write")
+    path: str = option("voxels.npy", help="file to write", output=True)
 
     def encode(self, voxels: Voxels) -> Iterator[bytes]:
         from sppm_pipeline.formats import npy

@@ -17,7 +17,7 @@ class WriteOff(MeshWriter):
 
     name: ClassVar[str] = "write.off"
 
-    path: str = option("mesh.off", help="file to write")
+    path: str = option("mesh.off", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterator[bytes | memoryview]:
         from sppm_pipeline.formats import off

@@ -26,15 +26,15 @@ class WriteStiffness(Stage):
 
     name: ClassVar[str] = "write.stiffness"
 
-    path: str = option("stiffness", help="folder to write")
+    path: str = option("stiffness", help="folder to write", output=True)
     material: str = option("SPPM", help="name of the material in the card")
-    size: tuple[int, int] = option((900, 800), help="width and height of the picture", unit="pixels", minimum=300)
+    size: tuple[int, int] = option(
+        (900, 800), help="width and height of the picture", unit="pixels", minimum=300, maximum=8192
+    )
 
     def check_options(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", self.material):
-            raise ConfigError(
-                f"the material is named {self.material!r}; allowed are letters, digits, _ and -, a letter first"
-            )
+            raise ConfigError(f"`material` is {self.material!r}; allowed are letters, digits, _ and -, a letter first")
 
     def run(self, context: Context, report: StiffnessReport) -> None:
         """Write everything."""

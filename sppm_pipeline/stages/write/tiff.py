@@ -19,7 +19,7 @@ class WriteTiff(VoxelWriter):
 
     name: ClassVar[str] = "write.tiff"
 
-    path: str = option("voxels.tiff", help="file to write")
+    path: str = option("voxels.tiff", help="file to write", output=True)
 
     def encode(self, voxels: Voxels) -> Iterator[bytes]:
         from sppm_pipeline.formats.image_stack import encode_tiff

@@ -17,7 +17,7 @@ class WriteVti(VoxelWriter):
 
     name: ClassVar[str] = "write.vti"
 
-    path: str = option("voxels.vti", help="file to write")
+    path: str = option("voxels.vti", help="file to write", output=True)
 
     def encode(self, voxels: Voxels) -> Iterator[bytes]:
         from sppm_pipeline.formats import vti

@@ -19,7 +19,7 @@ class WriteVtu(VolumeMeshWriter):
 
     name: ClassVar[str] = "write.vtu"
 
-    path: str = option("mesh.vtu", help="file to write: .vtu or .vtk")
+    path: str = option("mesh.vtu", help="file to write: .vtu or .vtk", output=True)
     compress: bool = option(
         False, help="make a .vtu file smaller; its bytes then depend on the version of the library zlib"
     )

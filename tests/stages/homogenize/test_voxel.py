@@ -146,7 +146,7 @@ def test_phases_need_materials(cell):
         homogenized(voxels(cross() * 2))
     with pytest.raises(DesignError, match="for 2 phases"):
         homogenized(cell, resolution=8, young=(1.0, 2.0))
-    with pytest.raises(ConfigError, match="2 Young's moduli and 3"):
+    with pytest.raises(ConfigError, match="2 Young's moduli and `poisson` 3"):
         HomogenizeVoxel(young=(1.0, 2.0), poisson=(0.1, 0.2, 0.3)).check_options()
 
 
