@@ -12,18 +12,20 @@ from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
 __all__ = ["VERBS", "leave", "main"]
 
 VERBS = {
     "run": "run a pipeline, or every row of its sweep",
     "check": "check a configuration and print its wiring, without running it",
-    "explain": "say what each stage of a configuration, or one stage, does",
+    "explain": "say what each stage of a configuration, or one stage, does, and why it would run again",
     "stages": "list the stages there are, or describe one",
     "graph": "draw the wiring as text, DOT or Mermaid",
     "schema": "print the JSON Schema of configurations, for editors",
     "plugins": "list plugins, and why some could not be loaded",
+    "verify": "check that a run directory still holds what was written, to the byte",
+    "cache": "show, check or shrink what is kept between runs",
     "new": "write a first pipeline, or the skeleton of a plugin",
     "doctor": "look at the installation: versions, caches, processors, plugins",
 }
@@ -31,11 +33,7 @@ VERBS = {
 
 EXIT_CODES = """\
 exit codes: 0 done; 1 unexpected; 2 configuration or command line wrong; 3 input or design can't be satisfied;
-4 a plugin failed; 5 disk, memory or a permission is missing; 6 a native library crashed; 130, 143 interrupted"""
-
-
-class Terminated(KeyboardInterrupt):
-    """The process was asked to end (SIGTERM)."""
+4 a plugin failed; 5 disk, memory or a permission is missing; 6 a native library crashed; 129, 130, 143 interrupted"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,8 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _close_stdout()
         return 0  # whoever read our results has seen enough; nothing failed here
     except KeyboardInterrupt as error:
-        _say("interrupted")
-        return 143 if isinstance(error, Terminated) else 130
+        _say_interrupted(words)
+        return 128 + getattr(error, "number", 2)
     except Exception as error:
         return _report(error, "--debug" in words)
 
@@ -107,9 +105,9 @@ def _dispatch(words: list[str]) -> int:
         parsed = parser.parse_args(words[1:])
     except SystemExit as exit:
         return exit.code if isinstance(exit.code, int) else 2
-    with _ending_on_sigterm():
-        code: int = module.execute(parsed)
-    return code
+    from sppm_pipeline.cli.interrupts import interruptibly
+
+    return interruptibly(lambda: int(module.execute(parsed)), lambda: _say_interrupted(words))
 
 
 def _usage() -> str:
@@ -128,25 +126,6 @@ def _write_any_character() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-
-
-@contextlib.contextmanager
-def _ending_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM end a run as Ctrl-C does: staging area removed, record written."""
-    import signal
-    import threading
-
-    def end(number: int, frame: object) -> None:
-        raise Terminated
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _report(error: Exception, debug: bool) -> int:
@@ -178,6 +157,12 @@ def _print_chain(error: BaseException) -> None:
     traceback.print_exception(type(error), error, trace)
 
 
+def _say_interrupted(words: list[str]) -> None:
+    """Say that the work has ended early, and of a run how to go on with it."""
+    kept = words[:1] == ["run"] and "--no-cache" not in words and os.environ.get("SPPM_CACHE", "").lower() != "off"
+    _say("interrupted" + ("; the same command again goes on with the stages that had ended" if kept else ""))
+
+
 def _say(message: str) -> None:
     """Write to stderr, even if somebody closed it."""
     with contextlib.suppress(OSError, ValueError):
@@ -192,4 +177,4 @@ def _close_stdout() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave()
