@@ -161,8 +161,8 @@ class RunFolder:
             for name, staged in pending.items():
                 final = self.path / name
                 final.parent.mkdir(parents=True, exist_ok=True)
-                if final.is_dir() and not final.is_symlink():
-                    os.replace(final, self._aside())
+                if (final.is_dir() or staged.is_dir()) and os.path.lexists(final):
+                    os.replace(final, self._aside())  # only files take each other's place in one step
                 os.replace(staged, final)
                 files = [final / inside for inside in files_in(final)] if final.is_dir() else [final]
                 self._syncing += [self._workers().submit(sync, file) for file in files[:MOST_SYNCED]]
