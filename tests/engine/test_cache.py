@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.engine.cache.housekeeping import contents, damaged_entries, parse_size, prune
+from sppm_pipeline.engine.cache.reasons import differences, reasons_of
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.locks import FolderLock
@@ -412,3 +413,62 @@ def test_the_digest_of_a_folder_is_that_of_its_names_and_files(tmp_path):
     first = digest_of(tmp_path / "a")
     (tmp_path / "a" / "x").rename(tmp_path / "a" / "y")
     assert digest_of(tmp_path / "a") != first
+
+
+# --- why a stage would run -----------------------------------------------------------------------------------------
+
+
+def why(lab, text=TEXT, **how):
+    plan = lab.work.plan(text, plugins=[lab.plugin], **how)
+    found = reasons_of(plan, Store(lab.cache), "test")
+    return {id_: None if kept else words for id_, (kept, words) in found.items()}
+
+
+def test_what_is_kept_is_told(lab):
+    assert set(why(lab).values()) == {"no run of this configuration is known that had it"}
+    lab.run()
+    assert set(why(lab).values()) == {None}
+    prune(Store(lab.cache), 0)
+    lab.run(cache=False)
+    assert why(lab)["sample.draw"] == "no run of this configuration is known that had it"
+
+
+def test_the_option_that_has_changed_is_named(lab):
+    lab.run()
+    found = why(lab, p=["by=2.5"])
+    assert found["sample.draw"] is None
+    assert found["field.shift"] == "option 'by' has changed from 1.0 to 2.5"
+    assert found["check.look"] == "'field.shift' runs again"
+    found = why(lab, p=["by=2.5", "count=7"])
+    assert found["sample.draw"] == "option 'count' has changed from 1000 to 7"
+    assert found["field.shift"] == "option 'by' has changed from 1.0 to 2.5; 'sample.draw' runs again"
+    assert why(lab, seed=9)["sample.draw"] == "the seed has changed from 3 to 9"
+
+
+def test_files_code_versions_and_recipes_that_have_changed_are_named(lab):
+    path = lab.work.folder / "in.txt"
+    path.write_text("1 2")
+    text = "pipeline: [{stage: read.numbers, path: in.txt}, read.clock]\n"
+    lab.run(text)
+    assert why(lab, text)["read.clock"].startswith("it runs every time")
+    path.write_text("1 3")
+    assert why(lab, text)["read.numbers"] == "the content of the file of option 'path' has changed"
+    path.unlink()
+    assert why(lab, text)["read.numbers"] == "an input file can't be read"
+    lab.run(RECIPE)
+    changed = RECIPE.replace("by: 1.0", "by: 1.5")
+    assert why(lab, changed)["tune.again"] == (
+        "in the recipe 'r', stage 'field.shift': option 'by' has changed from 1.0 to 1.5"
+    )
+    shorter = RECIPE.replace(", {stage: field.shift, by: 1.0}", "")
+    assert why(lab, shorter)["tune.again"] == "the recipe 'r' has other stages"
+    lab.plugin.write_text(lab.plugin.read_text() + "\n# a remark\n")
+    assert why(lab, RECIPE)["check.look"] == "the code of stages.py has changed; 'tune.again' runs again"
+
+
+def test_versions_of_libraries_are_told():
+    before = {"stage": "s", "version": 1, "environment": {"numpy": "1"}}
+    assert list(differences(before, {**before, "version": 2, "environment": {"numpy": "2"}})) == [
+        "the version of the stage has changed from 1 to 2",
+        "numpy has changed from 1 to 2",
+    ]

@@ -71,6 +71,7 @@ class Keeper:
         self._broken = False
         self._files = InputFiles()
         self._ingredients: dict[str, dict[str, Any] | None] = {}
+        self._described: dict[str, dict[str, Any] | None] = {}
         self._keys: dict[str, str | None] = {}
         self._entries: dict[str, Entry] = {}
 
@@ -82,14 +83,17 @@ class Keeper:
         """What is kept of a step that `look_up` found or `keep` kept."""
         return self._entries.get(id_)
 
+    def ingredients(self, id_: str) -> dict[str, Any] | None:
+        """What the key of a step that was looked up is made of, but for the seed; None if that can't be told."""
+        return self._described.get(id_)
+
     def look_up(self, step: Step, path: tuple[str, ...]) -> Entry | None:
         """The entry of a step, if there is one; its sources must have been looked up or kept before."""
         started = time.perf_counter()
         try:
             entry = self._look_up(step, path)
-        except OSError as error:  # an input file that can't be read; the stage will say so
-            self._ingredients[step.id] = None
-            del error
+        except OSError:  # an input file that can't be read; the stage will say so
+            self._ingredients[step.id] = self._described[step.id] = None
             entry = None
         if entry is not None:
             self._entries[step.id] = entry
@@ -100,11 +104,9 @@ class Keeper:
     def _look_up(self, step: Step, path: tuple[str, ...]) -> Entry | None:
         self._ingredients[step.id] = self._keys[step.id] = None
         sources = {port: self._keys.get(source) if source else None for port, source in step.inputs.items()}
-        if any(source and sources[port] is None for port, source in step.inputs.items()):
-            return None  # made of something that has no key
-        ingredients = ingredients_of(step, self._recipes, path, sources, self._files)
-        if ingredients is None:
-            return None
+        ingredients = self._described[step.id] = ingredients_of(step, self._recipes, path, sources, self._files)
+        if ingredients is None or any(source and sources[port] is None for port, source in step.inputs.items()):
+            return None  # it can't be told what the result depends on, or it is made of something that has no key
         self._ingredients[step.id] = ingredients
         for key in (key_of(ingredients), key_of(ingredients | {"seed": self._seed})):
             try:
