@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _close_stdout()
         return 0  # whoever read our results has seen enough; nothing failed here
     except KeyboardInterrupt as error:
-        _say_interrupted(words)
+        _say(_farewell(words))
         return 128 + getattr(error, "number", 2)
     except Exception as error:
         return _report(error, "--debug" in words)
@@ -63,13 +63,22 @@ def leave() -> None:
     """
     # Imports make a hundred thousand objects that live to the end; looking through them again and again costs 50 ms.
     gc.set_threshold(200_000, 50, 100)
+    if sys.argv[1:2] == ["run"]:
+        from sppm_pipeline.cli.supervision import supervised
+
+        os._exit(supervised(_whole, _say, _farewell(sys.argv[1:])))
+    os._exit(_whole())
+
+
+def _whole() -> int:
+    """`main`, exit handlers and all."""
     code = main()
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
-    os._exit(code)
+    return code
 
 
 def _dispatch(words: list[str]) -> int:
@@ -107,7 +116,7 @@ def _dispatch(words: list[str]) -> int:
         return exit.code if isinstance(exit.code, int) else 2
     from sppm_pipeline.cli.interrupts import interruptibly
 
-    return interruptibly(lambda: int(module.execute(parsed)), lambda: _say_interrupted(words))
+    return interruptibly(lambda: int(module.execute(parsed)), lambda: _say(_farewell(words)))
 
 
 def _usage() -> str:
@@ -157,10 +166,10 @@ def _print_chain(error: BaseException) -> None:
     traceback.print_exception(type(error), error, trace)
 
 
-def _say_interrupted(words: list[str]) -> None:
-    """Say that the work has ended early, and of a run how to go on with it."""
+def _farewell(words: list[str]) -> str:
+    """That the work has ended early, and of a run how to go on with it."""
     kept = words[:1] == ["run"] and "--no-cache" not in words and os.environ.get("SPPM_CACHE", "").lower() != "off"
-    _say("interrupted" + ("; the same command again goes on with the stages that had ended" if kept else ""))
+    return "interrupted" + ("; the same command again goes on with the stages that had ended" if kept else "")
 
 
 def _say(message: str) -> None:

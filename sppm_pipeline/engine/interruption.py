@@ -11,7 +11,9 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,12 +21,14 @@ __all__ = [
     "Abandonable",
     "abandon_all",
     "check",
+    "die_with_parent",
     "end_children",
     "request",
     "requested",
     "reset",
     "running",
     "stopped_running",
+    "tell_of_runs",
 ]
 
 
@@ -35,8 +39,11 @@ class Abandonable(Protocol):
         """Put the traces in order, from another thread."""
 
 
+_PR_SET_PDEATHSIG = 1
+
 _requested = threading.Event()
 _running: list[Abandonable] = []
+_listeners: list[Callable[[Path], None]] = []
 
 
 def request() -> None:
@@ -60,9 +67,16 @@ def reset() -> None:
     _requested.clear()
 
 
-def running(what: Abandonable) -> None:
-    """Remember something that has to be put in order if it can't end by itself."""
+def running(what: Abandonable, path: Path) -> None:
+    """Remember something that has to be put in order if it can't end by itself, and the directory it writes to."""
     _running.append(what)
+    for tell in _listeners:
+        tell(path)
+
+
+def tell_of_runs(listener: Callable[[Path], None]) -> None:
+    """Let somebody know of each run directory from now on."""
+    _listeners.append(listener)
 
 
 def stopped_running(what: Abandonable) -> None:
@@ -81,8 +95,6 @@ def abandon_all() -> None:
 
 def end_children() -> None:
     """End the processes that this one has started, such as the workers of a sweep."""
-    import sys
-
     pids: set[int] = set()
     if "multiprocessing" in sys.modules:
         children: list[Any] = sys.modules["multiprocessing"].active_children()
@@ -93,3 +105,15 @@ def end_children() -> None:
     for pid in pids:
         with contextlib.suppress(OSError):
             os.kill(pid, signal.SIGTERM)
+
+
+def die_with_parent(parent: int) -> None:
+    """Let the system end this process when its parent ends, where it can (Linux)."""
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:  # it ended in between
+        os._exit(128 + signal.SIGKILL)

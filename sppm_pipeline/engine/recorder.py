@@ -13,13 +13,13 @@ from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.interruption import requested, running, stopped_running
 from sppm_pipeline.engine.jsonable import json_text
 from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.outputs import RECORD, RunFolder
+from sppm_pipeline.engine.outputs import RECORD, SWEEP_RUNS, RunFolder
 from sppm_pipeline.engine.plan import Plan
-from sppm_pipeline.engine.record import record_of
+from sppm_pipeline.engine.record import error_entry, record_of
 from sppm_pipeline.engine.sealing import sealed
-from sppm_pipeline.errors import SppmError
+from sppm_pipeline.errors import NativeCrash, SppmError
 
-__all__ = ["Recorder", "mark_interrupted"]
+__all__ = ["Recorder", "mark_ended"]
 
 
 class Recorder:
@@ -57,7 +57,7 @@ class Recorder:
         except BaseException:
             self.folder.discard()
             raise
-        running(self)
+        running(self, self.folder.path)
         for message in self._plan.warnings:
             self._monitor.warning(None, message)
         return self
@@ -114,8 +114,22 @@ class Recorder:
         write_whole(self.folder.path / RECORD, json_text(self.record), durable=finished)
 
 
-def mark_interrupted(path: Path) -> None:
-    """Put the directory of a run whose process was ended into order; nothing is done if it had ended by itself."""
+def mark_ended(path: Path, status: str = "interrupted", error: str | None = None) -> None:
+    """Put the directory of a run into order whose process was ended, and those of its rows if it is a sweep.
+
+    Nothing is done to runs that had ended by themselves, or that somebody goes on with.
+
+    Parameters
+    ----------
+    path : Path
+        The run directory.
+    status : {"interrupted", "failed"}
+    error : str, optional
+        What took the process down.
+    """
+    runs = path / SWEEP_RUNS
+    for row in sorted(runs.glob("[0-9]*")) if runs.is_dir() else ():
+        mark_ended(row)
     try:
         record = json.loads((path / RECORD).read_bytes())
         if record["status"] != "running":
@@ -124,6 +138,8 @@ def mark_interrupted(path: Path) -> None:
         folder.prepare()
     except (OSError, ValueError, KeyError, TypeError, SppmError):
         return
+    if error is not None:
+        record["error"] = error_entry(NativeCrash(error))
     with contextlib.suppress(SppmError):
-        write_whole(path / RECORD, json_text(sealed(record | {"status": "interrupted"})))
+        write_whole(path / RECORD, json_text(sealed(record | {"status": status})))
     folder.discard()

@@ -19,7 +19,7 @@ from sppm_pipeline.engine.outputs import SWEEP_RUNS, remove_stale_runs
 from sppm_pipeline.engine.plan import SWEEP_ID, Plan
 from sppm_pipeline.engine.problems import Problems, did_you_mean
 from sppm_pipeline.engine.record import error_entry
-from sppm_pipeline.engine.recorder import mark_interrupted
+from sppm_pipeline.engine.recorder import mark_ended
 from sppm_pipeline.engine.runner import Recorder, check_until, run_plan, run_steps
 from sppm_pipeline.engine.session import Order, Session, open_session
 from sppm_pipeline.engine.sweep_table import columns_of, csv_text, numbers_of, rows_of
@@ -255,7 +255,7 @@ def _run_rows(
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         for name in names:
-            mark_interrupted(path / SWEEP_RUNS / name)
+            mark_ended(path / SWEEP_RUNS / name)
     return [results[number] for number in range(len(tasks))]
 
 

@@ -255,6 +255,7 @@ class Keeper:
                     recent_name(self._about), {"about": self._about, "seed": self._seed, "stages": stages}
                 )
             if not self._broken:
+                self.store.clear_leftovers()
                 account(self.store)
         except OSError:
             pass  # nothing of the run depends on it
