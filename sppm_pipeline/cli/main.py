@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _close_stdout()
         return 0  # whoever read our results has seen enough; nothing failed here
     except KeyboardInterrupt as error:
-        _say(_farewell(words))
+        _take_leave(words)
         return 128 + getattr(error, "number", 2)
     except Exception as error:
         return _report(error, "--debug" in words)
@@ -64,9 +64,9 @@ def leave() -> None:
     # Imports make a hundred thousand objects that live to the end; looking through them again and again costs 50 ms.
     gc.set_threshold(200_000, 50, 100)
     if sys.argv[1:2] == ["run"]:
-        from sppm_pipeline.cli.supervision import supervised
+        from sppm_pipeline.cli import supervision
 
-        os._exit(supervised(_whole, _say, _farewell(sys.argv[1:])))
+        os._exit(supervision.supervised(_whole, _say, _farewell(sys.argv[1:])))
     os._exit(_whole())
 
 
@@ -116,7 +116,7 @@ def _dispatch(words: list[str]) -> int:
         return exit.code if isinstance(exit.code, int) else 2
     from sppm_pipeline.cli.interrupts import interruptibly
 
-    return interruptibly(lambda: int(module.execute(parsed)), lambda: _say(_farewell(words)))
+    return interruptibly(lambda: int(module.execute(parsed)), lambda: _take_leave(words))
 
 
 def _usage() -> str:
@@ -170,6 +170,12 @@ def _farewell(words: list[str]) -> str:
     """That the work has ended early, and of a run how to go on with it."""
     kept = words[:1] == ["run"] and "--no-cache" not in words and os.environ.get("SPPM_CACHE", "").lower() != "off"
     return "interrupted" + ("; the same command again goes on with the stages that had ended" if kept else "")
+
+
+def _take_leave(words: list[str]) -> None:
+    supervision = sys.modules.get("sppm_pipeline.cli.supervision")
+    if supervision is None or not supervision.watched():  # who watches says it, whatever becomes of this process
+        _say(_farewell(words))
 
 
 def _say(message: str) -> None:

@@ -20,10 +20,13 @@ from types import FrameType
 
 from sppm_pipeline.engine import interruption
 
-__all__ = ["CRASHES", "supervised"]
+__all__ = ["CRASHES", "supervised", "watched"]
 
 PATIENCE = 1.4
 """Seconds that the child is given to end by itself; within `interrupts.PATIENCE` it puts everything in order."""
+
+INTERRUPTED = (129, 130, 143)
+"""Exit codes of a child that was interrupted."""
 
 CRASHES = tuple(getattr(signal, n) for n in ("SIGSEGV", "SIGBUS", "SIGABRT", "SIGILL", "SIGFPE") if hasattr(signal, n))
 """Signals by which a native library takes a process down."""
@@ -39,7 +42,7 @@ def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: st
     say : function of str
         Tells the user.
     farewell : str
-        What is said if the child had to be ended by force.
+        What is said if the work was interrupted.
     """
     if not hasattr(os, "fork"):
         return work()
@@ -50,6 +53,7 @@ def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: st
     child = os.fork()
     if child == 0:
         os.close(reader)
+        _watched.append(parent)
         interruption.die_with_parent(parent)
         # the terminal sends its signals to both; the parent decides what becomes of them
         for name in ("SIGINT", "SIGHUP"):
@@ -62,6 +66,14 @@ def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: st
             os._exit(code)
     os.close(writer)
     return _Watch(child, reader, say, farewell).exit_code()
+
+
+_watched: list[int] = []
+
+
+def watched() -> bool:
+    """Whether this is the child of `supervised`."""
+    return bool(_watched)
 
 
 class _Watch:
@@ -100,12 +112,15 @@ class _Watch:
                     os.kill(pid, signal.SIGKILL)
             os.waitpid(self._child, 0)
             self._tidy_up("interrupted", None)
-            self._say(self._farewell)
         if self._signals:
+            self._say(self._farewell)
             return 128 + self._signals[0]
         assert status is not None
         if not os.WIFSIGNALED(status):
-            return os.WEXITSTATUS(status)
+            code = os.WEXITSTATUS(status)
+            if code in INTERRUPTED:
+                self._say(self._farewell)
+            return code
         number = os.WTERMSIG(status)
         name = signal.Signals(number).name
         if number in CRASHES:
