@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+import functools
 import os
 import platform
 import sys
@@ -18,7 +20,7 @@ __all__ = ["RECORD_VERSION", "error_entry", "peak_memory_mb", "record_of"]
 
 RECORD_VERSION = 1
 
-_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "PIL")
+_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")
 
 
 def record_of(
@@ -53,11 +55,10 @@ def record_of(
         "seconds": round(seconds, 6),
         "peak_memory_mb": peak_memory_mb(),
         "threads": threads,
-        "versions": {"sppm_pipeline": sppm_pipeline.__version__, "python": platform.python_version()}
-        | {
-            name: str(sys.modules[name].__version__)
-            for name in _LIBRARIES
-            if hasattr(sys.modules.get(name), "__version__")
+        "versions": {
+            "sppm_pipeline": sppm_pipeline.__version__,
+            "python": platform.python_version(),
+            **_library_versions(),
         },
         "plugins": [
             {"name": name, "distribution": plugin.distribution, "version": plugin.version}
@@ -73,6 +74,18 @@ def record_of(
         "error": error_entry(error) if error is not None else None,
     }
     return record | dict(extra) | {"stages": list(stages)}
+
+
+@functools.cache
+def _library_versions() -> dict[str, str]:
+    """Versions of the libraries that results come from; also of those that a run from the cache did not load."""
+    from importlib import metadata
+
+    found = {}
+    for name in _LIBRARIES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
 
 
 def error_entry(error: SppmError) -> dict[str, Any]:
