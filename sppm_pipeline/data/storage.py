@@ -173,8 +173,8 @@ class _Arrays:
         self._numbers: dict[int, int] = {}
 
     def number(self, array: NDArray[Any]) -> int:
-        if array.dtype.hasobject:
-            raise NotStorable("an array of objects")
+        if array.dtype.hasobject or array.dtype.names:
+            raise NotStorable(f"an array of {array.dtype}")
         if id(array) not in self._numbers:
             self._numbers[id(array)] = len(self._arrays)
             contiguous = array.flags.c_contiguous or array.flags.f_contiguous
@@ -280,9 +280,11 @@ def _buffer(array: NDArray[Any]) -> memoryview:
 
 def _npy_pieces(array: NDArray[Any]) -> list[memoryview]:
     """The content of a .npy file: header and data."""
-    header = io.BytesIO()
-    np.lib.format.write_array_header_2_0(header, np.lib.format.header_data_from_array_1_0(array))
-    return [memoryview(header.getvalue()), _buffer(array)]
+    fortran = array.ndim > 1 and array.flags.f_contiguous and not array.flags.c_contiguous
+    shape = "(" + "".join(f"{n}, " for n in array.shape) + ")"
+    about = f"{{'descr': {array.dtype.str!r}, 'fortran_order': {fortran}, 'shape': {shape}, }}".encode()
+    about += b" " * (-(len(about) + 13) % _ALIGN) + b"\n"
+    return [memoryview(b"\x93NUMPY\x02\x00" + len(about).to_bytes(4, "little") + about), _buffer(array)]
 
 
 def _npy_content(data: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
-import functools
 import os
 import platform
 import sys
@@ -12,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import sppm_pipeline
+from sppm_pipeline.engine.distributions import installed_version
 from sppm_pipeline.engine.document import RECORD_KEY
 from sppm_pipeline.engine.plan import Plan
 from sppm_pipeline.errors import SppmError
@@ -76,16 +75,10 @@ def record_of(
     return record | dict(extra) | {"stages": list(stages)}
 
 
-@functools.cache
 def _library_versions() -> dict[str, str]:
     """Versions of the libraries that results come from; also of those that a run from the cache did not load."""
-    from importlib import metadata
-
-    found = {}
-    for name in _LIBRARIES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+    found = {name: installed_version(name) for name in _LIBRARIES}
+    return {name: version for name, version in found.items() if version is not None}
 
 
 def error_entry(error: SppmError) -> dict[str, Any]:

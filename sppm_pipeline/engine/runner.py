@@ -18,6 +18,7 @@ from sppm_pipeline.engine.problems import did_you_mean
 from sppm_pipeline.engine.record import peak_memory_mb
 from sppm_pipeline.engine.recorder import Recorder
 from sppm_pipeline.engine.running import RecipeSteps, last_uses, run_step, summary_of
+from sppm_pipeline.engine.verification import finished_run
 from sppm_pipeline.engine.wiring import Step
 from sppm_pipeline.errors import ConfigError, SppmError
 
@@ -51,6 +52,7 @@ def run_plan(
     monitor: Monitor | None = None,
     store: Store | None = None,
     about: str = "",
+    key: str | None = None,
 ) -> dict[str, Any]:
     """Run the pipeline and write ``run.json``, also when a stage fails.
 
@@ -69,6 +71,9 @@ def run_plan(
         The cache; without one every stage runs, and nothing is kept.
     about : str
         Name under which the cache remembers this run for `sppm explain`.
+    key : str, optional
+        Digest of all that the run depends on; with a store, a finished run of the same key in `path` that is sound to
+        the byte is taken as it is.
 
     Returns
     -------
@@ -82,7 +87,11 @@ def run_plan(
     """
     check_until(plan, until)
     monitor = monitor or Monitor()
+    if store is not None and key is not None and (finished := finished_run(path, key)) is not None:
+        return finished
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
+        if key is not None:
+            recorder.extra["key"] = key
         run_steps(
             plan.steps,
             plan.recipes,

@@ -295,9 +295,11 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     path = Path(task["path"])
     result = {"run": path.name, "params": {name: plain(entry.node) for name, entry in row.items()}}
     try:
-        record = run_plan(
-            session.plan(row), path, threads=task["threads"], until=task["until"], store=_store(task["cache"])
-        )
+        from sppm_pipeline.engine.cache.keys import run_key
+
+        plan, store = session.plan(row), _store(task["cache"])
+        key = run_key(plan, task["until"])
+        record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
     except SppmError as error:
         record = getattr(error, "record", {})
         return result | {

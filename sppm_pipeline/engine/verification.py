@@ -16,7 +16,7 @@ from sppm_pipeline.engine.outputs import RECORD, SUMS, SWEEP_RUNS
 from sppm_pipeline.engine.sealing import BrokenSealError, read_sealed
 from sppm_pipeline.errors import InputError
 
-__all__ = ["Finding", "verify_run"]
+__all__ = ["Finding", "finished_run", "verify_run"]
 
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
@@ -66,6 +66,17 @@ def verify_run(path: Path, threads: int = 1) -> tuple[list[Finding], int]:
         found, files = _verify(path, "", pool, None)
     order = {"unfinished": 0, "missing": 1, "changed": 2, "extra": 3}
     return sorted(found, key=lambda f: (f.path, order[f.kind])), files
+
+
+def finished_run(path: Path, key: str) -> dict[str, Any] | None:
+    """The record of a run that has ended well and has this key, if all that it wrote is there to the byte."""
+    try:
+        record = read_sealed((path / RECORD).read_bytes())
+    except (OSError, ValueError):
+        return None
+    if record.get("key") != key or record.get("status") != "done":
+        return None
+    return record if not verify_run(path)[0] else None
 
 
 def _verify(path: Path, prefix: str, pool: ThreadPoolExecutor, seal: str | None) -> tuple[list[Finding], int]:

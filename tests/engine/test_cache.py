@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sppm_pipeline.engine.cache import keeper
 from sppm_pipeline.engine.cache.housekeeping import contents, damaged_entries, parse_size, prune
 from sppm_pipeline.engine.cache.reasons import differences, reasons_of
 from sppm_pipeline.engine.cache.store import Store
@@ -17,6 +18,7 @@ from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.runner import run_plan
+from sppm_pipeline.engine.sweep import run_sweep
 
 STAGES = Path(__file__).with_name("slow_stages.py")
 
@@ -50,6 +52,8 @@ class Lab:
         self.plugin.write_text(STAGES.read_text())
         self.monitor = Telling()
         monkeypatch.setenv("RAN", str(self.log))
+        # as if the stages took long, so that what is kept does not depend on how busy the machine is
+        monkeypatch.setattr(keeper, "SHARE", 1000.0)
 
     def run(self, text=TEXT, *, to="out", cap=None, cache=True, until=None, **how):
         self.log.write_text("")
@@ -472,3 +476,52 @@ def test_versions_of_libraries_are_told():
         "the version of the stage has changed from 1 to 2",
         "numpy has changed from 1 to 2",
     ]
+
+
+# --- sweeps --------------------------------------------------------------------------------------------------------
+
+SWEEP = TEXT.replace("  - check.look\n", "") + "sweep: {count: [10, 20, 30]}\n"
+
+
+def sweep(lab, text=SWEEP, **how):
+    lab.log.write_text("")
+    session = lab.work.session(text, plugins=[lab.plugin], **how)
+    run_sweep(session, session.plan(), lab.work.folder / "out", workers=1, executor=None, threads=1, cache=lab.cache)
+    return lab.files()
+
+
+@pytest.mark.parametrize("share", [0.0, 1000.0], ids=["nothing kept", "everything kept"])
+def test_finished_rows_are_taken_as_they_are(lab, share, monkeypatch):
+    monkeypatch.setattr(keeper, "SHARE", share)
+    before = sweep(lab)
+    assert lab.ran == ["sample.draw", "field.shift", "write.numbers"] * 3
+    assert bool(contents(Store(lab.cache))) == bool(share)
+    assert sweep(lab) == before
+    assert lab.ran == []
+    # a row that was harmed, one that is gone, and one that is new
+    out = lab.work.folder / "out" / "runs"
+    (out / "0000" / "numbers.txt").write_text("harmed")
+    shutil.rmtree(out / "0001")
+    assert sweep(lab) == before
+    assert lab.ran == ([] if share else ["sample.draw", "field.shift", "write.numbers"] * 2)
+    sweep(lab, SWEEP.replace("30]", "30, 40]"))
+    assert lab.ran == ["sample.draw", "field.shift", "write.numbers"]
+    sweep(lab, SWEEP.replace("30]", "40]"))
+    assert sorted(path.name for path in out.iterdir()) == ["0000", "0001", "0002"]
+
+
+def test_a_row_of_other_options_is_not_taken(lab, monkeypatch):
+    monkeypatch.setattr(keeper, "SHARE", 0.0)
+    sweep(lab)
+    sweep(lab, p=["by=3.0"])
+    assert len(lab.ran) == 9
+    sweep(lab, seed=8)
+    assert len(lab.ran) == 9
+
+
+def test_what_costs_too_much_to_keep_is_not_kept(lab, monkeypatch):
+    monkeypatch.setattr(keeper, "SHARE", 0.0)
+    lab.run()
+    assert contents(Store(lab.cache)) == []
+    assert lab.run()["status"] == "done"
+    assert lab.ran == ALL

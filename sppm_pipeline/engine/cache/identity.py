@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import sppm_pipeline
+from sppm_pipeline.engine.distributions import installed_version, requirements_of
 from sppm_pipeline.engine.plugins import Plugin
 from sppm_pipeline.stage import Stage
 
@@ -95,24 +96,11 @@ def environment(distributions: tuple[str, ...] = ()) -> dict[str, str]:
     distributions : tuple of str
         Plugins whose requirements count as well.
     """
-    from importlib import metadata
-
     names = set(_LIBRARIES)
     for distribution in ("sppm-pipeline", *distributions):
-        try:
-            required = metadata.requires(distribution) or []
-        except metadata.PackageNotFoundError:
-            continue
-        for requirement in required:
-            match = re.match(r"[\w.-]+", requirement)
-            if match and not re.search(r"extra\s*==\s*['\"](test|dev|docs)['\"]", requirement):
-                names.add(re.sub(r"[-_.]+", "-", match[0]).lower())
+        names |= set(requirements_of(distribution))
     found = {"python": platform.python_version(), "processor": _processor()}
-    for name in sorted(names):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "not installed"
+    found |= {name: installed_version(name) or "not installed" for name in sorted(names)}
     return found | {name: os.environ[name] for name in _SETTINGS if name in os.environ}
 
 

@@ -34,6 +34,9 @@ WORTH = 0.02
 FILE = 3e-4
 """Seconds that one more file costs."""
 
+FACTS = 2e-3
+"""Seconds that it costs to keep what the record says of a stage."""
+
 DURABLE = 1.0
 """Seconds; what took longer is kept so that it survives a power cut."""
 
@@ -69,6 +72,7 @@ class Keeper:
         self._started = time.perf_counter()
         self._spent = 0.0
         self._broken = False
+        self._facts: list[tuple[str, dict[str, Any]]] = []
         self._files = InputFiles()
         self._ingredients: dict[str, dict[str, Any] | None] = {}
         self._described: dict[str, dict[str, Any] | None] = {}
@@ -214,23 +218,41 @@ class Keeper:
             size, count = _size_of(outputs) if worth else (0, 0)
             if not (outputs and worth and self._affordable(size, count, seconds)):
                 outputs = ()
-            self.store.put(
-                key,
-                manifest,
-                value=value,
-                outputs=outputs,
-                durable=seconds > DURABLE and (value is not None or bool(outputs)),
-            )
+            if value is None and not outputs:
+                self._facts.append((key, manifest))
+                return
+            self.store.put(key, manifest, value=value, outputs=outputs, durable=seconds > DURABLE)
             entry = self.store.find(key, touch=False)
             if entry is not None:
                 self._entries[step.id] = entry
         except (OSError, DamagedError) as error:
-            self._broken = True
-            detail = error.strerror if isinstance(error, OSError) else error
-            self._monitor.warning(None, f"the cache {str(self.store.root)!r} can't be written ({detail}); "
-                                        "results of this run are not kept")  # fmt: skip
+            self._give_up(error)
         finally:
             self._spent += time.perf_counter() - started
+        self._keep_facts()
+
+    def _keep_facts(self) -> None:
+        """Keep what waits, the stages that took longest first, as far as the share of the run's time goes.
+
+        A run of a few milliseconds, of which a sweep may have thousands, would otherwise take longer for being kept.
+        """
+        self._facts.sort(key=lambda waiting: waiting[1]["seconds"])
+        while self._facts and SHARE * (time.perf_counter() - self._started) - self._spent >= FACTS:
+            started = time.perf_counter()
+            try:
+                self.store.put(*self._facts.pop())
+            except OSError as error:
+                self._give_up(error)
+            self._spent += time.perf_counter() - started
+
+    def _give_up(self, error: Exception) -> None:
+        """Tell, once, that nothing can be kept."""
+        self._broken = True
+        self._facts.clear()
+        detail = error.strerror if isinstance(error, OSError) else error
+        self._monitor.warning(
+            None, f"the cache {str(self.store.root)!r} can't be written ({detail}); results of this run are not kept"
+        )
 
     def keep_again(self, step: Step, made: Any, inputs: Mapping[str, Any], seconds: float) -> None:
         """Keep the noun of a step of which only the facts were kept, if that is worth it now."""
@@ -249,14 +271,13 @@ class Keeper:
     def close(self) -> None:
         """Remember what the keys were made of, and keep the cache within its cap."""
         try:
+            self._keep_facts()
             if self._about and not self._broken and any(self._ingredients.values()):
                 stages = {id_: found for id_, found in self._ingredients.items() if found is not None}
-                self.store.write_text(
-                    recent_name(self._about), {"about": self._about, "seed": self._seed, "stages": stages}
-                )
-            if not self._broken:
-                self.store.clear_leftovers()
-                account(self.store)
+                text = {"about": self._about, "seed": self._seed, "stages": stages}
+                self.store.write_text(recent_name(self._about), text)
+            self.store.clear_leftovers()
+            account(self.store)
         except OSError:
             pass  # nothing of the run depends on it
         finally:

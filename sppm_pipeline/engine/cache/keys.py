@@ -11,11 +11,11 @@ from typing import Any
 
 from sppm_pipeline.engine.cache.identity import code_of, environment
 from sppm_pipeline.engine.files import digest_of
-from sppm_pipeline.engine.plan import step_options
+from sppm_pipeline.engine.plan import Plan, step_options
 from sppm_pipeline.engine.plugins import Plugin
 from sppm_pipeline.engine.wiring import Step
 
-__all__ = ["KEY_FORMAT", "InputFiles", "ingredients_of", "key_of"]
+__all__ = ["KEY_FORMAT", "InputFiles", "ingredients_of", "key_of", "run_key"]
 
 KEY_FORMAT = 1
 """Raised when the same ingredients come to mean something else."""
@@ -134,6 +134,21 @@ def _paths(value: Any) -> list[Path]:
     if isinstance(value, Path):
         return [value]
     return [path for item in value for path in _paths(item)] if isinstance(value, tuple) else []
+
+
+def run_key(plan: Plan, until: str | None) -> str | None:
+    """The key of a whole run, made of all its stages; None if what it gives depends on more."""
+    files = InputFiles()
+    stages = []
+    for step in plan.steps:
+        try:
+            ingredients = ingredients_of(step, plan.recipes, (step.id,), dict(step.inputs), files)
+        except OSError:
+            return None
+        if ingredients is None:
+            return None
+        stages.append(ingredients)
+    return key_of({"stages": stages, "seed": plan.seed, "until": until, "config": plan.document})
 
 
 def key_of(ingredients: Mapping[str, Any]) -> str:
