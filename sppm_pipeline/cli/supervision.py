@@ -47,8 +47,9 @@ def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: st
     if not hasattr(os, "fork"):
         return work()
     reader, writer = os.pipe()
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):  # or the child would write it once more
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
     parent = os.getpid()
     child = os.fork()
     if child == 0:
