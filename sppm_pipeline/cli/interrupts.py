@@ -13,7 +13,7 @@ from types import FrameType
 
 __all__ = ["Interrupted", "interruptibly"]
 
-PATIENCE = 0.8
+PATIENCE = 0.6
 """Seconds that work is given to end by itself."""
 
 STACK = 16 << 20

@@ -22,7 +22,7 @@ from sppm_pipeline.engine import interruption
 
 __all__ = ["CRASHES", "supervised", "watched"]
 
-PATIENCE = 1.4
+PATIENCE = 1.1
 """Seconds that the child is given to end by itself; within `interrupts.PATIENCE` it puts everything in order."""
 
 INTERRUPTED = (129, 130, 143)
