@@ -195,10 +195,14 @@ class Stage(ABC):
         ``family.name``; also the file, the YAML prefix and the reference page.
     version : int
         Raised when results change for equal options, so that kept results are not reused.
+    cacheable : bool
+        False for a stage whose result depends on more than its options, input files, inputs and random numbers, for
+        instance on a clock or a network; it then runs every time, and so does what depends on it.
     """
 
     name: ClassVar[str]
     version: ClassVar[int] = 1
+    cacheable: ClassVar[bool] = True
 
     @abstractmethod
     def run(self, context: Context, *inputs: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,10 @@ from sppm_pipeline.stages.tile.wang_3color import WangTiling
 from sppm_pipeline.stages.tileset.free_faces import FreeFacesTileSet
 from sppm_pipeline.stages.tileset.wang_3color import WangTileSet
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+os.environ["SPPM_CACHE"] = (
+    "off"  # tests neither use nor fill the cache of whoever runs them, but for those of the cache
+)
 
 BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
 

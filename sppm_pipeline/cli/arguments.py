@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 __all__ = [
     "ALLOWED",
     "BUILTINS",
+    "add_cache",
     "add_configuration",
     "add_plugins",
     "allowed_from",
+    "cache_of",
     "find_configuration",
     "open_from",
     "order_from",
@@ -130,6 +132,19 @@ def open_from(args: Namespace) -> Session:
     session = open_session(order_from(args))
     warn_of_failed_plugins(session.plugins)
     return session
+
+
+def add_cache(parser: ArgumentParser) -> None:
+    """Where results are kept between runs."""
+    parser.add_argument("--cache", type=Path, metavar="DIR", help="folder in which results are kept between runs")
+    parser.add_argument("--no-cache", action="store_true", help="run every stage, and keep nothing")
+
+
+def cache_of(args: Namespace) -> Path | None:
+    """The folder that `add_cache` asks for; None for none."""
+    from sppm_pipeline.engine.cache.location import cache_folder
+
+    return None if args.no_cache else cache_folder(args.cache)
 
 
 def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:

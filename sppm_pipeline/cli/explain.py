@@ -1,11 +1,11 @@
-"""``sppm explain``: what each stage of a configuration does, with its resolved options; or one stage."""
+"""``sppm explain``: what each stage of a configuration does, with its resolved options, and why it would run again."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from sppm_pipeline.cli.arguments import add_configuration, open_from, plugins_from
+from sppm_pipeline.cli.arguments import add_cache, add_configuration, cache_of, open_from, plugins_from
 
 __all__ = ["configure", "execute"]
 
@@ -13,6 +13,7 @@ __all__ = ["configure", "execute"]
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     add_configuration(parser)
+    add_cache(parser)
 
 
 def execute(args: Namespace) -> int:
@@ -25,5 +26,14 @@ def execute(args: Namespace) -> int:
         if args.file in registry:
             print(stage_text(registry.get(args.file), registry), end="")
             return 0
-    print(explain_plan(open_from(args).plan()), end="")
+    session = open_from(args)
+    plan = session.plan()
+    cache = cache_of(args)
+    reasons = None
+    if cache is not None and session.configuration.sweep is None:
+        from sppm_pipeline.engine.cache.location import open_store
+        from sppm_pipeline.engine.cache.reasons import reasons_of
+
+        reasons = reasons_of(plan, open_store(cache), str(session.configuration.file.absolute()))
+    print(explain_plan(plan, reasons), end="")
     return 0

@@ -12,19 +12,21 @@ from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
 __all__ = ["VERBS", "leave", "main"]
 
 VERBS = {
     "run": "run a pipeline, or every row of its sweep",
     "check": "check a configuration and print its wiring, without running it",
-    "explain": "say what each stage of a configuration, or one stage, does",
+    "explain": "say what each stage of a configuration, or one stage, does, and why it would run again",
     "estimate": "foretell memory, disk and time of a run, without running it",
     "stages": "list the stages there are, or describe one",
     "graph": "draw the wiring as text, DOT or Mermaid",
     "schema": "print the JSON Schema of configurations, for editors",
     "plugins": "list plugins, and with --check why some cannot be loaded",
+    "verify": "check that a run directory still holds what was written, to the byte",
+    "cache": "show, check or shrink what is kept between runs",
     "new": "write a first pipeline, or the skeleton of a plugin",
     "doctor": "look at the installation: versions, caches, processors, plugins",
 }
@@ -32,11 +34,7 @@ VERBS = {
 
 EXIT_CODES = """\
 exit codes: 0 done; 1 unexpected; 2 configuration or command line wrong; 3 input or design can't be satisfied;
-4 a plugin failed; 5 disk, memory or a permission is missing; 6 a native library crashed; 130, 143 interrupted"""
-
-
-class Terminated(KeyboardInterrupt):
-    """The process was asked to end (SIGTERM)."""
+4 a plugin failed; 5 disk, memory or a permission is missing; 6 a native library crashed; 129, 130, 143 interrupted"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,8 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _close_stdout()
         return 0  # whoever read our results has seen enough; nothing failed here
     except KeyboardInterrupt as error:
-        _say("interrupted")
-        return 143 if isinstance(error, Terminated) else 130
+        _take_leave(words)
+        return 128 + getattr(error, "number", 2)
     except Exception as error:
         return _report(error, "--debug" in words)
 
@@ -66,13 +64,22 @@ def leave() -> None:
     """
     # Imports make a hundred thousand objects that live to the end; looking through them again and again costs 50 ms.
     gc.set_threshold(200_000, 50, 100)
+    if sys.argv[1:2] == ["run"]:
+        from sppm_pipeline.cli import supervision
+
+        os._exit(supervision.supervised(_whole, _say, _farewell(sys.argv[1:])))
+    os._exit(_whole())
+
+
+def _whole() -> int:
+    """`main`, exit handlers and all."""
     code = main()
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
-    os._exit(code)
+    return code
 
 
 def _dispatch(words: list[str]) -> int:
@@ -108,9 +115,9 @@ def _dispatch(words: list[str]) -> int:
         parsed = parser.parse_args(words[1:])
     except SystemExit as exit:
         return exit.code if isinstance(exit.code, int) else 2
-    with _ending_on_sigterm():
-        code: int = module.execute(parsed)
-    return code
+    from sppm_pipeline.cli.interrupts import interruptibly
+
+    return interruptibly(lambda: int(module.execute(parsed)), lambda: _take_leave(words))
 
 
 def _usage() -> str:
@@ -129,25 +136,6 @@ def _write_any_character() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-
-
-@contextlib.contextmanager
-def _ending_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM end a run as Ctrl-C does: staging area removed, record written."""
-    import signal
-    import threading
-
-    def end(number: int, frame: object) -> None:
-        raise Terminated
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _report(error: Exception, debug: bool) -> int:
@@ -179,6 +167,18 @@ def _print_chain(error: BaseException) -> None:
     traceback.print_exception(type(error), error, trace)
 
 
+def _farewell(words: list[str]) -> str:
+    """That the work has ended early, and of a run how to go on with it."""
+    kept = words[:1] == ["run"] and "--no-cache" not in words and os.environ.get("SPPM_CACHE", "").lower() != "off"
+    return "interrupted" + ("; the same command again goes on with the stages that had ended" if kept else "")
+
+
+def _take_leave(words: list[str]) -> None:
+    supervision = sys.modules.get("sppm_pipeline.cli.supervision")
+    if supervision is None or not supervision.watched():  # who watches says it, whatever becomes of this process
+        _say(_farewell(words))
+
+
 def _say(message: str) -> None:
     """Write to stderr, even if somebody closed it."""
     with contextlib.suppress(OSError, ValueError):
@@ -193,4 +193,4 @@ def _close_stdout() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave()

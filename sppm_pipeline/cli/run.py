@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.cli.arguments import add_configuration, open_from
+from sppm_pipeline.cli.arguments import add_cache, add_configuration, cache_of, open_from
 from sppm_pipeline.cli.limits import add_limits, limits_of
 
 __all__ = ["configure", "execute"]
@@ -26,6 +26,7 @@ def configure(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--executor", metavar="NAME", help="serial, threads, processes, or one from a plugin")
     parser.add_argument("-k", "--keep-going", action="store_true", help="exit with 0 though runs of a sweep failed")
+    add_cache(parser)
     parser.add_argument("-n", "--dry-run", action="store_true", help="check everything, run nothing")
     parser.add_argument("-q", "--quiet", action="store_true", help="no progress on stderr")
     parser.add_argument("--json", action="store_true", help="print the run record as JSON")
@@ -49,6 +50,7 @@ def _execute(args: Namespace) -> int:
 
         return check.execute(args)
     from sppm_pipeline.cli.progress import ProgressLines
+    from sppm_pipeline.engine.cache.location import open_store
     from sppm_pipeline.engine.checking import checked, refuse_unfit
     from sppm_pipeline.engine.monitor import Monitor
     from sppm_pipeline.engine.runner import available_threads, run_plan
@@ -63,9 +65,18 @@ def _execute(args: Namespace) -> int:
     path = args.output or Path("runs") / plan.name
     refuse_unfit(session, plan, rows, path, workers=args.jobs, until=args.until)
     threads = args.threads or available_threads()
+    cache = cache_of(args)
     try:
         if session.configuration.sweep is None:
-            record = run_plan(plan, path, threads=threads, until=args.until, monitor=monitor)
+            record = run_plan(
+                plan,
+                path,
+                threads=threads,
+                until=args.until,
+                monitor=monitor,
+                store=open_store(cache) if cache is not None else None,
+                about=str(session.configuration.file.absolute()),
+            )
         else:
             from sppm_pipeline.engine.sweep import run_sweep
 
@@ -78,6 +89,7 @@ def _execute(args: Namespace) -> int:
                 threads=threads,
                 until=args.until,
                 monitor=monitor,
+                cache=cache,
             )
     except Exception as error:
         if args.json and hasattr(error, "record"):
@@ -112,7 +124,8 @@ def _print_summary(record: Mapping[str, Any], path: Path) -> None:
             for name, value in stage["summary"].items()
             if isinstance(value, (int, float)) and not isinstance(value, bool)
         ]
-        print(f"{stage['id']:{width}s} {stage['seconds']:8.3f} s  {', '.join(numbers[:5])}".rstrip())
+        time = "    kept  " if stage.get("cached") else f"{stage['seconds']:8.3f} s"
+        print(f"{stage['id']:{width}s} {time}  {', '.join(numbers[:5])}".rstrip())
     runs = record.get("runs", [])
     for run in runs:
         if run["error"]:

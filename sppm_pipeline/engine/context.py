@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.engine.interruption import check
 from sppm_pipeline.engine.jsonable import jsonable
 from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.outputs import RunFolder
+from sppm_pipeline.engine.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.resources import memory_budget
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context
@@ -44,6 +45,8 @@ class StageLog:
         Each once, however often it was said.
     inner : dict of address to dict
         Stages of recipes: how often they ran, how long, and their last summary.
+    drew : bool
+        Whether anybody asked for random numbers; if not, the seed has no part in the result.
     """
 
     def __init__(self, monitor: Monitor, step: str) -> None:
@@ -53,6 +56,7 @@ class StageLog:
         self.values: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
         self.inner: dict[str, dict[str, Any]] = {}
+        self.drew = False
 
     def report(self, stage: str, values: dict[str, Any]) -> None:
         """Keep numbers of a stage."""
@@ -92,6 +96,7 @@ class RunContext(Context):
     Parameters
     ----------
     seed : int
+        Kept to itself: who asks for random numbers is noted.
     path : tuple of str
         See `generator`.
     address : str
@@ -99,7 +104,7 @@ class RunContext(Context):
     threads : int
     palette : Palette
     log : StageLog
-    folder : RunFolder or None
+    folder : RunFolder, Scratch or None
         None if there is nowhere to write.
     """
 
@@ -112,9 +117,9 @@ class RunContext(Context):
         threads: int,
         palette: Palette,
         log: StageLog,
-        folder: RunFolder | None,
+        folder: RunFolder | Scratch | None,
     ) -> None:
-        self.seed = seed
+        self._seed = seed
         self.path = path
         self.address = address
         self.threads = threads
@@ -126,7 +131,7 @@ class RunContext(Context):
     def inside(self, recipe: str, attempt: int, id_: str, address: str, palette: Palette) -> RunContext:
         """The context of a stage of a recipe that this stage repeats."""
         return RunContext(
-            seed=self.seed,
+            seed=self._seed,
             path=(*self.path, f"{recipe}@{operator.index(attempt)}", id_),
             address=address,
             threads=self.threads,
@@ -137,22 +142,28 @@ class RunContext(Context):
 
     def rng(self, *key: int) -> np.random.Generator:
         """See `Context.rng`."""
-        return generator(self.seed, self.path, key)
+        check()
+        self.log.drew = True
+        return generator(self._seed, self.path, key)
 
     def report(self, **values: Any) -> None:
         """See `Context.report`."""
+        check()
         self.log.report(self.address, values)
 
     def progress(self, done: float, total: float, what: str = "") -> None:
         """See `Context.progress`."""
+        check()
         self.log.progress(self.address, done, total, what)
 
     def warn(self, message: str) -> None:
         """See `Context.warn`."""
+        check()
         self.log.warn(self.address, message)
 
     def output(self, name: str) -> Path:
         """See `Context.output`."""
+        check()
         if self.folder is None:
             raise ConfigError(f"there is no run directory for the output {name!r}")
         return self.folder.claim(self.address, name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sppm_pipeline.engine.options import Option, allowed_words, options_of, plain_option
@@ -102,8 +102,15 @@ def stage_list(registry: Registry, names: Sequence[str]) -> str:
     return "\n".join(lines[1:]) + "\n"
 
 
-def explain_plan(plan: Plan) -> str:
-    """What each stage of a plan does, with its options, inputs and the path of its random numbers."""
+def explain_plan(plan: Plan, reasons: Mapping[str, tuple[bool, str]] | None = None) -> str:
+    """What each stage of a plan does, with its options, inputs and the path of its random numbers.
+
+    Parameters
+    ----------
+    plan : Plan
+    reasons : mapping of id to (kept, words), optional
+        Whether the result of a stage of the pipeline is in the cache, and why not.
+    """
     lines = [f"{plan.name}: seed {plan.seed}"]
     if plan.params:
         lines.append("parameters: " + ", ".join(f"{name} = {value}" for name, value in plan.params.items()))
@@ -114,6 +121,9 @@ def explain_plan(plan: Plan) -> str:
     lines += ["", "Pipeline:"]
     for step in plan.steps:
         lines += _explained(step, step.id)
+        if reasons is not None:
+            kept, words = reasons[step.id]
+            lines.append(f"      result {words}" if kept else f"      would run: {words}")
     if plan.after:
         lines += ["", "After the sweep:"]
         for step in plan.after:

@@ -14,7 +14,7 @@ from sppm_pipeline.errors import ConfigError, Position
 __all__ = ["RESERVED_NAMES", "STAGING", "collide", "folded", "output_parts", "refuse_clashes"]
 
 STAGING = ".staging-"
-RESERVED_NAMES = frozenset({"run.json", "sweep.csv", "sweep.json", "runs"})
+RESERVED_NAMES = frozenset({"run.json", "sha256sums", "sweep.csv", "sweep.json", "runs"})
 
 MAX_PART = 255
 """Bytes of a file's name; the limit of nearly every file system."""

@@ -2,66 +2,108 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
 import shutil
 import threading
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.document import RECORD_KEY
+from sppm_pipeline.engine.files import digest_of, files_in, remove, size_of, sync, tree_digest, write_whole
+from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.names import STAGING as _STAGING
 from sppm_pipeline.engine.names import collide, folded, output_parts
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
 
-__all__ = ["RECORD", "SWEEP_RUNS", "RunFolder", "digest_of", "output_parts", "write_whole"]
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
+
+__all__ = [
+    "RECORD",
+    "SUMS",
+    "SWEEP_RUNS",
+    "RunFolder",
+    "Scratch",
+    "digest_of",
+    "is_run",
+    "output_parts",
+    "remove_stale_runs",
+    "write_whole",
+]
 
 RECORD = "run.json"
+SUMS = "SHA256SUMS"
 SWEEP_RUNS = "runs"
 
-DIGEST_LIMIT = 1 << 28
-"""Outputs larger than this many bytes get no digest: hashing would take longer than writing."""
+MOST_SYNCED = 4096
+"""Files of one output that the run waits for until the disk has them; more would hold it up for minutes."""
 
 
 class RunFolder:
     """A run directory with its staging area.
 
+    Files of an earlier run stay until those of this run take their place, so that an interrupted run loses nothing.
+
     Parameters
     ----------
     path : Path
+    threads : int
+        Threads that read files to compute their digests.
+
+    Attributes
+    ----------
+    earlier : set of str
+        Names that an earlier run left, or that this run is about to write, and that no finished stage of this run
+        accounts for yet.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, threads: int = 1) -> None:
         self.path = path
+        self.earlier: set[str] = set()
+        self._threads = threads
         self._staging = path / f"{_STAGING}{os.getpid()}"
         self._claims: dict[tuple[str, ...], tuple[str, str]] = {}
         self._pending: dict[str, Path] = {}
+        self._sums: dict[str, str] = {}
+        self._syncing: list[Future[None]] = []
+        self._pool: ThreadPoolExecutor | None = None
+        self._places = 0
         self._lock = threading.Lock()
+        self._folder_lock = FolderLock(path)
 
     def prepare(self) -> None:
-        """Make the directory, or empty it of what an earlier run left.
+        """Make the directory and lock it, or take over that of an earlier run.
 
         Raises
         ------
         ConfigError
             If it holds something that is not from a run.
         ResourceError
-            If it can't be written.
+            If it can't be written, or another run is writing into it.
         """
         try:
             if self.path.exists() and not self.path.is_dir():
                 raise ConfigError(f"{str(self.path)!r} is a file, not a run directory", hint="choose another with -o")
-            if self.path.is_dir() and any(self.path.iterdir()):
-                if not _is_run(self.path):
-                    raise ConfigError(
-                        f"the folder {str(self.path)!r} is not empty and holds no earlier run",
-                        hint="choose another with -o; nothing of yours is overwritten",
-                    )
-                _clear(self.path)
             self.path.mkdir(parents=True, exist_ok=True)
             if not os.access(self.path, os.W_OK | os.X_OK):
                 raise PermissionError(13, "Permission denied")
+            if not self._folder_lock.acquire():
+                raise ResourceError(
+                    f"another run is writing into {str(self.path)!r}",
+                    hint="wait until it has ended, or choose another directory with -o",
+                )
+            if not is_run(self.path):
+                self._folder_lock.release()
+                raise ConfigError(
+                    f"the folder {str(self.path)!r} is not empty and holds no earlier run",
+                    hint="choose another with -o; nothing of yours is overwritten",
+                )
+            _remove_unfinished(self.path)
+            self.earlier = set(_recorded_outputs(self.path))
         except OSError as error:
             raise ResourceError(f"can't use the run directory {str(self.path)!r}: {error.strerror}") from error
 
@@ -91,7 +133,12 @@ class RunFolder:
             for key in [key for key, (owner, _) in self._claims.items() if owner == stage]:
                 name = "/".join(output_parts(self._claims.pop(key)[1]))
                 if name in self._pending:
-                    _remove(self._pending.pop(name))
+                    remove(self._pending.pop(name))
+
+    def pending(self) -> set[str]:
+        """Names that `commit` would move into place."""
+        with self._lock:
+            return set(self._pending)
 
     def commit(self) -> list[dict[str, Any]]:
         """Move what was staged into place; paths, sizes and digests.
@@ -108,116 +155,186 @@ class RunFolder:
         for name, staged in pending.items():
             if not staged.exists():
                 raise PluginError(f"the output {name!r} was announced but not written")
-        outputs = []
         try:
+            outputs = [self._described(name, staged) for name, staged in pending.items()]
             for name, staged in pending.items():
                 final = self.path / name
                 final.parent.mkdir(parents=True, exist_ok=True)
-                if final.is_dir() and not final.is_symlink():
-                    shutil.rmtree(final)
+                if (final.is_dir() or staged.is_dir()) and os.path.lexists(final):
+                    os.replace(final, self._aside())  # only files take each other's place in one step
                 os.replace(staged, final)
-                outputs.append({"path": name, **_described(final)})
+                files = [final / inside for inside in files_in(final)] if final.is_dir() else [final]
+                self._syncing += [self._workers().submit(sync, file) for file in files[:MOST_SYNCED]]
         except OSError as error:
             raise ResourceError(f"can't put the output {name!r} into place: {error.strerror}") from error
+        self.earlier -= set(pending)
         return outputs
 
+    def holds(self, stage: str, outputs: Sequence[Mapping[str, Any]]) -> bool:
+        """Whether the directory holds exactly these outputs already, to the byte; they are then the stage's."""
+        try:
+            for output in outputs:
+                path = self.path.joinpath(*output_parts(output["path"]))
+                if path.is_symlink() or path.is_dir() != ("files" in output) or size_of(path) != output["bytes"]:
+                    return False
+            if any(self._described(o["path"], self.path / o["path"]) != o for o in outputs):
+                return False
+            for output in outputs:
+                self.claim(stage, output["path"])
+        except OSError:
+            return False
+        with self._lock:
+            for output in outputs:
+                self._pending.pop(output["path"], None)
+        self.earlier -= {output["path"] for output in outputs}
+        return True
+
+    def scratch(self) -> Scratch:
+        """Somewhere else to write for a stage that is run again for what it makes, not for its outputs."""
+        return Scratch(self._aside())
+
+    def settle(self) -> None:
+        """Wait until the disk has what was written, and remove what only an earlier run accounts for."""
+        for job in self._syncing:
+            job.result()
+        self._syncing.clear()
+        for name in sorted(self.earlier):
+            path = self.path / name
+            remove(path)
+            for parent in path.parents:
+                if parent == self.path:
+                    break
+                with contextlib.suppress(OSError):
+                    parent.rmdir()
+        self.earlier.clear()
+
+    def write_sums(self, outputs: Collection[str]) -> dict[str, Any] | None:
+        """List the digests of all files of these outputs in ``SHA256SUMS``, as ``sha256sum -c`` reads it."""
+        lines = [
+            f"{digest}  {name}\n"
+            for name, digest in sorted(self._sums.items())
+            if any(name == output or name.startswith(f"{output}/") for output in outputs)
+        ]
+        if not lines:
+            (self.path / SUMS).unlink(missing_ok=True)
+            return None
+        text = "".join(lines)
+        write_whole(self.path / SUMS, text)
+        return {"path": SUMS, "bytes": len(text.encode()), "sha256": hashlib.sha256(text.encode()).hexdigest()}
+
+    def add_file(self, name: str, text: str) -> dict[str, Any]:
+        """Write a text file of the run's own; its path, size and digest."""
+        write_whole(self.path / name, text)
+        self.earlier.discard(name)
+        return self._described(name, self.path / name)
+
     def discard(self) -> None:
-        """Remove the staging area."""
+        """Remove the staging area and let others use the directory."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
         shutil.rmtree(self._staging, ignore_errors=True)
+        self._folder_lock.release()
+
+    def _aside(self) -> Path:
+        """A name in the staging area that no output has."""
+        self._places += 1
+        self._staging.mkdir(exist_ok=True)
+        return self._staging / f"{_STAGING}{self._places}"
+
+    def _workers(self) -> ThreadPoolExecutor:
+        if self._pool is None:
+            from concurrent.futures import ThreadPoolExecutor
+
+            self._pool = ThreadPoolExecutor(max(2, self._threads), thread_name_prefix="sppm-files")
+        return self._pool
+
+    def _described(self, name: str, path: Path) -> dict[str, Any]:
+        """Size, number of files and digest of an output."""
+        inside = files_in(path) if path.is_dir() else [""]
+        paths = [path / relative if relative else path for relative in inside]
+        digests = list(self._workers().map(digest_of, paths)) if len(paths) > 1 else [digest_of(p) for p in paths]
+        described: dict[str, Any] = {"path": name, "bytes": sum(p.stat().st_size for p in paths)}
+        if path.is_dir():
+            described["files"] = len(paths)
+            described["sha256"] = tree_digest(dict(zip(inside, digests, strict=True)))
+        else:
+            described["sha256"] = digests[0]
+        for relative, digest in zip(inside, digests, strict=True):
+            self._sums[f"{name}/{relative}" if relative else name] = digest
+        return described
 
 
-def _is_run(path: Path) -> bool:
+class Scratch:
+    """Takes the outputs of a stage that is run again, and throws them away."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def claim(self, stage: str, name: str) -> Path:
+        """See `RunFolder.claim`."""
+        staged = self._path.joinpath(*output_parts(name))
+        staged.parent.mkdir(parents=True, exist_ok=True)
+        return staged
+
+    def restart(self, stage: str) -> None:
+        """See `RunFolder.restart`."""
+        self.discard()
+
+    def discard(self) -> None:
+        """Remove everything."""
+        shutil.rmtree(self._path, ignore_errors=True)
+
+
+def is_run(path: Path) -> bool:
+    """Whether a folder is that of a run, or empty but for what a run had begun."""
     if not (path / RECORD).is_file():
-        return all(child.name.startswith(_STAGING) for child in path.iterdir())
+        return all(child.name.startswith((_STAGING, f".{RECORD}.")) for child in path.iterdir())
     with (path / RECORD).open("rb") as file:
         return f'"{RECORD_KEY}"'.encode() in file.read(200)
 
 
-def _clear(path: Path) -> None:
-    """Remove what the record of an earlier run lists; files it does not know stay."""
-    try:
-        record = json.loads((path / RECORD).read_bytes())
-        outputs = [out for stage in record.get("stages", ()) for out in stage.get("outputs", ())]
-    except (OSError, ValueError, AttributeError, TypeError):
-        outputs = []
-    for output in outputs:
+def remove_stale_runs(path: Path, current: Collection[str]) -> None:
+    """Remove the runs of an earlier sweep that this one does not have, as far as their records account for them."""
+    runs = path / SWEEP_RUNS
+    for run in sorted(runs.glob("[0-9]*")) if runs.is_dir() else ():
+        if run.name in current or run.is_symlink() or not (run / RECORD).is_file() or not is_run(run):
+            continue
+        folder = RunFolder(run)
+        folder.prepare()
         try:
-            parts = output_parts(output["path"])
-        except (ConfigError, KeyError, TypeError, AttributeError):
-            continue  # not a record of ours; leave what it names
-        if path.joinpath(*parts).parent.resolve().is_relative_to(path.resolve()):
-            _remove(path.joinpath(*parts))
-    for run in sorted((path / SWEEP_RUNS).glob("[0-9]*")) if (path / SWEEP_RUNS).is_dir() else ():
-        if run.is_dir() and not run.is_symlink() and (run / RECORD).is_file() and _is_run(run):
-            _clear(run)
-            (run / RECORD).unlink()
+            folder.settle()
+            for name in (RECORD, SUMS):
+                (run / name).unlink(missing_ok=True)
             if not any(run.iterdir()):
                 run.rmdir()
-    for name in ("sweep.csv", "sweep.json"):
-        (path / name).unlink(missing_ok=True)
+        finally:
+            folder.discard()
+
+
+def _recorded_outputs(path: Path) -> list[str]:
+    """Names of the outputs that the record in a run directory accounts for and that lie inside of it."""
+    try:
+        record = json.loads((path / RECORD).read_bytes())
+        outputs = [out.get("path") for stage in record.get("stages", ()) for out in stage.get("outputs", ())]
+        outputs += record.get("earlier", ())
+    except (OSError, ValueError, AttributeError, TypeError):
+        outputs = []
+    names = []
+    for output in outputs:
+        try:
+            parts = output_parts(output)
+        except (ConfigError, TypeError, AttributeError):
+            continue  # not a record of ours; leave what it names
+        if path.joinpath(*parts).parent.resolve().is_relative_to(path.resolve()):
+            names.append("/".join(parts))
+    return names
+
+
+def _remove_unfinished(path: Path) -> None:
+    """Remove staging areas and half-written records; the caller holds the lock, so that nobody uses them."""
+    for name in (RECORD, SUMS, "sweep.csv", "sweep.json"):
+        for half in path.glob(f".{name}.*"):
+            half.unlink(missing_ok=True)
     for staging in path.glob(f"{_STAGING}*"):
-        if not _alive(staging.name.removeprefix(_STAGING)):
-            shutil.rmtree(staging, ignore_errors=True)
-
-
-def _alive(pid: str) -> bool:
-    if not pid.isdigit():
-        return False
-    try:
-        os.kill(int(pid), 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:
-        return True
-    return int(pid) != os.getpid()
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
-
-
-def _described(path: Path) -> dict[str, Any]:
-    """Size, number of files and digest of a finished output."""
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    size = sum(file.stat().st_size for file in files)
-    described: dict[str, Any] = {"bytes": size}
-    if path.is_dir():
-        described["files"] = len(files)
-    described["sha256"] = digest_of(path) if size <= DIGEST_LIMIT else None
-    return described
-
-
-def digest_of(path: Path) -> str:
-    """SHA-256 of a file; of a folder, over the names and digests of its files in order of their names."""
-    if not path.is_dir():
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    total = hashlib.sha256()
-    names = sorted(p.relative_to(path).as_posix() for p in path.rglob("*") if p.is_file())
-    for name in names:
-        total.update(f"{name}\0{digest_of(path / name)}\n".encode())
-    return total.hexdigest()
-
-
-def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
-    """Write a text file so that it is there whole or not at all; if `durable`, even if the machine stops.
-
-    Raises
-    ------
-    ResourceError
-        If the disk is full or a permission is missing.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            if durable:
-                os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise ResourceError(f"can't write {str(path)!r}: {error.strerror}") from error
+        shutil.rmtree(staging, ignore_errors=True)

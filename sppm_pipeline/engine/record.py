@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import sppm_pipeline
+from sppm_pipeline.engine.distributions import installed_version
 from sppm_pipeline.engine.document import RECORD_KEY
 from sppm_pipeline.engine.plan import Plan
 from sppm_pipeline.errors import SppmError
@@ -18,7 +19,7 @@ __all__ = ["RECORD_VERSION", "error_entry", "peak_memory_mb", "record_of"]
 
 RECORD_VERSION = 1
 
-_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "PIL")
+_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")
 
 
 def record_of(
@@ -53,11 +54,10 @@ def record_of(
         "seconds": round(seconds, 6),
         "peak_memory_mb": peak_memory_mb(),
         "threads": threads,
-        "versions": {"sppm_pipeline": sppm_pipeline.__version__, "python": platform.python_version()}
-        | {
-            name: str(sys.modules[name].__version__)
-            for name in _LIBRARIES
-            if hasattr(sys.modules.get(name), "__version__")
+        "versions": {
+            "sppm_pipeline": sppm_pipeline.__version__,
+            "python": platform.python_version(),
+            **_library_versions(),
         },
         "plugins": [
             {"name": name, "distribution": plugin.distribution, "version": plugin.version}
@@ -73,6 +73,12 @@ def record_of(
         "error": error_entry(error) if error is not None else None,
     }
     return record | dict(extra) | {"stages": list(stages)}
+
+
+def _library_versions() -> dict[str, str]:
+    """Versions of the libraries that results come from; also of those that a run from the cache did not load."""
+    found = {name: installed_version(name) for name in _LIBRARIES}
+    return {name: version for name, version in found.items() if version is not None}
 
 
 def error_entry(error: SppmError) -> dict[str, Any]:

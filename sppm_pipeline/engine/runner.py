@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-import datetime
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.context import RunContext, StageLog
-from sppm_pipeline.engine.jsonable import json_text
+from sppm_pipeline.engine.interruption import check
 from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.outputs import RECORD, RunFolder, write_whole
+from sppm_pipeline.engine.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.plan import Plan, step_options
 from sppm_pipeline.engine.problems import did_you_mean
-from sppm_pipeline.engine.record import peak_memory_mb, record_of
+from sppm_pipeline.engine.record import peak_memory_mb
+from sppm_pipeline.engine.recorder import Recorder
 from sppm_pipeline.engine.running import RecipeSteps, last_uses, run_step, summary_of
+from sppm_pipeline.engine.verification import finished_run
 from sppm_pipeline.engine.wiring import Step
 from sppm_pipeline.errors import ConfigError, SppmError
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.cache.keeper import Keeper
+    from sppm_pipeline.engine.cache.store import Store
 
 __all__ = ["Recorder", "available_threads", "check_until", "run_plan", "run_steps"]
 
@@ -38,68 +43,16 @@ def check_until(plan: Plan, until: str | None) -> None:
         raise ConfigError(f"--until: the pipeline has no stage {until!r}", hint=did_you_mean(until, ids))
 
 
-class Recorder:
-    """Keeps ``run.json`` of a run directory true: written when the run begins and however it ends.
-
-    Attributes
-    ----------
-    folder : RunFolder
-    stages : list of dict
-        Filled by `run_steps`.
-    extra : dict
-        Further entries of the record.
-    status : str
-        What the record says after a good end.
-    record : dict
-        As written last.
-    """
-
-    def __init__(self, plan: Plan, path: Path, *, threads: int, until: str | None, monitor: Monitor) -> None:
-        self._plan = plan
-        self._threads = threads
-        self._until = until
-        self._monitor = monitor
-        self.folder = RunFolder(path)
-        self.stages: list[dict[str, Any]] = []
-        self.extra: dict[str, Any] = {}
-        self.status = "done"
-        self.record: dict[str, Any] = {}
-
-    def __enter__(self) -> Recorder:
-        self.folder.prepare()
-        self._began, self._started = datetime.datetime.now(datetime.UTC), time.perf_counter()
-        self._write("running", None)  # from here on the directory is known to be a run's
-        for message in self._plan.warnings:
-            self._monitor.warning(None, message)
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        self.folder.discard()
-        if error is None:
-            self._write(self.status, None)
-        elif isinstance(error, SppmError):
-            self._write("failed", error)
-            error.record = self.record  # type: ignore[attr-defined]
-        else:
-            self._write("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", None)
-
-    def _write(self, status: str, error: SppmError | None) -> None:
-        self.record = record_of(
-            self._plan,
-            self.stages,
-            status=status,
-            error=error,
-            started=self._began,
-            seconds=time.perf_counter() - self._started,
-            threads=self._threads,
-            until=self._until,
-            extra=self.extra,
-        )
-        write_whole(self.folder.path / RECORD, json_text(self.record), durable=status != "running")
-
-
 def run_plan(
-    plan: Plan, path: Path, *, threads: int, until: str | None = None, monitor: Monitor | None = None
+    plan: Plan,
+    path: Path,
+    *,
+    threads: int,
+    until: str | None = None,
+    monitor: Monitor | None = None,
+    store: Store | None = None,
+    about: str = "",
+    key: str | None = None,
 ) -> dict[str, Any]:
     """Run the pipeline and write ``run.json``, also when a stage fails.
 
@@ -114,6 +67,13 @@ def run_plan(
         Id of the last stage to run.
     monitor : Monitor, optional
         Is told what happens.
+    store : Store, optional
+        The cache; without one every stage runs, and nothing is kept.
+    about : str
+        Name under which the cache remembers this run for `sppm explain`.
+    key : str, optional
+        Digest of all that the run depends on; with a store, a finished run of the same key in `path` that is sound to
+        the byte is taken as it is.
 
     Returns
     -------
@@ -127,7 +87,11 @@ def run_plan(
     """
     check_until(plan, until)
     monitor = monitor or Monitor()
+    if store is not None and key is not None and (finished := finished_run(path, key)) is not None:
+        return finished
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
+        if key is not None:
+            recorder.extra["key"] = key
         run_steps(
             plan.steps,
             plan.recipes,
@@ -137,6 +101,9 @@ def run_plan(
             until=until,
             folder=recorder.folder,
             monitor=monitor,
+            store=store,
+            about=about,
+            checkpoint=recorder.checkpoint,
         )
     return recorder.record
 
@@ -152,55 +119,179 @@ def run_steps(
     folder: RunFolder | None,
     monitor: Monitor,
     given: Mapping[str, Any] | None = None,
+    store: Store | None = None,
+    about: str = "",
+    checkpoint: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """Run stages in order, append what is known of each to `stages`, free results nobody needs any more.
 
-    Returns the results that are left: that of the last stage.
+    A stage whose result is in the cache does not run, and the result is only loaded if a later stage needs it.
+
+    Returns the results that are left: that of the last stage, unless it came from the cache.
     """
-    results: dict[str, Any] = dict(given or {})
     if until is not None:
         steps = steps[: [step.id for step in steps].index(until) + 1]
-    for number, (step, done) in enumerate(zip(steps, last_uses(steps), strict=True), 1):
-        monitor.stage_started(step.id, number, len(steps))
-        log = StageLog(monitor, step.address)
+    keeper: Keeper | None = None
+    if store is not None:
+        from sppm_pipeline.engine.cache.keeper import Keeper
+
+        keeper = Keeper(store, monitor, seed=seed, recipes=recipes, about=about)
+    run = _Run(steps, recipes, seed, threads, folder, monitor, keeper, dict(given or {}), checkpoint)
+    try:
+        last = last_uses(steps)
+        for number, step in enumerate(steps, 1):
+            check()
+            monitor.stage_started(step.id, number, len(steps))
+            entry = run.step(step)
+            stages.append(entry)
+            monitor.stage_finished(step.id, entry["seconds"], entry["summary"])
+            if number < len(steps):
+                run.forget({id_ for done in last[:number] for id_ in done})
+    finally:
+        if keeper is not None:
+            keeper.close()
+    return run.results
+
+
+class _Run:
+    """The steps of one run and what they made so far."""
+
+    def __init__(
+        self,
+        steps: Sequence[Step],
+        recipes: RecipeSteps,
+        seed: int,
+        threads: int,
+        folder: RunFolder | None,
+        monitor: Monitor,
+        keeper: Keeper | None,
+        given: dict[str, Any],
+        checkpoint: Callable[[], None],
+    ) -> None:
+        self.results = given
+        self._steps = {step.id: step for step in steps}
+        self._recipes = recipes
+        self._seed = seed
+        self._threads = threads
+        self._folder = folder
+        self._monitor = monitor
+        self._keeper = keeper
+        self._checkpoint = checkpoint
+        if keeper is not None:
+            for id_, noun in given.items():
+                keeper.given(id_, noun.digest())
+
+    def step(self, step: Step) -> dict[str, Any]:
+        """Take a step from the cache or run it; its entry in the record."""
+        started = time.perf_counter()
+        facts = self._kept(step) if self._keeper is not None else None
+        cached = facts is not None
+        if facts is None:
+            facts = self._fresh(step)
+        entry: dict[str, Any] = {
+            "id": step.id,
+            "stage": step.stage.name,
+            "made": facts["made"],
+            "seconds": round(time.perf_counter() - started, 6),
+            "peak_memory_mb": peak_memory_mb(),
+            "cached": cached,
+            "summary": facts["summary"],
+            "options": step_options(step),
+            "inputs": dict(step.inputs),
+            "recipes": dict(step.recipes),
+            "warnings": [message if at == step.address else f"{at}: {message}" for at, message in facts["warnings"]],
+            "outputs": facts["outputs"],
+            "inner": facts["inner"],
+        }
+        empty: tuple[Any, ...] = ({}, [], False)
+        return {name: value for name, value in entry.items() if value not in empty or name == "summary"}
+
+    def forget(self, ids: set[str]) -> None:
+        """Free results that nobody needs any more."""
+        for id_ in ids:
+            self.results.pop(id_, None)
+
+    def _kept(self, step: Step) -> dict[str, Any] | None:
+        """What the cache says of a step whose outputs are there or could be written again."""
+        assert self._keeper is not None
+        entry = self._keeper.look_up(step, (step.id,))
+        if entry is None:
+            return None
+        facts = dict(entry.facts)
+        outputs = facts["outputs"]
+        if outputs:
+            if self._folder is None:
+                return None
+            there = self._folder.holds(step.address, outputs)
+            if not there and not self._keeper.restore(step, self._folder, outputs, self._checkpoint):
+                return None
+        for at, message in facts["warnings"]:
+            self._monitor.warning(at, message)
+        return facts
+
+    def _fresh(self, step: Step) -> dict[str, Any]:
+        """Run a step; what the record says of it."""
+        log = StageLog(self._monitor, step.address)
+        inputs = self._inputs(step)
+        started = time.perf_counter()
+        made = self._made(step, inputs, log, self._folder)
+        facts = self._facts(step, made, log)
+        if self._folder is not None and self._folder.pending():
+            try:
+                self._checkpoint()
+                facts["outputs"] = self._folder.commit()
+            except SppmError as error:
+                error.where, error.stage = step.where, step.address
+                raise
+        if self._keeper is not None:
+            seconds = time.perf_counter() - started
+            outputs = [(o["path"], self._folder.path / o["path"]) for o in facts["outputs"]] if self._folder else []
+            self._keeper.keep(step, facts, made, inputs, outputs=outputs, seconds=seconds, drew=log.drew)
+        self.results[step.id] = made
+        return facts
+
+    def _facts(self, step: Step, made: Any, log: StageLog) -> dict[str, Any]:
+        return {
+            "made": None if made is None else type(made).__name__,
+            "summary": summary_of(made, log.values.get(step.address, {}), step),
+            "warnings": [list(warning) for warning in log.warnings],
+            "outputs": [],
+            "inner": list(log.inner.values()),
+        }
+
+    def _made(self, step: Step, inputs: Mapping[str, Any], log: StageLog, folder: RunFolder | Scratch | None) -> Any:
         context = RunContext(
-            seed=seed,
+            seed=self._seed,
             path=(step.id,),
             address=step.address,
-            threads=threads,
+            threads=self._threads,
             palette=Palette(),
             log=log,
             folder=folder,
         )
-        inputs = {port: results[source] if source else None for port, source in step.inputs.items()}
-        started = time.perf_counter()
-        made = run_step(step, step.stage, inputs, context, recipes)
-        del inputs
-        try:
-            outputs = folder.commit() if folder is not None else []
-        except SppmError as error:
-            error.where, error.stage = step.where, step.address
-            raise
-        seconds = time.perf_counter() - started
-        summary = summary_of(made, log.values.get(step.address, {}), step)
-        entry: dict[str, Any] = {
-            "id": step.id,
-            "stage": step.stage.name,
-            "made": None if made is None else type(made).__name__,
-            "seconds": round(seconds, 6),
-            "peak_memory_mb": peak_memory_mb(),
-            "summary": summary,
-            "options": step_options(step),
-            "inputs": dict(step.inputs),
-            "recipes": dict(step.recipes),
-            "warnings": [message if at == step.address else f"{at}: {message}" for at, message in log.warnings],
-            "outputs": outputs,
-            "inner": list(log.inner.values()),
-        }
-        stages.append({name: value for name, value in entry.items() if value not in ({}, []) or name == "summary"})
-        monitor.stage_finished(step.id, seconds, summary)
-        results[step.id] = made
-        del made
-        for id_ in done if number < len(steps) else ():
-            results.pop(id_, None)
-    return results
+        return run_step(step, step.stage, inputs, context, self._recipes)
+
+    def _inputs(self, step: Step) -> dict[str, Any]:
+        return {port: self._result(source) if source else None for port, source in step.inputs.items()}
+
+    def _result(self, id_: str) -> Any:
+        """What a step made: still there, loaded, or made again because only the facts of it were kept."""
+        if id_ in self.results:
+            return self.results[id_]
+        assert self._keeper is not None
+        step = self._steps[id_]
+        same_as = self._keeper.same_as(id_)
+        made = self._result(source) if same_as and (source := step.inputs[same_as]) else self._keeper.load(id_)
+        if made is None:
+            inputs = self._inputs(step)
+            scratch = self._folder.scratch() if self._folder is not None else None
+            log = StageLog(Monitor(), step.address)
+            started = time.perf_counter()
+            try:
+                made = self._made(step, inputs, log, scratch)
+            finally:
+                if scratch is not None:
+                    scratch.discard()
+            self._keeper.keep_again(step, made, inputs, time.perf_counter() - started)
+        self.results[id_] = made
+        return made

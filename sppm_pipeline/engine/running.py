@@ -13,6 +13,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine import contract
 from sppm_pipeline.engine.containment import contained, limited
 from sppm_pipeline.engine.context import RunContext
+from sppm_pipeline.engine.interruption import check
 from sppm_pipeline.engine.jsonable import jsonable
 from sppm_pipeline.engine.options import options_of, parse_typed
 from sppm_pipeline.engine.ports import noun_words
@@ -170,6 +171,7 @@ class StepRecipe(Recipe):
         results: dict[str, Any] = {}
         made: Any = None
         for step, done in zip(self._steps, last_uses(self._steps), strict=True):
+            check()
             inner = context.inside(self.name, attempt, step.id, step.address, palette or context.palette)
             inner.log.begin(step.address)
             if inner.folder is not None:

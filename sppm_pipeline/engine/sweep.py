@@ -8,21 +8,26 @@ import math
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.configuration import MAX_SEED
 from sppm_pipeline.engine.document import Entry, Node, plain
 from sppm_pipeline.engine.executors import make_executor
+from sppm_pipeline.engine.interruption import check
 from sppm_pipeline.engine.jsonable import json_text
 from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.outputs import SWEEP_RUNS, digest_of, write_whole
+from sppm_pipeline.engine.outputs import SWEEP_RUNS, remove_stale_runs
 from sppm_pipeline.engine.plan import SWEEP_ID, Plan
 from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
 from sppm_pipeline.engine.record import error_entry
+from sppm_pipeline.engine.recorder import mark_ended
 from sppm_pipeline.engine.runner import Recorder, check_until, run_plan, run_steps
 from sppm_pipeline.engine.session import Order, Session, open_session
 from sppm_pipeline.engine.sweep_table import columns_of, csv_text, numbers_of, rows_of
 from sppm_pipeline.errors import ConfigError, NativeCrash, SppmError
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.cache.store import Store
 
 __all__ = ["check_sweep", "run_row", "run_sweep", "sweep_rows"]
 
@@ -30,6 +35,9 @@ MAX_ROWS = 100_000
 
 MOST_CHECKED = 1000
 """Rows that are planned before any work."""
+
+LISTENING = 0.25
+"""Seconds between two looks at whether the sweep was asked to stop."""
 
 Row = Mapping[str, Entry]
 
@@ -128,6 +136,7 @@ def run_sweep(
     threads: int,
     until: str | None = None,
     monitor: Monitor | None = None,
+    cache: Path | None = None,
 ) -> dict[str, Any]:
     """Run all rows, then the stages of `after`, and write ``sweep.csv``, ``sweep.json`` and ``run.json``.
 
@@ -147,6 +156,8 @@ def run_sweep(
     until : str, optional
         Id of the last stage to run; `after` is then left out.
     monitor : Monitor, optional
+    cache : Path, optional
+        Folder of the cache; without one every row runs, also those that an interrupted sweep had finished.
 
     Returns
     -------
@@ -165,13 +176,15 @@ def run_sweep(
     check_sweep(session, rows)
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
-        found = _run_rows(session, rows, path, workers, executor, max(1, threads // workers), until, monitor)
+        names = _row_names(len(rows))
+        found = _run_rows(session, path, names, workers, executor, max(1, threads // workers), until, monitor, cache)
+        remove_stale_runs(path, names)
         columns = columns_of(found)
         runs += [{key: value for key, value in run.items() if key != "columns"} for run in found]
-        for name, text in (("sweep.csv", csv_text(columns)), ("sweep.json", json_text(rows_of(columns)))):
-            write_whole(path / name, text)
-            output = {"path": name, "bytes": (path / name).stat().st_size, "sha256": digest_of(path / name)}
-            recorder.extra.setdefault("outputs", []).append(output)
+        recorder.extra["outputs"] = [
+            recorder.folder.add_file("sweep.csv", csv_text(columns)),
+            recorder.folder.add_file("sweep.json", json_text(rows_of(columns))),
+        ]
         done = [run["status"] == "done" for run in runs]
         if plan.after and until is None and any(done):
             from sppm_pipeline.data.table import Table
@@ -186,38 +199,62 @@ def run_sweep(
                 folder=recorder.folder,
                 monitor=monitor,
                 given={SWEEP_ID: Table(columns)},  # type: ignore[arg-type]
+                store=_store(cache),
+                checkpoint=recorder.checkpoint,
             )
         recorder.status = "done" if all(done) else "failed"
     return recorder.record
 
 
+def _row_names(count: int) -> list[str]:
+    """Folders of the rows."""
+    digits = max(4, len(str(count - 1)))
+    return [f"{i:0{digits}}" for i in range(count)]
+
+
+def _store(cache: Path | None) -> Store | None:
+    if cache is None:
+        return None
+    from sppm_pipeline.engine.cache.location import open_store
+
+    return open_store(cache)
+
+
 def _run_rows(
     session: Session,
-    rows: Sequence[Row],
     path: Path,
+    names: Sequence[str],
     workers: int,
     executor: str | None,
     threads: int,
     until: str | None,
     monitor: Monitor,
+    cache: Path | None,
 ) -> list[dict[str, Any]]:
     """Hand the rows to an executor; results in the order of the rows."""
-    from concurrent.futures import BrokenExecutor, as_completed
+    from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 
-    digits = max(4, len(str(len(rows) - 1)))
     order = session.order.absolute()
-    common = {"order": order, "sweep": uuid.uuid4().hex, "threads": threads, "until": until}
-    tasks = [{**common, "row": i, "path": str(path / SWEEP_RUNS / f"{i:0{digits}}")} for i in range(len(rows))]
+    common = {"order": order, "sweep": uuid.uuid4().hex, "threads": threads, "until": until, "cache": cache}
+    tasks = [{**common, "row": i, "path": str(path / SWEEP_RUNS / name)} for i, name in enumerate(names)]
     pool = make_executor(executor, workers, session.plugins)
     try:
-        futures = {pool.submit(run_row, task): number for number, task in enumerate(tasks)}
+        futures = {}
+        for number, task in enumerate(tasks):
+            check()
+            futures[pool.submit(run_row, task)] = number
         results: dict[int, dict[str, Any]] = {}
-        for future in as_completed(futures):
-            row = results[futures[future]] = future.result()
-            monitor.row_finished(len(results), len(rows), row)
+        waiting = set(futures)
+        while waiting:
+            # not for ever, so that whoever is asked to stop hears of it
+            ended, waiting = wait(waiting, timeout=LISTENING, return_when=FIRST_COMPLETED)
+            check()
+            for future in sorted(ended, key=lambda f: futures[f]):
+                row = results[futures[future]] = future.result()
+                monitor.row_finished(len(results), len(tasks), row)
     except BrokenExecutor as error:
         raise NativeCrash(
-            f"a worker process died during the sweep; {len(results)} of {len(rows)} runs had ended",
+            f"a worker process died during the sweep; {len(results)} of {len(tasks)} runs had ended",
             hint="a native library crashed, or memory ran out; try fewer workers with -j, or --executor serial",
         ) from error
     except BaseException:
@@ -225,7 +262,9 @@ def _run_rows(
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    return [results[number] for number in range(len(rows))]
+        for name in names:
+            mark_ended(path / SWEEP_RUNS / name)
+    return [results[number] for number in range(len(tasks))]
 
 
 def _stop_workers() -> None:
@@ -255,12 +294,13 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     ----------
     task : mapping
         ``order`` (an `Order`), ``sweep`` (any text that no other sweep has), ``row`` (number of the row), ``path`` (run
-        directory), ``threads`` and ``until``.
+        directory), ``threads``, ``until`` and ``cache`` (folder of the cache, or None).
 
     Returns
     -------
     dict
-        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``warnings`` and ``columns``.
+        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``warnings``, ``columns``, and as ``record`` the digest
+        of the row's record.
     """
     session = _session(task["order"], task["sweep"])
     assert session.configuration.sweep is not None
@@ -268,7 +308,11 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     path = Path(task["path"])
     result = {"run": path.name, "params": {name: plain(entry.node) for name, entry in row.items()}}
     try:
-        record = run_plan(session.plan(row), path, threads=task["threads"], until=task["until"])
+        from sppm_pipeline.engine.cache.keys import run_key
+
+        plan, store = session.plan(row), _store(task["cache"])
+        key = run_key(plan, task["until"])
+        record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
     except SppmError as error:
         record = getattr(error, "record", {})
         return result | {
@@ -277,6 +321,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
             "seconds": record.get("seconds"),
             "warnings": _warnings(record),
             "columns": numbers_of(record.get("stages", ())),
+            "record": record.get("sha256"),
         }
     return result | {
         "status": "done",
@@ -284,6 +329,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         "seconds": record["seconds"],
         "warnings": _warnings(record),
         "columns": numbers_of(record["stages"]),
+        "record": record["sha256"],
     }
 
 

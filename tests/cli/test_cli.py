@@ -380,7 +380,7 @@ def test_signals_end_a_run_cleanly(here, number, code, sweep):
     os.kill(process.pid, number)
     _, err = process.communicate(timeout=30)
     assert process.returncode == code, err
-    assert err.endswith("sppm: interrupted\n")
+    assert err.endswith("sppm: interrupted\n"), err
     assert "Traceback" not in err
     assert not (here / "out" / "half.txt").exists()
     assert not list((here / "out").glob(".staging*"))

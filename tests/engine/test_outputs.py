@@ -130,9 +130,54 @@ def test_the_files_of_an_earlier_run_are_replaced_and_others_kept(tmp_path):
     outside.write_text("precious")
     outputs = [{"path": "old"}, {"path": "../outside.txt"}, {"path": str(outside)}, {"path": 3}, {}]
     (run / "run.json").write_text(json_text({**RECORD, "stages": [{"outputs": outputs}]}))
-    folder_in(tmp_path)
+    folder = folder_in(tmp_path)
+    assert sorted(path.name for path in run.iterdir()) == ["note.txt", "old", "run.json"]  # until this run has ended
+    assert folder.earlier == {"old"}
+    folder.settle()
     assert sorted(path.name for path in run.iterdir()) == ["note.txt", "run.json"]
     assert outside.read_text() == "precious"
+
+
+def test_a_run_directory_is_for_one_run_at_a_time(tmp_path):
+    folder = folder_in(tmp_path)
+    with pytest.raises(ResourceError, match="another run is writing"):
+        RunFolder(tmp_path / "run").prepare()
+    folder.discard()
+    folder_in(tmp_path).discard()
+
+
+def test_what_is_there_already_is_recognised_to_the_byte(tmp_path):
+    folder = folder_in(tmp_path)
+    folder.claim("s", "a.txt").write_text("hello")
+    folder.claim("s", "slices").mkdir()
+    (tmp_path / "run" / ".staging-x").mkdir()
+    (folder.claim("s", "slices") / "0.png").write_text("0")
+    outputs = folder.commit()
+    folder.discard()
+    (tmp_path / "run" / "run.json").write_text(json_text(RECORD))
+
+    def held():
+        again = folder_in(tmp_path)
+        try:
+            return again.holds("s", outputs)
+        finally:
+            again.discard()
+
+    assert held()
+    for change in (
+        lambda: (tmp_path / "run" / "a.txt").write_text("hullo"),
+        lambda: (tmp_path / "run" / "a.txt").unlink(),
+        lambda: (tmp_path / "run" / "slices" / "1.png").write_text(""),
+        lambda: (tmp_path / "run" / "slices" / "0.png").write_text("1"),
+    ):
+        before = {p: p.read_bytes() for p in (tmp_path / "run").rglob("*") if p.is_file()}
+        change()
+        assert not held()
+        for extra in [p for p in (tmp_path / "run").rglob("*") if p.is_file() and p not in before]:
+            extra.unlink()
+        for path, data in before.items():
+            path.write_bytes(data)
+    assert held()
 
 
 def test_what_dead_processes_left_is_removed(tmp_path):

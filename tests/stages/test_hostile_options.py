@@ -36,6 +36,7 @@ SET = "  - {stage: tileset.wang_3color, recipe: cell, colors: 1, resolution: 8}"
 FREE = "  - {stage: tileset.free_faces, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
 CORNER = "  - {stage: tileset.corner_colors, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
 BOX = "  - {stage: read.primitive, shape: box, size: [3, 3, 3]}"
+BALL = "  - {stage: read.primitive, id: ball, shape: ball, size: [1, 1, 1]}"
 TILED = [SET, "  - {stage: tile.wang_3color, cells: [2, 1, 1], cell: 2 mm}"]
 AS_CELL = [line[2:] for line in CELL]
 REPEATED = [*AS_CELL, "  - {stage: tile.periodic, cells: [1, 1, 1], cell: 2 mm}"]
@@ -76,7 +77,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "extract.unit_cell": (REPEATED, "resolution: 8", []),
     "extract.voxels": (TILED, "resolution: 8", []),
     "fill.boolean": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "resolution: 8", []),
-    "fill.combine": ([BOX, "  - {stage: read.primitive, id: ball, shape: ball, size: [1, 1, 1]}"], "operation: union, from: {tool: ball}", []),
+    "fill.combine": ([BOX, BALL], "operation: union, from: {tool: ball}", []),
     "mesh.isosurface_stuffing": (REPEATED, "resolution: 8", []),
     "mesh.boundary": (VOLUME, "", []),
     "homogenize.voxel": (REPEATED, "resolution: 6", []),

@@ -1,0 +1,187 @@
+"""A watchful parent: the work is done by a child process, which can be ended whatever it is doing.
+
+Python hears of a signal only between two of its steps, and a native library may keep it from taking one for minutes.
+The parent has nothing else to do. It asks the child to end, ends it by force after a moment, puts the run directory
+in order, and knows the right exit code; it does the same when a native library takes the child down. The child is
+forked before anything heavy is imported, which takes a millisecond.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+
+from sppm_pipeline.engine import interruption
+
+__all__ = ["CRASHES", "supervised", "watched"]
+
+PATIENCE = 1.1
+"""Seconds that the child is given to end by itself; within `interrupts.PATIENCE` it puts everything in order."""
+
+INTERRUPTED = (129, 130, 143)
+"""Exit codes of a child that was interrupted."""
+
+CRASHES = tuple(getattr(signal, n) for n in ("SIGSEGV", "SIGBUS", "SIGABRT", "SIGILL", "SIGFPE") if hasattr(signal, n))
+"""Signals by which a native library takes a process down."""
+
+
+def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: str) -> int:
+    """Do `work` in a child process and return its exit code.
+
+    Parameters
+    ----------
+    work : function
+        Returns an exit code; runs in the child, which is left at once when it ends.
+    say : function of str
+        Tells the user.
+    farewell : str
+        What is said if the work was interrupted.
+    """
+    if not hasattr(os, "fork"):
+        return work()
+    reader, writer = os.pipe()
+    for stream in (sys.stdout, sys.stderr):  # or the child would write it once more
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    parent = os.getpid()
+    child = os.fork()
+    if child == 0:
+        os.close(reader)
+        _watched.append(parent)
+        interruption.die_with_parent(parent)
+        # the terminal sends its signals to both; the parent decides what becomes of them
+        for name in ("SIGINT", "SIGHUP"):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+        _announce_runs(writer)
+        code = 1
+        try:
+            code = work()
+        finally:
+            os._exit(code)
+    os.close(writer)
+    return _Watch(child, reader, say, farewell).exit_code()
+
+
+_watched: list[int] = []
+
+
+def watched() -> bool:
+    """Whether this is the child of `supervised`."""
+    return bool(_watched)
+
+
+class _Watch:
+    """The parent's side."""
+
+    def __init__(self, child: int, reader: int, say: Callable[[str], None], farewell: str) -> None:
+        self._child = child
+        self._reader = reader
+        self._say = say
+        self._farewell = farewell
+        self._signals: list[int] = []
+        self._told = b""
+        self._wake, alarm = os.pipe()
+        os.set_blocking(alarm, False)
+        os.set_blocking(self._wake, False)
+        os.set_blocking(reader, False)
+        signal.set_wakeup_fd(alarm, warn_on_full_buffer=False)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._arrived)
+        signal.signal(signal.SIGCHLD, lambda number, frame: None)
+
+    def _arrived(self, number: int, frame: FrameType | None) -> None:
+        self._signals.append(number)
+
+    def exit_code(self) -> int:
+        """Wait for the child, and end it when a signal comes."""
+        status = self._wait(None)
+        if status is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._child, signal.SIGTERM)
+            status = self._wait(time.monotonic() + PATIENCE)
+        if status is None:
+            for pid in [*_descendants(self._child), self._child]:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, signal.SIGKILL)
+            os.waitpid(self._child, 0)
+            self._tidy_up("interrupted", None)
+        if self._signals:
+            self._say(self._farewell)
+            return 128 + self._signals[0]
+        assert status is not None
+        if not os.WIFSIGNALED(status):
+            code = os.WEXITSTATUS(status)
+            if code in INTERRUPTED:
+                self._say(self._farewell)
+            return code
+        number = os.WTERMSIG(status)
+        name = signal.Signals(number).name
+        if number in CRASHES:
+            message = f"a native library crashed ({name})"
+            self._tidy_up("failed", message)
+            self._say(f"{message}\n  hint: run again with --debug, and leave out the stage that was running")
+            return 6
+        self._tidy_up("interrupted", None)
+        cause = ", perhaps because memory ran out" if number == signal.SIGKILL else ""
+        self._say(f"the process was ended by {name}{cause}; the same command again goes on where it was")
+        return 128 + number
+
+    def _wait(self, deadline: float | None) -> int | None:
+        """The child's status when it has ended; None at the deadline, or if a (further) signal came."""
+        before = len(self._signals)
+        while True:
+            pid, status = os.waitpid(self._child, os.WNOHANG)
+            self._listen()
+            if pid:
+                return status
+            if len(self._signals) > before:
+                return None
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0:
+                return None
+            select.select([self._wake], [], [], left)
+            with contextlib.suppress(BlockingIOError):
+                os.read(self._wake, 4096)
+
+    def _listen(self) -> None:
+        """Take in what the child tells of its run directories."""
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self._reader, 4096):
+                self._told += data
+
+    def _tidy_up(self, status: str, error: str | None) -> None:
+        """Put the run directories in order that the child can't any more."""
+        folders = [Path(os.fsdecode(line)) for line in self._told.split(b"\0") if line]
+        if folders:
+            from sppm_pipeline.engine.recorder import mark_ended
+
+            for folder in folders:
+                mark_ended(folder, status, error)
+
+
+def _announce_runs(writer: int) -> None:
+    """Tell the parent of each run directory that is written to."""
+
+    def tell(path: Path) -> None:
+        with contextlib.suppress(OSError):
+            os.write(writer, os.fsencode(path.absolute()) + b"\0")
+
+    interruption.tell_of_runs(tell)
+
+
+def _descendants(pid: int) -> list[int]:
+    """Processes that a process has started, and theirs, where the system tells (Linux)."""
+    found: list[int] = []
+    with contextlib.suppress(OSError, ValueError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            for word in (task / "children").read_text().split():
+                found += [*_descendants(int(word)), int(word)]
+    return found

@@ -1,0 +1,35 @@
+"""``sppm verify``: whether a run directory still holds what its run has written, to the byte."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+__all__ = ["configure", "execute"]
+
+
+def configure(parser: ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("directory", type=Path, metavar="DIR", help="run directory")
+    parser.add_argument("--extra-ok", action="store_true", help="do not mind files that no stage has written")
+    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
+
+
+def execute(args: Namespace) -> int:
+    """Check, and list what is wrong."""
+    from sppm_pipeline.engine.runner import available_threads
+    from sppm_pipeline.engine.verification import verify_run
+
+    found, files = verify_run(args.directory, available_threads())
+    if args.extra_ok:
+        found = [finding for finding in found if finding.kind != "extra"]
+    if args.json:
+        print(json.dumps({"files": files, "findings": [dataclasses.asdict(f) for f in found]}, indent=1))
+    else:
+        for finding in found:
+            print(f"{finding.kind:10s} {finding.path}" + (f": {finding.detail}" if finding.detail else ""))
+        print(f"{args.directory}: {files} files, {len(found) or 'no'} findings" if found else
+              f"{args.directory}: {files} files, all as they were written")  # fmt: skip
+    return 3 if found else 0

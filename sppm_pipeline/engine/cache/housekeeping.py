@@ -1,0 +1,169 @@
+"""What is in a cache, whether it is sound, and how it stays small."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.data.storage import DamagedError
+from sppm_pipeline.engine.cache.store import Store
+from sppm_pipeline.engine.locks import FolderLock
+
+__all__ = ["account", "contents", "damaged_entries", "parse_size", "prune"]
+
+AFTER_PRUNING = 0.8
+"""Share of the cap that is left after entries were removed, so that not every run has to remove some."""
+
+MOST_RECENTS = 2000
+"""Configurations whose last run is remembered."""
+
+_UNITS = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
+_UNITS |= {"kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12}
+
+
+def parse_size(text: str) -> int:
+    """Bytes from ``5GB``, ``800 MB``, ``2GiB`` or a bare number.
+
+    Raises
+    ------
+    ValueError
+        If it is none of these.
+    """
+    stripped = text.strip().lower()
+    digits = stripped.rstrip("abcdefghijklmnopqrstuvwxyz ")
+    unit = stripped[len(digits) :].strip()
+    if unit not in _UNITS:
+        raise ValueError(f"expected a size such as 5GB or 800 MB, got {text!r}")
+    try:
+        size = float(digits) * _UNITS[unit]
+    except ValueError:
+        raise ValueError(f"expected a size such as 5GB or 800 MB, got {text!r}") from None
+    if not 0 <= size < 2**63:
+        raise ValueError(f"expected a size such as 5GB or 800 MB, got {text!r}")
+    return int(size)
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """One entry as `contents` finds it; `used` is the time of its last use in seconds since 1970."""
+
+    key: str
+    bytes: int
+    used: float
+
+
+def contents(store: Store) -> list[Occupancy]:
+    """All entries, least recently used first, with the room they take on disk."""
+    found = []
+    for key in store.entries():
+        folder = store.place(key)
+        with contextlib.suppress(OSError):
+            used, size = folder.stat().st_mtime, 0
+            with os.scandir(folder) as files:
+                for file in files:
+                    about = file.stat(follow_symlinks=False)
+                    size += max(about.st_size, getattr(about, "st_blocks", 0) * 512)
+                    if file.name == "manifest.json":
+                        used = about.st_mtime
+            found.append(Occupancy(key, size, used))
+    return sorted(found, key=lambda entry: (entry.used, entry.key))
+
+
+def prune(store: Store, cap: int) -> tuple[int, int]:
+    """Remove the entries that were not used for longest until at most `cap` bytes are left.
+
+    Returns the number of entries removed and the bytes that are left.
+    """
+    store.clear_leftovers()
+    entries = contents(store)
+    total = sum(entry.bytes for entry in entries)
+    removed = 0
+    for entry in entries:
+        if total <= cap:
+            break
+        store.remove(entry.key)
+        total -= entry.bytes
+        removed += 1
+    with contextlib.suppress(OSError):
+        recents = sorted((store.root / "recent").iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+        for path in recents[MOST_RECENTS:] if cap else recents:
+            path.unlink(missing_ok=True)
+    if store.root.is_dir():
+        _set_usage(store.root, total)
+    return removed, total
+
+
+def account(store: Store) -> int:
+    """Add what `store` has written to the cache's account, and prune if it is over its cap; entries removed."""
+    if not store.written:
+        return 0
+    cap = store.cap
+    total = _add_usage(store.root, store.written)
+    store.written = 0
+    if total is not None and total <= cap:
+        return 0
+    removed = prune(store, int(cap * AFTER_PRUNING)) if sum(e.bytes for e in contents(store)) > cap else (0, 0)
+    if not removed[0]:
+        _set_usage(store.root, sum(entry.bytes for entry in contents(store)))
+    return removed[0]
+
+
+def damaged_entries(store: Store) -> list[tuple[str, str]]:
+    """Read every byte of a cache; keys of entries that are not sound, and why. They are removed."""
+    damaged = []
+    for key in list(store.entries()):
+        try:
+            entry = store.find(key, touch=False)
+            if entry is None:
+                if store.place(key).is_dir():
+                    raise DamagedError("it has no manifest")
+                continue
+            for name, file in entry.files().items():
+                path = entry.folder / name
+                with path.open("rb") as opened:
+                    digest = hashlib.file_digest(opened, "sha256").hexdigest()
+                if digest != file.sha256:
+                    raise DamagedError(f"{name}: its SHA-256 differs")
+        except (DamagedError, FileNotFoundError) as error:
+            if store.place(key).exists() or isinstance(error, DamagedError):
+                damaged.append((key, str(error)))
+                store.remove(key)
+    return damaged
+
+
+def _add_usage(root: Path, written: int) -> int | None:
+    """The account after adding to it; None if nobody has counted yet."""
+    before = _change_usage(root, lambda old: None if old is None else old + written)
+    return None if before is None else before + written
+
+
+def _set_usage(root: Path, total: int) -> None:
+    _change_usage(root, lambda old: total)
+
+
+def _change_usage(root: Path, change: Any) -> int | None:
+    """Change the number in the account; what it was. The file is there for good, and locked while it is changed."""
+    path = root / "usage"
+    try:
+        with path.open("a+") as file:
+            lock = FolderLock(path)
+            lock.acquire(wait=True)
+            try:
+                file.seek(0)
+                text = file.read().strip()
+                old = int(text) if text.isdigit() else None
+                new = change(old)
+                if new is not None:
+                    file.seek(0)
+                    file.truncate()
+                    file.write(str(new))
+                    file.flush()
+                return old
+            finally:
+                lock.release()
+    except OSError:
+        return None

@@ -1,0 +1,118 @@
+"""What a result depends on besides its options: the code that makes it, and the libraries below that code."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import platform
+import re
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import sppm_pipeline
+from sppm_pipeline.engine.distributions import installed_version, requirements_of
+from sppm_pipeline.engine.plugins import Plugin
+from sppm_pipeline.stage import Stage
+
+__all__ = ["code_of", "environment", "program_digest"]
+
+_LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")
+_PACKAGE = "sppm_pipeline"
+_WITHOUT_RESULTS = {"cli", "testing"}
+"""Rooms of the package that no result comes from."""
+
+_SETTINGS = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE")
+"""Environment variables by which the same code computes other last digits."""
+
+
+@functools.cache
+def program_digest() -> str:
+    """Digest of the program's own source; an edit anywhere counts as another program."""
+    root = Path(str(sppm_pipeline.__file__)).parent
+    return _tree_digest(root, skip=_WITHOUT_RESULTS)
+
+
+def code_of(cls: type[Stage], owner: Plugin) -> dict[str, Any]:
+    """Who supplies a stage, in which version, and the digest of the source of all classes that it is made of."""
+    modules = {c.__module__ for c in cls.__mro__ if c is not object}
+    sources = {_source_of(module) for module in modules}
+    digest = hashlib.sha256("\n".join(sorted(sources - {""})).encode()).hexdigest()
+    if owner.builtin:
+        return {"supplier": _PACKAGE, "version": sppm_pipeline.__version__, "digest": digest}
+    # the place of a single file is no part of what it does
+    supplier = owner.distribution or os.path.basename(owner.name)
+    return {"supplier": supplier, "version": owner.version, "digest": digest}
+
+
+@functools.cache
+def _source_of(module: str) -> str:
+    """Digest of a module's own package; empty for the standard library, whose version is that of Python."""
+    top = module.partition(".")[0]
+    if top == _PACKAGE:
+        own = getattr(sys.modules.get(module), "__file__", None) or ""
+        room = module.split(".")[1:2]
+        return program_digest() + (_file_digest(Path(own)) if room and room[0] in _WITHOUT_RESULTS else "")
+    if top in sys.stdlib_module_names:
+        return ""
+    found = sys.modules.get(top)
+    file = getattr(found, "__file__", None)
+    if file is None:
+        return f"{module} without a file"
+    path = Path(file)
+    return _tree_digest(path.parent) if path.name == "__init__.py" else _file_digest(path)
+
+
+def _tree_digest(root: Path, skip: Iterable[str] = ()) -> str:
+    """Digest of all Python files below a folder."""
+    total = hashlib.sha256()
+    for folder, folders, files in os.walk(root):
+        folders[:] = sorted(f for f in folders if f != "__pycache__" and (Path(folder) != root or f not in skip))
+        for name in sorted(files):
+            if name.endswith(".py"):
+                path = Path(folder, name)
+                total.update(f"{path.relative_to(root).as_posix()}\0{_file_digest(path)}\n".encode())
+    return total.hexdigest()
+
+
+def _file_digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return "unreadable"
+
+
+@functools.cache
+def environment(distributions: tuple[str, ...] = ()) -> dict[str, str]:
+    """Versions of Python and the libraries in use, and the kind of processor.
+
+    Threads do not count, as results do not depend on them. The processor does: compiled kernels and BLAS add in an
+    order that depends on how wide its registers are.
+
+    Parameters
+    ----------
+    distributions : tuple of str
+        Plugins whose requirements count as well.
+    """
+    names = set(_LIBRARIES)
+    for distribution in ("sppm-pipeline", *distributions):
+        names |= set(requirements_of(distribution))
+    found = {"python": platform.python_version(), "processor": _processor()}
+    found |= {name: installed_version(name) or "not installed" for name in sorted(names)}
+    return found | {name: os.environ[name] for name in _SETTINGS if name in os.environ}
+
+
+def _processor() -> str:
+    """Architecture, model and instruction sets of the first processor."""
+    about = [platform.machine(), sys.platform]
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            text = file.read(1 << 14).split("\n\n")[0]
+    except OSError:
+        text = platform.processor()
+    kept = [line for line in text.splitlines() if not re.match(r"(cpu MHz|bogomips|apicid|initial apicid)", line)]
+    wanted = ("vendor_id", "cpu family", "model", "stepping", "flags", "Features", "CPU ")
+    described = "\n".join(line for line in kept if line.startswith(wanted)) or text
+    return "-".join(about) + "-" + hashlib.sha256(described.encode()).hexdigest()[:12]

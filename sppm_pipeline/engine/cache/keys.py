@@ -1,0 +1,157 @@
+"""The key of a stage's result: a digest of all that the result depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.engine.cache.identity import code_of, environment
+from sppm_pipeline.engine.files import digest_of
+from sppm_pipeline.engine.plan import Plan, step_options
+from sppm_pipeline.engine.plugins import Plugin
+from sppm_pipeline.engine.wiring import Step
+
+__all__ = ["KEY_FORMAT", "InputFiles", "ingredients_of", "key_of", "run_key"]
+
+KEY_FORMAT = 1
+"""Raised when the same ingredients come to mean something else."""
+
+
+class InputFiles:
+    """Digests of input files, each read once in a run.
+
+    Raises from its methods what reading a file raises.
+    """
+
+    def __init__(self) -> None:
+        self._digests: dict[str, tuple[tuple[Any, ...], str]] = {}
+
+    def digest(self, path: Path) -> str | None:
+        """SHA-256 of a file, or of all files in a folder; None if there is nothing of that name."""
+        name = os.path.abspath(path)
+        if name not in self._digests:
+            state = _state(path)
+            if state is None:
+                return None
+            self._digests[name] = (state, digest_of(path))
+        return self._digests[name][1]
+
+    def unchanged(self) -> bool:
+        """Whether all files are still what they were when they were read."""
+        return all(_state(Path(name)) == state for name, (state, _) in self._digests.items())
+
+
+def _state(path: Path) -> tuple[Any, ...] | None:
+    """What changes when somebody writes to a file or into a folder."""
+    try:
+        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        stats = [(str(file), file.stat()) for file in files]
+    except OSError:
+        return None
+    return tuple((name, s.st_size, s.st_mtime_ns, s.st_ctime_ns, s.st_ino) for name, s in stats)
+
+
+def ingredients_of(
+    step: Step,
+    recipes: Mapping[str, Sequence[Step]],
+    path: tuple[str, ...],
+    inputs: Mapping[str, str | None],
+    files: InputFiles,
+) -> dict[str, Any] | None:
+    """All that the result of a step depends on but the seed; None if that can't be told.
+
+    Parameters
+    ----------
+    step : Step
+    recipes : mapping of recipe name to sequence of Step
+    path : tuple of str
+        Path of the step's random numbers.
+    inputs : mapping of port to key
+        Keys of the results that it is handed; None for open ports.
+    files : InputFiles
+    """
+    owners: list[Plugin] = []
+    described = _described(step, recipes, files, owners)
+    if described is None:
+        return None
+    distributions = tuple(sorted({owner.distribution for owner in owners if owner.distribution}))
+    return {
+        "format": KEY_FORMAT,
+        **described,
+        "inputs": dict(inputs),
+        "path": list(path),
+        "environment": environment(distributions),
+    }
+
+
+def _described(
+    step: Step, recipes: Mapping[str, Sequence[Step]], files: InputFiles, owners: list[Plugin]
+) -> dict[str, Any] | None:
+    """Stage, version, code, options, input files and recipes."""
+    stage = step.stage
+    if not stage.cacheable:
+        return None
+    owners.append(step.owner)
+    options = step_options(step)
+    contents: dict[str, Any] = {}
+    for name in options:
+        value = getattr(stage, name)
+        if isinstance(value, Path):
+            options[name] = os.path.abspath(value)
+        for file in _paths(value):
+            digest = files.digest(file)
+            if digest is None:
+                return None
+            # the name counts as well: stages put it into messages and nouns
+            contents.setdefault(name, []).append([os.path.abspath(file), digest])
+    handed: dict[str, Any] = {}
+    for port, recipe in step.recipes.items():
+        inner = []
+        for sub in recipes[recipe]:
+            about = _described(sub, recipes, files, owners)
+            if about is None:
+                return None
+            inner.append({"id": sub.id, **about, "inputs": dict(sub.inputs)})
+        handed[port] = {"name": recipe, "stages": inner}
+    described: dict[str, Any] = {
+        "stage": stage.name,
+        "version": stage.version,
+        "code": code_of(type(stage), step.owner),
+        "options": options,
+    }
+    if contents:
+        described["files"] = contents
+    if handed:
+        described["recipes"] = handed
+    return described
+
+
+def _paths(value: Any) -> list[Path]:
+    if isinstance(value, Path):
+        return [value]
+    return [path for item in value for path in _paths(item)] if isinstance(value, tuple) else []
+
+
+def run_key(plan: Plan, until: str | None) -> str | None:
+    """The key of a whole run, made of all its stages; None if what it gives depends on more."""
+    files = InputFiles()
+    stages = []
+    for step in plan.steps:
+        try:
+            ingredients = ingredients_of(step, plan.recipes, (step.id,), dict(step.inputs), files)
+        except OSError:
+            return None
+        if ingredients is None:
+            return None
+        stages.append(ingredients)
+    return key_of({"stages": stages, "seed": plan.seed, "until": until, "config": plan.document})
+
+
+def key_of(ingredients: Mapping[str, Any]) -> str:
+    """The key, 64 hexadecimal digits."""
+    text = json.dumps(ingredients, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=True)
+    return hashlib.sha256(text.encode()).hexdigest()

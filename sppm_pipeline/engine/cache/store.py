@@ -1,0 +1,371 @@
+"""Entries of the cache on disk.
+
+::
+
+    <root>/entries/<first two digits>/<key>/manifest.json   what is there, sealed with its digest
+                                            *.npy, value.json, outputs.bin
+    <root>/recent/<digest>.json             what the keys of a configuration's last run were made of
+    <root>/tmp/<random>/                    entries being written; locked by the process that writes them
+    <root>/usage                            bytes written since all was counted last
+
+An entry is written elsewhere and renamed into place in one step, its manifest last; one without a sound manifest does
+not exist. Processes share a cache without waiting for each other: of several that make the same entry, the first one
+to be ready puts it there. Whoever finds an entry damaged takes it away.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value, save_value
+from sppm_pipeline.engine.jsonable import json_text
+from sppm_pipeline.engine.locks import FolderLock
+from sppm_pipeline.engine.sealing import BrokenSealError, read_sealed, sealed
+
+__all__ = ["CAP", "FORMAT", "Entry", "Store"]
+
+FORMAT = 1
+
+CAP = 5 * 10**9
+"""Bytes that a cache may take unless told otherwise."""
+
+MANIFEST = "manifest.json"
+OUTPUTS = "outputs.bin"
+_TAG = "Signature: 8a477f597d28d172789f06886806bc55\n# Results of sppm; may be deleted at any time.\n"
+_CHUNK = 1 << 20
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One kept result.
+
+    Attributes
+    ----------
+    key : str
+    folder : Path
+    manifest : mapping
+        `facts`, `ingredients`, `seconds` and what is stored; see `Store.put`.
+    """
+
+    key: str
+    folder: Path
+    manifest: Mapping[str, Any]
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What the run record says of the stage."""
+        facts: Mapping[str, Any] = self.manifest["facts"]
+        return facts
+
+    @property
+    def has_value(self) -> bool:
+        """Whether the noun that the stage made can be loaded."""
+        return self.manifest.get("value") is not None
+
+    @property
+    def has_outputs(self) -> bool:
+        """Whether the files that the stage wrote can be written again."""
+        return self.manifest.get("outputs") is not None
+
+    def files(self) -> dict[str, StoredFile]:
+        """All files of the entry but the manifest."""
+        listed = [
+            *(self.manifest.get("value") or []),
+            *([self.manifest["outputs"]["file"]] if self.has_outputs else []),
+        ]
+        return {name: StoredFile(name, size, digest) for name, size, digest in listed}
+
+
+class Store:
+    """A cache folder.
+
+    Parameters
+    ----------
+    root : Path
+        Need not exist.
+    cap : int
+        Bytes that it may take; more is removed after a run, what was not used for longest first.
+    """
+
+    def __init__(self, root: Path, cap: int = CAP) -> None:
+        self.root = root
+        self.cap = cap
+        self.written = 0
+        """Bytes written by this object."""
+        self._room: Path | None = None
+        self._lock: FolderLock | None = None
+
+    # --- reading ---
+
+    def place(self, key: str) -> Path:
+        """Where the entry of a key lies if there is one."""
+        return self.root / "entries" / key[:2] / key
+
+    def find(self, key: str, *, touch: bool = True) -> Entry | None:
+        """The entry of a key, or None. A manifest that is not sound is removed with its entry.
+
+        Raises
+        ------
+        DamagedError
+            If there was an entry, but its manifest was damaged; it is gone now.
+        """
+        folder = self.place(key)
+        try:
+            data = (folder / MANIFEST).read_bytes()
+        except OSError:
+            return None
+        try:
+            manifest = read_sealed(data)
+            if manifest["format"] != FORMAT or manifest["key"] != key:
+                raise BrokenSealError("it is another entry's")
+        except (BrokenSealError, ValueError, KeyError, TypeError) as error:
+            self.remove(key)
+            raise DamagedError(f"{folder / MANIFEST}: {error}") from error
+        if touch:
+            with contextlib.suppress(OSError):
+                os.utime(folder / MANIFEST)
+        return Entry(key, folder, manifest)
+
+    def load(self, entry: Entry) -> Any:
+        """The noun of an entry.
+
+        Raises
+        ------
+        DamagedError
+            If a byte of it has changed.
+        OSError
+            If it is not there any more.
+        """
+        return load_value(entry.folder, entry.files())
+
+    def restore(self, entry: Entry, claim: Callable[[str], Path]) -> None:
+        """Write the outputs of an entry again.
+
+        Parameters
+        ----------
+        entry : Entry
+        claim : function
+            Gives the path to write to for the name of an output.
+
+        Raises
+        ------
+        DamagedError, OSError
+            As `load`.
+        """
+        outputs = entry.manifest["outputs"]
+        staged = {name: claim(name) for name in outputs["names"]}
+        for name in outputs["folders"]:
+            staged[name].mkdir(parents=True, exist_ok=True)
+        with (entry.folder / OUTPUTS).open("rb") as source:
+            for name, inside, size, digest in outputs["content"]:
+                path = staged[name] / inside if inside else staged[name]
+                path.parent.mkdir(parents=True, exist_ok=True)
+                found = hashlib.sha256()
+                with path.open("wb") as target:
+                    for chunk in _chunks(source.read, size):
+                        found.update(chunk)
+                        target.write(chunk)
+                if found.hexdigest() != digest:
+                    raise DamagedError(f"{entry.folder / OUTPUTS} is damaged: the SHA-256 of {name!r} differs")
+
+    # --- writing ---
+
+    def put(
+        self,
+        key: str,
+        manifest: Mapping[str, Any],
+        *,
+        value: Any = None,
+        outputs: Sequence[tuple[str, Path]] = (),
+        durable: bool = False,
+    ) -> None:
+        """Keep a result; if the key has an entry that holds as much already, that stays.
+
+        Parameters
+        ----------
+        key : str
+        manifest : mapping
+            JSON-ready; `key`, `format`, `value` and `outputs` are added.
+        value : noun, optional
+        outputs : sequence of (name, path)
+            Finished files and folders.
+        durable : bool
+            Whether it is worth waiting for the disk; without it an entry that a power cut damages is noticed by its
+            digests.
+
+        Raises
+        ------
+        OSError
+            If there is no room, or no permission.
+        NotStorable
+            If the value can't be written.
+        """
+        fresh = self._fresh_folder()
+        try:
+            whole = {"format": FORMAT, "key": key, **manifest, "value": None, "outputs": None}
+            if value is not None:
+                whole["value"] = [list(file) for file in save_value(value, fresh, durable=durable)]
+            if outputs:
+                whole["outputs"] = _pack(fresh / OUTPUTS, outputs, durable)
+            text = json_text(sealed(whole)).encode()
+            with (fresh / MANIFEST).open("xb") as file:
+                file.write(text)
+                if durable:
+                    file.flush()
+                    os.fsync(file.fileno())
+            size = sum(file.stat().st_size for file in fresh.iterdir())
+            self._put_into_place(key, fresh)
+            self.written += size
+        finally:
+            shutil.rmtree(fresh, ignore_errors=True)
+
+    def _put_into_place(self, key: str, fresh: Path) -> None:
+        place = self.place(key)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        for _ in range(8):
+            try:
+                os.rename(fresh, place)
+                return
+            except OSError as error:
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                    raise
+            # an entry that lacks something this one has makes way
+            try:
+                there = self.find(key, touch=False)
+            except DamagedError:
+                continue
+            if there is None:
+                self.remove(key)
+                continue
+            mine = Entry(key, fresh, read_sealed((fresh / MANIFEST).read_bytes()))
+            if (there.has_value or not mine.has_value) and (there.has_outputs or not mine.has_outputs):
+                return
+            self.remove(key)
+
+    def remove(self, key: str) -> None:
+        """Take an entry away, in one step, so that nobody sees half of it."""
+        with contextlib.suppress(OSError):
+            gone = self._room_folder() / secrets.token_hex(8)
+            os.rename(self.place(key), gone)
+            shutil.rmtree(gone, ignore_errors=True)
+
+    def write_text(self, name: str, value: Mapping[str, Any]) -> None:
+        """Write a sealed JSON file of the cache, whole or not at all."""
+        fresh = self._room_folder() / secrets.token_hex(8)
+        fresh.write_bytes(json_text(sealed(value)).encode())
+        final = self.root / name
+        final.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(fresh, final)
+
+    def read_text(self, name: str) -> dict[str, Any] | None:
+        """Read what `write_text` wrote; None if it is not there or not sound."""
+        try:
+            return read_sealed((self.root / name).read_bytes())
+        except (OSError, ValueError):
+            return None
+
+    # --- room for what is not ready yet ---
+
+    def _fresh_folder(self) -> Path:
+        folder = self._room_folder() / secrets.token_hex(8)
+        folder.mkdir()
+        return folder
+
+    def _room_folder(self) -> Path:
+        """This object's folder for unfinished entries; its lock tells others that it is in use."""
+        if self._room is None or not self._room.is_dir():
+            if not self.root.is_dir():
+                self.root.mkdir(parents=True, exist_ok=True, mode=0o700)
+                (self.root / "CACHEDIR.TAG").write_text(_TAG, encoding="utf-8")
+            while True:
+                room = self.root / "tmp" / secrets.token_hex(8)
+                room.mkdir(parents=True)
+                lock = FolderLock(room)
+                try:
+                    if lock.acquire():
+                        break
+                except FileNotFoundError:  # somebody cleared up in the moment between
+                    continue
+            self._room, self._lock = room, lock
+        return self._room
+
+    def clear_leftovers(self) -> int:
+        """Remove what processes that are gone left unfinished; how much that was."""
+        removed = 0
+        with contextlib.suppress(OSError):
+            for room in (self.root / "tmp").iterdir():
+                if room == self._room:
+                    continue
+                lock = FolderLock(room)
+                with contextlib.suppress(OSError):
+                    if lock.acquire():
+                        shutil.rmtree(room, ignore_errors=True)
+                        removed += 1
+                lock.release()
+        return removed
+
+    def close(self) -> None:
+        """Give the room for unfinished entries back."""
+        if self._room is not None and self._lock is not None:
+            shutil.rmtree(self._room, ignore_errors=True)
+            self._lock.release()
+            self._room = self._lock = None
+
+    def entries(self) -> Iterator[str]:
+        """Keys of all entries."""
+        with contextlib.suppress(FileNotFoundError):
+            for group in sorted(os.listdir(self.root / "entries")):
+                with contextlib.suppress(OSError):
+                    yield from sorted(os.listdir(self.root / "entries" / group))
+
+
+def _pack(path: Path, outputs: Sequence[tuple[str, Path]], durable: bool) -> dict[str, Any]:
+    """Write files one behind the other, and say which is where."""
+    content: list[list[Any]] = []
+    folders = []
+    total = hashlib.sha256()
+    size = 0
+    with path.open("xb") as target:
+        for name, output in outputs:
+            inside = [""]
+            if output.is_dir():
+                folders.append(name)
+                inside = sorted(p.relative_to(output).as_posix() for p in output.rglob("*") if p.is_file())
+            for relative in inside:
+                own, length = hashlib.sha256(), 0
+                with (output / relative if relative else output).open("rb") as source:
+                    while chunk := source.read(_CHUNK):
+                        own.update(chunk)
+                        total.update(chunk)
+                        target.write(chunk)
+                        length += len(chunk)
+                content.append([name, relative, length, own.hexdigest()])
+                size += length
+        if durable:
+            target.flush()
+            os.fsync(target.fileno())
+    return {
+        "file": [OUTPUTS, size, total.hexdigest()],
+        "names": [name for name, _ in outputs],
+        "folders": folders,
+        "content": content,
+    }
+
+
+def _chunks(read: Callable[[int], bytes], size: int) -> Iterator[bytes]:
+    """Exactly `size` bytes, piece by piece."""
+    while size:
+        chunk = read(min(size, _CHUNK))
+        if not chunk:
+            raise DamagedError(f"{OUTPUTS} is cut short")
+        size -= len(chunk)
+        yield chunk

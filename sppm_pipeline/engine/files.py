@@ -1,0 +1,79 @@
+"""Files and folders as the engine handles them: digests, sizes, and writing whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from sppm_pipeline.errors import ResourceError
+
+__all__ = ["digest_of", "files_in", "remove", "size_of", "sync", "tree_digest", "write_whole"]
+
+
+def files_in(path: Path) -> list[str]:
+    """Names of all files below a folder, in order, relative to it."""
+    return sorted(p.relative_to(path).as_posix() for p in path.rglob("*") if p.is_file())
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file, or of all files below a folder."""
+    return sum((path / name).stat().st_size for name in files_in(path)) if path.is_dir() else path.stat().st_size
+
+
+def tree_digest(digests: Mapping[str, str]) -> str:
+    """SHA-256 of a folder, from the names and digests of its files."""
+    total = hashlib.sha256()
+    for name in sorted(digests):
+        total.update(f"{name}\0{digests[name]}\n".encode())
+    return total.hexdigest()
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file; of a folder, over the names and digests of its files in order of their names."""
+    if path.is_dir():
+        return tree_digest({name: digest_of(path / name) for name in files_in(path)})
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder if it is there; of a link, the link."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def sync(path: Path) -> None:
+    """Wait until the disk has a file, where the file system can tell; else its digest says whether it is whole."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
+    """Write a text file so that it is there whole or not at all; if `durable`, even if the machine stops.
+
+    Raises
+    ------
+    ResourceError
+        If the disk is full or a permission is missing.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise ResourceError(f"can't write {str(path)!r}: {error.strerror}") from error
