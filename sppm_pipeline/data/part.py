@@ -132,7 +132,7 @@ class Part(ScalarField):
         It is computed in blocks that belong to the grid, whichever layers are asked for: where the skin is thick, the
         distance in a block depends a little on where the block ends. The last block is kept.
         """
-        from sppm_pipeline.numerics.domain.signed_distance import distance_layers
+        from sppm_pipeline.numerics.domain.signed_distance import distance_layers, reach_bare_borders
 
         kept, world = self._prepared, self.in_mm(grid)
         reach = max(world.spacing) + self.skin_mm
@@ -145,7 +145,13 @@ class Part(ScalarField):
                 if "triangles" not in kept:
                     kept["triangles"] = self.domain.vertices[self.domain.faces]
                 distance = distance_layers(kept["triangles"], world, first, last, reach)
-                np.negative(distance, out=distance, where=self._inside(grid, first, last).view(bool))
+                halo = 0 if self.method == "scanline" else math.ceil(reach / world.spacing[2])
+                low, high = max(0, first - halo), min(nz, last + halo)
+                around = self._inside(grid, low, high)
+                if halo:
+                    reach_bare_borders(distance, around, first - low, world.spacing)
+                inside = around[first - low : last - low].view(bool)
+                np.negative(distance, out=distance, where=inside)
                 kept["distance_of"], kept["distance"] = (grid, number), distance
             low, high = max(start, first), min(stop, last)
             out[low - start : high - start] = kept["distance"][low - first : high - first]

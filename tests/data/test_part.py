@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sppm_pipeline.data import part as part_module
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import VOTED_LAYERS, Part
 from sppm_pipeline.numerics.domain import primitive_meshes
@@ -112,3 +113,19 @@ def test_layers_are_those_of_the_whole(wang_tiling, ball, monkeypatch):
         part = Part(wang_tiling, ball, skin)
         cut = [part.sample_layers(grid, a, b) for a, b in ((0, 3), (3, 4), (4, 19), (19, 27))]
         assert np.array_equal(np.concatenate(cut), whole)
+
+
+@pytest.mark.parametrize("inside", ["winding", "vote"])
+def test_distances_of_an_open_part_do_not_depend_on_slabs(wang_tiling, ball, inside, monkeypatch):
+    """Also where the inside ends in a hole, so that the skin goes across it."""
+    domain = SurfaceMesh(ball.vertices, ball.faces[(ball.vertices[ball.faces].max(1)[:, 2] < 9.3)])
+    assert len(domain.faces) < len(ball.faces)
+    grid = cell_centres(12, (4, 3, 3))
+    whole = Part(wang_tiling, domain, 0.7, inside=inside).sample_apart(grid)[1]
+    lid = whole[:, 15, 15]
+    assert (lid < 0).any()
+    assert np.abs(np.diff(lid)).max() < 2 * 1.01 / 12
+    monkeypatch.setattr(part_module, "DISTANCE_SAMPLES", 1)
+    thin = Part(wang_tiling, domain, 0.7, inside=inside).sample_apart(grid)[1]
+    assert np.array_equal(thin < 0, whole < 0)
+    assert np.abs(thin - whole).max() < 0.01

@@ -19,7 +19,7 @@ from sppm_pipeline.numerics.domain.inside import Method, inside_layers, prepare_
 from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["distance_layers", "signed_distance"]
+__all__ = ["distance_layers", "reach_bare_borders", "signed_distance"]
 
 
 def signed_distance(
@@ -47,6 +47,8 @@ def signed_distance(
     nz = grid.shape[2]
     distance = distance_layers(np.ascontiguousarray(points[np.asarray(faces, np.int64)]), grid, 0, nz, reach)
     inside = inside_layers(prepare_inside(points, faces, grid, method), 0, nz).mask
+    if method != "scanline":
+        reach_bare_borders(distance, inside, 0, grid.spacing)
     np.negative(distance, out=distance, where=inside.view(bool))
     return distance
 
@@ -90,6 +92,33 @@ def distance_layers(
         _sweep(near, origin, spacing, squared, nearest)
     wanted = squared[start - first : stop - first]
     return np.sqrt(wanted, out=wanted)
+
+
+def reach_bare_borders(
+    distance: NDArray[np.float32], inside: NDArray[np.uint8], below: int, spacing: tuple[float, float, float]
+) -> None:
+    """Where the inside of a mesh ends in one of its holes, measure from there, to half a spacing; in place.
+
+    On the way to the nearest sample of the other kind one passes the border. If no triangle is as near as that sample,
+    there is none on the way.
+
+    Parameters
+    ----------
+    distance : (n, ny, nx) float32
+        From the triangles, without a sign.
+    inside : (below + n + above, ny, nx) uint8
+        With as many layers more below and above as lie within reach of the distances, or what there is.
+    below : int
+    spacing : tuple of 3 floats
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    own = slice(below, below + len(distance))
+    for kind in (inside, 1 - inside):
+        if kind.any() and not kind.all():
+            other = distance_transform_edt(kind, sampling=spacing[::-1])[own]
+            bare = kind[own].view(bool) & (other < distance)
+            distance[bare] = other[bare] - min(spacing) / 2
 
 
 @kernel

@@ -21,7 +21,7 @@ from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.surface.box_tree import DEPTH, box_tree
 from sppm_pipeline.numerics.surface.measures import components
-from sppm_pipeline.numerics.surface.winding_number import Dipoles, dipoles, winding_at
+from sppm_pipeline.numerics.surface.winding_number import FAR, Dipoles, dipoles, winding_at
 
 __all__ = ["UNDECIDED", "SpannedScan", "prepare_spanned", "spanned_layers", "spanning_triangles"]
 
@@ -29,8 +29,9 @@ UNDECIDED = 0.25
 """A voxel is undecided if its winding number is nearer than this to one half."""
 
 _CALM = 0.2  # bounds below this are not looked into
-_CLEAR = 0.45  # numbers of spanning triangles below this leave the count alone; less than half by the error of dipoles
-_CLEAR_INSIDE = 1 - _CLEAR
+_QUICK = 1.5  # radii beyond which dipoles are taken at first; their sum is then right to 0.15
+_CLEAR = 0.35  # numbers of spanning triangles below this leave the count alone: a half, less the error
+_CLOSE = 0.2  # numbers of the mesh nearer than this to one half are computed again, better
 _LARGE, _SMALL = 32, 4  # edges of blocks, in voxels
 _OFF = (0.00131, -0.00173, 0.00097)  # keeps spanning triangles out of the planes that voxels and rims share
 
@@ -241,7 +242,7 @@ def _range(
         x = (low[0] + high[0]) / 2 if corner == 8 else (high[0] if corner & 1 else low[0])
         y = (low[1] + high[1]) / 2 if corner == 8 else (high[1] if corner & 2 else low[1])
         z = (low[2] + high[2]) / 2 if corner == 8 else (high[2] if corner & 4 else low[2])
-        middle = winding_at(triangles, starts, poles, waiting, x, y, z)
+        middle = winding_at(triangles, starts, poles, waiting, x, y, z, _QUICK)
         least, most = min(least, middle), max(most, middle)
     return least, most, middle
 
@@ -308,7 +309,7 @@ def _correct(
             if not _within(triangles, mesh_boxes, starts, waiting, centre, size):
                 least, most, middle = _range(triangles, starts, poles, waiting, low, high)
                 reach = (most - least) / 2
-                if least - reach > _CLEAR_INSIDE or most + reach < _CLEAR:
+                if least - reach > 1 - _CLEAR or most + reach < _CLEAR:
                     inside = least > 0.5
                     for k in range(max(k0, start), k1):
                         for j in range(j0, j1):
@@ -332,9 +333,11 @@ def _correct(
                     y = origin[1] + j * spacing[1]
                     for i in range(i0, i1):
                         x = origin[0] + i * spacing[0]
-                        number = winding_at(spans, span_starts, span_poles, waiting, x, y, z)
+                        number = winding_at(spans, span_starts, span_poles, waiting, x, y, z, _QUICK)
                         if abs(number) >= _CLEAR:
-                            own = winding_at(triangles, starts, poles, waiting, x, y, z)
+                            own = winding_at(triangles, starts, poles, waiting, x, y, z, _QUICK)
+                            if abs(own - 0.5) < _CLOSE:
+                                own = winding_at(triangles, starts, poles, waiting, x, y, z, FAR)
                             mask[k - start, j, i] = own > 0.5
                             undecided += abs(own - 0.5) < UNDECIDED
                         elif abs(number) > UNDECIDED:

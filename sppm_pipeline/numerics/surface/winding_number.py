@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_pipeline.numerics.surface.box_tree import DEPTH, BoxTree
 
-__all__ = ["Dipoles", "dipoles", "winding_at", "winding_numbers"]
+__all__ = ["FAR", "Dipoles", "dipoles", "winding_at", "winding_numbers"]
 
-_FAR = 3.0  # a node is a dipole for points further off than this many of its radii
+FAR = 3.0
+"""A node is a dipole for points further off than this many of its radii; numbers are then right to 0.02."""
 
 
 class Dipoles(NamedTuple):
@@ -44,7 +45,7 @@ def dipoles(tree: BoxTree) -> Dipoles:
 
 def winding_numbers(tree: Dipoles, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The winding number of points (k, 3); 1 inside a closed mesh, 0 outside, and between them near a hole."""
-    return _numbers(tree.triangles, tree.starts, tree.poles, np.ascontiguousarray(points, np.float64))
+    return _numbers(tree.triangles, tree.starts, tree.poles, np.ascontiguousarray(points, np.float64), FAR)
 
 
 @kernel
@@ -110,8 +111,9 @@ def winding_at(
     x: float,
     y: float,
     z: float,
+    far_radii: float,
 ) -> float:
-    """The winding number of one point; `waiting` has room for `DEPTH` nodes."""
+    """The winding number of one point; `waiting` has room for `DEPTH` nodes, and `far_radii` is `FAR` or quicker."""
     leaves = starts.size - 1
     near, far = 0.0, 0.0
     waiting[0] = 0
@@ -122,7 +124,7 @@ def winding_at(
         pole = poles[node]
         dx, dy, dz = pole[0] - x, pole[1] - y, pole[2] - z
         square = dx * dx + dy * dy + dz * dz
-        reach = _FAR * pole[6]
+        reach = far_radii * pole[6]
         if square > reach * reach:
             far += (dx * pole[3] + dy * pole[4] + dz * pole[5]) / (square * np.sqrt(square))
         elif node < leaves - 1:
@@ -141,9 +143,10 @@ def _numbers(
     starts: NDArray[np.int64],
     poles: NDArray[np.float64],
     points: NDArray[np.float64],
+    far_radii: float,
 ) -> NDArray[np.float64]:
     numbers = np.empty(points.shape[0])
     waiting = np.empty(DEPTH, np.int64)
     for i in range(points.shape[0]):
-        numbers[i] = winding_at(triangles, starts, poles, waiting, points[i, 0], points[i, 1], points[i, 2])
+        numbers[i] = winding_at(triangles, starts, poles, waiting, points[i, 0], points[i, 1], points[i, 2], far_radii)
     return numbers

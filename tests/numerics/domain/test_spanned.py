@@ -163,9 +163,16 @@ def test_judgement():
     assert bowl.undecided_share > 0.25
 
 
-def test_distance_has_the_sign_of_the_voxels():
+@pytest.mark.parametrize("method", ["winding", "vote"])
+def test_distance_has_the_sign_of_the_voxels_and_knows_borders_without_triangles(method):
     vertices, faces = pierced(BALL, 2, 2, 0.3)
-    for method in ("winding", "vote"):
-        inside = inside_layers(prepare_inside(vertices, faces, GRID, method), 0, 39).mask
-        found = signed_distance(vertices, faces, GRID, 0.3, method)
-        assert np.array_equal(found < 0, inside.astype(bool))
+    inside = inside_layers(prepare_inside(vertices, faces, GRID, method), 0, 39).mask.astype(bool)
+    found = signed_distance(vertices, faces, GRID, 0.3, method)
+    assert np.array_equal(found < 0, inside)
+    whole = signed_distance(*BALL, GRID, 0.3)
+    # from one sample to the next the distance changes by not much more than the way, in the holes as well
+    for axis, h in zip((2, 1, 0), GRID.spacing, strict=True):
+        assert np.abs(np.diff(found, axis=axis)).max() < 2 * h
+        assert np.abs(np.diff(whole, axis=axis)).max() < 1.01 * h
+    assert np.abs(found).max() == pytest.approx(0.3)
+    assert np.abs(found - whole).max() < 0.25  # holes of a radius of 0.3 have nearly flat lids

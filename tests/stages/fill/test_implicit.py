@@ -54,7 +54,7 @@ def test_an_open_part_wound_at_random_is_filled_with_a_warning(wang_tiling, ball
     assert "scan.ply is not closed" in context.warnings[-1]
     solid = part.solid(GRID)
     assert np.mean(solid != whole.solid(GRID)) < 0.005
-    assert np.array_equal(part.sample(GRID) < 0, solid) or skin is not None
+    assert np.mean((part.sample(GRID) < 0) != solid) < (0.03 if skin else 1e-9)
 
 
 def test_a_hopeless_part_is_refused(wang_tiling):
