@@ -31,6 +31,7 @@ BUILT_IN = {
     "check.porosity": "CheckPorosity",
     "check.residual_periodicity": "CheckResidualPeriodicity",
     "homogenize.voxel": "HomogenizeVoxel",
+    "homogenize.conductivity": "HomogenizeConductivity",
     "slice.field": "SliceField",
     "write.png": "WritePng",
     "write.stl": "WriteStl",
