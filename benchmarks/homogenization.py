@@ -31,12 +31,12 @@ PASSES = 24
 
 
 def cell(n: int) -> NDArray[np.float32]:
-    """A cell like the paper's, porosity one half, binary, (nz, ny, nx)."""
+    """A cell with the paper's parameters, porosity one half, binary, (nz, ny, nx)."""
     recipe = recipe_of(
-        MirroredFaces(total=68, share=0.6),
-        DartThrowing(total=68),
+        MirroredFaces(edge=Length(2.0), total=66, share=0.5),
+        DartThrowing(total=66),
         BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
-        GaussianField(pore_radius=Length(0.11), tunnel_radius=Length(0.04)),
+        GaussianField(omega=30.0, mu=30.0, level=0.25),
     )
     values = recipe.run(PlainContext(7)).sample(cell_centres(n), 2)
     return (values < np.median(values)).astype(np.float32)
