@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.multigrid.rows import APPLY, HEAD, LANES, RESIDUAL, SMOOTH, STRIDE
+from sppm_pipeline.numerics.multigrid.rows import APPLY, BLOCK, HEAD, LANES, RESIDUAL, SMOOTH, STRIDE
 from sppm_pipeline.numerics.multigrid.transfer import interpolate_add, restrict
 from sppm_pipeline.numerics.multigrid.vectors import dense_product, dot, weighted
 
@@ -21,7 +21,7 @@ COARSEST = 2
 _SINGULAR = 1e-5
 """Eigenvalues of the coarsest matrix below this part of the largest are rounding."""
 
-_TWICE = 4
+_TWICE = 8
 """Coarse grids with longer axes than this are visited twice in a cycle."""
 
 _POWER_STEPS = 10
@@ -102,7 +102,8 @@ class Workspace:
         components = levels[0].components
         self.rows = np.zeros(scratch_rows * STRIDE, dtype)
         self.line = np.zeros(longest + 2, dtype)
-        self.plane = np.zeros(components * max(lv.shape[1] * lv.shape[2] for lv in levels), dtype)
+        # rows of the plane have the distance of rows of scratch, too
+        self.plane = np.zeros(components * max(lv.shape[1] * -(-lv.shape[2] // BLOCK) for lv in levels) * STRIDE, dtype)
         sizes = [components * int(np.prod(level.shape)) for level in levels]
         self.z = [np.zeros(size, dtype) for size in sizes]
         self.q = [np.zeros(size, dtype) for size in sizes]
