@@ -46,6 +46,7 @@ BUILT_IN = {
     "check.residual_periodicity": "CheckResidualPeriodicity",
     "check.volume_mesh": "CheckVolumeMesh",
     "homogenize.voxel": "HomogenizeVoxel",
+    "homogenize.conductivity": "HomogenizeConductivity",
     "slice.field": "SliceField",
     "slice.mesh": "SliceMesh",
     "write.png": "WritePng",

@@ -81,6 +81,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "mesh.isosurface_stuffing": (REPEATED, "resolution: 8", []),
     "mesh.boundary": (VOLUME, "", []),
     "homogenize.voxel": (REPEATED, "resolution: 6", []),
+    "homogenize.conductivity": (REPEATED, "resolution: 6", []),
     "homogenize.tet": (VOLUME, "", []),
     "homogenize.realisations": ([], "recipe: cell, samples: 2, resolution: 6", []),
     "check.mesh": ([BOX], "", []),

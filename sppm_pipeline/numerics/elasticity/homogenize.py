@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.elasticity.energy import ENERGY_ROWS, energies, energy_coefficients
 from sppm_pipeline.numerics.elasticity.levels import ElasticLevel, elastic_hierarchy
-from sppm_pipeline.numerics.multigrid.hierarchy import Hierarchy, Workspace
-from sppm_pipeline.numerics.multigrid.pcg import Solved, Stop, solve
+from sppm_pipeline.numerics.multigrid.hierarchy import Hierarchy
+from sppm_pipeline.numerics.multigrid.load_cases import load_cases
+from sppm_pipeline.numerics.multigrid.pcg import Solved, Stop
 from sppm_pipeline.numerics.multigrid.rows import STRIDE
-from sppm_pipeline.numerics.multigrid.vectors import dot
 
 __all__ = ["Homogenized", "isotropic_stiffness", "lame", "stiffness"]
 
@@ -25,9 +25,6 @@ _FLOOR = 1e-6
 
 _NOTHING = 1e-9
 """... and below which a direction is said to carry nothing."""
-
-_AGREEMENT = 1e-3
-"""Relative difference of energies that rounding may cause."""
 
 
 class Homogenized(NamedTuple):
@@ -115,60 +112,21 @@ def stiffness(
     mean = isotropic_stiffness(float(lam.mean(dtype=np.float64)), float(mu.mean(dtype=np.float64)))
     longest = max(edges)
     edges = (edges[0] / longest, edges[1] / longest, edges[2] / longest)
+
+    def hierarchy(precision: np.dtype[Any], safe: bool) -> Hierarchy:
+        return elastic_hierarchy(lam, mu, edges, precision, safe=safe)
+
     stop = Stop(residual, tolerance, iterations)
-    for attempt, safe in ((dtype, False), (dtype, True), (np.dtype(np.float64), True)):
-        fields = np.empty((6, 3 * lam.size), attempt)
-        hierarchy = elastic_hierarchy(lam, mu, edges, attempt, safe=safe)
-        solved = _load_cases(hierarchy, fields, mean, stop, threads)
-        if not all(case.definite for case in solved):
-            continue
-        level = hierarchy.levels[0]
-        assert isinstance(level, ElasticLevel)
-        matrix = _energies(level, fields, threads)
-        # energies as the iterations kept count of them: if rounding took over, they differ
-        counted = np.array([case.energy for case in solved]) / (float(np.prod(edges)) * lam.size)
-        slack = (_AGREEMENT + tolerance) * np.abs(counted) + 100 * np.finfo(attempt).eps * np.diag(mean)
-        if (np.abs(counted - np.diag(matrix)) <= slack).all():
-            break
-    else:
-        raise ArithmeticError("the iteration does not converge, not even in double precision")
+    matrix, solved, reached = load_cases(hierarchy, _energies, np.diag(mean), stop, _FLOOR, dtype, threads)
     void = np.diag(matrix) < _NOTHING * np.diag(mean)
     matrix[void] = 0
     matrix[:, void] = 0
-    return Homogenized(matrix * scale, solved, attempt.name)
+    return Homogenized(matrix * scale, solved, reached)
 
 
-def _load_cases(
-    hierarchy: Hierarchy, fields: NDArray[Any], mean: NDArray[np.float64], stop: Stop, threads: int
-) -> tuple[Solved, ...]:
+def _energies(hierarchy: Hierarchy, fields: NDArray[Any], threads: int) -> NDArray[np.float64]:
     level = hierarchy.levels[0]
     assert isinstance(level, ElasticLevel)
-    volume = float(np.prod(level.edges)) * level.weight.size
-    spare: list[tuple[Workspace, NDArray[Any], NDArray[Any]]] = []
-
-    def load_case(case: int) -> Solved:
-        work, b, p = spare.pop() if spare else (hierarchy.workspace(), *np.empty((2, fields.shape[1]), fields.dtype))
-        strain = np.zeros(6)
-        strain[case] = 1.0
-        level.forces(strain, b, work)
-        np.negative(b, out=b)
-        # the forces of a homogeneous body are rounding
-        largest = float(np.abs(level.c[:3]).max()) * float(level.lam.max() + 2 * level.mu.max())
-        noise = 8 * float(np.finfo(b.dtype).eps) * largest * np.sqrt(volume / level.weight.size)
-        if dot(b, b) <= noise**2 * len(b):
-            b[:] = 0
-        energy = volume * mean[case, case]
-        solved = solve(hierarchy, b, fields[case], p, work, stop, energy, _FLOOR * energy)
-        spare.append((work, b, p))
-        return solved
-
-    if threads == 1:
-        return tuple(load_case(case) for case in range(6))
-    with ThreadPoolExecutor(min(threads, 6)) as pool:
-        return tuple(pool.map(load_case, range(6)))
-
-
-def _energies(level: ElasticLevel, fields: NDArray[Any], threads: int) -> NDArray[np.float64]:
     nz, ny, nx = level.shape
     root = np.sqrt(np.prod(level.edges))
     c = energy_coefficients(level.edges).astype(fields.dtype)

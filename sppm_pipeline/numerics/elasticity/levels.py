@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.elasticity.sweep import SCRATCH_ROWS, sweep
-from sppm_pipeline.numerics.multigrid.hierarchy import Hierarchy, Workspace, coarser
-from sppm_pipeline.numerics.multigrid.rows import APPLY, HEAD, LANES
+from sppm_pipeline.numerics.multigrid.hierarchy import Hierarchy, Workspace, coarser, node_sums, padded
+from sppm_pipeline.numerics.multigrid.rows import APPLY
 from sppm_pipeline.numerics.multigrid.transfer import coarsened, coarser_widths, shortness
 
 __all__ = ["ElasticLevel", "coefficients", "elastic_hierarchy", "safe_eigenvalue"]
@@ -33,22 +33,6 @@ def coefficients(edges: tuple[float, float, float], strain: NDArray[np.float64] 
     linear = [(2 * q[a] + q[b]) / 3 for a, b in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))]
     constant = np.zeros(6) if strain is None else np.sqrt(volume) * strain
     return np.concatenate([g, linear, q / 9, (q + q.sum()) / 9, g / 3, constant])
-
-
-def padded(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
-    """Rows with room for whole vectors, the last voxel standing before the first, too; flat."""
-    nz, ny, nx = values.shape
-    rows = np.zeros((nz, ny, HEAD + -(-(nx + 1) // LANES) * LANES), dtype)
-    rows[:, :, HEAD : HEAD + nx] = values
-    rows[:, :, HEAD - 1] = values[:, :, -1]
-    return rows.reshape(-1)
-
-
-def node_sums(values: NDArray[Any]) -> NDArray[Any]:
-    """Sum over the eight voxels around each node of a periodic grid."""
-    for axis in range(3):
-        values = values + np.roll(values, 1, axis)
-    return values
 
 
 class ElasticLevel:
@@ -85,6 +69,11 @@ class ElasticLevel:
         c = coefficients(self.edges, strain).astype(self.c.dtype)
         zero = np.zeros_like(out)
         sweep(APPLY, zero, zero, self.weight, self.lam, self.mu, c, self.size, out, work.plane, work.rows)
+
+    def rounding(self) -> float:
+        """What forces of a homogeneous body may come to."""
+        largest = float(np.abs(self.c[:3]).max()) * float(self.lam.max() + 2 * self.mu.max())
+        return 8 * float(np.finfo(self.c.dtype).eps) * largest * float(np.sqrt(np.prod(self.edges)))
 
 
 def safe_eigenvalue(lam: NDArray[Any], mu: NDArray[Any], edges: tuple[float, float, float]) -> float:

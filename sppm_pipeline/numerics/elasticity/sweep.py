@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import inline_kernel, kernel
-from sppm_pipeline.numerics.multigrid.rows import BLOCK, HEAD, LANES, STRIDE, finish_row, gather_row, scatter_row
+from sppm_pipeline.numerics.elasticity.rows import finish_rows, gather_rows, scatter_rows
+from sppm_pipeline.numerics.multigrid.rows import BLOCK, HEAD, LANES, STRIDE
 
 __all__ = ["SCRATCH_ROWS", "sweep"]
 
@@ -30,13 +31,11 @@ SCRATCH_ROWS = 45
 _LANES = np.uint64(LANES)
 _1 = np.uint64(1)
 _R = tuple(np.uint64(STRIDE * row) for row in range(SCRATCH_ROWS))
-_3 = np.uint64(3)
 _ZERO = np.uint64(0)
 _HEAD = np.uint64(HEAD)
 _BLOCK = np.uint64(BLOCK)
 _LINE = np.uint64(30 * STRIDE)
 _FORCE = np.uint64(42 * STRIDE)
-_12 = np.uint64(12)
 
 
 @inline_kernel
@@ -200,7 +199,7 @@ def sweep(
         Coefficients from `coefficients`.
     out : (3, nz, ny, nx)
         Must not be `v`.
-    plane : (3, ny, nx)
+    plane : (blocks, ny, 3, STRIDE)
         Scratch.
     s : (SCRATCH_ROWS * STRIDE,)
         Scratch. All arrays have the same precision; sums are in double precision.
@@ -208,6 +207,7 @@ def sweep(
     n, lines, planes = np.uint64(shape[0]), np.uint64(shape[1]), np.uint64(shape[2])
     padded = np.uint64(len(lam)) // (lines * planes)
     blocks = (n + _BLOCK - _1) // _BLOCK
+    comp = planes * lines * n
     total = 0.0
     for t in range(planes + _1):
         low, high = (t + planes - _1) % planes, t % planes
@@ -217,9 +217,7 @@ def sweep(
             for line in range(lines + _1 + _1):
                 # the last line, to begin with; the bricks between it and the first one; then all others
                 y = (line + lines - _1) % lines
-                for i in range(_3):
-                    a, b = ((i * planes + low) * lines + y) * n, ((i * planes + high) * lines + y) * n
-                    gather_row(v, a, b, n, start, width, s, (i + i) * _R[1])
+                gather_rows(v, (low * lines + y) * n, (high * lines + y) * n, comp, n, start, width, s)
                 if line == _ZERO:
                     _first_line(s, width)
                     continue
@@ -228,15 +226,14 @@ def sweep(
                 if blocks == _1:
                     # the last brick of the row lies before the first one, too
                     _brick_row(s, lam, mu, bricks, c, _HEAD, width)
-                    for i in range(_LINE, _LINE + _12 * _R[1], _R[1]):
+                    for i in range(_LINE, _FORCE, _R[1]):
                         s[i + _HEAD - _1] = s[i + _HEAD + width - _1]
                 else:
                     _brick_row(s, lam, mu, bricks, c, _HEAD - _1, width + _1)
                 if line == _1:
                     continue
-                for i in range(_3):
-                    scatter_row(s, _LINE + i * _R[4], _FORCE, plane, (i * lines + row) * n + start, width)
-                    if t > _ZERO:
-                        at = (low * lines + row) * n + start
-                        total += finish_row(mode, v, r, i * planes * lines * n + at, weight, at, s, _FORCE, out, width)
+                scatter_rows(s, plane, (block * lines + row) * _R[3], width)
+                if t > _ZERO:
+                    at = (low * lines + row) * n + start
+                    total += finish_rows(mode, v, r, at, comp, weight, at, s, out, width)
     return total

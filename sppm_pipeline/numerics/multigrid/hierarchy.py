@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.multigrid.rows import APPLY, RESIDUAL, SMOOTH, STRIDE
+from sppm_pipeline.numerics.multigrid.rows import APPLY, BLOCK, HEAD, LANES, RESIDUAL, SMOOTH, STRIDE
 from sppm_pipeline.numerics.multigrid.transfer import interpolate_add, restrict
 from sppm_pipeline.numerics.multigrid.vectors import dense_product, dot, weighted
 
-__all__ = ["Hierarchy", "Level", "Workspace", "coarser"]
+__all__ = ["Hierarchy", "Level", "Workspace", "coarser", "node_sums", "padded"]
 
 COARSEST = 2
 """Axes of the coarsest grid have at most so many voxels: its matrix is so small that no library shares it out."""
@@ -21,7 +21,7 @@ COARSEST = 2
 _SINGULAR = 1e-5
 """Eigenvalues of the coarsest matrix below this part of the largest are rounding."""
 
-_TWICE = 4
+_TWICE = 8
 """Coarse grids with longer axes than this are visited twice in a cycle."""
 
 _POWER_STEPS = 10
@@ -33,6 +33,8 @@ class Level(Protocol):
     Attributes
     ----------
     shape : (nz, ny, nx)
+    edges : (hx, hy, hz)
+        Of a voxel.
     components : int
         Unknowns of a node.
     diagonal : (nz * ny * nx,) float64 or float32
@@ -42,12 +44,21 @@ class Level(Protocol):
     """
 
     shape: tuple[int, int, int]
+    edges: tuple[float, float, float]
     components: int
     diagonal: NDArray[Any]
     weight: NDArray[Any]
 
     def sweep(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
         """A pass over the grid, see `rows.APPLY` and its neighbours; vectors are flat."""
+        ...
+
+    def forces(self, load: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:
+        """What a constant load, a mean strain or gradient, does to the nodes, written to `out`."""
+        ...
+
+    def rounding(self) -> float:
+        """What rounding may make of forces that should be zero, for each node."""
         ...
 
 
@@ -57,6 +68,22 @@ def coarser(shape: tuple[int, int, int]) -> tuple[int, int, int] | None:
         return None
     z, y, x = (-(-n // 2) for n in shape)
     return z, y, x
+
+
+def padded(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """Rows with room for whole vectors, the last voxel standing before the first, too; flat."""
+    nz, ny, nx = values.shape
+    rows = np.zeros((nz, ny, HEAD + -(-(nx + 1) // LANES) * LANES), dtype)
+    rows[:, :, HEAD : HEAD + nx] = values
+    rows[:, :, HEAD - 1] = values[:, :, -1]
+    return rows.reshape(-1)
+
+
+def node_sums(values: NDArray[Any]) -> NDArray[Any]:
+    """Sum over the eight voxels around each node of a periodic grid."""
+    for axis in range(3):
+        values = values + np.roll(values, 1, axis)
+    return values
 
 
 class Workspace:
@@ -75,7 +102,8 @@ class Workspace:
         components = levels[0].components
         self.rows = np.zeros(scratch_rows * STRIDE, dtype)
         self.line = np.zeros(longest + 2, dtype)
-        self.plane = np.zeros(components * max(lv.shape[1] * lv.shape[2] for lv in levels), dtype)
+        # rows of the plane have the distance of rows of scratch, too
+        self.plane = np.zeros(components * max(lv.shape[1] * -(-lv.shape[2] // BLOCK) for lv in levels) * STRIDE, dtype)
         sizes = [components * int(np.prod(level.shape)) for level in levels]
         self.z = [np.zeros(size, dtype) for size in sizes]
         self.q = [np.zeros(size, dtype) for size in sizes]

@@ -1,0 +1,119 @@
+"""Effective stiffness and conductivity of a cell, against what else can be installed, and against memory bandwidth.
+
+Usage: python -m benchmarks.homogenization [sizes...]   (`pip install muGrid pyamg` for the rivals)
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import resource
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.measure import table
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.numerics.conduction.homogenize import conductivity
+from sppm_pipeline.numerics.elasticity.homogenize import Homogenized, lame, stiffness
+from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.stages.field.gaussian import GaussianField
+from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+PASSES = 24
+"""Numbers of single precision per node and component and iteration that have to be moved if nothing is kept."""
+
+
+def cell(n: int) -> NDArray[np.float32]:
+    """A cell with the paper's parameters, porosity one half, binary, (nz, ny, nx)."""
+    recipe = recipe_of(
+        MirroredFaces(edge=Length(2.0), total=66, share=0.5),
+        DartThrowing(total=66),
+        BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
+        GaussianField(omega=30.0, mu=30.0, level=0.25),
+    )
+    values = recipe.run(PlainContext(7)).sample(cell_centres(n), 2)
+    return (values < np.median(values)).astype(np.float32)
+
+
+def bandwidth() -> float:
+    """Bytes a second of one core, reading two vectors and writing a third."""
+    a, b, c = (np.ones(1 << 25, np.float32) for _ in range(3))
+    _, best, _ = _best(lambda: np.add(a, b, out=c), 7)
+    return 3 * a.nbytes / best
+
+
+def _best(call: Callable[[], Any], repeats: int) -> tuple[float, float, Any]:
+    """Shortest wall and CPU seconds, and the result."""
+    wall = cpu = float("inf")
+    result = None
+    for _ in range(repeats):
+        started, used = time.perf_counter(), time.process_time()
+        result = call()
+        wall, cpu = min(wall, time.perf_counter() - started), min(cpu, time.process_time() - used)
+    return wall, cpu, result
+
+
+def measured(n: int, speed: float) -> list[list[Any]]:
+    """Rows of the table for one size."""
+    solid = cell(n)
+    lam, mu = lame(solid, np.float32(0.3))
+    repeats = 3 if n <= 64 else 1
+    exact = np.diag(stiffness(lam, mu, tolerance=0.0, residual=1e-7, threads=2).stiffness)
+    rows: list[list[Any]] = []
+
+    def add(what: str, call: Callable[[], Any], runs: int, number: int = 4) -> None:
+        wall, cpu, result = _best(call, runs)
+        per = limit = its = ""
+        if isinstance(result, Homogenized):
+            its = sum(case.iterations for case in result.solved)
+            per, limit = cpu / (its * n**3) * 1e9, PASSES * 3 * number / speed * 1e9
+            result = np.diag(result.stiffness)
+        error = np.abs(result / exact - 1).max() if isinstance(result, np.ndarray) else ""
+        rows.append([f"{n}^3 {what}", wall, cpu, its, error, per, limit])
+
+    stop: dict[str, Any] = {"tolerance": 0.0, "residual": 1e-6}
+    for threads in (1, 2):
+        add(f"stop at 1e-4 of C, {threads} threads", lambda: stiffness(lam, mu, threads=threads), repeats)  # noqa: B023
+        add(f"residual 1e-6, {threads} threads", lambda: stiffness(lam, mu, threads=threads, **stop), repeats)  # noqa: B023
+    add("residual 1e-6, double", lambda: stiffness(lam, mu, precision=np.float64, **stop), repeats, 8)
+    add("conductivity, stop at 1e-4", lambda: conductivity(solid), repeats)
+    if importlib.util.find_spec("muGrid"):
+        from benchmarks.rivals.mugrid_homogenization import mugrid_stiffness
+
+        # its single precision gives up above this residual
+        a, b = (np.asfortranarray(values.T, np.float64) for values in (lam, mu))
+        add("muGrid, residual 1e-6, double", lambda: mugrid_stiffness(a, b, 1e-6, np.float64), 1)
+    if n <= 32 and importlib.util.find_spec("pyamg"):
+        from benchmarks.rivals.assembled_amg import assembled_stiffness
+
+        add("assembled, pyamg, residual 1e-6", lambda: assembled_stiffness(lam, mu, 1e-6), 1)
+    return rows
+
+
+def main() -> None:
+    sizes = [int(word) for word in sys.argv[1:]] or [32, 64]
+    speed = bandwidth()
+    print(f"memory: {speed / 1e9:.1f} GB/s for one thread (a + b -> c)")
+    for missing in ("muGrid", "pyamg"):
+        if not importlib.util.find_spec(missing):
+            print(f"{missing} is not installed: one rival less")
+    small = lame(cell(8), np.float32(0.3))
+    stiffness(*small)
+    stiffness(*small, precision=np.float64)
+    table(
+        "six load cases (three for conductivity)",
+        ["what", "wall s", "CPU s", "iterations", "error", "CPU ns/voxel/it", "bandwidth limit"],
+        [row for n in sizes for row in measured(n, speed)],
+    )
+    print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

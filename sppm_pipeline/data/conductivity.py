@@ -1,0 +1,93 @@
+"""The effective conductivity of a cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.noun import Noun, frozen
+
+__all__ = ["ConductivityReport"]
+
+
+@dataclass(frozen=True, eq=False)
+class ConductivityReport(Noun):
+    """Effective conductivity, or diffusivity, of a periodic cell, and how it was computed.
+
+    Attributes
+    ----------
+    k : (3, 3) float64
+        Mean flow over mean gradient, the unit of `bulk`.
+    of : str
+        The conducting phase, "solid" or "void"; the other one insulates.
+    bulk : tuple of float
+        Conductivity of the phase, or of each phase of the solid.
+    porosity : float
+        Share of void.
+    tortuosity : tuple of 3 floats or None
+        Share times bulk over effective conductivity along x, y, z; None where nothing flows. With several conductors
+        the sum of shares times bulk.
+    grid : (nx, ny, nz)
+    fractions : bool
+        Whether voxels at the surface count by the share of them that conducts.
+    precision : str
+    iterations : tuple of 3 int
+    residuals, errors : tuple of 3 float
+        As in `StiffnessReport`.
+    converged : bool
+    wraps : (3,) bool
+        Whether the conductor runs through along x, y, z, across faces of voxels.
+    warnings : tuple of str
+    """
+
+    k: NDArray[np.float64]
+    of: str
+    bulk: tuple[float, ...]
+    porosity: float
+    tortuosity: tuple[float | None, ...]
+    grid: tuple[int, int, int]
+    fractions: bool
+    precision: str
+    iterations: tuple[int, ...]
+    residuals: tuple[float, ...]
+    errors: tuple[float, ...]
+    converged: bool
+    wraps: tuple[bool, bool, bool]
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "k", frozen(np.asarray(self.k, np.float64)))
+
+    def check(self) -> None:
+        """A finite, symmetric matrix that is not negative, and a porosity between 0 and 1."""
+        if self.k.shape != (3, 3) or not np.isfinite(self.k).all():
+            raise ValueError(f"the conductivity must be a finite 3 x 3 matrix, got shape {self.k.shape}")
+        largest = float(np.abs(self.k).max())
+        if np.abs(self.k - self.k.T).max() > 1e-6 * largest:
+            raise ValueError("the conductivity is not symmetric")
+        if np.linalg.eigvalsh(self.k)[0] < -1e-4 * largest:
+            raise ValueError("the conductivity has a negative eigenvalue")
+        if not 0 <= self.porosity <= 1:
+            raise ValueError(f"the porosity must lie between 0 and 1, got {self.porosity}")
+
+    def summary(self) -> dict[str, Any]:
+        """The tensor, tortuosity, porosity, and how the solver did."""
+        return {
+            "k": [[float(value) for value in row] for row in self.k],
+            "tortuosity": list(self.tortuosity),
+            "of": self.of,
+            "bulk": list(self.bulk),
+            "porosity": self.porosity,
+            "grid": list(self.grid),
+            "fractions": self.fractions,
+            "precision": self.precision,
+            "iterations": list(self.iterations),
+            "residuals": list(self.residuals),
+            "errors": list(self.errors),
+            "converged": self.converged,
+            "wraps": list(self.wraps),
+            "warnings": list(self.warnings),
+        }

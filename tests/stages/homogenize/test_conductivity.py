@@ -1,0 +1,90 @@
+"""``homogenize.conductivity``: solid and void, tortuosity, refusals."""
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.conductivity import ConductivityReport
+from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.stages.homogenize.conductivity import HomogenizeConductivity
+from sppm_pipeline.testing.contracts import StageContract
+from sppm_pipeline.testing.plain_context import PlainContext
+
+
+def voxels(values, periodic=(True, True, True)):
+    return Voxels(np.asarray(values), (1.0, 1.0, 1.0), False, periodic)
+
+
+def bar():
+    """Along x."""
+    values = np.zeros((6, 5, 4), np.uint8)
+    values[:, 1:3, 1:4] = 1
+    return values
+
+
+def conducted(source, context=None, **options):
+    report = HomogenizeConductivity(**options).run(context or PlainContext(), source)
+    report.check()
+    return report
+
+
+class TestContract(StageContract):
+    def stages(self):
+        return [HomogenizeConductivity(resolution=8), HomogenizeConductivity(resolution=8, of="void")]
+
+    def inputs(self):
+        return {"source": voxels(bar())}
+
+
+def test_a_bar_conducts_along_its_axis():
+    context = PlainContext()
+    report = conducted(voxels(bar()), context, bulk=200.0)
+    assert report.k == pytest.approx(np.diag([200 * 6 / 20, 0, 0]), rel=1e-5)
+    assert report.tortuosity == (pytest.approx(1, rel=1e-5), None, None)
+    assert report.wraps == (True, False, False)
+    assert any("nothing flows along y, z" in warning for warning in context.warnings)
+
+
+def test_the_void_around_it():
+    report = conducted(voxels(bar()), of="void")
+    assert report.k[0, 0] == pytest.approx(14 / 20, rel=1e-5)
+    assert report.tortuosity[0] == pytest.approx(1, rel=1e-5)
+    assert report.tortuosity[1] > 1
+    assert report.porosity == pytest.approx(14 / 20)
+
+
+def test_phases_of_the_solid():
+    values = np.ones((4, 3, 3), np.uint8)
+    values[2:] = 2
+    report = conducted(voxels(values), bulk=(1.0, 3.0), residual=1e-6)
+    assert report.k == pytest.approx(np.diag([1.5, 2.0, 2.0]), rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.parametrize("of", ["solid", "void"])
+def test_a_cell_of_the_paper(cell, of):
+    report = conducted(cell, resolution=24, of=of)
+    assert report.fractions
+    share = report.porosity if of == "void" else 1 - report.porosity
+    # the upper bound of Hashin and Shtrikman for a conductor in an insulator, on average over the axes
+    assert 0 < np.trace(report.k) / 3 < 2 * share / (3 - share)
+    assert all(value > 1 for value in report.tortuosity)
+
+
+def test_refusals(cell, wang_tiling):
+    with pytest.raises(DesignError, match="periodic"):
+        conducted(voxels(bar(), periodic=(True, False, True)))
+    with pytest.raises(DesignError, match="periodic"):
+        conducted(wang_tiling)
+    with pytest.raises(DesignError, match="phases up to 3"):
+        conducted(voxels(3 * bar()))
+    with pytest.raises(DesignError, match="for 2 phases"):
+        conducted(cell, resolution=8, bulk=(1.0, 2.0))
+    with pytest.raises(ConfigError, match="2 conductivities for the void"):
+        HomogenizeConductivity(of="void", bulk=(1.0, 2.0)).check_options()
+
+
+def test_a_broken_report_is_noticed():
+    good = conducted(voxels(bar()))
+    for matrix in (np.full((3, 3), np.nan), np.zeros((2, 2)), -np.eye(3), np.eye(3) + np.eye(3, k=1)):
+        with pytest.raises(ValueError, match="conductivity"):
+            ConductivityReport(**{**vars(good), "k": matrix}).check()
