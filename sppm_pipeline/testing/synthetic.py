@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import signal
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -295,6 +296,9 @@ class Failing(Stage):
             case "interrupt":
                 context.output("half.txt").write_text("half", encoding="utf-8")
                 signal.raise_signal(signal.SIGINT)
+                for _ in range(1000):  # a run in a thread of its own hears of it when it next tells something
+                    context.progress(0, 1, "waiting to be interrupted")
+                    time.sleep(0.01)
         return Number(0.0)
 
 

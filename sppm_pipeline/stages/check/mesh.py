@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.numerics.surface.survey import Survey, survey
 from sppm_pipeline.stage import Context, Rejected, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.surface.survey import Survey
 
 LISTED = 20
 """Components and holes that are listed one by one, the largest first."""
@@ -56,6 +58,8 @@ class CheckMesh(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Measure everything, then say what is wrong."""
+        from sppm_pipeline.numerics.surface.survey import survey
+
         if not len(mesh.faces):
             raise InputError(f"{mesh.name} has no triangles")
         found = survey(mesh.vertices, mesh.faces)
