@@ -10,10 +10,16 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_structures.graphs import StrutGraph, images
 
-__all__ = ["StrutTable", "evaluate_struts", "strut_table"]
+__all__ = ["REACH", "StrutTable", "evaluate_struts", "strut_table", "table_of_struts"]
 
 BUCKETS = 16
 """Buckets of the cell along each axis; a sample looks only at the struts listed for its bucket."""
+
+BLOCK = 4
+"""Buckets along each axis that are listed together."""
+
+RUN = 32
+"""Most samples of a row that are done together."""
 
 REACH = 4.0
 """Struts further away than the nearest by this many blend lengths have no part in the blend."""
@@ -38,14 +44,23 @@ class StrutTable(NamedTuple):
 
 
 def strut_table(graph: StrutGraph, radius: float, blend: float) -> StrutTable:
-    """Sort struts of some mean radius into buckets, for a blend length; all in cell edges.
+    """Sort struts of some mean radius, and those of the neighbouring cells, into buckets, for a blend length.
 
-    A list holds every strut that can matter to any point of its bucket, so that the value at a point does not depend on
-    the grid that it belongs to.
+    All in cell edges.
     """
     # no point of the cell is further than this from the nearest strut
     spread = images(graph, 1.0)
     struts = np.column_stack([spread.starts, spread.ends, radius * spread.start_radii, radius * spread.end_radii])
+    return table_of_struts(struts, blend)
+
+
+def table_of_struts(struts: NDArray[np.float64], blend: float) -> StrutTable:
+    """Sort struts into buckets: (m, 8) as in `StrutTable`, those of the neighbouring cells included.
+
+    A list holds every strut that can matter to any point of its bucket, so that the value at a point does not depend on
+    the grid that it belongs to.
+    """
+    struts = np.ascontiguousarray(struts, np.float64)
     count = np.zeros(BUCKETS**3 + 1, np.int64)
     listed = np.empty(0, np.int32)
     _list(struts, blend * REACH, count, listed, False)
@@ -74,44 +89,63 @@ def evaluate_struts(
 
 
 @kernel
-def _distance(strut: NDArray[np.float64], x: float, y: float, z: float) -> float:
+def _distance(struts: NDArray[np.float64], s: int, x: float, y: float, z: float) -> float:
     """From the surface of a round cone, measured across its axis."""
-    dx, dy, dz = strut[3] - strut[0], strut[4] - strut[1], strut[5] - strut[2]
-    px, py, pz = x - strut[0], y - strut[1], z - strut[2]
+    dx, dy, dz = struts[s, 3] - struts[s, 0], struts[s, 4] - struts[s, 1], struts[s, 5] - struts[s, 2]
+    px, py, pz = x - struts[s, 0], y - struts[s, 1], z - struts[s, 2]
     along = (px * dx + py * dy + pz * dz) / (dx * dx + dy * dy + dz * dz)
     along = min(1.0, max(0.0, along))
     px, py, pz = px - along * dx, py - along * dy, pz - along * dz
-    return np.sqrt(px * px + py * py + pz * pz) - (strut[6] + along * (strut[7] - strut[6]))
+    return np.sqrt(px * px + py * py + pz * pz) - (struts[s, 6] + along * (struts[s, 7] - struts[s, 6]))
 
 
 @kernel
 def _list(
     struts: NDArray[np.float64], margin: float, first: NDArray[np.int64], listed: NDArray[np.int32], fill: bool
 ) -> None:
-    """Count the struts of each bucket (into the place after it), or write them down."""
-    half = 0.5 / BUCKETS
+    """Count the struts of each bucket (into the place after it), or write them down.
+
+    Blocks of `BLOCK`^3 buckets are given a list first, from which those of their buckets are taken.
+    """
     distances = np.empty(len(struts))
+    near = np.empty(len(struts), np.int64)
     # how fast a distance can change: a cone's also by its radius
     steep = 1.0
-    for strut in struts:
-        length = np.sqrt((strut[3] - strut[0]) ** 2 + (strut[4] - strut[1]) ** 2 + (strut[5] - strut[2]) ** 2)
-        steep = max(steep, 1.0 + abs(strut[7] - strut[6]) / length)
-    reach = 2 * steep * half * np.sqrt(3.0) + margin + 1e-12
-    for bucket in range(BUCKETS**3):
-        x = (bucket % BUCKETS) / BUCKETS + half
-        y = (bucket // BUCKETS % BUCKETS) / BUCKETS + half
-        z = (bucket // BUCKETS**2) / BUCKETS + half
+    for s in range(len(struts)):
+        squared = 0.0
+        for c in range(3):
+            squared += (struts[s, 3 + c] - struts[s, c]) ** 2
+        steep = max(steep, 1.0 + abs(struts[s, 7] - struts[s, 6]) / np.sqrt(squared))
+    reach = steep * np.sqrt(3.0) / BUCKETS + margin + 1e-12
+    blocks = BUCKETS // BLOCK
+    for block in range(blocks**3):
+        bx, by, bz = block % blocks * BLOCK, block // blocks % blocks * BLOCK, block // blocks**2 * BLOCK
+        half = 0.5 * BLOCK
+        x, y, z = (bx + half) / BUCKETS, (by + half) / BUCKETS, (bz + half) / BUCKETS
         nearest = np.inf
         for s in range(len(struts)):
-            distances[s] = _distance(struts[s], x, y, z)
+            distances[s] = _distance(struts, s, x, y, z)
             nearest = min(nearest, distances[s])
+        count = 0
         for s in range(len(struts)):
-            if distances[s] <= nearest + reach:
-                if fill:
-                    listed[first[bucket]] = s
-                    first[bucket] += 1
-                else:
-                    first[bucket + 1] += 1
+            if distances[s] <= nearest + steep * np.sqrt(3.0) * BLOCK / BUCKETS + margin + 1e-12:
+                near[count] = s
+                count += 1
+        for inner in range(BLOCK**3):
+            i, j, k = bx + inner % BLOCK, by + inner // BLOCK % BLOCK, bz + inner // BLOCK**2
+            bucket = (k * BUCKETS + j) * BUCKETS + i
+            nearest = np.inf
+            for at in range(count):
+                s = near[at]
+                distances[s] = _distance(struts, s, (i + 0.5) / BUCKETS, (j + 0.5) / BUCKETS, (k + 0.5) / BUCKETS)
+                nearest = min(nearest, distances[s])
+            for at in range(count):
+                if distances[near[at]] <= nearest + reach:
+                    if fill:
+                        listed[first[bucket]] = near[at]
+                        first[bucket] += 1
+                    else:
+                        first[bucket + 1] += 1
 
 
 @kernel
@@ -129,25 +163,84 @@ def _evaluate(
 
     The weight w(t) = (1 - t / 4)^4, 0 from t = 4 on, stands for exp(-t), with which this would be the usual smooth
     minimum; it keeps struts that are far apart from touching each other's value, and costs no power.
+
+    The samples of a row that share a bucket are done together, strut by strut.
     """
-    distances = np.empty(len(listed))
+    longest = 0
+    for bucket in range(BUCKETS**3):
+        longest = max(longest, first[bucket + 1] - first[bucket])
+    distances = np.empty((longest, RUN))
+    nearest, total = np.empty(RUN), np.empty(RUN)
+    fade = 1.0 / (REACH * blend) if blend > 0.0 else 0.0
     for k in range(len(z)):
         bz = int(z[k] * BUCKETS)
         for j in range(len(y)):
             by = int(y[j] * BUCKETS)
-            for i in range(len(x)):
-                bucket = (bz * BUCKETS + by) * BUCKETS + int(x[i] * BUCKETS)
+            i = 0
+            while i < len(x):
+                bx = int(x[i] * BUCKETS)
+                end = i + 1
+                while end < len(x) and end < i + RUN and int(x[end] * BUCKETS) == bx:
+                    end += 1
+                bucket = (bz * BUCKETS + by) * BUCKETS + bx
                 start, count = first[bucket], first[bucket + 1] - first[bucket]
-                nearest = np.inf
+                for n in range(end - i):
+                    nearest[n] = np.inf
+                    total[n] = 0.0
                 for at in range(count):
-                    distances[at] = _distance(struts[listed[start + at]], x[i], y[j], z[k])
-                    nearest = min(nearest, distances[at])
+                    _distances(struts, listed[start + at], x, i, end, y[j], z[k], distances, at, nearest)
                 if blend > 0.0:
-                    total = 0.0
                     for at in range(count):
-                        share = 1.0 - (distances[at] - nearest) / (REACH * blend)
-                        if share > 0.0:
-                            total += share * share * share * share
-                    if total > 1.0:
-                        nearest -= blend * np.log(total)
-                values[k, j, i] = np.float32(nearest)
+                        _add_shares(distances, at, end - i, nearest, fade, total)
+                for n in range(end - i):
+                    value = nearest[n]
+                    if total[n] > 1.0:
+                        value -= blend * np.log(total[n])
+                    values[k, j, i + n] = np.float32(value)
+                i = end
+
+
+@kernel
+def _distances(
+    struts: NDArray[np.float64],
+    s: int,
+    x: NDArray[np.float64],
+    begin: int,
+    end: int,
+    y: float,
+    z: float,
+    distances: NDArray[np.float64],
+    at: int,
+    nearest: NDArray[np.float64],
+) -> None:
+    """As `_distance`, for some samples of a row; `nearest` is lowered to what is less."""
+    sx, r, dr = struts[s, 0], struts[s, 6], struts[s, 7] - struts[s, 6]
+    dx, dy, dz = struts[s, 3] - sx, struts[s, 4] - struts[s, 1], struts[s, 5] - struts[s, 2]
+    py, pz = y - struts[s, 1], z - struts[s, 2]
+    inverse = 1.0 / (dx * dx + dy * dy + dz * dz)
+    across = py * dy + pz * dz
+    for n in range(end - begin):
+        px = x[begin + n] - sx
+        along = (px * dx + across) * inverse
+        along = along if along > 0.0 else 0.0
+        along = along if along < 1.0 else 1.0
+        qx, qy, qz = px - along * dx, py - along * dy, pz - along * dz
+        distance = np.sqrt(qx * qx + qy * qy + qz * qz) - (r + along * dr)
+        distances[at, n] = distance
+        nearest[n] = distance if distance < nearest[n] else nearest[n]
+
+
+@kernel
+def _add_shares(
+    distances: NDArray[np.float64],
+    at: int,
+    count: int,
+    nearest: NDArray[np.float64],
+    fade: float,
+    total: NDArray[np.float64],
+) -> None:
+    for n in range(count):
+        share = 1.0 - (distances[at, n] - nearest[n]) * fade
+        share = share if share > 0.0 else 0.0
+        share *= share
+        total[n] += share * share
