@@ -152,6 +152,8 @@ def region_of(
     ConfigError
         If neither a part nor a number of cells is given, or the size of a cell is missing.
     """
-    lattice = lattice_for(None, cells, cover, edge)
+    if cells is not None:
+        return cells, (0.0, 0.0, 0.0)
+    lattice = lattice_for(None, None, cover, edge)
     nx, ny, nz = lattice.mask.shape
     return (nx, ny, nz), lattice.origin

@@ -10,13 +10,21 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_structures.graphs import StrutGraph, images
 
-__all__ = ["REACH", "StrutTable", "evaluate_struts", "strut_table", "table_of_struts"]
+__all__ = [
+    "BUCKETS",
+    "LEVELS",
+    "REACH",
+    "StrutTable",
+    "evaluate_struts",
+    "longer",
+    "place_of",
+    "strut_table",
+    "table_of_struts",
+]
 
-BUCKETS = 16
+LEVELS = 4
+BUCKETS = 1 << LEVELS
 """Buckets of the cell along each axis; a sample looks only at the struts listed for its bucket."""
-
-BLOCK = 4
-"""Buckets along each axis that are listed together."""
 
 RUN = 32
 """Most samples of a row that are done together."""
@@ -32,14 +40,15 @@ class StrutTable(NamedTuple):
     ----------
     struts : (m, 8) float64
         Start, end, radius at the start, radius at the end, cell edges.
-    first : (BUCKETS^3 + 1,) int64
-        Where the list of each bucket begins.
+    begin, end : (BUCKETS^3,) int64
+        Where the list of each bucket begins and ends.
     listed : (n,) int32
         Struts of the lists.
     """
 
     struts: NDArray[np.float64]
-    first: NDArray[np.int64]
+    begin: NDArray[np.int64]
+    end: NDArray[np.int64]
     listed: NDArray[np.int32]
 
 
@@ -61,13 +70,7 @@ def table_of_struts(struts: NDArray[np.float64], blend: float) -> StrutTable:
     the grid that it belongs to.
     """
     struts = np.ascontiguousarray(struts, np.float64)
-    count = np.zeros(BUCKETS**3 + 1, np.int64)
-    listed = np.empty(0, np.int32)
-    _list(struts, blend * REACH, count, listed, False)
-    first = np.cumsum(count)
-    listed = np.empty(first[-1], np.int32)
-    _list(struts, blend * REACH, first.copy(), listed, True)
-    return StrutTable(struts, first, listed)
+    return StrutTable(struts, *_list(struts, np.float64(blend * REACH)))
 
 
 def evaluate_struts(
@@ -84,7 +87,7 @@ def evaluate_struts(
         Positions in the cell, 0 <= x < 1.
     """
     values = np.empty((len(z), len(y), len(x)), np.float32)
-    _evaluate(table.struts, table.first, table.listed, np.float64(blend), x, y, z, values)
+    _evaluate(table.struts, table.begin, table.end, table.listed, np.float64(blend), x, y, z, values)
     return values
 
 
@@ -100,58 +103,82 @@ def _distance(struts: NDArray[np.float64], s: int, x: float, y: float, z: float)
 
 
 @kernel
-def _list(
-    struts: NDArray[np.float64], margin: float, first: NDArray[np.int64], listed: NDArray[np.int32], fill: bool
-) -> None:
-    """Count the struts of each bucket (into the place after it), or write them down.
+def place_of(morton: int, level: int) -> tuple[int, int, int]:
+    """Indices of a bucket from the interleaved bits of its number, or of the block of 2^level buckets that it is in."""
+    i, j, k = 0, 0, 0
+    for bit in range(level, LEVELS):
+        i |= (morton >> (3 * bit) & 1) << bit
+        j |= (morton >> (3 * bit + 1) & 1) << bit
+        k |= (morton >> (3 * bit + 2) & 1) << bit
+    return i, j, k
 
-    Blocks of `BLOCK`^3 buckets are given a list first, from which those of their buckets are taken.
+
+@kernel
+def longer(listed: NDArray[np.int32], wanted: int) -> NDArray[np.int32]:
+    """The same list with room for `wanted` entries and more."""
+    copy = np.empty(2 * wanted, np.int32)
+    for at in range(len(listed)):
+        copy[at] = listed[at]
+    return copy
+
+
+@kernel
+def _list(struts: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
+    """The struts of each bucket: where its list begins and ends.
+
+    Octants are listed first, then their octants, and so on, each from the list of the one that it is in.
     """
+    begin, end = np.empty(BUCKETS**3, np.int64), np.empty(BUCKETS**3, np.int64)
+    listed = np.empty(64 * BUCKETS**3, np.int32)
+    total = 0
     distances = np.empty(len(struts))
-    near = np.empty(len(struts), np.int64)
+    near = np.empty((LEVELS + 1, len(struts)), np.int64)
+    count = np.zeros(LEVELS + 1, np.int64)
     # how fast a distance can change: a cone's also by its radius
     steep = 1.0
     for s in range(len(struts)):
+        near[LEVELS, s] = s
         squared = 0.0
         for c in range(3):
             squared += (struts[s, 3 + c] - struts[s, c]) ** 2
         steep = max(steep, 1.0 + abs(struts[s, 7] - struts[s, 6]) / np.sqrt(squared))
-    reach = steep * np.sqrt(3.0) / BUCKETS + margin + 1e-12
-    blocks = BUCKETS // BLOCK
-    for block in range(blocks**3):
-        bx, by, bz = block % blocks * BLOCK, block // blocks % blocks * BLOCK, block // blocks**2 * BLOCK
-        half = 0.5 * BLOCK
-        x, y, z = (bx + half) / BUCKETS, (by + half) / BUCKETS, (bz + half) / BUCKETS
-        nearest = np.inf
-        for s in range(len(struts)):
-            distances[s] = _distance(struts, s, x, y, z)
-            nearest = min(nearest, distances[s])
-        count = 0
-        for s in range(len(struts)):
-            if distances[s] <= nearest + steep * np.sqrt(3.0) * BLOCK / BUCKETS + margin + 1e-12:
-                near[count] = s
-                count += 1
-        for inner in range(BLOCK**3):
-            i, j, k = bx + inner % BLOCK, by + inner // BLOCK % BLOCK, bz + inner // BLOCK**2
-            bucket = (k * BUCKETS + j) * BUCKETS + i
+    count[LEVELS] = len(struts)
+    for morton in range(BUCKETS**3):
+        for level in range(LEVELS - 1, -1, -1):
+            if morton % (1 << (3 * level)) != 0:
+                continue
+            i, j, k = place_of(morton, level)
+            half = 0.5 * (1 << level)
+            x, y, z = (i + half) / BUCKETS, (j + half) / BUCKETS, (k + half) / BUCKETS
             nearest = np.inf
-            for at in range(count):
-                s = near[at]
-                distances[s] = _distance(struts, s, (i + 0.5) / BUCKETS, (j + 0.5) / BUCKETS, (k + 0.5) / BUCKETS)
+            for at in range(count[level + 1]):
+                s = near[level + 1, at]
+                distances[s] = _distance(struts, s, x, y, z)
                 nearest = min(nearest, distances[s])
-            for at in range(count):
-                if distances[near[at]] <= nearest + reach:
-                    if fill:
-                        listed[first[bucket]] = near[at]
-                        first[bucket] += 1
-                    else:
-                        first[bucket + 1] += 1
+            limit = nearest + 2.0 * steep * np.sqrt(3.0) * half / BUCKETS + margin + 1e-12
+            count[level] = 0
+            for at in range(count[level + 1]):
+                s = near[level + 1, at]
+                if distances[s] <= limit:
+                    near[level, count[level]] = s
+                    count[level] += 1
+        i, j, k = place_of(morton, 0)
+        bucket = (k * BUCKETS + j) * BUCKETS + i
+        if total + count[0] > len(listed):
+            listed = longer(listed, total + count[0])
+        begin[bucket] = total
+        for at in range(count[0]):
+            listed[total + at] = near[0, at]
+        total += count[0]
+        end[bucket] = total
+    return begin, end, listed[:total].copy()
 
 
 @kernel
 def _evaluate(
     struts: NDArray[np.float64],
-    first: NDArray[np.int64],
+    begin: NDArray[np.int64],
+    end: NDArray[np.int64],
     listed: NDArray[np.int32],
     blend: float,
     x: NDArray[np.float64],
@@ -168,7 +195,7 @@ def _evaluate(
     """
     longest = 0
     for bucket in range(BUCKETS**3):
-        longest = max(longest, first[bucket + 1] - first[bucket])
+        longest = max(longest, end[bucket] - begin[bucket])
     distances = np.empty((longest, RUN))
     nearest, total = np.empty(RUN), np.empty(RUN)
     fade = 1.0 / (REACH * blend) if blend > 0.0 else 0.0
@@ -179,25 +206,25 @@ def _evaluate(
             i = 0
             while i < len(x):
                 bx = int(x[i] * BUCKETS)
-                end = i + 1
-                while end < len(x) and end < i + RUN and int(x[end] * BUCKETS) == bx:
-                    end += 1
+                stop = i + 1
+                while stop < len(x) and stop < i + RUN and int(x[stop] * BUCKETS) == bx:
+                    stop += 1
                 bucket = (bz * BUCKETS + by) * BUCKETS + bx
-                start, count = first[bucket], first[bucket + 1] - first[bucket]
-                for n in range(end - i):
+                start, count = begin[bucket], end[bucket] - begin[bucket]
+                for n in range(stop - i):
                     nearest[n] = np.inf
                     total[n] = 0.0
                 for at in range(count):
-                    _distances(struts, listed[start + at], x, i, end, y[j], z[k], distances, at, nearest)
+                    _distances(struts, listed[start + at], x, i, stop, y[j], z[k], distances, at, nearest)
                 if blend > 0.0:
                     for at in range(count):
-                        _add_shares(distances, at, end - i, nearest, fade, total)
-                for n in range(end - i):
+                        _add_shares(distances, at, stop - i, nearest, fade, total)
+                for n in range(stop - i):
                     value = nearest[n]
                     if total[n] > 1.0:
                         value -= blend * np.log(total[n])
                     values[k, j, i + n] = np.float32(value)
-                i = end
+                i = stop
 
 
 @kernel

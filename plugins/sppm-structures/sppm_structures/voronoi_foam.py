@@ -64,7 +64,7 @@ class VoronoiFoam(BrickField):
 
         most = 2 * self.furthest
         seeds, own = self.seeds_near(brick, most)
-        return voronoi_edges(seeds, own, min(most, 2.2 * max(own, 1) ** (-1 / 3)), most)
+        return voronoi_edges(seeds, own, min(most, 2.0 * max(own, 1) ** (-1 / 3)), most)
 
     def prepare(self, brick: Brick) -> Any:
         from sppm_structures.strut_kernels import REACH, table_of_struts
@@ -73,8 +73,9 @@ class VoronoiFoam(BrickField):
         if self.form == "closed":
             # a wall is nearer than the furthest seed, and who bounds it nearer than three times as much
             return wall_table(self.seeds_near(brick, 3 * self.furthest + 0.25)[0])
-        # from any point the nearest face, and on it an edge, lie ahead on the way from the seed; each not further
-        margin = 2 * self.furthest + REACH * self.blend
+        # a point p is a mean of the corners v of its Voronoi cell, and about its seed s the mean of |v - p|^2 is that of
+        # |v - s|^2 less |p - s|^2; so one of them, where edges end, is nearer than the furthest corner of all cells
+        margin = self.furthest + REACH * self.blend
         ring = range(-int(np.ceil(margin)), int(np.ceil(margin)) + 1)
         parts = []
         for shift in product(ring, repeat=3):

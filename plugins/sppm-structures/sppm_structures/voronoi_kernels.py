@@ -13,14 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
+from sppm_structures.strut_kernels import BUCKETS, LEVELS, longer, place_of
 
 __all__ = ["WallTable", "evaluate_walls", "voronoi_edges", "wall_table"]
-
-BUCKETS = 16
-"""Buckets of the cell along each axis; a sample looks only at the seeds listed for its bucket."""
-
-BLOCK = 4
-"""Buckets along each axis that are listed together."""
 
 _SAME = 1e-9
 """Lengths below this, in cell edges, are none."""
@@ -33,14 +28,15 @@ class WallTable(NamedTuple):
     ----------
     seeds : (n, 3) float64
         Those of the cell and of its neighbours.
-    first : (BUCKETS^3 + 1,) int64
-        Where the list of each bucket begins.
+    begin, end : (BUCKETS^3,) int64
+        Where the list of each bucket begins and ends.
     listed : (m,) int32
         Seeds of the lists.
     """
 
     seeds: NDArray[np.float64]
-    first: NDArray[np.int64]
+    begin: NDArray[np.int64]
+    end: NDArray[np.int64]
     listed: NDArray[np.int32]
 
 
@@ -70,12 +66,7 @@ def voronoi_edges(seeds: NDArray[np.float64], own: int, radius: float, most: flo
 def wall_table(seeds: NDArray[np.float64]) -> WallTable:
     """Sort seeds into buckets of the unit cube, so that each list holds all that matter to any point of its bucket."""
     seeds = np.ascontiguousarray(seeds, np.float64)
-    count = np.zeros(BUCKETS**3 + 1, np.int64)
-    _list(seeds, count, np.empty(0, np.int32), False)
-    first = np.cumsum(count)
-    listed = np.empty(first[-1], np.int32)
-    _list(seeds, first.copy(), listed, True)
-    return WallTable(seeds, first, listed)
+    return WallTable(seeds, *_list(seeds))
 
 
 def evaluate_walls(
@@ -87,7 +78,7 @@ def evaluate_walls(
     bound it; that between seeds a and b is at ``(|p - b|^2 - |p - a|^2) / (2 |b - a|)`` from a point p near a.
     """
     values = np.empty((len(z), len(y), len(x)), np.float32)
-    _evaluate(table.seeds, table.first, table.listed, x, y, z, values)
+    _evaluate(table.seeds, table.begin, table.end, table.listed, x, y, z, values)
     return values
 
 
@@ -103,11 +94,12 @@ def _before(x: float, y: float, z: float) -> bool:
 
 @kernel
 def _edges_of_one(
-    near: NDArray[np.float64], half: NDArray[np.float64], found: NDArray[np.float64]
+    near: NDArray[np.float64], half: NDArray[np.float64], limit: float, found: NDArray[np.float64]
 ) -> tuple[int, float]:
     """Edges (relative to the seed) that belong to the seed, and the furthest corner of its cell.
 
-    `near` holds the other seeds relative to this one, nearest first; `half` the squares of their distances by two.
+    `near` holds the other seeds relative to this one, nearest first; `half` the squares of their distances by two. No
+    corner of the cell is known to lie further away than `limit`.
     """
     count, furthest = 0, 0.0
     n = len(near)
@@ -126,6 +118,8 @@ def _edges_of_one(
             qx = a * near[j, 0] + b * near[k, 0]
             qy = a * near[j, 1] + b * near[k, 1]
             qz = a * near[j, 2] + b * near[k, 2]
+            if qx * qx + qy * qy + qz * qz > limit * limit:
+                continue
             scale = 1.0 / np.sqrt(across)
             ux, uy, uz = ux * scale, uy * scale, uz * scale
             low, high = -1e6, 1e6
@@ -175,7 +169,7 @@ def _edges(seeds: NDArray[np.float64], own: int, radius: float, most: float) -> 
     kept = np.empty((own * 32 + 64, 6))
     total = 0
     for s in range(own):
-        reach = min(radius, most)
+        reach, limit = min(radius, most), 0.5 * most + _SAME
         while True:
             squares = np.empty(len(seeds))
             count = 0
@@ -198,10 +192,11 @@ def _edges(seeds: NDArray[np.float64], own: int, radius: float, most: float) -> 
                 for c in range(3):
                     near[m, c] = seeds[which[m], c] - seeds[s, c]
                 half[m] = 0.5 * squares[which[m]]
-            edges, furthest = _edges_of_one(near, half, found)
+            edges, furthest = _edges_of_one(near, half, limit, found)
             if (furthest > 0.0 and 2.0 * furthest <= reach) or reach >= most:
                 break
             # a seed nearer than twice the furthest corner was left out; an open cell has corners without end
+            limit = min(limit, furthest + _SAME) if furthest > 0.0 else limit
             reach = min(most, max(1.3 * reach, min(2.0 * furthest, 2.0 * reach)))
         if total + edges > len(kept):
             longer = np.empty((2 * (total + edges), 6))
@@ -220,6 +215,7 @@ def _edges(seeds: NDArray[np.float64], own: int, radius: float, most: float) -> 
 def _limit(
     seeds: NDArray[np.float64],
     near: NDArray[np.int64],
+    level: int,
     count: int,
     x: float,
     y: float,
@@ -227,15 +223,15 @@ def _limit(
     distances: NDArray[np.float64],
 ) -> float:
     """Distance of the nearest seed plus twice that of the nearest wall; leaves the distances of the seeds listed."""
-    nearest = near[0]
+    nearest = near[level, 0]
     for at in range(count):
-        s = near[at]
+        s = near[level, at]
         distances[s] = np.sqrt((seeds[s, 0] - x) ** 2 + (seeds[s, 1] - y) ** 2 + (seeds[s, 2] - z) ** 2)
         if distances[s] < distances[nearest]:
             nearest = s
     wall = np.inf
     for at in range(count):
-        s = near[at]
+        s = near[level, at]
         if s != nearest and distances[s] < distances[nearest] + 2.0 * wall:
             apart = np.sqrt(
                 (seeds[s, 0] - seeds[nearest, 0]) ** 2
@@ -247,46 +243,54 @@ def _limit(
 
 
 @kernel
-def _list(seeds: NDArray[np.float64], first: NDArray[np.int64], listed: NDArray[np.int32], fill: bool) -> None:
-    """Count the seeds of each bucket (into the place after it), or write them down.
+def _list(seeds: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
+    """The seeds of each bucket: where its list begins and ends; octants first, as for struts.
 
     The distance W from the walls changes by no more than the distance moved. With h from the centre c of a bucket to
     its corners, W < W(c) + h in it; and a seed b can bound the cell of a seed a at p nearer than W only if it is nearer
     than ``|p - a| + 2 W``.
     """
-    reach = np.sqrt(3.0) * 0.5 / BUCKETS
+    begin, end = np.empty(BUCKETS**3, np.int64), np.empty(BUCKETS**3, np.int64)
+    listed = np.empty(32 * BUCKETS**3, np.int32)
+    total = 0
     distances = np.empty(len(seeds))
-    near = np.arange(len(seeds))
-    within = np.empty(len(seeds), np.int64)
-    blocks = BUCKETS // BLOCK
-    for block in range(blocks**3):
-        bx, by, bz = block % blocks * BLOCK, block // blocks % blocks * BLOCK, block // blocks**2 * BLOCK
-        half = 0.5 * BLOCK
-        x, y, z = (bx + half) / BUCKETS, (by + half) / BUCKETS, (bz + half) / BUCKETS
-        limit = _limit(seeds, near, len(seeds), x, y, z, distances) + 4.0 * BLOCK * reach
-        count = 0
-        for s in range(len(seeds)):
-            if distances[s] <= limit:
-                within[count] = s
-                count += 1
-        for inner in range(BLOCK**3):
-            i, j, k = bx + inner % BLOCK, by + inner // BLOCK % BLOCK, bz + inner // BLOCK**2
-            bucket = (k * BUCKETS + j) * BUCKETS + i
-            x, y, z = (i + 0.5) / BUCKETS, (j + 0.5) / BUCKETS, (k + 0.5) / BUCKETS
-            limit = _limit(seeds, within, count, x, y, z, distances) + 4.0 * reach
-            for at in range(count):
-                if distances[within[at]] <= limit:
-                    if fill:
-                        listed[first[bucket]] = within[at]
-                        first[bucket] += 1
-                    else:
-                        first[bucket + 1] += 1
+    near = np.empty((LEVELS + 1, len(seeds)), np.int64)
+    count = np.zeros(LEVELS + 1, np.int64)
+    for s in range(len(seeds)):
+        near[LEVELS, s] = s
+    count[LEVELS] = len(seeds)
+    for morton in range(BUCKETS**3):
+        for level in range(LEVELS - 1, -1, -1):
+            if morton % (1 << (3 * level)) != 0:
+                continue
+            i, j, k = place_of(morton, level)
+            half = 0.5 * (1 << level)
+            x, y, z = (i + half) / BUCKETS, (j + half) / BUCKETS, (k + half) / BUCKETS
+            limit = _limit(seeds, near, level + 1, count[level + 1], x, y, z, distances)
+            limit += 4.0 * np.sqrt(3.0) * half / BUCKETS
+            count[level] = 0
+            for at in range(count[level + 1]):
+                s = near[level + 1, at]
+                if distances[s] <= limit:
+                    near[level, count[level]] = s
+                    count[level] += 1
+        i, j, k = place_of(morton, 0)
+        bucket = (k * BUCKETS + j) * BUCKETS + i
+        if total + count[0] > len(listed):
+            listed = longer(listed, total + count[0])
+        begin[bucket] = total
+        for at in range(count[0]):
+            listed[total + at] = near[0, at]
+        total += count[0]
+        end[bucket] = total
+    return begin, end, listed[:total].copy()
 
 
 @kernel
 def _evaluate(
     seeds: NDArray[np.float64],
-    first: NDArray[np.int64],
+    begin: NDArray[np.int64],
+    end: NDArray[np.int64],
     listed: NDArray[np.int32],
     x: NDArray[np.float64],
     y: NDArray[np.float64],
@@ -300,7 +304,7 @@ def _evaluate(
             by = int(y[j] * BUCKETS)
             for i in range(len(x)):
                 bucket = (bz * BUCKETS + by) * BUCKETS + int(x[i] * BUCKETS)
-                start, count = first[bucket], first[bucket + 1] - first[bucket]
+                start, count = begin[bucket], end[bucket] - begin[bucket]
                 nearest = 0
                 for at in range(count):
                     s = listed[start + at]
