@@ -7,6 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import pairwise
 from threading import Lock
 from typing import Any
 
@@ -139,7 +140,7 @@ def _spans(positions: NDArray[np.float64]) -> list[tuple[int, int, int]]:
     """Runs of rising positions in one cell: its index, the first position, the one after the last."""
     cells = np.floor(positions).astype(np.int64)
     ends = [0, *(np.flatnonzero(np.diff(cells)) + 1).tolist(), len(cells)]
-    return [(int(cells[a]), a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if a < b]
+    return [(int(cells[a]), a, b) for a, b in pairwise(ends) if a < b]
 
 
 def region_of(

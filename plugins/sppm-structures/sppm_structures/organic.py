@@ -238,4 +238,5 @@ def near_pairs(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
         undecided = undecided[~between]
         if not len(undecided):
             break
-    return pairs[kept]
+    joined: NDArray[np.int64] = pairs[kept]
+    return joined

@@ -91,7 +91,7 @@ class HashedSeeds(NamedTuple):
 
 
 def images_near(seeds: NDArray[np.float64], margin: float) -> tuple[NDArray[np.float64], int]:
-    """Seeds of a periodic cell, and their images nearer to it than `margin` along each axis; and how many are its own."""
+    """Seeds of a periodic cell, then their images nearer to it than `margin` along each axis; and how many it has."""
     ring = range(-int(np.ceil(margin)), int(np.ceil(margin)) + 1)
     parts = [seeds]
     for shift in product(ring, repeat=3):

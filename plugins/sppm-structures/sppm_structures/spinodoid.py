@@ -135,4 +135,5 @@ def wave_vectors(wavenumber: float, shell: float, cones: tuple[float, float, flo
             f"no wave of {wavenumber - shell:g} to {wavenumber + shell:g} periods a cell edge lies in the cones",
             hint="make `shell` thicker, or `wavenumber` a whole number",
         )
-    return every[inside]
+    chosen: NDArray[np.int64] = every[inside]
+    return chosen

@@ -64,7 +64,8 @@ class BentGyroid(CellField):
             lid = sum_of_waves(self.closing, x, y, z)
             lid -= self.closed_from
             f -= LID * np.maximum(lid, 0.0, out=lid)
-        return np.maximum(f, low, out=f)
+        values: NDArray[np.float64] = np.maximum(f, low, out=f)
+        return values
 
     def cut_at(self, value: float) -> BentGyroid:
         return replace(self, half_width=self.half_width + value)
@@ -95,9 +96,7 @@ class StochasticGyroid(Stage):
     bend: float = option(
         0.08, help="standard deviation of the shift along each axis", unit="gyroid cells", minimum=0, maximum=0.5
     )
-    uneven: float = option(
-        0.2, help="standard deviation of the half width over its mean", minimum=0, maximum=1
-    )
+    uneven: float = option(0.2, help="standard deviation of the half width over its mean", minimum=0, maximum=1)
     closed: float = option(0.1, help="share of the volume in which a labyrinth is closed", minimum=0, below=1)
     longest: float = option(
         2.0, help="longest wave vector of the random functions", unit="periods a cell edge", minimum=1, maximum=8
@@ -109,9 +108,17 @@ class StochasticGyroid(Stage):
         from statistics import NormalDist
 
         turn = 2 * np.pi * self.bend
+        bends = (self._drawn(context, 0, turn), self._drawn(context, 1, turn), self._drawn(context, 2, turn))
+        steep = max(_slope(bend, axis) for axis, bend in enumerate(bends)) / (2 * np.pi * self.repeat)
+        context.report(cell_length_variation=steep)
+        if 3 * steep > 1:
+            context.warn(
+                f"the shift changes so fast (standard deviation {steep:.2g} of the gyroid's own rate) that cells are "
+                "folded back in places; a smaller `bend`, a smaller `longest` or a larger `repeat` keep them apart"
+            )
         return BentGyroid(
             repeat=self.repeat,
-            bends=(self._drawn(context, 0, turn), self._drawn(context, 1, turn), self._drawn(context, 2, turn)),
+            bends=bends,
             walls=self._drawn(context, 3, self.uneven * self.half_width),
             closing=self._drawn(context, 4, 1.0),
             closed_from=NormalDist().inv_cdf(1 - self.closed) if self.closed else None,
@@ -130,3 +137,9 @@ class StochasticGyroid(Stage):
         sizes = np.sqrt(rng.exponential(size=len(vectors)))
         sizes *= deviation * np.sqrt(2 / (sizes * sizes).sum())
         return waves_of(vectors, 2 * np.pi * rng.random(len(vectors)), sizes)
+
+
+def _slope(waves: Waves, axis: int) -> float:
+    """Standard deviation of the derivative along an axis, for positions in cell edges."""
+    squares = waves.real**2 + waves.imaginary**2
+    return float(2 * np.pi * np.sqrt((squares * waves.vectors[:, axis] ** 2).sum() / 2))

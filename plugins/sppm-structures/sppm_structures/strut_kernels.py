@@ -99,7 +99,8 @@ def _distance(struts: NDArray[np.float64], s: int, x: float, y: float, z: float)
     along = (px * dx + py * dy + pz * dz) / (dx * dx + dy * dy + dz * dz)
     along = min(1.0, max(0.0, along))
     px, py, pz = px - along * dx, py - along * dy, pz - along * dz
-    return np.sqrt(px * px + py * py + pz * pz) - (struts[s, 6] + along * (struts[s, 7] - struts[s, 6]))
+    distance: float = np.sqrt(px * px + py * py + pz * pz) - (struts[s, 6] + along * (struts[s, 7] - struts[s, 6]))
+    return distance
 
 
 @kernel

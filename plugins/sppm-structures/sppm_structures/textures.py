@@ -81,7 +81,9 @@ def read_weights(text: str, what: str, nodes: set[str], single: bool) -> dict[st
         name, _, numbers = word.partition("=")
         node = "".join(sorted(name, key="cfev".find))
         if node not in nodes or node in found:
-            raise ConfigError(f"{what}: {name!r} is no node of the pattern, or named twice; it has {', '.join(sorted(nodes))}")
+            raise ConfigError(
+                f"{what}: {name!r} is no node of the pattern, or named twice; it has {', '.join(sorted(nodes))}"
+            )
         try:
             values = tuple(float(number) for number in numbers.split(":"))
         except ValueError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any, ClassVar
 
@@ -73,14 +74,14 @@ class VoronoiFoam(BrickField):
         if self.form == "closed":
             # a wall is nearer than the furthest seed, and who bounds it nearer than three times as much
             return wall_table(self.seeds_near(brick, 3 * self.furthest + 0.25)[0])
-        # a point p is a mean of the corners v of its Voronoi cell, and about its seed s the mean of |v - p|^2 is that of
-        # |v - s|^2 less |p - s|^2; so one of them, where edges end, is nearer than the furthest corner of all cells
+        # a point p is a mean of the corners v of its Voronoi cell, with seed s, and the same mean of |v - p|^2 is that
+        # of |v - s|^2 less |p - s|^2; so one of them, where edges end, is nearer than the furthest corner of all cells
         margin = self.furthest + REACH * self.blend
         ring = range(-int(np.ceil(margin)), int(np.ceil(margin)) + 1)
         parts = []
         for shift in product(ring, repeat=3):
             other = (0, 0, 0) if self.periodic else (brick[0] + shift[0], brick[1] + shift[1], brick[2] + shift[2])
-            edges = self.kept.get(("edges", other), lambda other=other: self.edges_of(other)) + np.tile(shift, 2)
+            edges = self.kept.get(("edges", other), partial(self.edges_of, other)) + np.tile(shift, 2)
             low, high = np.minimum(edges[:, :3], edges[:, 3:]), np.maximum(edges[:, :3], edges[:, 3:])
             parts.append(edges[((low <= 1 + margin) & (high >= -margin)).all(axis=1)])
         struts = np.concatenate(parts)
@@ -130,9 +131,7 @@ class Voronoi(Stage):
 
     form: str = option("open", help="struts along the edges, or walls at the faces", choices=("open", "closed"))
     radius: Length | None = option(None, help="radius of the struts; 0.03 if omitted", unit="cell edges", above=0)
-    thickness: Length | None = option(
-        None, help="thickness of the walls; 0.03 if omitted", unit="cell edges", above=0
-    )
+    thickness: Length | None = option(None, help="thickness of the walls; 0.03 if omitted", unit="cell edges", above=0)
     blend: Length = option(Length(0.01), help="length over which joints are rounded", unit="cell edges", minimum=0)
     seeds: int = option(4, help="seeds along the cell edge, if no pores are given", minimum=1, maximum=16)
     pattern: str = option(
@@ -172,7 +171,9 @@ class Voronoi(Stage):
         half = in_cell_edges(size or Length(0.03), edge) / (1 if self.form == "open" else 2)
         blend = in_cell_edges(self.blend, edge) if self.form == "open" else 0.0
         if not (half < 0.5 and blend < 0.1):
-            raise ConfigError(f"half thickness {half:g} must be less than 0.5, blend {blend:g} less than 0.1 cell edges")
+            raise ConfigError(
+                f"half thickness {half:g} must be less than 0.5, blend {blend:g} less than 0.1 cell edges"
+            )
         given, hashed = np.empty((0, 3)), None
         if pores is not None:
             if region is not None:
@@ -201,7 +202,7 @@ def _seeds_of(pores: PoreSet) -> NDArray[np.float64]:
     centers = pores.centers - np.floor(pores.centers)
     centers[centers >= 1.0] = 0.0
     _, first = np.unique(np.round(centers * 1e7) % 10**7, axis=0, return_index=True)
-    centers = centers[np.sort(first)]
+    centers = frozen(centers[np.sort(first)])
     if not 1 <= len(centers) <= MOST_SEEDS:
         raise InputError(f"a foam needs 1 to {MOST_SEEDS} different pores, got {len(centers)}")
     return centers

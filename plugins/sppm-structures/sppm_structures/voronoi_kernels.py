@@ -60,7 +60,7 @@ def voronoi_edges(seeds: NDArray[np.float64], own: int, radius: float, most: flo
         Both ends. The edge belongs to the seed that comes first by x, then y, then z.
     """
     seeds = np.ascontiguousarray(seeds, np.float64)
-    return _edges(seeds, np.int64(own), np.float64(radius), np.float64(most))
+    return _edges(seeds, int(own), float(radius), float(most))
 
 
 def wall_table(seeds: NDArray[np.float64]) -> WallTable:
@@ -125,7 +125,7 @@ def _edges_of_one(
             low, high = -1e6, 1e6
             own = not (_before(near[j, 0], near[j, 1], near[j, 2]) or _before(near[k, 0], near[k, 1], near[k, 2]))
             for m in range(n):
-                if m == j or m == k:
+                if m in (j, k):
                     continue
                 slope = ux * near[m, 0] + uy * near[m, 1] + uz * near[m, 2]
                 room = half[m] - (qx * near[m, 0] + qy * near[m, 1] + qz * near[m, 2])
@@ -175,7 +175,9 @@ def _edges(seeds: NDArray[np.float64], own: int, radius: float, most: float) -> 
             count = 0
             for m in range(len(seeds)):
                 squares[m] = (
-                    (seeds[m, 0] - seeds[s, 0]) ** 2 + (seeds[m, 1] - seeds[s, 1]) ** 2 + (seeds[m, 2] - seeds[s, 2]) ** 2
+                    (seeds[m, 0] - seeds[s, 0]) ** 2
+                    + (seeds[m, 1] - seeds[s, 1]) ** 2
+                    + (seeds[m, 2] - seeds[s, 2]) ** 2
                 )
                 if m != s and squares[m] <= reach * reach:
                     count += 1
@@ -239,7 +241,8 @@ def _limit(
                 + (seeds[s, 2] - seeds[nearest, 2]) ** 2
             )
             wall = min(wall, (distances[s] ** 2 - distances[nearest] ** 2) / (2.0 * apart))
-    return distances[nearest] + 2.0 * wall + 1e-12
+    limit: float = distances[nearest] + 2.0 * wall + 1e-12
+    return limit
 
 
 @kernel

@@ -33,9 +33,7 @@ class Waves(NamedTuple):
     imaginary: NDArray[np.float64]
 
 
-def waves_of(
-    vectors: NDArray[np.int64], phases: NDArray[np.float64], amplitudes: NDArray[np.float64] | float
-) -> Waves:
+def waves_of(vectors: NDArray[np.int64], phases: NDArray[np.float64], amplitudes: NDArray[np.float64] | float) -> Waves:
     """Sort waves for `sum_of_waves`; vectors (n, 3), phases (n,) in radians."""
     order = np.lexsort(np.asarray(vectors).T[::-1])
     amplitudes = np.broadcast_to(np.asarray(amplitudes, np.float64), len(vectors))[order]
@@ -49,7 +47,8 @@ def waves_of(
 def half_space(vectors: NDArray[np.int64]) -> NDArray[np.int64]:
     """Of every wave vector and its opposite the one that points up, or right, or ahead; without zero."""
     x, y, z = vectors.T
-    return vectors[(x > 0) | ((x == 0) & (y > 0)) | ((x == 0) & (y == 0) & (z > 0))]
+    kept: NDArray[np.int64] = vectors[(x > 0) | ((x == 0) & (y > 0)) | ((x == 0) & (y == 0) & (z > 0))]
+    return kept
 
 
 def sum_of_waves(

@@ -114,6 +114,28 @@ def test_random_functions_have_the_deviation_asked_for():
     assert sum_of_waves(field.closing, x, y, z).std() == pytest.approx(1)
 
 
+def test_folded_cells_are_warned_of():
+    """The derivative of the shift, against differences."""
+    context = PlainContext(1)
+    field = StochasticGyroid(bend=0.2).run(context)
+    x = (np.arange(64) + 0.5) / 64
+    h = 1e-6
+    steep = [
+        (sum_of_waves(bend, *ahead) - sum_of_waves(bend, *back)).std() / (2 * h)
+        for bend, ahead, back in zip(
+            field.bends,
+            [(x + h, x, x), (x, x + h, x), (x, x, x + h)],
+            [(x - h, x, x), (x, x - h, x), (x, x, x - h)],
+            strict=True,
+        )
+    ]
+    assert context.reported["cell_length_variation"] == pytest.approx(max(steep) / (2 * np.pi * 3), rel=1e-5)
+    assert "folded back" in context.warnings[0]
+    context = PlainContext(1)
+    StochasticGyroid().run(context)
+    assert not context.warnings
+
+
 STAGES = [
     Spinodoid(edge=Length(5.0)),
     Spinodoid(edge=Length(5.0), cones=(30.0, 30.0, 30.0)),
