@@ -39,6 +39,11 @@ class Kept:
         self._made: OrderedDict[Any, Any] = OrderedDict()
         self._lock = Lock()
 
+    def known(self) -> list[Any]:
+        """Keys of what is kept, the last one asked for at the end."""
+        with self._lock:
+            return list(self._made)
+
     def get(self, key: Any, make: Callable[[], Any]) -> Any:
         """What was made for `key`, or `make()`; two threads may make the same at once, which does no harm."""
         with self._lock:
@@ -102,9 +107,20 @@ class BrickField(ScalarField):
         return self.sample_layers(grid, 0, grid.shape[2], threads)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self._sampled(grid, start, stop, threads, None)
+
+    def solid_layers(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        return (self._sampled(grid, start, stop, threads, wanted) < 0).view(np.uint8)
+
+    def _sampled(
+        self, grid: Grid, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None
+    ) -> NDArray[np.float32]:
+        """Values of some layers; 0 in bricks of which no row that matters has a sample."""
         axes = [_exact(grid.axis(axis)) for axis in range(3)]
         axes[2] = axes[2][start:stop]
-        values = np.empty((len(axes[2]), len(axes[1]), len(axes[0])), np.float32)
+        values = np.zeros((len(axes[2]), len(axes[1]), len(axes[0])), np.float32)
         spans = [_spans(axis) for axis in axes]
 
         def fill(job: tuple[tuple[int, int, int], tuple[int, int, int], tuple[int, int, int]]) -> None:
@@ -121,6 +137,7 @@ class BrickField(ScalarField):
             for in_x in spans[0]
             for layers in [max(1, BLOCK // ((in_x[2] - in_x[1]) * (in_y[2] - in_y[1])))]
             for layer in range(low, high, layers)
+            if wanted is None or _any_wanted(wanted[layer : min(layer + layers, high), in_y[1] : in_y[2]], in_x)
         ]
         if threads > 1 and len(jobs) > 1:
             with ThreadPoolExecutor(threads) as pool:
@@ -134,6 +151,12 @@ class BrickField(ScalarField):
 def _exact(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions to 2^-40 of a cell, so that what should be the same place in the next cell is."""
     return np.round(positions * 2.0**40) / 2.0**40
+
+
+def _any_wanted(rows: NDArray[np.int32], span: tuple[int, int, int]) -> bool:
+    """Whether a row's samples that matter, from the first to before the last, meet those of a span."""
+    first, last = np.maximum(rows[..., 0], span[1]), np.minimum(rows[..., 1], span[2])
+    return bool((first < last).any())
 
 
 def _spans(positions: NDArray[np.float64]) -> list[tuple[int, int, int]]:

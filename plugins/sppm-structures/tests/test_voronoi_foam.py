@@ -157,6 +157,21 @@ def test_layers_threads_and_cuts_give_the_same_bytes(options):
     assert (made(**options).sample(exact)[5:15, 10:30, 20:50] == made(**options).sample(part)).all()
 
 
+def test_only_what_matters_is_evaluated():
+    field, grid = made(layout="part", cells=(3, 3, 3), seeds=2), cell_nodes(10, (3, 3, 3))
+    whole = field.solid(grid)
+    wanted = np.zeros((31, 31, 2), np.int32)
+    wanted[12:15, 5:9] = (3, 24)
+    wanted[5, 25] = (22, 30)
+    some = replace(field, kept=type(field.kept)())
+    solid = some.solid_layers(grid, 0, 31, wanted=wanted)
+    for k, j in np.argwhere(wanted[..., 0] < wanted[..., 1]):
+        inside = slice(*wanted[k, j])
+        assert (solid[k, j, inside] == whole[k, j, inside]).all()
+    made_for = [brick for (what, brick) in some.kept.known() if what == "prepared"]
+    assert sorted(made_for) == [(0, 0, 1), (1, 0, 1), (2, 0, 1), (2, 2, 0)]
+
+
 def test_a_part_has_no_seam_between_cells():
     field = made(layout="part", cells=(2, 2, 2))
     eps = 1e-7
