@@ -131,6 +131,14 @@ def test_pores_of_a_body_centred_lattice_give_kelvin_cells():
     assert np.linalg.norm(edges[:, 3:] - edges[:, :3], axis=1) == pytest.approx(2**0.5 / 4)
 
 
+def test_pores_of_a_face_centred_lattice_give_rhombic_dodecahedra():
+    """24 edges of length sqrt(3)/4, each of three cells; eight edges end in some corners."""
+    points = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]])
+    edges = made(pores_at(points)).edges_of((0, 0, 0))
+    assert len(edges) == 4 * 24 / 3
+    assert np.linalg.norm(edges[:, 3:] - edges[:, :3], axis=1) == pytest.approx(3**0.5 / 4)
+
+
 def test_a_simple_cubic_lattice_gives_a_cube():
     """Four cells share each edge, and it still is one."""
     field = made(pores_at([[0.5, 0.5, 0.5]]), blend=Length(0.0))
