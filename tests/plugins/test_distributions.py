@@ -21,7 +21,15 @@ PLUGINS = sorted(path.parent for path in (Path(__file__).resolve().parents[2] / 
 STAGES = {
     "lattice_points": {"sample.hyperuniform", "sample.lattice_points"},
     "even_tiles": {"tile.even_interiors"},
-    "structures": {"field.struts", "field.tpms"},
+    "structures": {
+        "field.elastic_texture",
+        "field.organic",
+        "field.spinodoid",
+        "field.stochastic_gyroid",
+        "field.struts",
+        "field.tpms",
+        "field.voronoi_foam",
+    },
     "pymeshlab": {"mesh.decimate", "mesh.remesh", "mesh.repair", "mesh.smooth"},
     "tetwild": {"mesh.tetwild"},
 }

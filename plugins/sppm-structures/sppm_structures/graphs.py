@@ -134,6 +134,26 @@ def _diamond() -> StrutGraph:
     return strut_graph(*_neighbours(points, 0.1875**0.5))
 
 
+def _re_entrant() -> StrutGraph:
+    """Cuboctahedra whose square faces, on the faces of the cell, are pyramids dented in by a quarter of the cell.
+
+    The middles of the cell's edges are joined to the dents. Pulled along one axis, the dents open and push the others
+    apart: Poisson's ratio is negative along the axes.
+    """
+    starts, ends = [], []
+    for axis in range(3):
+        for side, dent in ((0.0, 0.25), (1.0, 0.75)):
+            apex = np.full(3, 0.5)
+            apex[axis] = dent
+            for across in set(range(3)) - {axis}:
+                for end in (0.0, 1.0):
+                    middle = np.full(3, 0.5)
+                    middle[axis], middle[across] = side, end
+                    starts.append(apex)
+                    ends.append(middle)
+    return strut_graph(np.array(starts), np.array(ends))
+
+
 LATTICES = {
     "simple_cubic": _simple_cubic,
     "bcc": _body_centred,
@@ -141,5 +161,6 @@ LATTICES = {
     "octet": _octet,
     "kelvin": _kelvin,
     "diamond": _diamond,
+    "re_entrant": _re_entrant,
 }
 """Name -> function that makes the graph."""

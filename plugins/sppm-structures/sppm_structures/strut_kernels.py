@@ -10,10 +10,24 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_structures.graphs import StrutGraph, images
 
-__all__ = ["StrutTable", "evaluate_struts", "strut_table"]
+__all__ = [
+    "BUCKETS",
+    "LEVELS",
+    "REACH",
+    "StrutTable",
+    "evaluate_struts",
+    "longer",
+    "place_of",
+    "strut_table",
+    "table_of_struts",
+]
 
-BUCKETS = 16
+LEVELS = 4
+BUCKETS = 1 << LEVELS
 """Buckets of the cell along each axis; a sample looks only at the struts listed for its bucket."""
+
+RUN = 32
+"""Most samples of a row that are done together."""
 
 REACH = 4.0
 """Struts further away than the nearest by this many blend lengths have no part in the blend."""
@@ -26,33 +40,37 @@ class StrutTable(NamedTuple):
     ----------
     struts : (m, 8) float64
         Start, end, radius at the start, radius at the end, cell edges.
-    first : (BUCKETS^3 + 1,) int64
-        Where the list of each bucket begins.
+    begin, end : (BUCKETS^3,) int64
+        Where the list of each bucket begins and ends.
     listed : (n,) int32
         Struts of the lists.
     """
 
     struts: NDArray[np.float64]
-    first: NDArray[np.int64]
+    begin: NDArray[np.int64]
+    end: NDArray[np.int64]
     listed: NDArray[np.int32]
 
 
 def strut_table(graph: StrutGraph, radius: float, blend: float) -> StrutTable:
-    """Sort struts of some mean radius into buckets, for a blend length; all in cell edges.
+    """Sort struts of some mean radius, and those of the neighbouring cells, into buckets, for a blend length.
 
-    A list holds every strut that can matter to any point of its bucket, so that the value at a point does not depend on
-    the grid that it belongs to.
+    All in cell edges.
     """
     # no point of the cell is further than this from the nearest strut
     spread = images(graph, 1.0)
     struts = np.column_stack([spread.starts, spread.ends, radius * spread.start_radii, radius * spread.end_radii])
-    count = np.zeros(BUCKETS**3 + 1, np.int64)
-    listed = np.empty(0, np.int32)
-    _list(struts, blend * REACH, count, listed, False)
-    first = np.cumsum(count)
-    listed = np.empty(first[-1], np.int32)
-    _list(struts, blend * REACH, first.copy(), listed, True)
-    return StrutTable(struts, first, listed)
+    return table_of_struts(struts, blend)
+
+
+def table_of_struts(struts: NDArray[np.float64], blend: float) -> StrutTable:
+    """Sort struts into buckets: (m, 8) as in `StrutTable`, those of the neighbouring cells included.
+
+    A list holds every strut that can matter to any point of its bucket, so that the value at a point does not depend on
+    the grid that it belongs to.
+    """
+    struts = np.ascontiguousarray(struts, np.float64)
+    return StrutTable(struts, *_list(struts, np.float64(blend * REACH)))
 
 
 def evaluate_struts(
@@ -69,55 +87,99 @@ def evaluate_struts(
         Positions in the cell, 0 <= x < 1.
     """
     values = np.empty((len(z), len(y), len(x)), np.float32)
-    _evaluate(table.struts, table.first, table.listed, np.float64(blend), x, y, z, values)
+    _evaluate(table.struts, table.begin, table.end, table.listed, np.float64(blend), x, y, z, values)
     return values
 
 
 @kernel
-def _distance(strut: NDArray[np.float64], x: float, y: float, z: float) -> float:
+def _distance(struts: NDArray[np.float64], s: int, x: float, y: float, z: float) -> float:
     """From the surface of a round cone, measured across its axis."""
-    dx, dy, dz = strut[3] - strut[0], strut[4] - strut[1], strut[5] - strut[2]
-    px, py, pz = x - strut[0], y - strut[1], z - strut[2]
+    dx, dy, dz = struts[s, 3] - struts[s, 0], struts[s, 4] - struts[s, 1], struts[s, 5] - struts[s, 2]
+    px, py, pz = x - struts[s, 0], y - struts[s, 1], z - struts[s, 2]
     along = (px * dx + py * dy + pz * dz) / (dx * dx + dy * dy + dz * dz)
     along = min(1.0, max(0.0, along))
     px, py, pz = px - along * dx, py - along * dy, pz - along * dz
-    return np.sqrt(px * px + py * py + pz * pz) - (strut[6] + along * (strut[7] - strut[6]))
+    distance: float = np.sqrt(px * px + py * py + pz * pz) - (struts[s, 6] + along * (struts[s, 7] - struts[s, 6]))
+    return distance
 
 
 @kernel
-def _list(
-    struts: NDArray[np.float64], margin: float, first: NDArray[np.int64], listed: NDArray[np.int32], fill: bool
-) -> None:
-    """Count the struts of each bucket (into the place after it), or write them down."""
-    half = 0.5 / BUCKETS
+def place_of(morton: int, level: int) -> tuple[int, int, int]:
+    """Indices of a bucket from the interleaved bits of its number, or of the block of 2^level buckets that it is in."""
+    i, j, k = 0, 0, 0
+    for bit in range(level, LEVELS):
+        i |= (morton >> (3 * bit) & 1) << bit
+        j |= (morton >> (3 * bit + 1) & 1) << bit
+        k |= (morton >> (3 * bit + 2) & 1) << bit
+    return i, j, k
+
+
+@kernel
+def longer(listed: NDArray[np.int32], wanted: int) -> NDArray[np.int32]:
+    """The same list with room for `wanted` entries and more."""
+    copy = np.empty(2 * wanted, np.int32)
+    for at in range(len(listed)):
+        copy[at] = listed[at]
+    return copy
+
+
+@kernel
+def _list(struts: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
+    """The struts of each bucket: where its list begins and ends.
+
+    Octants are listed first, then their octants, and so on, each from the list of the one that it is in.
+    """
+    begin, end = np.empty(BUCKETS**3, np.int64), np.empty(BUCKETS**3, np.int64)
+    listed = np.empty(64 * BUCKETS**3, np.int32)
+    total = 0
     distances = np.empty(len(struts))
+    near = np.empty((LEVELS + 1, len(struts)), np.int64)
+    count = np.zeros(LEVELS + 1, np.int64)
     # how fast a distance can change: a cone's also by its radius
     steep = 1.0
-    for strut in struts:
-        length = np.sqrt((strut[3] - strut[0]) ** 2 + (strut[4] - strut[1]) ** 2 + (strut[5] - strut[2]) ** 2)
-        steep = max(steep, 1.0 + abs(strut[7] - strut[6]) / length)
-    reach = 2 * steep * half * np.sqrt(3.0) + margin + 1e-12
-    for bucket in range(BUCKETS**3):
-        x = (bucket % BUCKETS) / BUCKETS + half
-        y = (bucket // BUCKETS % BUCKETS) / BUCKETS + half
-        z = (bucket // BUCKETS**2) / BUCKETS + half
-        nearest = np.inf
-        for s in range(len(struts)):
-            distances[s] = _distance(struts[s], x, y, z)
-            nearest = min(nearest, distances[s])
-        for s in range(len(struts)):
-            if distances[s] <= nearest + reach:
-                if fill:
-                    listed[first[bucket]] = s
-                    first[bucket] += 1
-                else:
-                    first[bucket + 1] += 1
+    for s in range(len(struts)):
+        near[LEVELS, s] = s
+        squared = 0.0
+        for c in range(3):
+            squared += (struts[s, 3 + c] - struts[s, c]) ** 2
+        steep = max(steep, 1.0 + abs(struts[s, 7] - struts[s, 6]) / np.sqrt(squared))
+    count[LEVELS] = len(struts)
+    for morton in range(BUCKETS**3):
+        for level in range(LEVELS - 1, -1, -1):
+            if morton % (1 << (3 * level)) != 0:
+                continue
+            i, j, k = place_of(morton, level)
+            half = 0.5 * (1 << level)
+            x, y, z = (i + half) / BUCKETS, (j + half) / BUCKETS, (k + half) / BUCKETS
+            nearest = np.inf
+            for at in range(count[level + 1]):
+                s = near[level + 1, at]
+                distances[s] = _distance(struts, s, x, y, z)
+                nearest = min(nearest, distances[s])
+            limit = nearest + 2.0 * steep * np.sqrt(3.0) * half / BUCKETS + margin + 1e-12
+            count[level] = 0
+            for at in range(count[level + 1]):
+                s = near[level + 1, at]
+                if distances[s] <= limit:
+                    near[level, count[level]] = s
+                    count[level] += 1
+        i, j, k = place_of(morton, 0)
+        bucket = (k * BUCKETS + j) * BUCKETS + i
+        if total + count[0] > len(listed):
+            listed = longer(listed, total + count[0])
+        begin[bucket] = total
+        for at in range(count[0]):
+            listed[total + at] = near[0, at]
+        total += count[0]
+        end[bucket] = total
+    return begin, end, listed[:total].copy()
 
 
 @kernel
 def _evaluate(
     struts: NDArray[np.float64],
-    first: NDArray[np.int64],
+    begin: NDArray[np.int64],
+    end: NDArray[np.int64],
     listed: NDArray[np.int32],
     blend: float,
     x: NDArray[np.float64],
@@ -129,25 +191,84 @@ def _evaluate(
 
     The weight w(t) = (1 - t / 4)^4, 0 from t = 4 on, stands for exp(-t), with which this would be the usual smooth
     minimum; it keeps struts that are far apart from touching each other's value, and costs no power.
+
+    The samples of a row that share a bucket are done together, strut by strut.
     """
-    distances = np.empty(len(listed))
+    longest = 0
+    for bucket in range(BUCKETS**3):
+        longest = max(longest, end[bucket] - begin[bucket])
+    distances = np.empty((longest, RUN))
+    nearest, total = np.empty(RUN), np.empty(RUN)
+    fade = 1.0 / (REACH * blend) if blend > 0.0 else 0.0
     for k in range(len(z)):
         bz = int(z[k] * BUCKETS)
         for j in range(len(y)):
             by = int(y[j] * BUCKETS)
-            for i in range(len(x)):
-                bucket = (bz * BUCKETS + by) * BUCKETS + int(x[i] * BUCKETS)
-                start, count = first[bucket], first[bucket + 1] - first[bucket]
-                nearest = np.inf
+            i = 0
+            while i < len(x):
+                bx = int(x[i] * BUCKETS)
+                stop = i + 1
+                while stop < len(x) and stop < i + RUN and int(x[stop] * BUCKETS) == bx:
+                    stop += 1
+                bucket = (bz * BUCKETS + by) * BUCKETS + bx
+                start, count = begin[bucket], end[bucket] - begin[bucket]
+                for n in range(stop - i):
+                    nearest[n] = np.inf
+                    total[n] = 0.0
                 for at in range(count):
-                    distances[at] = _distance(struts[listed[start + at]], x[i], y[j], z[k])
-                    nearest = min(nearest, distances[at])
+                    _distances(struts, listed[start + at], x, i, stop, y[j], z[k], distances, at, nearest)
                 if blend > 0.0:
-                    total = 0.0
                     for at in range(count):
-                        share = 1.0 - (distances[at] - nearest) / (REACH * blend)
-                        if share > 0.0:
-                            total += share * share * share * share
-                    if total > 1.0:
-                        nearest -= blend * np.log(total)
-                values[k, j, i] = np.float32(nearest)
+                        _add_shares(distances, at, stop - i, nearest, fade, total)
+                for n in range(stop - i):
+                    value = nearest[n]
+                    if total[n] > 1.0:
+                        value -= blend * np.log(total[n])
+                    values[k, j, i + n] = np.float32(value)
+                i = stop
+
+
+@kernel
+def _distances(
+    struts: NDArray[np.float64],
+    s: int,
+    x: NDArray[np.float64],
+    begin: int,
+    end: int,
+    y: float,
+    z: float,
+    distances: NDArray[np.float64],
+    at: int,
+    nearest: NDArray[np.float64],
+) -> None:
+    """As `_distance`, for some samples of a row; `nearest` is lowered to what is less."""
+    sx, r, dr = struts[s, 0], struts[s, 6], struts[s, 7] - struts[s, 6]
+    dx, dy, dz = struts[s, 3] - sx, struts[s, 4] - struts[s, 1], struts[s, 5] - struts[s, 2]
+    py, pz = y - struts[s, 1], z - struts[s, 2]
+    inverse = 1.0 / (dx * dx + dy * dy + dz * dz)
+    across = py * dy + pz * dz
+    for n in range(end - begin):
+        px = x[begin + n] - sx
+        along = (px * dx + across) * inverse
+        along = along if along > 0.0 else 0.0
+        along = along if along < 1.0 else 1.0
+        qx, qy, qz = px - along * dx, py - along * dy, pz - along * dz
+        distance = np.sqrt(qx * qx + qy * qy + qz * qz) - (r + along * dr)
+        distances[at, n] = distance
+        nearest[n] = distance if distance < nearest[n] else nearest[n]
+
+
+@kernel
+def _add_shares(
+    distances: NDArray[np.float64],
+    at: int,
+    count: int,
+    nearest: NDArray[np.float64],
+    fade: float,
+    total: NDArray[np.float64],
+) -> None:
+    for n in range(count):
+        share = 1.0 - (distances[at, n] - nearest[n]) * fade
+        share = share if share > 0.0 else 0.0
+        share *= share
+        total[n] += share * share

@@ -160,7 +160,7 @@ def _from_json(text: str, name: str) -> StrutGraph:
 
 
 def _from_csv(text: str, name: str) -> StrutGraph:
-    rows = []
+    rows: list[list[float]] = []
     for number, row in enumerate(csv.reader(text.splitlines()), 1):
         if not row or row[0].lstrip().startswith("#"):
             continue

@@ -1,0 +1,86 @@
+"""``field.elastic_texture``: trusses of cubic symmetry, some of them nearly isotropic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_structures.cell_field import in_cell_edges
+from sppm_structures.struts import StrutField
+from sppm_structures.textures import TEXTURES, Texture, read_pattern, read_weights, texture_graph
+
+LARGEST_RADIUS = 0.25
+"""Edges of a copy; thicker struts leave no void."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElasticTexture(Stage):
+    """A truss given by a graph in one tetrahedron, mirrored by the 48 symmetries of the cube.
+
+    After Panetta et al. 2015, "Elastic textures for additive fabrication". The tetrahedron has its corners at the
+    cube's centre c, a face's centre f, an edge's middle e and a corner v of the cube. Nodes are named by the corners
+    that they lie between: c, cf, cfe, cfev and so on, 15 kinds. A pattern lists edges: ``c-ev ev-f``. Their place
+    between the corners is given by barycentric weights, ``ev=1:2``; struts are cones with a radius for each node,
+    ``ev=1.5`` times `radius`; joints are blended as in `field.struts`. The publication numbers its patterns; ours are
+    named by their edges, and whether a preset of ours is one of theirs we can't say.
+
+    ``tune.porosity`` adds the same to all radii. The presets are isotropic at the density that the README states.
+    """
+
+    name: ClassVar[str] = "field.elastic_texture"
+
+    preset: str = option(
+        "braced_frame", help="pattern, weights and radii, unless there is a `pattern`", choices=tuple(TEXTURES)
+    )
+    pattern: str | None = option(None, help="edges of a pattern of one's own, such as `c-ev ev-f`")
+    weights: str = option("", help="weights of the pattern's nodes, such as `ev=1:2`; equal where there are none")
+    radii: str = option("", help="radii at the pattern's nodes over `radius`, such as `ev=1.5`; 1 where there are none")
+    radius: Length = option(Length(0.05), help="radius of the struts", unit="cell edges", above=0)
+    blend: Length = option(Length(0.02), help="length over which joints are rounded", unit="cell edges", minimum=0)
+    repeat: int = option(1, help="copies along the cell edge", minimum=1, maximum=64)
+    edge: Length | None = option(None, help="edge of the cell", unit="mm", above=0)
+
+    def check_options(self) -> None:
+        self._texture()
+
+    def _texture(self) -> Texture:
+        if self.pattern is None:
+            if self.weights or self.radii:
+                raise ConfigError("`weights` and `radii` belong to a `pattern`; a preset has its own")
+            return TEXTURES[self.preset]
+        edges = read_pattern(self.pattern)
+        nodes = {node for edge in edges for node in edge}
+        sizes = read_weights(self.radii, "radii", nodes, True)
+        return Texture(
+            edges,
+            read_weights(self.weights, "weights", nodes, False),
+            {node: size for node, (size,) in sizes.items()},
+        )
+
+    def run(self, context: Context) -> ScalarField:
+        """Mirror the graph; the field is evaluated where somebody samples it."""
+        texture = self._texture()
+        edge = self.edge.mm() if self.edge is not None else None
+        radius, blend = in_cell_edges(self.radius, edge), in_cell_edges(self.blend, edge)
+        thickest, most = radius * max([1.0, *texture.radii.values()]), LARGEST_RADIUS / self.repeat
+        if not (thickest < most and blend < most):
+            raise ConfigError(
+                f"the thickest radius {thickest:g} and the blend {blend:g} must be less than {most:g} cell edges"
+            )
+        graph = texture_graph(texture)
+        return StrutField(
+            lattice=" ".join("-".join(ends) for ends in texture.edges),
+            starts=graph.starts,
+            ends=graph.ends,
+            radii=np.column_stack([graph.start_radii, graph.end_radii]),
+            radius=radius,
+            blend=blend,
+            repeat=self.repeat,
+            edge=edge,
+        )

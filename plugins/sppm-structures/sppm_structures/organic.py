@@ -1,0 +1,242 @@
+"""``field.organic``: pores thrown over a whole part, without cells."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.errors import ConfigError, ResourceError
+from sppm_pipeline.numerics.assembly.pieces import Pieces
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.kernels.kernels import Kernels
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_structures.brick_field import region_of
+from sppm_structures.cell_field import in_cell_edges
+
+CUTOFF = 1e-5
+"""Value below which a single kernel is left out of the sum."""
+
+MOST_PORES = 3_000_000
+"""Pores of a part; they take some 300 bytes each."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OrganicField(ScalarField):
+    """Sum of pore and tunnel kernels less the level, in a box of cells that is not repeated.
+
+    Attributes
+    ----------
+    edge : float or None
+        Edge of a cell, mm.
+    region : tuple of 3 ints
+    origin : tuple of 3 floats
+        World position of the low corner, mm.
+    pores : (n, 3) float64
+        Centres from the low corner, cell edges.
+    tunnels : (m, 2) int64
+        Pores that are joined.
+    omega, mu : float
+        Size parameters of pores and tunnels, 1 / cell edge^2 and 1 / cell edge.
+    level : float
+    """
+
+    edge: float | None
+    region: tuple[int, int, int]
+    origin: tuple[float, float, float]
+    pores: NDArray[np.float64]
+    tunnels: NDArray[np.int64]
+    omega: float
+    mu: float
+    level: float
+    kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return self.region
+
+    @property
+    def periodic(self) -> bool:
+        return False
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.edge
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.origin
+
+    @property
+    def finest_radius(self) -> float | None:
+        return -math.log(self.level) / self.mu if 0 < self.level < 1 else None
+
+    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        return self.sample_layers(grid, 0, grid.shape[2], threads)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        from sppm_pipeline.numerics.assembly.gather import make_catalogue, sample_exact
+
+        if "pieces" not in self.kept:
+            pieces, arrays = self._sorted_by_cell()
+            self.kept["pieces"] = pieces, arrays, make_catalogue(pieces, CUTOFF)
+        pieces, arrays, catalogue = self.kept["pieces"]
+        values = sample_exact(pieces, arrays, grid, CUTOFF, threads, start, stop, catalogue=catalogue)
+        values -= np.float32(self.level)
+        return values
+
+    def _sorted_by_cell(self) -> tuple[Pieces, TilingArrays]:
+        """Kernels by the cell they lie in, or that is next to them, so that a slab finds its own at once."""
+        shape = np.array(self.region)
+        starts, ends = self.pores[self.tunnels[:, 0]], self.pores[self.tunnels[:, 1]]
+        of_pore, of_tunnel = (np.clip(np.floor(p).astype(np.int64), 0, shape - 1) for p in (self.pores, starts))
+        number = np.arange(math.prod(self.region), dtype=np.int32).reshape(self.region)
+        pore_cell, tunnel_cell = number[tuple(of_pore.T)], number[tuple(of_tunnel.T)]
+        pore_order, tunnel_order = np.argsort(pore_cell, kind="stable"), np.argsort(tunnel_cell, kind="stable")
+        bounds = np.arange(number.size + 1)
+        first_pore = np.searchsorted(pore_cell[pore_order], bounds)
+        first_tunnel = np.searchsorted(tunnel_cell[tunnel_order], bounds)
+        interiors = []
+        for cell, corner in enumerate(np.argwhere(number >= 0).astype(np.float64)):
+            p = pore_order[first_pore[cell] : first_pore[cell + 1]]
+            t = tunnel_order[first_tunnel[cell] : first_tunnel[cell + 1]]
+            interiors.append(
+                Kernels(
+                    self.pores[p] - corner,
+                    np.full(len(p), self.omega),
+                    starts[t] - corner,
+                    ends[t] - corner,
+                    np.full(len(t), self.mu),
+                    False,
+                )
+            )
+        faces = []
+        for axis in range(3):
+            planes = list(self.region)
+            planes[axis] += 1
+            faces.append(np.full(planes, -1, np.int32))
+        return Pieces(tuple(interiors), ((), (), ()), {}), TilingArrays(number, (faces[0], faces[1], faces[2]), False)
+
+    def cut_at(self, value: float) -> OrganicField:
+        return replace(self, level=self.level + value)
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers of pores and tunnels and the level."""
+        return {
+            "cells": list(self.region),
+            "pores": len(self.pores),
+            "tunnels": len(self.tunnels),
+            "level": self.level,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Organic(Stage):
+    """Organic pores: thrown over the whole part, near ones joined by tunnels, nothing repeats.
+
+    After Tian et al. 2020, "Organic open-cell porous structure modeling", whose design space is the whole part. Darts
+    are thrown into the part's box until nothing fits; two pores are joined unless a third is nearer to both than they
+    are to each other (relative neighbourhood graph, Toussaint 1980), which holds the minimum spanning tree, so all
+    pores are connected. Field and kernels are those of `field.gaussian`: ``sum exp(-omega r^2) + sum exp(-mu d)``,
+    solid below the level, which ``tune.porosity`` changes.
+
+    What differs from the publication: its pores are stretched along a tensor field, placed by an anisotropic particle
+    system, and connected where the Morse-Smale complex of the field says so; ours are round, thrown, and joined by
+    tunnels of the paper's kind.
+
+    The cell is only the unit of lengths and resolutions here. Time and memory to draw grow with the part.
+    """
+
+    name: ClassVar[str] = "field.organic"
+
+    spacing: Length = option(Length(0.25), help="smallest distance between pores", unit="cell edges", above=0)
+    pore_radius: Length | None = option(
+        None, help="radius of a lone pore; 0.45 spacings if omitted", unit="cell edges", above=0
+    )
+    tunnel_radius: Length | None = option(
+        None, help="radius of a lone tunnel; 0.16 spacings if omitted", unit="cell edges", above=0
+    )
+    level: float = option(0.25, help="the level C at which the sum is cut", above=0, below=1)
+    cells: tuple[int, int, int] | None = option(
+        None, help="size of a box along x, y, z instead of a part", unit="cells", minimum=1, maximum=4096
+    )
+    edge: Length | None = option(None, help="edge of a cell", unit="mm", above=0)
+
+    def run(self, context: Context, cover: SurfaceMesh | None) -> ScalarField:
+        """Throw and join the pores; the field is evaluated where somebody samples it."""
+        from sppm_pipeline.numerics.kernels.parameters import mu_from_radius, omega_from_radius
+        from sppm_pipeline.numerics.sampling.darts import throw
+
+        edge = self.edge.mm() if self.edge is not None else None
+        region, origin = region_of(edge, self.cells, cover)
+        spacing = in_cell_edges(self.spacing, edge)
+        pore = in_cell_edges(self.pore_radius, edge) if self.pore_radius is not None else 0.45 * spacing
+        tunnel = in_cell_edges(self.tunnel_radius, edge) if self.tunnel_radius is not None else 0.16 * spacing
+        if max(pore, tunnel) > 4 * spacing or not 1e-3 < spacing <= max(region):
+            raise ConfigError(
+                f"pores of radius {pore:g} and tunnels of {tunnel:g} cell edges don't fit a spacing of {spacing:g}",
+                hint=f"radii are below 4 spacings, the spacing lies between 0.001 and {max(region)} cell edges",
+            )
+        expected = math.prod(0.75 * (n + 2 * spacing) / spacing for n in region) / 0.75**2
+        if expected > MOST_PORES:
+            raise ResourceError(
+                f"the part would take about {expected:.2g} pores; the limit is {MOST_PORES}",
+                hint="give a larger spacing, or repeat a cell, or use `tile.free_faces`, whose cost does not grow",
+            )
+        # beyond the box, too, so that its sides are like any plane
+        pores = throw(
+            context.rng(),
+            None,
+            spacing,
+            (-spacing,) * 3,
+            tuple(n + spacing for n in region),
+            share=1.0,
+        )
+        tunnels = near_pairs(pores, 2 * spacing)
+        return OrganicField(
+            edge=edge,
+            region=region,
+            origin=origin,
+            pores=pores,
+            tunnels=tunnels,
+            omega=omega_from_radius(pore, self.level),
+            mu=mu_from_radius(tunnel, self.level),
+            level=self.level,
+        )
+
+
+def near_pairs(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
+    """Relative neighbourhood graph: pairs (m, 2) with no third point nearer to both than they are to each other.
+
+    Pairs further apart than `reach` are not looked at. Where no ball of half that radius is empty there are none.
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(points)
+    pairs = tree.query_pairs(reach, output_type="ndarray").astype(np.int64)
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    kept = np.ones(len(pairs), bool)
+    undecided = np.arange(len(pairs))
+    for number in range(2, len(points) + 1):  # the nearest but itself, the next; most pairs fall at the first
+        ends, place = np.unique(pairs[undecided, 0], return_inverse=True)
+        distance, third = (found[:, 0] for found in tree.query(points[ends], [number]))
+        distance, third = distance[place.reshape(-1)], third[place.reshape(-1)]
+        # whoever is nearer to both ends is nearer to the first
+        in_reach = distance < lengths[undecided]
+        undecided, third = undecided[in_reach], third[in_reach]
+        between = np.linalg.norm(points[third] - points[pairs[undecided, 1]], axis=1) < lengths[undecided]
+        between &= third != pairs[undecided, 1]
+        kept[undecided[between]] = False
+        undecided = undecided[~between]
+        if not len(undecided):
+            break
+    joined: NDArray[np.int64] = pairs[kept]
+    return joined

@@ -1,0 +1,139 @@
+"""``field.spinodoid``: random fields like those of spinodal decomposition, with directions left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_structures.cell_field import CellField
+from sppm_structures.waves import Waves, half_space, sum_of_waves, waves_of
+
+SMALLEST_CONE = 15.0
+"""Below this angle, degrees, the solid falls into separate layers (Kumar et al. 2020)."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SpinodoidField(CellField):
+    """The solid where a sum of waves lies below a level.
+
+    Attributes
+    ----------
+    waves : Waves
+        Scaled so that the variance is 1.
+    level : float
+        Standard deviations.
+    """
+
+    waves: Waves
+    level: float
+    repeat: int = 1
+
+    def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
+        values = sum_of_waves(self.waves, *((self.repeat * axis) % 1.0 for axis in (x, y, z)))
+        values -= self.level
+        return values
+
+    def cut_at(self, value: float) -> SpinodoidField:
+        return replace(self, level=self.level + value)
+
+    def summary(self) -> dict[str, Any]:
+        """Number of waves and the level."""
+        return {"waves": len(self.waves.vectors), "level": self.level}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spinodoid(Stage):
+    """A Gaussian random field ``sqrt(2/n) sum cos(2 pi k.x + phase)`` cut at a level: a spinodoid.
+
+    After Kumar, Tan, Zheng and Kochmann 2020, "Inverse-designed spinodoid metamaterials". Wave vectors lie near a
+    sphere and within cones around the axes; a cone of 90 degrees takes every direction (isotropic), one small cone
+    makes layers (lamellar), two make columns, three a cubic structure. Theirs is drawn from a continuous sphere and
+    does not repeat; ours takes whole numbers of waves along the cell edge, from a shell about the sphere, so that the
+    field is periodic. A field of few waves is less random: raise `wavenumber`, or make the shell thicker.
+
+    Solid is where the field lies below the level; ``tune.porosity`` changes it. Without tuning, the level is that at
+    which a Gaussian field has the wished density.
+    """
+
+    name: ClassVar[str] = "field.spinodoid"
+
+    wavenumber: float = option(
+        5.0, help="periods along the cell edge of the waves, about the number of pores", minimum=1, maximum=64
+    )
+    shell: float = option(
+        0.5, help="wave vectors may be longer or shorter by this", unit="periods a cell edge", above=0, maximum=8
+    )
+    cones: tuple[float, float, float] = option(
+        (90.0, 0.0, 0.0),
+        help="half angles of the cones about x, y, z that wave vectors are taken from; 0 for none",
+        unit="degrees",
+        minimum=0,
+        maximum=90,
+    )
+    waves: int | None = option(None, help="number of waves, drawn from those there are; all if omitted", minimum=1)
+    density: float = option(0.5, help="expected share of solid, which sets the level", above=0, below=1)
+    repeat: int = option(1, help="copies along the cell edge", minimum=1, maximum=64)
+    edge: Length | None = option(None, help="edge of the cell", unit="mm", above=0)
+
+    def check_options(self) -> None:
+        if not any(self.cones):
+            raise ConfigError("all cones are empty", hint="give at least one angle, such as `cones: [30, 0, 0]`")
+        low = [angle for angle in self.cones if 0 < angle < SMALLEST_CONE]
+        if low:
+            raise ConfigError(
+                f"a cone of {low[0]:g} degrees leaves separate layers; allowed are 0 and {SMALLEST_CONE:g} to 90"
+            )
+
+    def run(self, context: Context) -> ScalarField:
+        """Draw wave vectors and phases."""
+        from statistics import NormalDist
+
+        vectors = wave_vectors(self.wavenumber, self.shell, self.cones)
+        rng = context.rng()
+        if self.waves is not None:
+            if self.waves > len(vectors):
+                raise DesignError(
+                    f"there are {len(vectors)} different waves in the cones, {self.waves} are asked for",
+                    hint="raise `wavenumber` or `shell`, widen the cones, or leave out `waves` to take all",
+                )
+            vectors = vectors[np.sort(rng.choice(len(vectors), self.waves, replace=False))]
+        phases = 2 * np.pi * rng.random(len(vectors))
+        context.report(waves=len(vectors))
+        return SpinodoidField(
+            waves=waves_of(vectors, phases, np.sqrt(2 / len(vectors))),
+            level=NormalDist().inv_cdf(self.density),
+            repeat=self.repeat,
+            edge=self.edge.mm() if self.edge is not None else None,
+        )
+
+
+def wave_vectors(wavenumber: float, shell: float, cones: tuple[float, float, float]) -> NDArray[np.int64]:
+    """Integer vectors of nearly the length `wavenumber` within cones about the axes, one of each opposite pair.
+
+    Raises
+    ------
+    DesignError
+        If there is none.
+    """
+    most = int(np.floor(wavenumber + shell))
+    axis = np.arange(-most, most + 1)
+    every = half_space(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3))
+    lengths = np.sqrt((every * every).sum(axis=1))
+    near = np.abs(lengths - wavenumber) <= shell + 1e-9
+    every, lengths = every[near], lengths[near]
+    cosines = np.cos(np.radians(cones)) - 1e-9
+    inside = ((np.abs(every) >= lengths[:, None] * cosines) & (np.array(cones) > 0)).any(axis=1)
+    if not inside.any():
+        raise DesignError(
+            f"no wave of {wavenumber - shell:g} to {wavenumber + shell:g} periods a cell edge lies in the cones",
+            hint="make `shell` thicker, or `wavenumber` a whole number",
+        )
+    chosen: NDArray[np.int64] = every[inside]
+    return chosen

@@ -1,0 +1,208 @@
+"""``field.voronoi_foam``: open and closed foams along the edges and faces of Voronoi cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.noun import frozen
+from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_structures.brick_field import Brick, BrickField, region_of
+from sppm_structures.cell_field import in_cell_edges
+from sppm_structures.seeds import MOST_SEEDS, HashedSeeds, blue_noise, images_near
+
+MOST_SHARED = np.sqrt(3.0) / 2
+"""No point of a periodic cell is further than this from a seed, cell edges."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VoronoiFoam(BrickField):
+    """Distance from the surface of a foam.
+
+    Attributes
+    ----------
+    form : {"open", "closed"}
+    hashed : HashedSeeds or None
+        Seeds drawn by their place.
+    given : (n, 3) float64
+        Seeds of the periodic cell, if they are not drawn.
+    half : float
+        Radius of the struts, or half the thickness of the walls, cell edges.
+    blend : float
+        Length over which joints of struts are rounded, cell edges.
+    """
+
+    form: str
+    hashed: HashedSeeds | None
+    given: NDArray[np.float64]
+    half: float
+    blend: float = 0.0
+
+    @property
+    def furthest(self) -> float:
+        """No point is further than this from the nearest seed, cell edges."""
+        return min(self.hashed.furthest, MOST_SHARED if self.periodic else np.inf) if self.hashed else MOST_SHARED
+
+    def seeds_near(self, brick: Brick, margin: float) -> tuple[NDArray[np.float64], int]:
+        """Seeds in a brick, first, and those nearer to it than `margin`; relative to its low corner."""
+        if self.hashed is not None:
+            return self.hashed.near(brick, margin, self.periodic)
+        return images_near(self.given, margin)
+
+    def edges_of(self, brick: Brick) -> NDArray[np.float64]:
+        """Voronoi edges of a brick's seeds, (m, 6), relative to its low corner; each edge belongs to one brick."""
+        from sppm_structures.voronoi_kernels import voronoi_edges
+
+        most = 2 * self.furthest
+        seeds, own = self.seeds_near(brick, most)
+        return voronoi_edges(seeds, own, min(most, 2.0 * max(own, 1) ** (-1 / 3)), most)
+
+    def prepare(self, brick: Brick) -> Any:
+        from sppm_structures.strut_kernels import REACH, table_of_struts
+        from sppm_structures.voronoi_kernels import wall_table
+
+        if self.form == "closed":
+            # a wall is nearer than the furthest seed, and who bounds it nearer than three times as much
+            return wall_table(self.seeds_near(brick, 3 * self.furthest + 0.25)[0])
+        # a point p is a mean of the corners v of its Voronoi cell, with seed s, and the same mean of |v - p|^2 is that
+        # of |v - s|^2 less |p - s|^2; so one of them, where edges end, is nearer than the furthest corner of all cells
+        margin = self.furthest + REACH * self.blend
+        ring = range(-int(np.ceil(margin)), int(np.ceil(margin)) + 1)
+        parts = []
+        for shift in product(ring, repeat=3):
+            other = (0, 0, 0) if self.periodic else (brick[0] + shift[0], brick[1] + shift[1], brick[2] + shift[2])
+            edges = self.kept.get(("edges", other), partial(self.edges_of, other)) + np.tile(shift, 2)
+            low, high = np.minimum(edges[:, :3], edges[:, 3:]), np.maximum(edges[:, :3], edges[:, 3:])
+            parts.append(edges[((low <= 1 + margin) & (high >= -margin)).all(axis=1)])
+        struts = np.concatenate(parts)
+        return table_of_struts(np.column_stack([struts, np.zeros((len(struts), 2))]), self.blend)
+
+    def evaluate(
+        self, prepared: Any, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        from sppm_structures.strut_kernels import evaluate_struts
+        from sppm_structures.voronoi_kernels import evaluate_walls
+
+        closed = self.form == "closed"
+        values = evaluate_walls(prepared, x, y, z) if closed else evaluate_struts(prepared, self.blend, x, y, z)
+        values -= np.float32(self.half)
+        return values
+
+    def cut_at(self, value: float) -> VoronoiFoam:
+        return replace(self, half=self.half + value)
+
+    def summary(self) -> dict[str, Any]:
+        """Form, number of Voronoi cells and what tuning changes."""
+        name, size = ("thickness", 2 * self.half) if self.form == "closed" else ("radius", self.half)
+        summary: dict[str, Any] = {"form": self.form, name: size}
+        if self.edge is not None:
+            summary[f"{name}_mm"] = size * self.edge
+        if self.periodic:
+            summary["seeds"] = self.seeds_near((0, 0, 0), 0.0)[1]
+        else:
+            summary["cells"] = list(self.cells)
+        return summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class Voronoi(Stage):
+    """A foam of Voronoi cells: round struts along their edges, or walls at their faces.
+
+    Evaluated where it is sampled, after Martinez, Dumas and Lefebvre 2016, "Procedural Voronoi foams for additive
+    manufacturing": one seed is drawn in each of `seeds`^3 places of a cell by a hash of the place, so that a part of
+    any size takes no memory and no time beyond that of its samples. With ``layout: part`` nothing repeats.
+
+    Both distances are exact. A wall is a bisector plane, at ``(|p-b|^2 - |p-a|^2) / (2 |b-a|)``. Struts follow the
+    edges of the Voronoi diagram, which are found for the seeds of one cell at a time. ``tune.porosity`` changes the
+    radius, or the thickness. The pores of a closed foam are closed: resin and powder stay inside.
+    """
+
+    name: ClassVar[str] = "field.voronoi_foam"
+
+    form: str = option("open", help="struts along the edges, or walls at the faces", choices=("open", "closed"))
+    radius: Length | None = option(None, help="radius of the struts; 0.03 if omitted", unit="cell edges", above=0)
+    thickness: Length | None = option(None, help="thickness of the walls; 0.03 if omitted", unit="cell edges", above=0)
+    blend: Length = option(Length(0.01), help="length over which joints are rounded", unit="cell edges", minimum=0)
+    seeds: int = option(4, help="seeds along the cell edge, if no pores are given", minimum=1, maximum=16)
+    pattern: str = option(
+        "jittered", help="seeds drawn each in a place of its own, or by dart throwing", choices=("jittered", "darts")
+    )
+    jitter: float = option(0.8, help="share of its place that a seed may take", minimum=0, maximum=1)
+    fine: float = option(
+        0.0, help="share of the places that are cut into eight, each with a seed", minimum=0, maximum=1
+    )
+    layout: str = option(
+        "cell", help="one cell that repeats, or all cells of a part, none like another", choices=("cell", "part")
+    )
+    cells: tuple[int, int, int] | None = option(
+        None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
+    )
+    edge: Length | None = option(None, help="edge of a cell", unit="mm", above=0)
+
+    def check_options(self) -> None:
+        if self.form == "open" and self.thickness is not None:
+            raise ConfigError("the struts of an open foam have a `radius`, no thickness")
+        if self.form == "closed" and self.radius is not None:
+            raise ConfigError("the walls of a closed foam have a `thickness`, no radius")
+        if self.cells is not None and self.layout == "cell":
+            raise ConfigError("`cells` are laid with `layout: part`", hint="or repeat one cell with `tile.periodic`")
+        if self.pattern == "darts" and self.layout == "part":
+            raise ConfigError("darts are thrown into a cell that repeats; seeds of a whole part are `jittered`")
+        if self.pattern == "darts" and self.fine:
+            raise ConfigError("`fine` cuts the places of jittered seeds")
+
+    def run(self, context: Context, pores: PoreSet | None, cover: SurfaceMesh | None) -> ScalarField:
+        """Choose the seeds; the field is evaluated where somebody samples it."""
+        edge = self.edge.mm() if self.edge is not None else None
+        if edge is None and pores is not None and pores.cell.physical:
+            edge = pores.cell.edge
+        region, origin = region_of(edge, self.cells, cover) if self.layout == "part" else (None, (0.0, 0.0, 0.0))
+        size = self.radius if self.form == "open" else self.thickness
+        half = in_cell_edges(size or Length(0.03), edge) / (1 if self.form == "open" else 2)
+        blend = in_cell_edges(self.blend, edge) if self.form == "open" else 0.0
+        if not (half < 0.5 and blend < 0.1):
+            raise ConfigError(
+                f"half thickness {half:g} must be less than 0.5, blend {blend:g} less than 0.1 cell edges"
+            )
+        given, hashed = np.empty((0, 3)), None
+        if pores is not None:
+            if region is not None:
+                raise ConfigError("seeds that are given fill one cell", hint="leave out `layout: part`, or the pores")
+            given = _seeds_of(pores)
+        elif self.pattern == "darts":
+            given = blue_noise(context.rng(), self.seeds**3)
+        else:
+            hashed = HashedSeeds(int(context.rng().integers(2**62)), self.seeds, self.jitter, self.fine)
+        return VoronoiFoam(
+            form=self.form,
+            hashed=hashed,
+            given=frozen(given),
+            half=half,
+            blend=blend,
+            edge=edge,
+            region=region,
+            origin=origin,
+        )
+
+
+def _seeds_of(pores: PoreSet) -> NDArray[np.float64]:
+    """The pores of a lone cell, folded into it, each once."""
+    if pores.interiors > 1 or max(pores.colors) > 1:
+        raise InputError("a foam needs the pores of one cell, not of a tile set")
+    centers = pores.centers - np.floor(pores.centers)
+    centers[centers >= 1.0] = 0.0
+    _, first = np.unique(np.round(centers * 1e7) % 10**7, axis=0, return_index=True)
+    centers = frozen(centers[np.sort(first)])
+    if not 1 <= len(centers) <= MOST_SEEDS:
+        raise InputError(f"a foam needs 1 to {MOST_SEEDS} different pores, got {len(centers)}")
+    return centers

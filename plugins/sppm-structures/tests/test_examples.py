@@ -1,0 +1,31 @@
+"""The configurations in ``examples/`` run through the program, and every stage has one."""
+
+import json
+from pathlib import Path
+
+import pytest
+from sppm_structures import sppm_stages
+
+from sppm_pipeline.cli.main import main
+
+EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.yaml"))
+
+
+def test_every_stage_has_an_example():
+    text = "".join(path.read_text(encoding="utf-8") for path in EXAMPLES)
+    for stage in sppm_stages():
+        assert f"stage: {stage}" in text
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_run(path, tmp_path):
+    coarse = ["-p", "resolution=24", "-s", "slice.field.pixel=0.8 mm"]
+    if "tune.porosity" in path.read_text(encoding="utf-8"):
+        coarse += ["-s", "tune.porosity.tolerance=0.01"]
+    folder = tmp_path / "run"
+    assert main(["run", str(path), "-o", str(folder), "-q", *coarse]) == 0
+    record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    assert record["status"] == "done"
+    layers = sorted((folder / "slices").glob("*.png"))
+    assert len(layers) >= 10
+    assert any(layer.stat().st_size > 100 for layer in layers)
