@@ -47,15 +47,15 @@ def measured(source, **options):
 @pytest.mark.parametrize("extent", [(1, 1, 1), (2, 1, 1)])
 @pytest.mark.parametrize("edge", [None, 5.0])
 def test_a_round_pore(extent, edge):
-    found = measured(Bubble(0.3, extent, edge), resolution=48)
+    found = measured(Bubble(0.3, extent, edge), resolution=32)
     scale = edge or 1.0
     assert found["unit"] == ("mm" if edge else "cell edges")
     # too small by three voxels at most, never too large
-    assert 0.6 - 3 / 48 <= found["void"]["largest"] / scale <= 0.6
-    assert 0.6 - 3 / 48 <= found["void"]["quantiles"][1] / scale <= 0.6
-    assert found["specific_surface"] == pytest.approx(4 * np.pi * 0.3**2 / scale, rel=0.01)
+    assert 0.6 - 3 / 32 <= found["void"]["largest"] / scale <= 0.6
+    assert 0.6 - 3 / 32 <= found["void"]["quantiles"][1] / scale <= 0.6
+    assert found["specific_surface"] == pytest.approx(4 * np.pi * 0.3**2 / scale, rel=0.02)
     # the largest ball between eight bubbles sits at the corner of the cell
-    assert 0 <= 2 * (0.75**0.5 - 0.3) - found["solid"]["largest"] / scale <= 3 / 48
+    assert 0 <= 2 * (0.75**0.5 - 0.3) - found["solid"]["largest"] / scale <= 3 / 32
 
 
 def test_a_pore_across_the_seam_has_all_its_surface(cell):
@@ -67,9 +67,8 @@ def test_a_pore_across_the_seam_has_all_its_surface(cell):
             x, y, z = (np.mod(grid.axis(axis) + 0.4, 1.0) - 0.5 for axis in range(3))
             return (self.radius - np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2)).astype(np.float32)
 
-    assert measured(Moved(0.3))["specific_surface"] == pytest.approx(
-        measured(Bubble(0.3))["specific_surface"], rel=2e-3
-    )
+    moved, still = (measured(field, resolution=20)["specific_surface"] for field in (Moved(0.3), Bubble(0.3)))
+    assert moved == pytest.approx(still, rel=1e-3)
 
 
 def test_an_image_gives_the_sizes_of_its_field(cell):

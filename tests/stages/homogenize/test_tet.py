@@ -39,16 +39,16 @@ def homogenized(mesh, **options):
 
 def test_schwarz_p_approaches_the_limit_from_above():
     """C11 of the network at half density is .3283 by quadratic elements elsewhere; straight ones are stiffer."""
-    coarse, fine = (homogenized(meshed(n))[0] for n in (8, 16))
+    coarse, fine = (homogenized(meshed(n))[0] for n in (6, 12))
     assert coarse.stiffness[0, 0] > fine.stiffness[0, 0] > 0.325
-    quadratic, context = homogenized(meshed(12, 2))
+    quadratic, context = homogenized(meshed(8, 2))
     quadratic.check()
     c = quadratic.stiffness
-    assert c[0, 0] == pytest.approx(0.3283, rel=0.01)
+    assert c[0, 0] == pytest.approx(0.3283, rel=0.02)
     assert c[0, 0] == pytest.approx(c[1, 1], rel=1e-6)
     assert c[0, 1] == pytest.approx(c[1, 2], rel=1e-6)
     assert context.reported["joined"] == "nodes"
-    assert quadratic.porosity == pytest.approx(0.5, abs=0.01)
+    assert quadratic.porosity == pytest.approx(0.5, abs=0.02)
     assert quadratic.summary()["bounds"]["within_voigt_and_reuss"]
 
 
