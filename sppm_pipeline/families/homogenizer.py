@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,7 +10,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.voxels import Voxels
-from sppm_pipeline.errors import DesignError, ResourceError
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families.memory import require_memory
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -95,7 +95,7 @@ class VoxelHomogenizer(Stage):
                     f"homogenization needs an image that is periodic along x, y and z, not {source.periodic}",
                     hint="declare it periodic where it is read, if opposite sides fit together",
                 )
-            self._check_memory(source.shape, bytes_per_voxel)
+            self._check_memory(context, source.shape, bytes_per_voxel)
             values = source.values.T
             if not source.fractions:
                 return Cell(np.ascontiguousarray(values, np.uint8), None, source.spacing)
@@ -111,7 +111,7 @@ class VoxelHomogenizer(Stage):
         if (coarse := source.coarseness(1 / n)) is not None:
             context.warn(coarse)
         x, y, z = (n * cells for cells in source.cells)
-        self._check_memory((x, y, z), bytes_per_voxel)
+        self._check_memory(context, (x, y, z), bytes_per_voxel)
         edges = (1.0, 1.0, 1.0)
         if self.fractions == "binary":
             return Cell(source.solid(cell_centres(n, source.cells), context.threads), None, edges)
@@ -122,12 +122,11 @@ class VoxelHomogenizer(Stage):
         )
         return Cell(None, share, edges)
 
-    def _check_memory(self, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
+    def _check_memory(self, context: Context, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
         wanted = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
-        there = float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
-        if wanted > there:
-            raise ResourceError(
-                f"{' x '.join(map(str, shape))} voxels would take {wanted / 2**30:.0f} GiB; this machine has "
-                f"{there / 2**30:.0f} GiB",
-                hint="lower the `resolution`, take `precision: single`, or use fewer threads (-j)",
-            )
+        require_memory(
+            wanted,
+            f"homogenizing {' x '.join(map(str, shape))} voxels",
+            "lower the `resolution`, take `precision: single`, or use fewer threads (--threads)",
+            limit=context.memory_limit,
+        )

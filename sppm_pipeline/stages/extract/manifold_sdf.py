@@ -14,7 +14,8 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.memory import require_memory
+from sppm_pipeline.families.memory import child_memory, require_memory
+from sppm_pipeline.native.solids import ManifoldLimits, manifold_combine, manifold_extract
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -54,6 +55,12 @@ class ManifoldSdf(Stage):
         maximum=1e6,
     )
     islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    time_limit: float = option(
+        600.0,
+        help="each child process, one for every surface and every cut, is ended after this time",
+        unit="s",
+        above=0,
+    )
 
     def check_options(self) -> None:
         if self.resolution is not None and self.spacing is not None:
@@ -71,7 +78,7 @@ class ManifoldSdf(Stage):
             context.warn(coarse)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         grid = node_grid(field, n)
-        _check_memory(grid, n)
+        _check_memory(grid, n, context.memory_limit)
         made = self._level_set(context, self._samples(context, field, grid), field, grid)
         context.report(resolution=n, voxel=scale / n)
         if part is not None:
@@ -84,14 +91,16 @@ class ManifoldSdf(Stage):
 
     def _level_set(self, context: Context, samples: NDArray[np.float32], field: ScalarField, grid: Grid) -> Mesh:
         """The surface of one field, placed in the world and judged."""
-        from sppm_pipeline.numerics.surface.level_set import lattice_samples, run_level_set
+        from sppm_pipeline.numerics.surface.level_set import lattice_samples
         from sppm_pipeline.numerics.surface.solids import check_solid
 
         if not (samples < 0).any():
             raise DesignError("there is no solid to mesh", hint="lower the porosity or the level")
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         tolerance = self.tolerance.mm() / scale if self.tolerance is not None else None
-        (vertices, faces), status = run_level_set(samples, grid.origin, grid.spacing[0], tolerance)
+        (vertices, faces), status = manifold_extract(
+            samples, grid.origin, grid.spacing[0], tolerance, self._limits(context)
+        )
         if status != "NoError" or not len(faces):
             raise DesignError(f"manifold3d made no surface: {len(faces)} triangles, status {status}")
         vertices = vertices * scale + np.array(field.origin_mm)
@@ -101,8 +110,6 @@ class ManifoldSdf(Stage):
 
     def _cut(self, context: Context, made: Mesh, part: Part, grid: Grid) -> Mesh:
         """The domain of a part, less the voids in its core: what is within the domain but not within the skin."""
-        from sppm_pipeline.numerics.surface.solids import boolean
-
         domain = (part.domain.vertices, part.domain.faces)
         names = ("the microstructure", part.domain.name)
         if part.skin_mm:
@@ -111,11 +118,15 @@ class ManifoldSdf(Stage):
             if skin is None or not (skin > 0).any():
                 return domain  # the skin is thicker than the part
             core = self._level_set(context, -skin, part, grid)
-            made = boolean(core, made, "difference", ("the part without its skin", names[0]))
-            made = boolean(domain, made, "difference", (names[1], "its void"))
+            core_names = ("the part without its skin", names[0])
+            made = manifold_combine(core, made, "difference", core_names, self._limits(context)).mesh
+            made = manifold_combine(domain, made, "difference", (names[1], "its void"), self._limits(context)).mesh
         else:
-            made = boolean(made, domain, "intersection", names)
+            made = manifold_combine(made, domain, "intersection", names, self._limits(context)).mesh
         return made
+
+    def _limits(self, context: Context) -> ManifoldLimits:
+        return ManifoldLimits(self.time_limit, child_memory(context.memory_limit))
 
     def _without_islands(self, context: Context, made: Mesh) -> Mesh:
         from sppm_pipeline.numerics.surface.bodies import find_shells, largest_body
@@ -150,7 +161,7 @@ def _half(grid: Grid) -> Grid:
     return Grid(grid.origin, (h / 2,) * 3, (2 * nx - 1, 2 * ny - 1, 2 * nz - 1))
 
 
-def _check_memory(grid: Grid, n: int) -> None:
+def _check_memory(grid: Grid, n: int, limit: int | None) -> None:
     from sppm_pipeline.numerics.surface.level_set import lattice_bytes
 
     nx, ny, nz = grid.shape
@@ -158,4 +169,5 @@ def _check_memory(grid: Grid, n: int) -> None:
         lattice_bytes(grid) + 40 * nx * ny * nz,
         f"a lattice of {nx} x {ny} x {nz} cubes",
         f"lower `resolution` (now {n}), or use `extract.marching_cubes`, which goes through the field in slabs",
+        limit=limit,
     )

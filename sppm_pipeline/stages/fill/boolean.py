@@ -13,7 +13,8 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.memory import require_memory
+from sppm_pipeline.families.memory import child_memory, require_memory
+from sppm_pipeline.native.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -45,6 +46,9 @@ class BooleanFill(Stage):
     islands: str = option(
         "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
     )
+    time_limit: float = option(
+        600.0, help="the child process of the Boolean is ended after this time", unit="s", above=0
+    )
 
     def check_options(self) -> None:
         if self.resolution is not None and self.spacing is not None:
@@ -54,7 +58,7 @@ class BooleanFill(Stage):
         """Extract, predict the memory, intersect, judge."""
         from sppm_pipeline.numerics.surface.bodies import find_shells, largest_body
         from sppm_pipeline.numerics.surface.measures import volume
-        from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, boolean, check_solid
+        from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, check_solid
 
         edge = field.physical_edge()
         check_solid(domain.vertices, domain.faces, domain.name)
@@ -71,15 +75,20 @@ class BooleanFill(Stage):
             f"a Boolean of about {expected / 1e6:.3g} million triangles",
             f"lower `resolution` (now {n}; half of it needs a quarter of the memory), or use `fill.implicit`, which "
             "needs no mesh",
+            limit=context.memory_limit,
         )
         vertices, faces = surface.mesh(context.threads, lambda done, planes: context.progress(done, planes, "planes"))
         if not len(faces):
             raise DesignError("there is no solid in the part", hint="lower the porosity or the level, or add a skin")
         vertices *= edge
         vertices += np.array(field.origin_mm)
-        made = boolean(
-            (vertices, faces), (domain.vertices, domain.faces), "intersection", ("the microstructure", domain.name)
-        )
+        made = manifold_combine(
+            (vertices, faces),
+            (domain.vertices, domain.faces),
+            "intersection",
+            ("the microstructure", domain.name),
+            ManifoldLimits(self.time_limit, child_memory(context.memory_limit)),
+        ).mesh
         context.report(microstructure_triangles=len(faces), domain_volume_mm3=volume(domain.vertices, domain.faces))
         del vertices, faces
         shells = find_shells(*made)

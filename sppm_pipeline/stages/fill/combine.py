@@ -10,7 +10,8 @@ import numpy as np
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families.memory import require_memory
+from sppm_pipeline.families.memory import child_memory, require_memory
+from sppm_pipeline.native.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 
 ZERO = Length(0.0)
@@ -41,6 +42,9 @@ class Combine(Stage):
         minimum=-1e9,
         maximum=1e9,
     )
+    time_limit: float = option(
+        600.0, help="the child process in which they are combined is ended after this time", unit="s", above=0
+    )
 
     def check_options(self) -> None:
         if not self.at:
@@ -50,20 +54,25 @@ class Combine(Stage):
         """Place the copies of the tool, unite them, and combine."""
         from sppm_pipeline.numerics.surface.measures import volume
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation
-        from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, boolean, check_solid
+        from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, check_solid
 
         check_solid(mesh.vertices, mesh.faces, mesh.name)
         check_solid(tool.vertices, tool.faces, tool.name)
         triangles = len(mesh.faces) + len(self.at) * len(tool.faces)
         require_memory(
-            triangles * BYTES_PER_TRIANGLE, f"a Boolean of {triangles} triangles", "give meshes with fewer triangles"
+            triangles * BYTES_PER_TRIANGLE,
+            f"a Boolean of {triangles} triangles",
+            "give meshes with fewer triangles",
+            limit=context.memory_limit,
         )
         turned = rotated(tool.vertices * self.scale, rotation(self.turn))
-        places = [np.array([length.mm() for length in place]) for place in self.at]
-        tools = (turned + places[0], tool.faces)
-        for place in places[1:]:
-            tools = boolean(tools, (turned + place, tool.faces), "union", (tool.name, tool.name))
-        before, removed = volume(mesh.vertices, mesh.faces), volume(*tools)
-        vertices, faces = boolean((mesh.vertices, mesh.faces), tools, self.operation, (mesh.name, tool.name))
-        context.report(mesh_mm3=before, tool_mm3=removed)
-        return SurfaceMesh(vertices, faces, name=mesh.name)
+        made = manifold_combine(
+            (mesh.vertices, mesh.faces),
+            (turned, tool.faces),
+            self.operation,
+            (mesh.name, tool.name),
+            ManifoldLimits(self.time_limit, child_memory(context.memory_limit), context.progress),
+            places=[np.array([length.mm() for length in place]) for place in self.at],
+        )
+        context.report(mesh_mm3=volume(mesh.vertices, mesh.faces), tool_mm3=made.tool_volume)
+        return SurfaceMesh(*made.mesh, name=mesh.name)
