@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, node_grid, on_torus, voxels_along_edge
+from sppm_pipeline.data.field_surface import (
+    FEWEST,
+    MOST,
+    FieldSurface,
+    body_facts,
+    foreseen_triangles,
+    foreseen_voxels,
+    node_grid,
+    on_torus,
+    voxels_along_edge,
+)
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
@@ -20,6 +32,9 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Stage, option
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+COARSER = 1.75
+"""Triangles over those of marching cubes at as many edges along a cell edge."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +80,27 @@ class ManifoldSdf(Stage):
     def check_options(self) -> None:
         if self.resolution is not None and self.spacing is not None:
             raise ConfigError("`resolution` and `spacing` exclude each other")
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast import costs
+        from sppm_pipeline.numerics.surface.level_set import lattice_bytes
+
+        facts = given["field"]
+        n = foreseen_voxels(facts, self.resolution, self.spacing)
+        x, y, z = (math.ceil(v * n) + 1 for v in facts["box"])
+        cubes = float(x * y * z)
+        triangles = COARSER * foreseen_triangles(facts, n)
+        cut = triangles if facts.get("is_part", False) else 0.0
+        lattice = lattice_bytes(Grid((0.0,) * 3, (1.0,) * 3, (x, y, z)))
+        return Estimate(
+            makes={"triangles": triangles, **body_facts(facts)},
+            keeps=24 * triangles,
+            memory=costs.CHILD_BYTES + max(lattice + 72 * cubes, costs.BOOLEAN_BYTES * cut),
+            seconds=costs.field_seconds(8 * cubes, facts["kernels"]) + 0.5 + 6e-6 * cubes
+            + (costs.boolean_seconds(cut) if cut else 0.0),
+            voxels=8 * cubes,
+            advice="lower `resolution`, or use `extract.marching_cubes`",
+        )  # fmt: skip
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample a grid of half the spacing, extract, cut, judge; in mm (cell edges for a cell without a size)."""

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError
@@ -50,17 +51,40 @@ class Combine(Stage):
         if not self.at:
             raise ConfigError("`at` names no place for the tool", hint="leave it out to take the tool where it is")
 
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES, CHILD_BYTES, boolean_seconds
+
+        mesh, tool, copies = given["mesh"], given["tool"], len(self.at)
+        tools = copies * tool["triangles"]
+        triangles = mesh["triangles"] + tools
+        sign = 1.0 if self.operation == "union" else 0.0
+        return Estimate(
+            # as much as can be: nobody knows how much of the tool lies within the mesh
+            makes={
+                "triangles": triangles,
+                "size_mm": mesh["size_mm"],
+                "volume_mm3": mesh["volume_mm3"] + sign * copies * tool["volume_mm3"] * self.scale**3,
+                "area_mm2": mesh["area_mm2"] + copies * tool["area_mm2"] * self.scale**2,
+            },
+            keeps=24 * triangles,
+            memory=CHILD_BYTES + BOOLEAN_BYTES * triangles,
+            # each copy meets all that were united before
+            seconds=boolean_seconds(triangles + tools * (copies - 1) / 2),
+            advice="give meshes with fewer triangles",
+        )
+
     def run(self, context: Context, mesh: SurfaceMesh, tool: SurfaceMesh) -> SurfaceMesh:
         """Place the copies of the tool, unite them, and combine."""
+        from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES
         from sppm_pipeline.numerics.surface.measures import volume
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation
-        from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, check_solid
+        from sppm_pipeline.numerics.surface.solids import check_solid
 
         check_solid(mesh.vertices, mesh.faces, mesh.name)
         check_solid(tool.vertices, tool.faces, tool.name)
         triangles = len(mesh.faces) + len(self.at) * len(tool.faces)
         require_memory(
-            triangles * BYTES_PER_TRIANGLE,
+            triangles * BOOLEAN_BYTES,
             f"a Boolean of {triangles} triangles",
             "give meshes with fewer triangles",
             limit=context.memory_limit,
