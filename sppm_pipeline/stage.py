@@ -117,11 +117,14 @@ class Context(ABC):
         How many interiors and face colours are wanted; one of each outside tile sets.
     memory : int
         Bytes that a stage which can choose should plan with; results must not depend on it.
+    memory_limit : int or None
+        Bytes that the whole process may take, if the user set a limit (``--memory``); see `families.memory`.
     """
 
     threads: int
     palette: Palette
     memory: int = 2 * 2**30
+    memory_limit: int | None = None
 
     @abstractmethod
     def rng(self, *key: int) -> np.random.Generator:

@@ -15,7 +15,7 @@ from sppm_pipeline.engine.interruption import check
 from sppm_pipeline.engine.jsonable import jsonable
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.outputs import RunFolder, Scratch
-from sppm_pipeline.engine.resources import memory_budget
+from sppm_pipeline.engine.resources import memory_budget, wished_memory
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context
 
@@ -127,6 +127,7 @@ class RunContext(Context):
         self.log = log
         self.folder = folder
         self.memory = memory_budget()
+        self.memory_limit = wished_memory()
 
     def inside(self, recipe: str, attempt: int, id_: str, address: str, palette: Palette) -> RunContext:
         """The context of a stage of a recipe that this stage repeats."""

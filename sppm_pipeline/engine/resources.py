@@ -6,7 +6,7 @@ import os
 import shutil
 from pathlib import Path
 
-__all__ = ["MEMORY", "allowed_memory", "free_disk", "memory_budget", "words_for_bytes"]
+__all__ = ["MEMORY", "allowed_memory", "free_disk", "memory_budget", "wished_memory", "words_for_bytes"]
 
 MEMORY = "SPPM_MEMORY"
 """Environment variable with the bytes that a run may take; set by ``--memory``."""
@@ -17,7 +17,7 @@ DEFAULT_BUDGET = 2 * 2**30
 
 def memory_budget() -> int:
     """Bytes that stages may plan with."""
-    return _wished() or DEFAULT_BUDGET
+    return wished_memory() or DEFAULT_BUDGET
 
 
 def allowed_memory() -> tuple[int | None, str]:
@@ -27,7 +27,7 @@ def allowed_memory() -> tuple[int | None, str]:
     group is allowed, and the memory of the machine that is free or can be freed.
     """
     limits: list[tuple[int, str]] = []
-    if wished := _wished():
+    if wished := wished_memory():
         limits.append((wished, "the limit given by --memory"))
     limits += [(space, "the address space this process is allowed") for space in _address_space()]
     limits += [(left, "the memory of this container") for left in _control_group()]
@@ -35,7 +35,8 @@ def allowed_memory() -> tuple[int | None, str]:
     return min(limits, default=(None, ""), key=lambda limit: limit[0])
 
 
-def _wished() -> int | None:
+def wished_memory() -> int | None:
+    """Bytes that the user allows a run to take; None if nothing was said."""
     text = os.environ.get(MEMORY, "")
     return int(text) if text.isascii() and text.isdecimal() and int(text) > 0 else None
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import os
+from abc import abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.voxels import Voxels
-from sppm_pipeline.errors import DesignError, ResourceError
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families.memory import require_memory
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -79,7 +81,36 @@ class VoxelHomogenizer(Stage):
     iterations: int = option(1000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
     precision: str = option("single", help="precision of the solver's vectors", choices=("single", "double"))
 
-    def cell_of(self, context: Context, source: ScalarField | Voxels, bytes_per_voxel: int) -> Cell:
+    seconds_of_a_voxel: ClassVar[float]
+    """All load cases, in single precision."""
+
+    @abstractmethod
+    def bytes_of_a_voxel(self, threads: int) -> int:
+        """Memory of the solver in single precision, with as many load cases at a time as there are threads."""
+
+    def estimate(self, given: Given) -> Estimate:
+        """Of `solving` once; stages that solve more often override it."""
+        facts = given["source"]
+        return self.solving(facts, self.resolution)
+
+    def solving(self, facts: Facts, resolution: int) -> Estimate:
+        """Costs of solving the problem of a field or of an image with these facts."""
+        from sppm_pipeline.numerics.forecast.costs import field_seconds
+
+        image, wide = "shape" in facts, self.precision == "double"
+        voxels = float(np.prod(facts["shape"] if image else facts["box"])) * (1 if image else resolution**3)
+        # of a voxel at the surface, several points are sampled
+        sampling = 0.0 if image else field_seconds(3 * voxels, facts["kernels"])
+        return Estimate(
+            makes={"porosity": facts["porosity"]},
+            keeps=2e3,
+            memory=12e6 + 1.2 * self.bytes_of_a_voxel(1) * voxels * (2 if wide else 1),
+            seconds=0.15 + sampling + self.seconds_of_a_voxel * voxels * (1.6 if wide else 1.0),
+            voxels=0.0 if image else voxels,
+            advice="lower `resolution`, or take `precision: single`",
+        )
+
+    def cell_of(self, context: Context, source: ScalarField | Voxels) -> Cell:
         """Voxels of a periodic cell.
 
         Raises
@@ -89,13 +120,14 @@ class VoxelHomogenizer(Stage):
         ResourceError
             If the solver would need more memory than there is.
         """
+        bytes_per_voxel = self.bytes_of_a_voxel(context.threads)
         if isinstance(source, Voxels):
             if not all(source.periodic):
                 raise DesignError(
                     f"homogenization needs an image that is periodic along x, y and z, not {source.periodic}",
                     hint="declare it periodic where it is read, if opposite sides fit together",
                 )
-            self._check_memory(source.shape, bytes_per_voxel)
+            self._check_memory(context, source.shape, bytes_per_voxel)
             values = source.values.T
             if not source.fractions:
                 return Cell(np.ascontiguousarray(values, np.uint8), None, source.spacing)
@@ -111,7 +143,7 @@ class VoxelHomogenizer(Stage):
         if (coarse := source.coarseness(1 / n)) is not None:
             context.warn(coarse)
         x, y, z = (n * cells for cells in source.cells)
-        self._check_memory((x, y, z), bytes_per_voxel)
+        self._check_memory(context, (x, y, z), bytes_per_voxel)
         edges = (1.0, 1.0, 1.0)
         if self.fractions == "binary":
             return Cell(source.solid(cell_centres(n, source.cells), context.threads), None, edges)
@@ -122,12 +154,11 @@ class VoxelHomogenizer(Stage):
         )
         return Cell(None, share, edges)
 
-    def _check_memory(self, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
+    def _check_memory(self, context: Context, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
         wanted = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
-        there = float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
-        if wanted > there:
-            raise ResourceError(
-                f"{' x '.join(map(str, shape))} voxels would take {wanted / 2**30:.0f} GiB; this machine has "
-                f"{there / 2**30:.0f} GiB",
-                hint="lower the `resolution`, take `precision: single`, or use fewer threads (-j)",
-            )
+        require_memory(
+            wanted,
+            f"homogenizing {' x '.join(map(str, shape))} voxels",
+            "lower the `resolution`, take `precision: single`, or use fewer threads (--threads)",
+            limit=context.memory_limit,
+        )

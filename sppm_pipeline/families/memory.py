@@ -1,4 +1,8 @@
-"""How much memory the machine has to spare, and a refusal in time for stages that need more."""
+"""How much memory a stage may take, and a refusal in time if it needs more: the one place where that is decided.
+
+It is the least of what the machine has to spare and of what the user's limit for the whole process (``--memory``,
+`Context.memory_limit`) leaves beside the memory that the process holds already.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +11,25 @@ from pathlib import Path
 
 from sppm_pipeline.errors import ResourceError
 
-__all__ = ["available_memory", "require_memory"]
+__all__ = ["available_memory", "child_memory", "require_memory"]
 
 MEMINFO = Path("/proc/meminfo")
 STATUS = Path("/proc/self/status")
 CGROUP = Path("/sys/fs/cgroup")
 
 
-def available_memory() -> int | None:
-    """Bytes that this process can take without the system running out; None where the system does not tell.
+def available_memory(limit: int | None) -> int | None:
+    """Bytes that this process can take beside what it has; None where neither user nor system tells.
 
-    The least of what the machine has available, what its control group leaves, and what a limit of the address space
-    leaves.
+    The least of what the user's limit leaves, what the machine has available, what its control group leaves, and what a
+    limit of the address space leaves.
+
+    Parameters
+    ----------
+    limit : int or None
+        Bytes that the whole process may take; `Context.memory_limit`.
     """
-    found = []
+    found = [] if limit is None else [max(0, limit - (_entry(STATUS, "VmRSS:") or 0) * 1024)]
     if (available := _entry(MEMINFO, "MemAvailable:")) is not None:
         found.append(available * 1024)
     limit, used = (_number(CGROUP / name) for name in ("memory.max", "memory.current"))
@@ -38,7 +47,7 @@ def available_memory() -> int | None:
     return min(found, default=None)
 
 
-def require_memory(needed: float, what: str, hint: str) -> None:
+def require_memory(needed: float, what: str, hint: str, *, limit: int | None) -> None:
     """Refuse what would not fit.
 
     Parameters
@@ -49,17 +58,26 @@ def require_memory(needed: float, what: str, hint: str) -> None:
         What needs them, as the beginning of a sentence.
     hint : str
         What to change.
+    limit : int or None
+        Bytes that the whole process may take; `Context.memory_limit`.
 
     Raises
     ------
     ResourceError
         If less is available.
     """
-    available = available_memory()
+    available = available_memory(limit)
     if available is not None and needed > available:
+        of_limit = f" (--memory allows {limit / 1e9:.3g} GB in all)" if limit is not None else ""
         raise ResourceError(
-            f"{what} needs about {needed / 1e9:.3g} GB of memory; {available / 1e9:.3g} GB are available", hint=hint
+            f"{what} needs about {needed / 1e9:.3g} GB of memory; {available / 1e9:.3g} GB are available{of_limit}",
+            hint=hint,
         )
+
+
+def child_memory(limit: int | None) -> int | None:
+    """Bytes for `run_native` to allow a child; None, which leaves the choice to it, if the user set no limit."""
+    return None if limit is None else available_memory(limit)
 
 
 def _entry(file: Path, key: str) -> int | None:

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Stage
 
-__all__ = ["MeshWriter", "write_mesh"]
+__all__ = ["MeshWriter", "foreseen_mesh", "write_mesh"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +40,19 @@ class MeshWriter(Stage):
         _require_triangles(mesh, self.path)
         size = _write(context, self.path, self.encode(mesh, context.threads))
         context.report(bytes=size, triangles=len(mesh.faces))
+
+
+def foreseen_mesh(
+    facts: Facts, *, bytes_of_a_triangle: float, bytes_of_a_copy: float, seconds_of_a_triangle: float
+) -> Estimate:
+    """Costs of `write_mesh`; what is repeated is written once, and a place for each copy."""
+    triangles, copies = facts["triangles"], facts.get("copies", 0.0)
+    return Estimate(
+        disk=1500 + bytes_of_a_triangle * triangles + bytes_of_a_copy * copies,
+        memory=30e6 + bytes_of_a_triangle * triangles + 500 * copies,
+        seconds=0.02 + seconds_of_a_triangle * triangles + 5e-6 * copies,
+        advice="extract with a lower `resolution`, or slice without a mesh (`slice.field`)",
+    )
 
 
 def write_mesh(

@@ -9,15 +9,20 @@ from __future__ import annotations
 import math
 
 __all__ = [
+    "BOOLEAN_BYTES",
+    "CHILD_BYTES",
     "LAYER_BYTES",
     "PICTURE_BYTES",
     "SLAB_VOXELS",
+    "body_triangles",
+    "boolean_seconds",
     "field_seconds",
     "layer_bytes",
     "patch_bytes",
     "picture_memory",
     "picture_seconds",
     "surface_triangles",
+    "tetrahedra",
 ]
 
 TRIANGLES = 2.6
@@ -32,6 +37,12 @@ LAYER_BYTES = 80
 PICTURE_BYTES = 0.5
 """Bytes of a pixel of a rendered PNG."""
 
+CHILD_BYTES = 150e6
+"""Bytes of a child process with the program's libraries."""
+
+BOOLEAN_BYTES = 600
+"""Bytes for each triangle that goes into a Boolean, its own arrays and those of the result included."""
+
 SUM_NS, KERNEL_NS, PATCH_NS = 8.0, 1.1, 8.0
 """Nanoseconds of a voxel whose kernels are summed, of each of its kernels, and of one put together from patches."""
 
@@ -44,6 +55,42 @@ def field_seconds(voxels: float, kernels: float, *, patched: bool = False) -> fl
 def surface_triangles(surface: float, voxels_along: float) -> float:
     """Triangles of a surface given in cell edges^2, at so many voxels along a cell edge."""
     return TRIANGLES * surface * voxels_along**2
+
+
+def body_triangles(surface: float, volume: float, envelope: float, porosity: float, voxels_along: float) -> float:
+    """Triangles of marching cubes of a body: its pores, and the solid parts of the box or skin that it ends at.
+
+    Parameters
+    ----------
+    surface : float
+        Area of the pores, cell edges^2 for each cell.
+    volume, envelope : float
+        Of the body, in cells and cell edges^2.
+    porosity : float
+    voxels_along : float
+        Voxels along a cell edge.
+    """
+    return surface_triangles(surface, voxels_along) * volume + 2 * envelope * (1 - porosity) * voxels_along**2
+
+
+def boolean_seconds(triangles: float) -> float:
+    """Seconds of a Boolean of so many triangles in a child process."""
+    return 0.6 + 3e-6 * triangles
+
+
+def tetrahedra(
+    surface: float, volume: float, porosity: float, voxels_along: float, order: int
+) -> tuple[float, float, float]:
+    """Tetrahedra, their nodes, and boundary triangles of isosurface stuffing.
+
+    A cube of the body-centred lattice is worth twelve tetrahedra; the numbers for the surface were fitted. The nodes of
+    quadratic tetrahedra follow from Euler's formula, as there is one on each edge.
+    """
+    cubes, crossed = volume * (1 - porosity) * voxels_along**3, surface * volume * voxels_along**2
+    cells = 12 * cubes + crossed
+    triangles = 4.2 * crossed
+    corners = cells * (0.17 + 1.9 / voxels_along)
+    return cells, corners if order == 1 else 2 * corners + cells + triangles / 2, triangles
 
 
 def layer_bytes(pixels: float, surface: float, voxels_along: float) -> float:

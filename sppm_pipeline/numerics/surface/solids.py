@@ -16,13 +16,10 @@ from sppm_pipeline.errors import DesignError, InputError
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
 from sppm_pipeline.numerics.surface.measures import balanced_edges, edge_counts, volume
 
-__all__ = ["BYTES_PER_TRIANGLE", "OPERATIONS", "BooleanOutcome", "boolean", "check_solid", "run_boolean"]
+__all__ = ["OPERATIONS", "BooleanOutcome", "boolean", "check_solid", "run_boolean"]
 
 OPERATIONS = {"union": "Add", "difference": "Subtract", "intersection": "Intersect"}
 """Name of each operation here and in manifold3d."""
-
-BYTES_PER_TRIANGLE = 600
-"""Memory for each triangle that goes into a Boolean, its own arrays and those of the result included (measured)."""
 
 TOLERANCE = 1e-6
 """By how much, as a share of the larger volume, a result may leave its bounds; rounding is far below."""

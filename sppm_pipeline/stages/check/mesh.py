@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, InputError
@@ -55,6 +56,16 @@ class CheckMesh(Stage):
     def check_options(self) -> None:
         if "thin_walls" in self.reject and self.thin is None:
             raise ConfigError("`reject: [thin_walls]` needs `thin`, the thickness that a wall must have")
+
+    def estimate(self, given: Given) -> Estimate:
+        facts = given["mesh"]
+        triangles = facts["triangles"]
+        return Estimate(
+            makes=facts,
+            memory=450 * triangles + 20e6,
+            seconds=0.3 + 9e-6 * triangles,
+            advice="extract with a lower `resolution`",
+        )
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Measure everything, then say what is wrong."""

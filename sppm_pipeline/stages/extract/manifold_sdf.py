@@ -2,23 +2,39 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, node_grid, on_torus, voxels_along_edge
+from sppm_pipeline.data.field_surface import (
+    FEWEST,
+    MOST,
+    FieldSurface,
+    body_facts,
+    foreseen_triangles,
+    foreseen_voxels,
+    node_grid,
+    on_torus,
+    voxels_along_edge,
+)
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.memory import require_memory
+from sppm_pipeline.families.memory import child_memory, require_memory
+from sppm_pipeline.native.solids import ManifoldLimits, manifold_combine, manifold_extract
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Stage, option
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+COARSER = 1.75
+"""Triangles over those of marching cubes at as many edges along a cell edge."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,10 +70,37 @@ class ManifoldSdf(Stage):
         maximum=1e6,
     )
     islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    time_limit: float = option(
+        600.0,
+        help="each child process, one for every surface and every cut, is ended after this time",
+        unit="s",
+        above=0,
+    )
 
     def check_options(self) -> None:
         if self.resolution is not None and self.spacing is not None:
             raise ConfigError("`resolution` and `spacing` exclude each other")
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast import costs
+        from sppm_pipeline.numerics.surface.level_set import lattice_bytes
+
+        facts = given["field"]
+        n = foreseen_voxels(facts, self.resolution, self.spacing)
+        x, y, z = (math.ceil(v * n) + 1 for v in facts["box"])
+        cubes = float(x * y * z)
+        triangles = COARSER * foreseen_triangles(facts, n)
+        cut = triangles if facts.get("is_part", False) else 0.0
+        lattice = lattice_bytes(Grid((0.0,) * 3, (1.0,) * 3, (x, y, z)))
+        return Estimate(
+            makes={"triangles": triangles, **body_facts(facts)},
+            keeps=24 * triangles,
+            memory=costs.CHILD_BYTES + max(lattice + 72 * cubes, costs.BOOLEAN_BYTES * cut),
+            seconds=costs.field_seconds(8 * cubes, facts["kernels"]) + 0.5 + 6e-6 * cubes
+            + (costs.boolean_seconds(cut) if cut else 0.0),
+            voxels=8 * cubes,
+            advice="lower `resolution`, or use `extract.marching_cubes`",
+        )  # fmt: skip
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample a grid of half the spacing, extract, cut, judge; in mm (cell edges for a cell without a size)."""
@@ -71,7 +114,7 @@ class ManifoldSdf(Stage):
             context.warn(coarse)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         grid = node_grid(field, n)
-        _check_memory(grid, n)
+        _check_memory(grid, n, context.memory_limit)
         made = self._level_set(context, self._samples(context, field, grid), field, grid)
         context.report(resolution=n, voxel=scale / n)
         if part is not None:
@@ -84,14 +127,16 @@ class ManifoldSdf(Stage):
 
     def _level_set(self, context: Context, samples: NDArray[np.float32], field: ScalarField, grid: Grid) -> Mesh:
         """The surface of one field, placed in the world and judged."""
-        from sppm_pipeline.numerics.surface.level_set import lattice_samples, run_level_set
+        from sppm_pipeline.numerics.surface.level_set import lattice_samples
         from sppm_pipeline.numerics.surface.solids import check_solid
 
         if not (samples < 0).any():
             raise DesignError("there is no solid to mesh", hint="lower the porosity or the level")
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         tolerance = self.tolerance.mm() / scale if self.tolerance is not None else None
-        (vertices, faces), status = run_level_set(samples, grid.origin, grid.spacing[0], tolerance)
+        (vertices, faces), status = manifold_extract(
+            samples, grid.origin, grid.spacing[0], tolerance, self._limits(context)
+        )
         if status != "NoError" or not len(faces):
             raise DesignError(f"manifold3d made no surface: {len(faces)} triangles, status {status}")
         vertices = vertices * scale + np.array(field.origin_mm)
@@ -101,8 +146,6 @@ class ManifoldSdf(Stage):
 
     def _cut(self, context: Context, made: Mesh, part: Part, grid: Grid) -> Mesh:
         """The domain of a part, less the voids in its core: what is within the domain but not within the skin."""
-        from sppm_pipeline.numerics.surface.solids import boolean
-
         domain = (part.domain.vertices, part.domain.faces)
         names = ("the microstructure", part.domain.name)
         if part.skin_mm:
@@ -111,11 +154,15 @@ class ManifoldSdf(Stage):
             if skin is None or not (skin > 0).any():
                 return domain  # the skin is thicker than the part
             core = self._level_set(context, -skin, part, grid)
-            made = boolean(core, made, "difference", ("the part without its skin", names[0]))
-            made = boolean(domain, made, "difference", (names[1], "its void"))
+            core_names = ("the part without its skin", names[0])
+            made = manifold_combine(core, made, "difference", core_names, self._limits(context)).mesh
+            made = manifold_combine(domain, made, "difference", (names[1], "its void"), self._limits(context)).mesh
         else:
-            made = boolean(made, domain, "intersection", names)
+            made = manifold_combine(made, domain, "intersection", names, self._limits(context)).mesh
         return made
+
+    def _limits(self, context: Context) -> ManifoldLimits:
+        return ManifoldLimits(self.time_limit, child_memory(context.memory_limit))
 
     def _without_islands(self, context: Context, made: Mesh) -> Mesh:
         from sppm_pipeline.numerics.surface.bodies import find_shells, largest_body
@@ -150,7 +197,7 @@ def _half(grid: Grid) -> Grid:
     return Grid(grid.origin, (h / 2,) * 3, (2 * nx - 1, 2 * ny - 1, 2 * nz - 1))
 
 
-def _check_memory(grid: Grid, n: int) -> None:
+def _check_memory(grid: Grid, n: int, limit: int | None) -> None:
     from sppm_pipeline.numerics.surface.level_set import lattice_bytes
 
     nx, ny, nz = grid.shape
@@ -158,4 +205,5 @@ def _check_memory(grid: Grid, n: int) -> None:
         lattice_bytes(grid) + 40 * nx * ny * nz,
         f"a lattice of {nx} x {ny} x {nz} cubes",
         f"lower `resolution` (now {n}), or use `extract.marching_cubes`, which goes through the field in slabs",
+        limit=limit,
     )

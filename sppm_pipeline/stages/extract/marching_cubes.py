@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import FEWEST, KEPT_SAMPLES, MOST, FieldSurface, node_grid, voxels_along_edge
+from sppm_pipeline.data.field_surface import (
+    FEWEST,
+    KEPT_SAMPLES,
+    MOST,
+    FieldSurface,
+    body_facts,
+    foreseen_triangles,
+    foreseen_voxels,
+    node_grid,
+    voxels_along_edge,
+)
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
@@ -56,21 +66,12 @@ class MarchingCubes(Stage):
         from sppm_pipeline.numerics.forecast import costs
 
         facts = given["field"]
-        n = self.resolution or 32
-        if self.spacing is not None and facts["cell_mm"]:
-            n = int(np.ceil(facts["cell_mm"] / self.spacing.mm()))
+        n = foreseen_voxels(facts, self.resolution, self.spacing)
         voxels = float(np.prod(facts["box"])) * n**3
         part = facts.get("is_part", False)
-        inner = costs.surface_triangles(facts["surface"], n) * facts["volume"]
-        triangles = inner + 2 * facts["envelope"] * (1 - facts["porosity"]) * n**2
-        scale = facts["cell_mm"] or 1.0
+        triangles = foreseen_triangles(facts, n)
         return Estimate(
-            makes={
-                "triangles": triangles,
-                "size_mm": tuple(scale * v for v in facts["box"]),
-                "volume_mm3": (1 - facts["porosity"]) * facts["volume"] * scale**3,
-                "area_mm2": facts["surface"] * facts["volume"] * scale**2,
-            },
+            makes={"triangles": triangles, **body_facts(facts)},
             keeps=24 * triangles,
             memory=(24 if part else 14) * min(voxels, KEPT_SAMPLES) + 60 * triangles,
             seconds=5e-7 * triangles + costs.field_seconds(voxels, facts["kernels"]) + 8e-9 * voxels,

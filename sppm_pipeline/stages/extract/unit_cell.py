@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.part import Part
 from sppm_pipeline.data.repeated_mesh import RepeatedMesh
@@ -32,6 +33,15 @@ class UnitCell(Stage):
 
     resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=1024)
     islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+
+    def estimate(self, given: Given) -> Estimate:
+        facts = given["field"]
+        one = {**facts, "box": (1.0, 1.0, 1.0), "volume": 1.0, "envelope": 6.0, "is_part": False}
+        found = MarchingCubes(resolution=self.resolution, islands=self.islands).estimate(
+            Given(given.palette, {"field": one}, given.recipes)
+        )
+        copies = max(1.0, float(facts["volume"]))
+        return replace(found, makes={**found.makes, "copies": copies}, keeps=found.keeps + 24 * copies)
 
     def run(self, context: Context, field: ScalarField) -> RepeatedMesh:
         """Extract one cell, in mm, and list the cells."""

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, node_grid, voxels_along_edge
+from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, foreseen_voxels, node_grid, voxels_along_edge
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.memory import require_memory
+from sppm_pipeline.families.memory import child_memory, require_memory
+from sppm_pipeline.native.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -45,16 +48,46 @@ class BooleanFill(Stage):
     islands: str = option(
         "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
     )
+    time_limit: float = option(
+        600.0, help="the child process of the Boolean is ended after this time", unit="s", above=0
+    )
 
     def check_options(self) -> None:
         if self.resolution is not None and self.spacing is not None:
             raise ConfigError("`resolution` and `spacing` exclude each other")
 
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast import costs
+
+        facts, domain = given["field"], given["domain"]
+        edge, n = facts["cell_mm"], foreseen_voxels(facts, self.resolution, self.spacing)
+        volume, envelope = domain["volume_mm3"] / edge**3, domain["area_mm2"] / edge**2
+        pores = costs.surface_triangles(facts["surface"], n) * volume
+        # where the microstructure ends beyond the part, and where the skin ends within it
+        ends = costs.TRIANGLES * envelope * n**2 * ((1 - facts["porosity"]) + (1.0 if self.skin else 0.0))
+        entering = pores + ends + domain["triangles"]
+        voxels = math.prod(size / edge * n for size in domain["size_mm"])
+        solid = min(volume, volume * (1 - facts["porosity"]) + (envelope * self.skin.mm() / edge if self.skin else 0.0))
+        return Estimate(
+            makes={
+                "triangles": entering,
+                "size_mm": domain["size_mm"],
+                "volume_mm3": solid * edge**3,
+                "area_mm2": facts["surface"] * volume * edge**2 + domain["area_mm2"] * (1 - facts["porosity"]),
+            },
+            keeps=24 * entering,
+            memory=costs.CHILD_BYTES + costs.BOOLEAN_BYTES * entering,
+            seconds=costs.field_seconds(voxels, facts["kernels"]) + costs.boolean_seconds(entering),
+            voxels=voxels,
+            advice="lower `resolution`, or use `fill.implicit`, which needs no mesh",
+        )
+
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> SurfaceMesh:
         """Extract, predict the memory, intersect, judge."""
+        from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES
         from sppm_pipeline.numerics.surface.bodies import find_shells, largest_body
         from sppm_pipeline.numerics.surface.measures import volume
-        from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, boolean, check_solid
+        from sppm_pipeline.numerics.surface.solids import check_solid
 
         edge = field.physical_edge()
         check_solid(domain.vertices, domain.faces, domain.name)
@@ -64,22 +97,27 @@ class BooleanFill(Stage):
         part = Part(field, domain, self.skin.mm() if self.skin else 0.0, "keep")
         surface = FieldSurface(part, node_grid(part, n), "keep", caps=False, cut=False)
         expected = surface.expected_triangles(context.threads) + len(domain.faces)
-        needed = expected * BYTES_PER_TRIANGLE
+        needed = expected * BOOLEAN_BYTES
         context.report(resolution=n, expected_triangles=expected, expected_gigabytes=needed / 1e9)
         require_memory(
             needed,
             f"a Boolean of about {expected / 1e6:.3g} million triangles",
             f"lower `resolution` (now {n}; half of it needs a quarter of the memory), or use `fill.implicit`, which "
             "needs no mesh",
+            limit=context.memory_limit,
         )
         vertices, faces = surface.mesh(context.threads, lambda done, planes: context.progress(done, planes, "planes"))
         if not len(faces):
             raise DesignError("there is no solid in the part", hint="lower the porosity or the level, or add a skin")
         vertices *= edge
         vertices += np.array(field.origin_mm)
-        made = boolean(
-            (vertices, faces), (domain.vertices, domain.faces), "intersection", ("the microstructure", domain.name)
-        )
+        made = manifold_combine(
+            (vertices, faces),
+            (domain.vertices, domain.faces),
+            "intersection",
+            ("the microstructure", domain.name),
+            ManifoldLimits(self.time_limit, child_memory(context.memory_limit)),
+        ).mesh
         context.report(microstructure_triangles=len(faces), domain_volume_mm3=volume(domain.vertices, domain.faces))
         del vertices, faces
         shells = find_shells(*made)

@@ -7,10 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families.memory import require_memory
+from sppm_pipeline.families.memory import child_memory, require_memory
+from sppm_pipeline.native.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 
 ZERO = Length(0.0)
@@ -41,29 +43,60 @@ class Combine(Stage):
         minimum=-1e9,
         maximum=1e9,
     )
+    time_limit: float = option(
+        600.0, help="the child process in which they are combined is ended after this time", unit="s", above=0
+    )
 
     def check_options(self) -> None:
         if not self.at:
             raise ConfigError("`at` names no place for the tool", hint="leave it out to take the tool where it is")
 
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES, CHILD_BYTES, boolean_seconds
+
+        mesh, tool, copies = given["mesh"], given["tool"], len(self.at)
+        tools = copies * tool["triangles"]
+        triangles = mesh["triangles"] + tools
+        sign = 1.0 if self.operation == "union" else 0.0
+        return Estimate(
+            # as much as can be: nobody knows how much of the tool lies within the mesh
+            makes={
+                "triangles": triangles,
+                "size_mm": mesh["size_mm"],
+                "volume_mm3": mesh["volume_mm3"] + sign * copies * tool["volume_mm3"] * self.scale**3,
+                "area_mm2": mesh["area_mm2"] + copies * tool["area_mm2"] * self.scale**2,
+            },
+            keeps=24 * triangles,
+            memory=CHILD_BYTES + BOOLEAN_BYTES * triangles,
+            # each copy meets all that were united before
+            seconds=boolean_seconds(triangles + tools * (copies - 1) / 2),
+            advice="give meshes with fewer triangles",
+        )
+
     def run(self, context: Context, mesh: SurfaceMesh, tool: SurfaceMesh) -> SurfaceMesh:
         """Place the copies of the tool, unite them, and combine."""
+        from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES
         from sppm_pipeline.numerics.surface.measures import volume
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation
-        from sppm_pipeline.numerics.surface.solids import BYTES_PER_TRIANGLE, boolean, check_solid
+        from sppm_pipeline.numerics.surface.solids import check_solid
 
         check_solid(mesh.vertices, mesh.faces, mesh.name)
         check_solid(tool.vertices, tool.faces, tool.name)
         triangles = len(mesh.faces) + len(self.at) * len(tool.faces)
         require_memory(
-            triangles * BYTES_PER_TRIANGLE, f"a Boolean of {triangles} triangles", "give meshes with fewer triangles"
+            triangles * BOOLEAN_BYTES,
+            f"a Boolean of {triangles} triangles",
+            "give meshes with fewer triangles",
+            limit=context.memory_limit,
         )
         turned = rotated(tool.vertices * self.scale, rotation(self.turn))
-        places = [np.array([length.mm() for length in place]) for place in self.at]
-        tools = (turned + places[0], tool.faces)
-        for place in places[1:]:
-            tools = boolean(tools, (turned + place, tool.faces), "union", (tool.name, tool.name))
-        before, removed = volume(mesh.vertices, mesh.faces), volume(*tools)
-        vertices, faces = boolean((mesh.vertices, mesh.faces), tools, self.operation, (mesh.name, tool.name))
-        context.report(mesh_mm3=before, tool_mm3=removed)
-        return SurfaceMesh(vertices, faces, name=mesh.name)
+        made = manifold_combine(
+            (mesh.vertices, mesh.faces),
+            (turned, tool.faces),
+            self.operation,
+            (mesh.name, tool.name),
+            ManifoldLimits(self.time_limit, child_memory(context.memory_limit), context.progress),
+            places=[np.array([length.mm() for length in place]) for place in self.at],
+        )
+        context.report(mesh_mm3=volume(mesh.vertices, mesh.faces), tool_mm3=made.tool_volume)
+        return SurfaceMesh(*made.mesh, name=mesh.name)

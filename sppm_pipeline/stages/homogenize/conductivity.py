@@ -26,6 +26,7 @@ class HomogenizeConductivity(VoxelHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.conductivity"
+    seconds_of_a_voxel: ClassVar[float] = 9e-7
 
     of: str = option("solid", help="which phase conducts", choices=("solid", "void"))
     bulk: float | tuple[float, ...] = option(
@@ -42,13 +43,16 @@ class HomogenizeConductivity(VoxelHomogenizer):
     def _bulk(self) -> tuple[float, ...]:
         return self.bulk if isinstance(self.bulk, tuple) else (self.bulk,)
 
+    def bytes_of_a_voxel(self, threads: int) -> int:
+        """Three potentials, their work space for each load case in progress, conductivities."""
+        return 4 * (3 + 6 * min(threads, 3) + 6)
+
     def run(self, context: Context, source: ScalarField | Voxels) -> ConductivityReport:
         """Solve three load cases."""
         from sppm_pipeline.numerics.conduction.homogenize import conductivity, tortuosity
         from sppm_pipeline.numerics.connectivity.percolation import phase_report
 
-        # three potentials, their work space for each load case in progress, conductivities
-        cell = self.cell_of(context, source, 4 * (3 + 6 * min(context.threads, 3) + 6))
+        cell = self.cell_of(context, source)
         k = self._conductivities(cell)
         found = conductivity(
             k,

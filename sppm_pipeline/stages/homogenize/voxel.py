@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
@@ -19,6 +20,8 @@ from sppm_pipeline.stage import Context, option
 @dataclass(frozen=True, kw_only=True)
 class ElasticHomogenizer(VoxelHomogenizer):
     """Base of stages that find effective stiffnesses on voxels: materials, and the way from a cell to its report."""
+
+    seconds_of_a_voxel: ClassVar[float] = 6e-6
 
     young: float | tuple[float, ...] = option(
         1.0,
@@ -49,13 +52,16 @@ class ElasticHomogenizer(VoxelHomogenizer):
         poisson = self.poisson if isinstance(self.poisson, tuple) else (self.poisson,)
         return young, poisson * len(young) if len(poisson) == 1 else poisson
 
+    def bytes_of_a_voxel(self, threads: int) -> int:
+        """Six fields, their work space for each load case in progress, Lamé constants."""
+        return 4 * (3 * 6 + 16 * min(threads, 6) + 12)
+
     def stiffness_of(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Solve six load cases."""
         from sppm_pipeline.numerics.connectivity.percolation import phase_report
         from sppm_pipeline.numerics.elasticity.homogenize import stiffness
 
-        # six fields, their work space for each load case in progress, Lamé constants
-        cell = self.cell_of(context, source, 4 * (3 * 6 + 16 * min(context.threads, 6) + 12))
+        cell = self.cell_of(context, source)
         lam, mu = self._lame(cell)
         found = stiffness(
             lam,
@@ -161,6 +167,15 @@ class HomogenizeVoxel(ElasticHomogenizer):
 
     grids: int = option(1, help="grids over which the error is estimated, for fields: 1 for none", minimum=1, maximum=3)
 
+    def estimate(self, given: Given) -> Estimate:
+        """All grids; the finest needs most memory."""
+        found = [self.solving(given["source"], n) for n in self._resolutions()]
+        return replace(found[-1], seconds=sum(one.seconds for one in found), voxels=sum(one.voxels for one in found))
+
+    def _resolutions(self) -> list[int]:
+        """Voxels along a cell edge of each grid, the coarsest first."""
+        return [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
+
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Homogenize, on coarser grids first if an error bar is wanted."""
         if self.grids == 1:
@@ -169,7 +184,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
             raise ConfigError("an image has one grid only", hint="leave out `grids`, or homogenize the field")
         from sppm_pipeline.numerics.stiffness.convergence import richardson
 
-        counts = [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
+        counts = self._resolutions()
         if len(set(counts)) < self.grids:
             raise ConfigError(f"a resolution of {self.resolution} has no coarser grids")
         reports = []

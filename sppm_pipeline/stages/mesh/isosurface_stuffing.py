@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.field_surface import body_facts
 from sppm_pipeline.data.part import Part
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import DesignError
@@ -36,6 +39,30 @@ class IsosurfaceStuffing(Stage):
     order: int = option(
         1, help="1: straight tetrahedra; 2: quadratic, with a node in the middle of each edge", minimum=1, maximum=2
     )
+
+    def estimate(self, given: Given) -> Estimate:
+        from sppm_pipeline.numerics.forecast import costs
+
+        facts, n = given["field"], self.resolution
+        cells, nodes, triangles = costs.tetrahedra(facts["surface"], facts["volume"], facts["porosity"], n, self.order)
+        cubes = math.prod(facts["box"]) * n**3
+        return Estimate(
+            makes={
+                "cells": cells,
+                "nodes": nodes,
+                "order": self.order,
+                "triangles": triangles,
+                "porosity": facts["porosity"],
+                **body_facts(facts),
+            },
+            keeps=24 * nodes + (16 if self.order == 1 else 40) * cells,
+            memory=230 * cells + 60 * cubes + 25e6,
+            seconds=0.1
+            + costs.field_seconds(2 * cubes, facts["kernels"])
+            + (2.6e-6 if self.order == 1 else 5e-6) * cells,
+            voxels=2 * cubes,
+            advice="lower `resolution`",
+        )
 
     def run(self, context: Context, field: ScalarField) -> VolumeMesh:
         """Sample the lattice and cut it; the mesh is in mm (cell edges for a cell without a size)."""

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.mesh_slices import MeshSlices
@@ -42,6 +43,31 @@ class SliceMesh(Stage):
         1, help="samples along a pixel's edge for grey by area coverage; 1 for black and white", minimum=1, maximum=16
     )
     inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
+
+    def estimate(self, given: Given) -> Estimate:
+        facts, pixel = given["mesh"], self.pixel.mm()
+        layer = self.layer.mm() if self.layer is not None else pixel
+        box = math.prod(facts["size_mm"])
+        nx, ny, nz = (
+            max(1, round(size / pitch)) for size, pitch in zip(facts["size_mm"], (pixel, pixel, layer), strict=True)
+        )
+        return Estimate(
+            makes={
+                "shape": (nx, ny, nz),
+                "pixels": nx * ny,
+                "layers": nz,
+                "inside": nx * ny * nz,
+                "along": 1 / pixel,
+                "commensurate": False,
+                "grey": self.grey,
+                "two_passes": False,
+                # to the writer of layers, a body of one cell of a millimetre that fills its box evenly
+                "field": {"surface": facts["area_mm2"] / box, "kernels": 0.0, "reach": 0.0},
+            },
+            memory=60 * facts["triangles"],
+            seconds=0.05 + 5e-7 * facts["triangles"],
+            advice="give a larger `pixel` or `layer`",
+        )
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:
         """Judge the mesh and place the pixels; no layer is computed yet."""

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.numerics.stiffness.surrogate import parameter_for
@@ -43,6 +44,19 @@ class TuneStiffness(ElasticHomogenizer):
         super().check_options()
         if not self.low < self.high:
             raise ConfigError(f"`low` is {self.low:g} and `high` {self.high:g}; they should rise")
+
+    def estimate(self, given: Given) -> Estimate:
+        """The first trials, and the two that usually follow; the porosity that is found is not known beforehand."""
+        recipe = given.recipes["recipe"](given.palette)
+        found, trials = self.solving(recipe.makes, self.resolution), self.first + 2
+        return Estimate(
+            makes=recipe.makes,
+            keeps=trials * recipe.keeps,
+            memory=recipe.memory + found.memory,
+            seconds=trials * (recipe.seconds + found.seconds),
+            voxels=trials * (recipe.voxels + found.voxels),
+            advice=found.advice,
+        )
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Sample, propose, correct."""

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import sppm_pipeline
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families.mesh_writer import write_mesh
+from sppm_pipeline.families.mesh_writer import foreseen_mesh, write_mesh
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -37,6 +38,9 @@ class WriteThreeMf(Stage):
         for name, text in (("title", self.title), ("description", self.description)):
             if text is not None and not text.isprintable():
                 raise ConfigError(f"`{name}` has characters that cannot be printed: {text!r}")
+
+    def estimate(self, given: Given) -> Estimate:
+        return foreseen_mesh(given["mesh"], bytes_of_a_triangle=13, bytes_of_a_copy=15, seconds_of_a_triangle=1.5e-6)
 
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
         """Write the file."""

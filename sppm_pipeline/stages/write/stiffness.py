@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
@@ -35,6 +36,16 @@ class WriteStiffness(Stage):
     def check_options(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", self.material):
             raise ConfigError(f"`material` is {self.material!r}; allowed are letters, digits, _ and -, a letter first")
+
+    def estimate(self, given: Given) -> Estimate:
+        width, height = self.size
+        pixels = float(width * height)
+        return Estimate(
+            disk=540e3 + 0.22 * pixels,
+            memory=10e6 + 110 * pixels,
+            seconds=0.4 + 8e-7 * pixels,
+            advice="give a smaller `size`",
+        )
 
     def run(self, context: Context, report: StiffnessReport) -> None:
         """Write everything."""

@@ -83,7 +83,7 @@ def test_what_cannot_be(cell, wang_tiling, ball, monkeypatch):
         mesh(Part(wang_tiling, SurfaceMesh(ball.vertices, ball.faces[2:], "torn")))
     with pytest.raises(ConfigError):
         ManifoldSdf(resolution=9, spacing=Length(1)).check_options()
-    monkeypatch.setattr(memory, "available_memory", lambda: 1000)
+    monkeypatch.setattr(memory, "available_memory", lambda limit: 1000)
     with pytest.raises(ResourceError, match="lattice"):
         mesh(cell)
 

@@ -121,7 +121,7 @@ def test_a_part_that_does_not_close(wang_tiling, ball):
 
 
 def test_too_little_memory_is_known_before(wang_tiling, ball, monkeypatch):
-    monkeypatch.setattr(memory, "available_memory", lambda: 10_000_000)
+    monkeypatch.setattr(memory, "available_memory", lambda limit: 10_000_000)
     with pytest.raises(ResourceError, match=r"0\.01 GB are available") as error:
         fill(wang_tiling, ball)
     assert "resolution" in error.value.hint
