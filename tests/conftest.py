@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,45 @@ from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 os.environ["SPPM_CACHE"] = (
     "off"  # tests neither use nor fill the cache of whoever runs them, but for those of the cache
 )
+
+MARK = "SPPM_TESTS"
+MARKED = f"{os.getpid()}-{os.urandom(8).hex()}"
+"""An environment variable that all processes which tests start inherit, and its value, which no other tests have."""
+
+WATCH = """
+import os, signal, sys, time
+os.setsid()
+mark, parent = sys.argv[1].encode(), int(sys.argv[2])
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    signal.signal(number, signal.SIG_IGN)
+while os.getppid() == parent:
+    time.sleep(0.3)
+for _ in range(50):
+    found = []
+    for pid in filter(str.isdecimal, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{pid}/environ", "rb") as file:
+                if mark in file.read().split(b"\\0"):
+                    os.kill(int(pid), signal.SIGKILL)
+                    found.append(pid)
+        except OSError:
+            pass
+    if not found:
+        break
+    time.sleep(0.1)
+"""
+"""Ends what tests have started once the tests have ended, even if somebody killed them, in whatever process group."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _nobody_outlives_the_tests():
+    if sys.platform == "linux":
+        words = [sys.executable, "-I", "-S", "-c", WATCH, f"{MARK}={MARKED}", str(os.getpid())]
+        nowhere = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_RDWR, 0) for number in range(3)]
+        environment = {name: value for name, value in os.environ.items() if name != MARK}
+        os.posix_spawn(sys.executable, words, environment, file_actions=nowhere)
+        os.environ[MARK] = MARKED
+
 
 BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
 

@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _take_leave(words)
         return 128 + getattr(error, "number", 2)
     except Exception as error:
-        return _report(error, "--debug" in words)
+        return _reported(error, "--debug" in words)
 
 
 def leave() -> None:
@@ -65,9 +65,13 @@ def leave() -> None:
     # Imports make a hundred thousand objects that live to the end; looking through them again and again costs 50 ms.
     gc.set_threshold(200_000, 50, 100)
     if sys.argv[1:2] == ["run"]:
-        from sppm_pipeline.cli import supervision
+        try:
+            from sppm_pipeline.cli import supervision
 
-        os._exit(supervision.supervised(_whole, _say, _farewell(sys.argv[1:])))
+            code = supervision.supervised(_whole, _say, _farewell(sys.argv[1:]))
+        except Exception as error:  # no second process, or not the descriptors to talk to it
+            code = _reported(error, "--debug" in sys.argv)
+        os._exit(code)
     os._exit(_whole())
 
 
@@ -138,6 +142,16 @@ def _write_any_character() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
+def _reported(error: Exception, debug: bool) -> int:
+    """Tell of an error, even if what tells of it can't be loaded any more; its exit code."""
+    try:
+        return _report(error, debug)
+    except (OSError, ImportError, MemoryError):
+        reason = error.strerror if isinstance(error, OSError) else None
+        _say(reason or f"{type(error).__name__}: {error}")
+        return 5
+
+
 def _report(error: Exception, debug: bool) -> int:
     from sppm_pipeline.errors import ConfigErrors, SppmError
 
@@ -149,12 +163,14 @@ def _report(error: Exception, debug: bool) -> int:
     if isinstance(error, SppmError):
         _say(str(error))
         return error.exit_code
-    if isinstance(error, MemoryError):
-        _say("not enough memory")
-        return 5
     if isinstance(error, OSError):
         name = f": {error.filename!r}" if error.filename is not None else ""
         _say(f"{error.strerror or error}{name}")
+        return 5
+    from sppm_pipeline.engine.resources import lack
+
+    if (lacking := lack(error)) is not None:
+        _say(lacking)
         return 5
     _say(f"internal error: {type(error).__name__}: {error}\n  hint: run again with --debug to see where")
     return 1

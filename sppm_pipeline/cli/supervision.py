@@ -19,6 +19,7 @@ from pathlib import Path
 from types import FrameType
 
 from sppm_pipeline.engine import interruption
+from sppm_pipeline.errors import ResourceError
 
 __all__ = ["CRASHES", "supervised", "watched"]
 
@@ -46,14 +47,15 @@ def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: st
     """
     if not hasattr(os, "fork"):
         return work()
-    reader, writer = os.pipe()
+    wake, alarm, reader, writer = _pipes()
     for stream in (sys.stdout, sys.stderr):  # or the child would write it once more
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
     parent = os.getpid()
     child = os.fork()
     if child == 0:
-        os.close(reader)
+        for unused in (wake, alarm, reader):
+            os.close(unused)
         _watched.append(parent)
         interruption.die_with_parent(parent)
         # the terminal sends its signals to both; the parent decides what becomes of them
@@ -66,7 +68,21 @@ def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: st
         finally:
             os._exit(code)
     os.close(writer)
-    return _Watch(child, reader, say, farewell).exit_code()
+    return _Watch(child, (wake, alarm), reader, say, farewell).exit_code()
+
+
+def _pipes() -> tuple[int, int, int, int]:
+    """What wakes the parent, and what the child talks through; both before there is a child, or none."""
+    made: list[int] = []
+    try:
+        for _ in range(2):
+            made += os.pipe()
+    except OSError:
+        for descriptor in made:
+            os.close(descriptor)
+        raise
+    wake, alarm, reader, writer = made
+    return wake, alarm, reader, writer
 
 
 _watched: list[int] = []
@@ -80,14 +96,16 @@ def watched() -> bool:
 class _Watch:
     """The parent's side."""
 
-    def __init__(self, child: int, reader: int, say: Callable[[str], None], farewell: str) -> None:
+    def __init__(
+        self, child: int, waking: tuple[int, int], reader: int, say: Callable[[str], None], farewell: str
+    ) -> None:
         self._child = child
         self._reader = reader
         self._say = say
         self._farewell = farewell
         self._signals: list[int] = []
         self._told = b""
-        self._wake, alarm = os.pipe()
+        self._wake, alarm = waking
         os.set_blocking(alarm, False)
         os.set_blocking(self._wake, False)
         os.set_blocking(reader, False)
@@ -121,6 +139,10 @@ class _Watch:
             code = os.WEXITSTATUS(status)
             if code in INTERRUPTED:
                 self._say(self._farewell)
+            if (
+                code == ResourceError.exit_code
+            ):  # it may have lacked what the last word takes, and what it held is free now
+                self._tidy_up("failed", None)
             return code
         number = os.WTERMSIG(status)
         name = signal.Signals(number).name

@@ -15,7 +15,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from sppm_pipeline.errors import PluginError, ResourceError, SppmError
+from sppm_pipeline.engine import interruption
+from sppm_pipeline.errors import PluginError, Position, ResourceError, SppmError
 
 __all__ = ["GRACE", "STAGE_TIME", "contained", "limited", "stage_seconds"]
 
@@ -46,15 +47,14 @@ def contained(blame: Callable[[str], SppmError]) -> Iterator[None]:
             yield
         except (Exception, _TimeUp):
             raise
+        except KeyboardInterrupt:
+            if not (asked.interrupt or interruption.requested()):
+                raise blame("raised KeyboardInterrupt, though nobody interrupted it") from None
+            raise
         except SystemExit as error:
             raise blame(f"tried to end the program (SystemExit: {error.code!r:.80})") from error
         except BaseException as error:
-            if asked.interrupt or type(error) not in (KeyboardInterrupt, GeneratorExit):
-                # a real Ctrl-C, or an order to end the process
-                if isinstance(error, KeyboardInterrupt):
-                    raise
-                raise blame(f"raised {type(error).__name__}: {error!s:.200}") from error
-            raise blame(f"raised {type(error).__name__}, though nobody interrupted it") from error
+            raise blame(f"raised {type(error).__name__}: {error!s:.200}") from error
         finally:
             if folder is not None and _working_folder() != folder:
                 os.chdir(folder)
@@ -128,17 +128,19 @@ def stage_seconds() -> float | None:
 
 
 @contextlib.contextmanager
-def limited(what: str, *, builtin: bool) -> Iterator[None]:
+def limited(what: str, *, builtin: bool, where: Position | None = None, stage: str | None = None) -> Iterator[None]:
     """End what runs inside when the time of a stage is up.
 
-    Python code is interrupted where it is. Compiled code can't be; if it has not returned `GRACE` seconds later, the
-    process is ended, with the same message.
+    Python code is interrupted where it is. Compiled code can't be, nor can what sleeps outside of the main thread; if
+    it has not returned `GRACE` seconds later, records are put in order and the process is ended, with the same message.
 
     Parameters
     ----------
     what : str
         The stage and its owner, for the message.
     builtin : bool
+    where, stage : optional
+        Place and id of the stage, for an error that nobody catches any more.
 
     Raises
     ------
@@ -153,6 +155,8 @@ def limited(what: str, *, builtin: bool) -> Iterator[None]:
     error = kind(
         f"{what} took longer than the {seconds:g} seconds that a stage may take",
         hint="allow more with --stage-time, or make the work smaller; `sppm estimate` says how long stages take",
+        where=where,
+        stage=stage,
     )
     watchdog = _Watchdog(seconds, error)
     try:
@@ -208,6 +212,7 @@ class _Watchdog:
             else:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), ctypes.py_object(_TimeUp))
         if not self._done.wait(GRACE):
+            interruption.abandon_all(self._error, self._thread)
             with contextlib.suppress(OSError, ValueError):
                 os.write(2, f"\nsppm: {self._error}\n  it could not be interrupted; the process is ended\n".encode())
             os._exit(self._error.exit_code)

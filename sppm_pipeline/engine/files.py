@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sppm_pipeline.errors import ResourceError
 
-__all__ = ["digest_of", "files_in", "remove", "size_of", "sync", "tree_digest", "write_whole"]
+__all__ = ["clear", "digest_of", "files_in", "remove", "size_of", "sync", "tree_digest", "write_whole"]
 
 
 def files_in(path: Path) -> list[str]:
@@ -46,6 +46,24 @@ def remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
+
+
+def clear(path: Path) -> None:
+    """Remove a folder as far as possible; of a link, the link.
+
+    Takes one descriptor at a time, which `shutil.rmtree` does not make do with.
+    """
+    if path.is_symlink() or not path.is_dir():
+        with contextlib.suppress(OSError):
+            path.unlink()
+        return
+    for folder, folders, files in os.walk(path, topdown=False):
+        for name in (*files, *folders):
+            inside = os.path.join(folder, name)
+            with contextlib.suppress(OSError):
+                (os.rmdir if name in folders and not os.path.islink(inside) else os.unlink)(inside)
+    with contextlib.suppress(OSError):
+        os.rmdir(path)
 
 
 def sync(path: Path) -> None:

@@ -17,6 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
+from sppm_pipeline.errors import SppmError
+
 __all__ = [
     "Abandonable",
     "abandon_all",
@@ -35,14 +37,15 @@ __all__ = [
 class Abandonable(Protocol):
     """Something that leaves traces on disk while it runs."""
 
-    def abandon(self) -> None:
-        """Put the traces in order, from another thread."""
+    def abandon(self, error: SppmError | None) -> None:
+        """Put the traces in order, from another thread; `error` is why, if it was no interrupt."""
 
 
 _PR_SET_PDEATHSIG = 1
 
 _requested = threading.Event()
-_running: list[Abandonable] = []
+_running: list[tuple[Abandonable, int]] = []
+"""What runs, and in which thread."""
 _listeners: list[Callable[[Path], None]] = []
 
 
@@ -69,7 +72,7 @@ def reset() -> None:
 
 def running(what: Abandonable, path: Path) -> None:
     """Remember something that has to be put in order if it can't end by itself, and the directory it writes to."""
-    _running.append(what)
+    _running.append((what, threading.get_ident()))
     for tell in _listeners:
         tell(path)
 
@@ -81,16 +84,24 @@ def tell_of_runs(listener: Callable[[Path], None]) -> None:
 
 def stopped_running(what: Abandonable) -> None:
     """Forget it."""
-    with contextlib.suppress(ValueError):
-        _running.remove(what)
+    _running[:] = [(other, thread) for other, thread in _running if other is not what]
 
 
-def abandon_all() -> None:
-    """Put everything that runs in order; the last to begin comes first."""
+def abandon_all(error: SppmError | None = None, culprit: int | None = None) -> None:
+    """Put everything that runs in order; the last to begin comes first.
+
+    Parameters
+    ----------
+    error : SppmError, optional
+        Why, if it was no interrupt.
+    culprit : int, optional
+        The thread whose runs have failed by it; those of others are interrupted.
+    """
     end_children()
     while _running:
         with contextlib.suppress(Exception):
-            _running.pop().abandon()
+            what, thread = _running.pop()
+            what.abandon(error if thread == culprit else None)
 
 
 def end_children() -> None:

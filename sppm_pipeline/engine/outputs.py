@@ -6,14 +6,13 @@ import contextlib
 import hashlib
 import json
 import os
-import shutil
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.document import RECORD_KEY
-from sppm_pipeline.engine.files import digest_of, files_in, remove, size_of, sync, tree_digest, write_whole
+from sppm_pipeline.engine.files import clear, digest_of, files_in, remove, size_of, sync, tree_digest, write_whole
 from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.names import STAGING as _STAGING
 from sppm_pipeline.engine.names import collide, folded, output_parts
@@ -97,7 +96,6 @@ class RunFolder:
                     hint="wait until it has ended, or choose another directory with -o",
                 )
             if not is_run(self.path):
-                self._folder_lock.release()
                 raise ConfigError(
                     f"the folder {str(self.path)!r} is not empty and holds no earlier run",
                     hint="choose another with -o; nothing of yours is overwritten",
@@ -105,7 +103,11 @@ class RunFolder:
             _remove_unfinished(self.path)
             self.earlier = set(_recorded_outputs(self.path))
         except OSError as error:
+            self._folder_lock.release()
             raise ResourceError(f"can't use the run directory {str(self.path)!r}: {error.strerror}") from error
+        except ConfigError:
+            self._folder_lock.release()
+            raise
 
     def claim(self, stage: str, name: str) -> Path:
         """A path in the staging area for the output `name` of a stage; see `Context.output`."""
@@ -233,8 +235,9 @@ class RunFolder:
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
-        shutil.rmtree(self._staging, ignore_errors=True)
+        clear(self._staging)
         self._folder_lock.release()
+        clear(self._staging)  # with the descriptor of the lock, if there was no other
 
     def _aside(self) -> Path:
         """A name in the staging area that no output has."""
@@ -283,7 +286,7 @@ class Scratch:
 
     def discard(self) -> None:
         """Remove everything."""
-        shutil.rmtree(self._path, ignore_errors=True)
+        clear(self._path)
 
 
 def is_run(path: Path) -> bool:
@@ -337,4 +340,4 @@ def _remove_unfinished(path: Path) -> None:
         for half in path.glob(f".{name}.*"):
             half.unlink(missing_ok=True)
     for staging in path.glob(f"{_STAGING}*"):
-        shutil.rmtree(staging, ignore_errors=True)
+        clear(staging)

@@ -85,9 +85,9 @@ class Recorder:
         """
         self._write("running", None)
 
-    def abandon(self) -> None:
-        """Say that the run was interrupted, from another thread than the one that runs it and will not end in time."""
-        self._write("interrupted", None)
+    def abandon(self, error: SppmError | None) -> None:
+        """Say that the run failed or was interrupted, from another thread than its own, which will not end in time."""
+        self._write("failed" if error is not None else "interrupted", error)
         self.folder.discard()
 
     def _write(self, status: str, error: SppmError | None) -> None:

@@ -1,12 +1,18 @@
-"""What the machine has: memory that is free or allowed, and space on a disk."""
+"""What the machine has: memory, space on a disk; and which errors say that it lacks something."""
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
+import sys
 from pathlib import Path
 
-__all__ = ["MEMORY", "allowed_memory", "free_disk", "memory_budget", "wished_memory", "words_for_bytes"]
+__all__ = ["MEMORY", "allowed_memory", "free_disk", "lack", "memory_budget", "wished_memory", "words_for_bytes"]
+
+LACKING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOMEM, errno.EMFILE,
+           errno.ENFILE, errno.EAGAIN, errno.EIO, errno.ENAMETOOLONG, errno.EMLINK, errno.ELOOP)  # fmt: skip
+"""Errors of the system that mean: something of this machine is missing."""
 
 MEMORY = "SPPM_MEMORY"
 """Environment variable with the bytes that a run may take; set by ``--memory``."""
@@ -85,6 +91,35 @@ def free_disk(folder: Path) -> int | None:
         return shutil.disk_usage(place).free
     except OSError:
         return None
+
+
+def lack(error: BaseException) -> str | None:
+    """What of this machine an error says is missing; None if it says something else.
+
+    A library that can't be loaded for want of descriptors, memory or a permission raises `ImportError` with the
+    system's words somewhere in it; a folder that can't be read makes its modules seem not to exist.
+    """
+    if isinstance(error, MemoryError):
+        return "not enough memory"
+    if isinstance(error, OSError):
+        place = f": {error.filename!r}" if error.filename is not None else ""
+        return f"{error.strerror or error}{place}" if error.errno in LACKING else None
+    if isinstance(error, RuntimeError) and str(error) == "can't start new thread":
+        return "no more threads can be started"
+    if not isinstance(error, ImportError):
+        return None
+    name = f"can't load {error.name!r}" if error.name else "a library can't be loaded"
+    cause: BaseException | None = error
+    while cause is not None:
+        if cause is not error and (found := lack(cause)) is not None:
+            return f"{name}: {found}"
+        words = [os.strerror(number) for number in LACKING if os.strerror(number) in str(cause)]
+        if words or "failed to map segment" in str(cause):
+            return f"{name}: {words[0] if words else os.strerror(errno.ENOMEM)}"
+        cause = cause.__cause__ or cause.__context__
+    if isinstance(error, ModuleNotFoundError) and (error.name or "").split(".")[0] in sys.stdlib_module_names:
+        return f"{name}, a part of Python: its installation is incomplete or may not be read"
+    return None
 
 
 def words_for_bytes(count: float) -> str:

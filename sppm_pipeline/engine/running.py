@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import errno
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from sppm_pipeline.engine.jsonable import jsonable
 from sppm_pipeline.engine.options import options_of, parse_typed
 from sppm_pipeline.engine.ports import noun_words
 from sppm_pipeline.engine.problems import did_you_mean, listed
+from sppm_pipeline.engine.resources import lack
 from sppm_pipeline.engine.wiring import Step
 from sppm_pipeline.errors import ConfigError, InputError, PluginError, ResourceError, SppmError
 from sppm_pipeline.stage import Context, Recipe, Stage
@@ -40,7 +40,8 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
     optional = {port.name: None for port in step.signature.ports if port.optional}
     before = contract.digests(inputs) if contract.is_strict() else {}
     try:
-        with limited(f"{step.owner}: the stage {step.stage.name!r}", builtin=step.owner.builtin):
+        what = f"{step.owner}: the stage {step.stage.name!r}"
+        with limited(what, builtin=step.owner.builtin, where=step.where, stage=step.address):
             if step.owner.builtin:
                 made = stage.run(context, **{**optional, **inputs, **handed})
             else:
@@ -61,23 +62,17 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
             where=step.where,
             stage=step.address,
         ) from error
-    except OSError as error:
-        raise _system_error(step, error) from error
     except Exception as error:
-        raise _blame(step, f"raised {type(error).__name__}: {error}") from error
+        raise _system_error(step, error) from error
 
 
-LACKING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOMEM, errno.EMFILE,
-           errno.ENFILE, errno.EAGAIN, errno.EIO, errno.ENAMETOOLONG, errno.EMLINK, errno.ELOOP)  # fmt: skip
-"""Errors of the system that mean: something of this machine is missing."""
-
-
-def _system_error(step: Step, error: OSError) -> SppmError:
-    detail = f"{error.strerror or error}" + (f": {error.filename!r}" if error.filename is not None else "")
+def _system_error(step: Step, error: Exception) -> SppmError:
+    """A file that is not there, something of the machine that is missing, or whoever wrote the stage is to blame."""
     if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError)):
-        return InputError(detail, where=step.where, stage=step.address)
-    if error.errno in LACKING:
-        return ResourceError(detail, where=step.where, stage=step.address)
+        place = f": {error.filename!r}" if error.filename is not None else ""
+        return InputError(f"{error.strerror or error}{place}", where=step.where, stage=step.address)
+    if (lacking := lack(error)) is not None and (step.owner.builtin or not isinstance(error, ModuleNotFoundError)):
+        return ResourceError(lacking, where=step.where, stage=step.address)
     return _blame(step, f"raised {type(error).__name__}: {error}")
 
 

@@ -6,6 +6,7 @@ Each case is a child process under a real limit of the system.
 from __future__ import annotations
 
 import errno
+import json
 import os
 import resource
 import shutil
@@ -79,19 +80,49 @@ def test_a_limit_below_the_record_itself(here):
     assert not (here / "out").exists() or os.listdir(here / "out") == []
 
 
-@pytest.mark.parametrize("limit", [4, 6, 8, 12])
+@pytest.mark.parametrize("limit", [4, 5, 6, 7, 8, 10])
 def test_a_limit_of_open_files(here, limit):
     """Python itself may be unable to start; once it runs, it says what is missing."""
     done = sppm("run", "layers.yaml", "-q", "-o", "out", cwd=here,
                 before=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit)))  # fmt: skip
     if done.returncode == 0:
-        assert left(here / "out") == ["slices", "slices-overview.png"]
+        assert left(here / "out") == ["SHA256SUMS", "slices", "slices-overview.png"]
         return
     assert left(here / "out") == []
     if "sppm: " in done.stderr:
         one_line(done, "Too many open files")
     else:
-        assert limit < 6, done.stderr
+        assert limit < 5, done.stderr
+
+
+GREEDY = '''
+import os
+from dataclasses import dataclass
+from typing import ClassVar
+from sppm_pipeline.stage import Context, Stage
+
+@dataclass(frozen=True, kw_only=True)
+class Greedy(Stage):
+    """Take all descriptors there are, half a file written."""
+    name: ClassVar[str] = "write.greedy"
+    def run(self, context: Context) -> None:
+        folder = context.output("half")
+        (folder / "deeper").mkdir(parents=True)
+        (folder / "deeper" / "half.txt").write_text("half")
+        while True:
+            os.dup(0)
+'''
+
+
+def test_a_stage_that_leaves_no_descriptor(here):
+    """Nobody can write or list a folder any more but the parent of the process that runs."""
+    (here / "greedy.py").write_text(GREEDY)
+    (here / "greedy.yaml").write_text("sppm: 1\npipeline: [write.greedy]\n")
+    done = sppm("run", "greedy.yaml", "-q", "-o", "out", "--plugin", "greedy.py", cwd=here,
+                before=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64)))  # fmt: skip
+    one_line(done, "Too many open files")
+    assert left(here / "out") == []
+    assert json.loads((here / "out" / "run.json").read_text())["status"] == "failed"
 
 
 @pytest.fixture
@@ -149,7 +180,7 @@ def open_place():
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs the right to become somebody else")
 @pytest.mark.parametrize("verb", ["run", "check"])
-def test_somebody_without_permissions(open_place, verb):
+def test_somebody_without_permissions(open_place, tmp_path, verb):
     """In a child that gives up being root after it has loaded the program."""
     (open_place / "part.yaml").write_text(PART)
     (open_place / "secret.yaml").write_text(PART)
@@ -157,13 +188,17 @@ def test_somebody_without_permissions(open_place, verb):
     name = "secret" if verb == "check" else "part"
     code = (
         "import os, sys; from sppm_pipeline.cli.main import main\n"
-        "main(['run', 'part.yaml', '--no-plugins', '-n', '--json'])\n"
+        "assert main(['run', 'part.yaml', '--no-plugins', '-q', '-o', sys.argv.pop(1)]) == 0\n"
         "os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
         "sys.exit(main(sys.argv[1:]))"
     )
     words = [verb, f"{name}.yaml", "--no-plugins", *(["-q"] if verb == "run" else [])]
     done = subprocess.run(
-        [sys.executable, "-c", code, *words], cwd=open_place, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code, str(tmp_path / "out"), *words],
+        cwd=open_place,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     one_line(done, "Permission denied")
 
@@ -233,14 +268,14 @@ def test_too_little_address_space(here):
     code = (
         "import resource, sys; from sppm_pipeline.engine import checking\n"
         "checking.refuse_unfit = lambda *a, **k: None\n"
-        "import sppm_pipeline.stages.extract.marching_cubes, sppm_pipeline.numerics.surface.closing\n"
-        "resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))\n"
+        "import sppm_pipeline.stages.extract.voxels, sppm_pipeline.stages.field.gaussian, numba\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (2**30, 2**30))\n"
         "from sppm_pipeline.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"
     )
-    (here / "large.yaml").write_text(
-        LAYERS[: LAYERS.index("  - {stage: slice")] + "  - {stage: extract.marching_cubes, resolution: 1024}\n"
+    (here / "large.yaml").write_text(  # one byte for each of a thousand million voxels, at once
+        LAYERS[: LAYERS.index("  - {stage: slice")] + "  - {stage: extract.voxels, resolution: 1024}\n"
     )
     words = ["run", "large.yaml", "-q", "-o", "out", "--no-plugins", "--threads", "1"]
     done = subprocess.run([sys.executable, "-c", code, *words], cwd=here, capture_output=True, text=True, check=False)
-    one_line(done, "not enough memory", "stage 'extract.marching_cubes'")
+    one_line(done, "not enough memory", "stage 'extract.voxels'")
     assert left(here / "out") == []

@@ -1,9 +1,10 @@
 """Thousands of damaged copies of the example configurations: no traceback, no hang, always file and line.
 
-    python tests/endurance/mutants.py [COUNT] [DRY_RUNS] [SEED]
+    python tests/endurance/mutants.py [COUNT] [DRY_RUNS] [SEED] [EXAMPLE...]
 
 Every example in ``configs/`` is damaged COUNT times (10,000) by bytes, tokens, values and structure and checked in this
-process; DRY_RUNS of each (200) also go through ``sppm run --dry-run``. tests/cli/test_mutants.py holds a short form.
+process; DRY_RUNS of each (200) also go through ``sppm run --dry-run``. EXAMPLE is a name such as ``quickstart``; all if
+omitted. tests/cli/test_mutants.py holds a short form.
 """
 
 from __future__ import annotations
@@ -201,10 +202,11 @@ def loading_once() -> Iterator[None]:
 
 
 def main(arguments: list[str]) -> int:
-    count, dry_runs, seed = (int(a) for a in [*arguments, *["10000", "200", "0"][len(arguments) :]])
+    count, dry_runs, seed = (int(a) for a in [*arguments[:3], *["10000", "200", "0"][len(arguments) :]])
+    examples = {path.stem: path for path in sorted((ROOT / "configs").glob("*.yaml"))}
     folder = Path(tempfile.mkdtemp(prefix="sppm-mutants-"))
     all_faults = []
-    for example in sorted((ROOT / "configs").glob("*.yaml")):
+    for example in [examples[name] for name in arguments[3:] or examples]:
         began = time.perf_counter()
         with loading_once():
             codes, faults, longest = torment(folder, example, count, dry_runs, seed)

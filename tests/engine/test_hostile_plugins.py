@@ -14,6 +14,7 @@ import pytest
 
 from sppm_pipeline.cli.main import main
 from sppm_pipeline.engine import containment
+from sppm_pipeline.errors import PluginError
 
 HEAD = """
 import os, sys, time
@@ -252,12 +253,23 @@ def test_a_plugin_that_moves_elsewhere_is_brought_back(here, install):
     assert os.getcwd() == str(here)
 
 
-def test_a_plugin_that_takes_the_interrupt_handler_gives_it_back(here, install):
+def test_a_stage_cannot_take_the_interrupt_handler(here, install, capsys):
+    """Runs go on in a thread of their own, where Python allows nobody to."""
     import signal
 
     before = signal.getsignal(signal.SIGINT)
     install(body("import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"))
-    assert main(["run", "strange.yaml", "-q"]) == 0
+    assert main(["run", "strange.yaml", "-q"]) == 4
+    assert "sppm-strange 2.5 (plugin 'strange'): raised ValueError: signal only works" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_plugin_that_takes_the_interrupt_handler_gives_it_back():
+    import signal
+
+    before = signal.getsignal(signal.SIGINT)
+    with containment.contained(PluginError):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -281,8 +293,10 @@ def test_in_contract_mode_a_forced_change_of_an_input_is_found(here, install, ca
 
 
 @pytest.mark.parametrize(
-    "text", ["time.sleep(60)", "while True: pass", "while True:\n    try: time.sleep(60)\n    except Exception: pass"]
-)
+    "text",
+    ["while True: time.sleep(0.05)", "while True: pass",
+     "while True:\n    try: time.sleep(0.05)\n    except Exception: pass"],
+)  # fmt: skip
 def test_a_stage_that_hangs_is_ended(here, install, capsys, text):
     install(body(text))
     began = time.monotonic()
@@ -294,8 +308,11 @@ def test_a_stage_that_hangs_is_ended(here, install, capsys, text):
     assert os.listdir(here / "runs" / "strange") == ["run.json"]
 
 
-def test_a_stage_that_cannot_be_interrupted_ends_the_process(here, install):
-    install(body("while True:\n    try:\n        time.sleep(60)\n    except BaseException:\n        pass"))
+@pytest.mark.parametrize(
+    "text", ["time.sleep(60)", "while True:\n    try:\n        time.sleep(60)\n    except BaseException:\n        pass"]
+)
+def test_a_stage_that_cannot_be_interrupted_ends_the_process(here, install, text):
+    install(body("context.output('half').write_text('half')\n" + text))
     code = (
         "import sys; import sppm_pipeline.engine.containment as c; c.GRACE = 0.3\n"
         "from sppm_pipeline.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"
@@ -309,6 +326,11 @@ def test_a_stage_that_cannot_be_interrupted_ends_the_process(here, install):
     assert done.returncode == 4
     assert "took longer than the 0.3 seconds" in done.stderr
     assert "the process is ended" in done.stderr
+    assert "sppm: strange.yaml:3:13: stage 'sample.strange': sppm-strange 2.5" in done.stderr
+    assert os.listdir(here / "runs" / "strange") == ["run.json"]
+    record = json.loads((here / "runs" / "strange" / "run.json").read_text())
+    assert (record["status"], record["error"]["exit_code"]) == ("failed", 4)
+    assert "took longer" in record["error"]["message"]
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "x", "1e9999", "9" * 400])
@@ -318,8 +340,6 @@ def test_times_that_make_no_sense(value, capsys):
 
 def test_the_limit_holds_on_other_threads(monkeypatch):
     import threading
-
-    from sppm_pipeline.errors import PluginError
 
     monkeypatch.setenv(containment.STAGE_TIME, "0.2")
     caught: list[BaseException] = []
