@@ -3,12 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.data.noun import Noun
+from sppm_pipeline.errors import ConfigError
 
-__all__ = ["Table"]
+__all__ = ["RunFile", "Table"]
+
+
+class RunFile(NamedTuple):
+    """A file that a run of a sweep wrote.
+
+    Attributes
+    ----------
+    path : str
+        Where it lies.
+    sha256 : str
+        Digest of its content.
+    """
+
+    path: str
+    sha256: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,16 +39,20 @@ class Table(Noun):
     columns : mapping of str to tuple
         Numbers, texts, or None where a run has no value. The columns of a sweep are ``run``, its parameters,
         ``status``, ``error``, then ``<stage id>.<number>``.
+    files : mapping of str to tuple of RunFile or None
+        Of a sweep, the files that its runs wrote, by the name that they have in the folder of each run.
     """
 
     columns: Mapping[str, tuple[Any, ...]]
+    files: Mapping[str, tuple[RunFile | None, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", {name: tuple(values) for name, values in self.columns.items()})
+        object.__setattr__(self, "files", {name: tuple(values) for name, values in self.files.items()})
 
     def check(self) -> None:
         """Equal length of all columns."""
-        lengths = {len(values) for values in self.columns.values()}
+        lengths = {len(values) for values in (*self.columns.values(), *self.files.values())}
         if len(lengths) > 1:
             raise ValueError(f"columns of different lengths: {sorted(lengths)}")
 
@@ -37,6 +60,49 @@ class Table(Noun):
     def rows(self) -> int:
         """Number of rows."""
         return len(next(iter(self.columns.values()), ()))
+
+    def column(self, name: str) -> tuple[Any, ...]:
+        """The values of a column.
+
+        Raises
+        ------
+        ConfigError
+            If there is none of that name.
+        """
+        if name not in self.columns:
+            raise ConfigError(f"the table has no column {name!r}", hint="there are " + ", ".join(sorted(self.columns)))
+        return self.columns[name]
+
+    def numbers(self, name: str) -> NDArray[np.float64]:
+        """The values of a column, NaN where there is no number.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such column.
+        """
+        return np.array([float(v) if isinstance(v, (bool, int, float)) else np.nan for v in self.column(name)], float)
+
+    def texts(self, name: str) -> list[str]:
+        """The values of a column as texts, empty where there is nothing.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such column.
+        """
+        return ["" if value is None else str(value) for value in self.column(name)]
+
+    def order(self, name: str, *, descending: bool = False) -> list[int]:
+        """Rows sorted by the numbers of a column, equal ones as they stand, those without a number last.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such column.
+        """
+        values = self.numbers(name)
+        return [int(i) for i in np.argsort(-values if descending else values, kind="stable")]
 
     def summary(self) -> dict[str, Any]:
         """Rows and names of the columns."""

@@ -104,11 +104,12 @@ def make_plan(
         refuse_clashes(_claims(group), problems)
     problems.raise_any()
     used = {name for group in (steps, after, *wired.values()) for step in group for name in step.recipes.values()}
-    unused += [
-        f"{entry.where}: the recipe {name!r} is not used"
-        for name, entry in configuration.recipes.items()
-        if name not in used
-    ]
+    if not any(_recipe_chosen(step.entry.recipes) for group in (steps, after, *wired.values()) for step in group):
+        unused += [
+            f"{entry.where}: the recipe {name!r} is not used"
+            for name, entry in configuration.recipes.items()
+            if name not in used
+        ]
     return Plan(
         configuration=configuration,
         name=configuration.name,
@@ -120,6 +121,11 @@ def make_plan(
         warnings=tuple(unused),
         document=_document(configuration, seed, params, steps, wired, after, single=row is not None),
     )
+
+
+def _recipe_chosen(node: Node | None) -> bool:
+    """Whether a parameter says which recipe a stage is handed; the others are then there to be chosen."""
+    return node is not None and _has_param(node)
 
 
 def _claims(steps: Sequence[Step]) -> Iterator[tuple[str, str, Position]]:

@@ -27,6 +27,7 @@ from sppm_pipeline.engine.sweep_table import columns_of, csv_text, numbers_of, r
 from sppm_pipeline.errors import ConfigError, NativeCrash, SppmError
 
 if TYPE_CHECKING:
+    from sppm_pipeline.data.table import Table
     from sppm_pipeline.engine.cache.store import Store
 
 __all__ = ["check_sweep", "run_row", "run_sweep", "sweep_rows"]
@@ -180,15 +181,13 @@ def run_sweep(
         found = _run_rows(session, path, names, workers, executor, max(1, threads // workers), until, monitor, cache)
         remove_stale_runs(path, names)
         columns = columns_of(found)
-        runs += [{key: value for key, value in run.items() if key != "columns"} for run in found]
+        runs += [{key: value for key, value in run.items() if key not in ("columns", "files")} for run in found]
         recorder.extra["outputs"] = [
             recorder.folder.add_file("sweep.csv", csv_text(columns)),
             recorder.folder.add_file("sweep.json", json_text(rows_of(columns))),
         ]
         done = [run["status"] == "done" for run in runs]
         if plan.after and until is None and any(done):
-            from sppm_pipeline.data.table import Table
-
             run_steps(
                 plan.after,
                 plan.recipes,
@@ -198,12 +197,34 @@ def run_sweep(
                 until=None,
                 folder=recorder.folder,
                 monitor=monitor,
-                given={SWEEP_ID: Table(columns)},  # type: ignore[arg-type]
+                given={SWEEP_ID: _table(columns, found, path)},
                 store=_store(cache),
                 checkpoint=recorder.checkpoint,
             )
         recorder.status = "done" if all(done) else "failed"
     return recorder.record
+
+
+def _table(columns: Mapping[str, Sequence[Any]], runs: Sequence[Mapping[str, Any]], path: Path) -> Table:
+    """The table for the stages of `after`, with the files that the runs wrote."""
+    from sppm_pipeline.data.table import RunFile, Table
+
+    folders = [path.absolute() / SWEEP_RUNS / run["run"] for run in runs]
+    names = dict.fromkeys(name for run in runs for name in run["files"])
+    files = {
+        name: tuple(
+            RunFile(str(folder / name), run["files"][name]) if name in run["files"] else None
+            for folder, run in zip(folders, runs, strict=True)
+        )
+        for name in names
+    }
+    return Table({name: tuple(values) for name, values in columns.items()}, files)
+
+
+def _files(record: Mapping[str, Any]) -> dict[str, str]:
+    """Digests of the files that a run wrote, by name; folders are left out."""
+    outputs = [output for stage in record.get("stages", ()) for output in stage.get("outputs", ())]
+    return {output["path"]: output["sha256"] for output in outputs if "files" not in output}
 
 
 def _row_names(count: int) -> list[str]:
@@ -299,8 +320,8 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``warnings``, ``columns``, and as ``record`` the digest
-        of the row's record.
+        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``warnings``, ``columns``, ``files`` (names and
+        digests), and as ``record`` the digest of the row's record.
     """
     session = _session(task["order"], task["sweep"])
     assert session.configuration.sweep is not None
@@ -321,6 +342,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
             "seconds": record.get("seconds"),
             "warnings": _warnings(record),
             "columns": numbers_of(record.get("stages", ())),
+            "files": _files(record),
             "record": record.get("sha256"),
         }
     return result | {
@@ -329,6 +351,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         "seconds": record["seconds"],
         "warnings": _warnings(record),
         "columns": numbers_of(record["stages"]),
+        "files": _files(record),
         "record": record["sha256"],
     }
 

@@ -11,8 +11,15 @@ from typing import Any
 __all__ = ["columns_of", "csv_text", "numbers_of", "rows_of"]
 
 
+MOST_LISTED = 6
+"""Longest list whose numbers get columns of their own: vectors, and the rows and columns of a stiffness matrix."""
+
+
 def numbers_of(stages: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Numbers in the summaries of a run record's stages, as ``<stage id>.<name>``; truth values as 1 and 0."""
+    """Numbers in the summaries of a run record's stages, as ``<stage id>.<name>``; truth values as 1 and 0.
+
+    Those of short lists are counted from 1, row by row: ``E.1``, ``C.4.4``.
+    """
     return {f"{stage['id']}.{name}": value for stage in stages for name, value in _numbers(stage.get("summary", {}))}
 
 
@@ -22,6 +29,9 @@ def _numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
             yield name, int(value) if isinstance(value, bool) else value
         elif isinstance(value, dict):
             yield from ((f"{name}.{inner}", number) for inner, number in _numbers(value))
+        elif isinstance(value, list) and len(value) <= MOST_LISTED:
+            listed = {str(number): one for number, one in enumerate(value, 1) if not isinstance(one, dict)}
+            yield from ((f"{name}.{inner}", number) for inner, number in _numbers(listed))
 
 
 def columns_of(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:

@@ -66,6 +66,9 @@ BUILT_IN = {
     "write.graph": "WriteGraph",
     "write.picture": "WritePicture",
     "write.chart": "WriteChart",
+    "write.bars": "WriteBars",
+    "write.sheet": "WriteSheet",
+    "write.table": "WriteTable",
 }
 """Stage name -> class name; the file follows from the name."""
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.table import Table
@@ -29,6 +29,8 @@ class WriteChart(Stage):
     kind: str = option("points", help="how the values are shown", choices=("points", "boxes"))
     group: str = option("", help="column whose values are told apart by colour; none if empty")
     line: bool = option(False, help="draw the least-squares line through all points and report it")
+    log_x: bool = option(False, help="logarithmic axis of x; what is not positive is left out")
+    log_y: bool = option(False, help="logarithmic axis of y; what is not positive is left out")
     title: str = option("", help="text above the diagram")
     x_label: str = option("", help="text below the axis; the column's name if empty")
     y_label: str = option("", help="text beside the axis; the column's name if empty")
@@ -44,16 +46,17 @@ class WriteChart(Stage):
         from sppm_pipeline.numerics.picture.series import Boxes, Line, Points
         from sppm_pipeline.numerics.porosity.line import fit_line
 
-        x, y = (self._column(table, name) for name in (self.x, self.y))
-        groups = self._column(table, self.group) if self.group else np.zeros(len(x))
-        good = np.isfinite(x) & np.isfinite(y) & np.isfinite(groups)
-        x, y, groups = x[good], y[good], groups[good]
+        x, y = table.numbers(self.x), table.numbers(self.y)
+        names = list(table.column(self.group)) if self.group else [""] * len(x)
+        good = np.isfinite(x) & np.isfinite(y)
+        x, y, names = x[good], y[good], [name for name, there in zip(names, good, strict=True) if there]
         if len(x) < 2:
             raise ConfigError(f"columns {self.x!r} and {self.y!r} have fewer than two rows with numbers in both")
         shown: list[Boxes | Line | Points] = []
-        for group in np.unique(groups):
-            own_x, own_y = x[groups == group], y[groups == group]
-            label = f"{self.group} = {group:g}" if self.group else ""
+        for group in _in_order(names):
+            own = np.array([name == group for name in names])
+            own_x, own_y = x[own], y[own]
+            label = _group_text(self.group, group)
             if self.kind == "boxes":
                 places = np.unique(own_x)
                 shown.append(Boxes(places, [own_y[own_x == place] for place in places], label=label))
@@ -65,10 +68,17 @@ class WriteChart(Stage):
             label = f"{line.slope:.4g} n + {line.intercept:.4g}, R2 = {line.r_squared:.3f}"
             shown.append(Line(ends, line.slope * ends + line.intercept, label=label))
             context.report(slope=line.slope, intercept=line.intercept, r_squared=line.r_squared)
-        picture = chart(shown, title=self.title, x_label=self.x_label or self.x, y_label=self.y_label or self.y)
+        picture = chart(shown, title=self.title, x_label=self.x_label or self.x, y_label=self.y_label or self.y,
+                        x_log=self.log_x, y_log=self.log_y)  # fmt: skip
         Image.fromarray(picture).save(context.output(self.path))
 
-    def _column(self, table: Table, name: str) -> NDArray[np.float64]:
-        if name not in table.columns:
-            raise ConfigError(f"the table has no column {name!r}", hint="there are " + ", ".join(sorted(table.columns)))
-        return np.array([np.nan if v is None or isinstance(v, str) else float(v) for v in table.columns[name]])
+
+def _in_order(names: Sequence[Any]) -> list[Any]:
+    """Each group once: numbers from small to large, then texts as they come; rows without a group belong to none."""
+    known = [name for name in dict.fromkeys(names) if name is not None and name == name]
+    return sorted((n for n in known if not isinstance(n, str)), key=float) + [n for n in known if isinstance(n, str)]
+
+
+def _group_text(column: str, group: Any) -> str:
+    """How the legend names a group."""
+    return group if isinstance(group, str) else f"{column} = {group:g}"

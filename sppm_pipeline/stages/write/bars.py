@@ -1,0 +1,71 @@
+"""``write.bars``: bars of several columns of a table, a row for each run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.table import Table
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Context, Stage, option
+
+MOST_ROWS = 200
+"""Rows that a picture of readable size takes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteBars(Stage):
+    """Draw several columns of a table as panels of bars, one row for each row of the table.
+
+    Each panel has a scale of its own, from zero, and the numbers stand beside the bars; where a run has no number there
+    is a dash.
+    """
+
+    name: ClassVar[str] = "write.bars"
+
+    path: str = option("bars.png", help="picture to write", output=True)
+    label: str = option("run", help="column with the names of the rows")
+    columns: tuple[str, ...] = option(help="columns that are drawn, from left to right")
+    headings: tuple[str, ...] = option((), help="texts above the columns; their names if omitted")
+    sort: str = option("", help="column by which rows are sorted; as they stand if empty")
+    descending: bool = option(False, help="sort from large to small")
+    mark: tuple[str, ...] = option((), help="names of rows that are drawn in another colour")
+    title: str = option("", help="text above the picture")
+
+    def check_options(self) -> None:
+        """Columns, and a heading for each."""
+        check_columns(self.columns, self.headings)
+
+    def estimate(self, given: Given) -> Estimate:
+        return Estimate(disk=100e3, memory=60e6, seconds=0.5)
+
+    def run(self, context: Context, table: Table) -> None:
+        """Draw the panels."""
+        from PIL import Image
+
+        from sppm_pipeline.numerics.picture.bars import Panel, bar_panels
+
+        if not 0 < table.rows <= MOST_ROWS:
+            raise ConfigError(f"the table has {table.rows} rows; bars can be drawn of 1 to {MOST_ROWS}")
+        rows = table.order(self.sort, descending=self.descending) if self.sort else list(range(table.rows))
+        names = table.texts(self.label)
+        unknown = [name for name in self.mark if name not in names]
+        if unknown:
+            raise ConfigError(f"no row of column {self.label!r} is called {unknown[0]!r}", hint=f"there are {names}")
+        headings = self.headings or self.columns
+        panels = [
+            Panel(heading, table.numbers(column)[rows])
+            for column, heading in zip(self.columns, headings, strict=True)
+        ]  # fmt: skip
+        marked = [place for place, row in enumerate(rows) if names[row] in self.mark]
+        picture = bar_panels([names[row] for row in rows], panels, title=self.title, marked=marked)
+        Image.fromarray(picture).save(context.output(self.path))
+
+
+def check_columns(columns: tuple[str, ...], headings: tuple[str, ...]) -> None:
+    """Raise `ConfigError` if no column is named or headings and columns do not belong together."""
+    if not columns:
+        raise ConfigError("`columns` names no column", hint="write for instance columns: [elastic.E.1, elastic.nu.xy]")
+    if headings and len(headings) != len(columns):
+        raise ConfigError(f"there are {len(headings)} headings for {len(columns)} columns", hint="give one for each")

@@ -1,0 +1,83 @@
+"""``write.sheet``: the pictures of all runs of a sweep on one sheet."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.table import RunFile, Table
+from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.stage import Context, Stage, option
+
+MOST_PICTURES = 400
+"""Pictures on a sheet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteSheet(Stage):
+    """Place a picture that each run of a sweep wrote on one sheet, with a column of the table beneath it.
+
+    Runs that did not write it are left out, with a warning.
+    """
+
+    name: ClassVar[str] = "write.sheet"
+
+    path: str = option("sheet.png", help="picture to write", output=True)
+    picture: str = option("picture.png", help="name of the picture in the folder of each run")
+    label: str = option("run", help="column that stands beneath the pictures")
+    columns: int | None = option(None, help="pictures in a row; about as many as rows if omitted", minimum=1)
+    width: int = option(
+        300, help="wider pictures are scaled down to this width", unit="pixels", minimum=16, maximum=2048
+    )
+    title: str = option("", help="text above the sheet")
+
+    def estimate(self, given: Given) -> Estimate:
+        return Estimate(disk=2e6, memory=200e6, seconds=2.0, advice="lower `width`")
+
+    def run(self, context: Context, table: Table) -> None:
+        """Collect the pictures."""
+        from PIL import Image
+
+        from sppm_pipeline.numerics.picture.plates import contact_sheet
+
+        if self.picture not in table.files:
+            known = ", ".join(sorted(table.files)) or "no files"
+            raise ConfigError(f"no run wrote a picture {self.picture!r}", hint=f"the runs wrote {known}")
+        files = table.files[self.picture]
+        labels = table.texts(self.label)
+        there = [(file, label) for file, label in zip(files, labels, strict=True) if file is not None]
+        if len(there) > MOST_PICTURES:
+            raise ConfigError(f"{len(there)} pictures are too many for a sheet; at most {MOST_PICTURES} fit")
+        if len(there) < len(files):
+            missing = [label for file, label in zip(files, labels, strict=True) if file is None]
+            context.warn(f"{len(missing)} runs wrote no {self.picture!r}: {', '.join(missing[:10])}")
+        pictures = [self._read(file) for file, _ in there]
+        context.report(pictures=len(pictures))
+        sheet = contact_sheet(pictures, [label for _, label in there], columns=self.columns, title=self.title)
+        Image.fromarray(sheet).save(context.output(self.path))
+
+    def _read(self, file: RunFile) -> NDArray[np.uint8]:
+        from PIL import Image, UnidentifiedImageError
+
+        try:
+            data = Path(file.path).read_bytes()
+        except OSError as error:
+            raise InputError(f"cannot read {file.path}: {error.strerror}") from error
+        if hashlib.sha256(data).hexdigest() != file.sha256:
+            raise InputError(f"{file.path} was changed since its run wrote it", hint="run the sweep again")
+        try:
+            with Image.open(io.BytesIO(data)) as opened:
+                image = opened.convert("RGB")
+        except (UnidentifiedImageError, OSError, ValueError) as error:
+            raise InputError(f"{file.path} is no picture: {error}") from error
+        if image.width > self.width:
+            height = max(1, round(image.height * self.width / image.width))
+            image = image.resize((self.width, height), Image.Resampling.BOX)
+        return np.asarray(image, np.uint8)

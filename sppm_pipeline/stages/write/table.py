@@ -1,0 +1,67 @@
+"""``write.table``: chosen columns of a table, under headings of one's own."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.table import Table
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stages.write.bars import check_columns
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteTable(Stage):
+    """Write chosen columns of a table as Markdown or CSV, with rounded numbers.
+
+    The table of a sweep has a column for every number of every stage, ``sweep.csv`` holds them all; this makes the
+    short one that is read.
+    """
+
+    name: ClassVar[str] = "write.table"
+
+    path: str = option("table.md", help="file to write, .md or .csv", output=True)
+    columns: tuple[str, ...] = option(help="columns, from left to right")
+    headings: tuple[str, ...] = option((), help="texts above the columns; their names if omitted")
+    digits: int = option(3, help="significant digits of numbers", minimum=1, maximum=17)
+    sort: str = option("", help="column by which rows are sorted; as they stand if empty")
+    descending: bool = option(False, help="sort from large to small")
+
+    def check_options(self) -> None:
+        """Columns, a heading for each, and a format."""
+        check_columns(self.columns, self.headings)
+        if not self.path.lower().endswith((".md", ".csv")):
+            raise ConfigError(f"a table is written as .md or .csv, not as {self.path!r}")
+
+    def estimate(self, given: Given) -> Estimate:
+        return Estimate(disk=20e3, memory=1e6, seconds=0.01)
+
+    def run(self, context: Context, table: Table) -> None:
+        """Write the rows."""
+        rows = table.order(self.sort, descending=self.descending) if self.sort else list(range(table.rows))
+        columns = [table.column(name) for name in self.columns]
+        headings = list(self.headings or self.columns)
+        body = [[self._text(column[row]) for column in columns] for row in rows]
+        if self.path.lower().endswith(".csv"):
+            text = io.StringIO()
+            csv.writer(text, lineterminator="\n").writerows([headings, *body])
+            written = text.getvalue()
+        else:
+            right = [all(not isinstance(value, str) for value in column) for column in columns]
+            lines = [headings, ["---:" if one else "---" for one in right], *body]
+            written = "".join(f"| {' | '.join(_cell(word) for word in line)} |\n" for line in lines)
+        context.output(self.path).write_text(written, encoding="utf-8", newline="")
+
+    def _text(self, value: Any) -> str:
+        if value is None:
+            return ""
+        return f"{value:.{self.digits}g}" if isinstance(value, float) else str(value)
+
+
+def _cell(text: str) -> str:
+    """A text that stays in its cell of a Markdown table."""
+    return " ".join(text.replace("|", "\\|").split())
