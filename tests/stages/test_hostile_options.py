@@ -111,8 +111,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
 }  # fmt: skip
 """What comes before a stage, the options it gets, and what comes after."""
 
-NO_PIPELINE = {"write.chart"}
-"""Stands only after a sweep and has no numbers."""
+NO_PIPELINE = {"write.bars", "write.chart", "write.sheet", "write.table"}
+"""Stand only after a sweep."""
 
 HOSTILE = [
     ".nan", ".inf", "-.inf", "-1", "0", "1e300", "-1e300", "1e400", "1" + "0" * 400, "1e-300", "x", "''", "~", "true",

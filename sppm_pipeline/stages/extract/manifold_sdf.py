@@ -75,6 +75,7 @@ class ManifoldSdf(Stage):
         help="each child process, one for every surface and every cut, is ended after this time",
         unit="s",
         above=0,
+        maximum=1e7,
     )
 
     def check_options(self) -> None:

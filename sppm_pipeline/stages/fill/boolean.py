@@ -49,7 +49,7 @@ class BooleanFill(Stage):
         "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
     )
     time_limit: float = option(
-        600.0, help="the child process of the Boolean is ended after this time", unit="s", above=0
+        600.0, help="the child process of the Boolean is ended after this time", unit="s", above=0, maximum=1e7
     )
 
     def check_options(self) -> None:

@@ -44,7 +44,11 @@ class Combine(Stage):
         maximum=1e9,
     )
     time_limit: float = option(
-        600.0, help="the child process in which they are combined is ended after this time", unit="s", above=0
+        600.0,
+        help="the child process in which they are combined is ended after this time",
+        unit="s",
+        above=0,
+        maximum=1e7,
     )
 
     def check_options(self) -> None:
