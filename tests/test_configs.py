@@ -160,6 +160,40 @@ def test_table_mesh_free(run_yaml, tmp_path):
     assert (manifest["width_px"], manifest["height_px"], manifest["layers"]) == (8, 16, 24)
 
 
+def test_stiffness_map(run_yaml, tmp_path):
+    path = reduced(
+        "stiffness_map.yaml", tmp_path,
+        omega=("omega: [20, 30, 40]", "omega: [30]"),
+        pores=("[24, 32, 40, 48, 56, 64, 72, 80, 92, 104, 120, 140]", "[24, 140]"),
+        seeds=("seed: {from: 1, to: 10}", "seed: [1]"),
+    )  # fmt: skip
+    _, folder = run_yaml(path, s=["homogenize.voxel.resolution=12", "check.connectivity.resolution=12"])
+    few, many = json.loads((folder / "sweep.json").read_text())
+    assert few["status"] == many["status"] == "done"
+    # each pore takes solid away, and stiffness more than in proportion
+    assert few["elastic.porosity"] < many["elastic.porosity"]
+    for row in (few, many):
+        assert 0 < row["elastic.E_relative"] < 1 - row["elastic.porosity"]
+    assert few["elastic.E_relative"] > many["elastic.E_relative"]
+    assert {"young.png", "poisson.png", "deviation.png", "deviation_invariant.png"} <= outputs(folder)
+
+
+def test_representative_volume(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "representative_volume.yaml",
+        p=["samples=2", "assemblies=[1, 2]"],
+        s=["homogenize.realisations.resolution=8", "tileset.wang_3color.colors=1", "tileset.wang_3color.resolution=12",
+           "tileset.wang_3color.tolerance=0.05"],
+    )  # fmt: skip
+    assert {"young.png", "poisson.png", "deviation.png"} <= outputs(folder)
+    sizes = summary(record, "elastic")["sizes"]
+    assert set(sizes) == {"1", "2"}
+    for found in sizes.values():
+        assert found["E_x"]["count"] == 2
+        assert found["porosity"]["mean"] == pytest.approx(0.55, abs=0.02)
+        assert 0 < found["E_x"]["mean"] < 0.45  # less than the share of solid
+
+
 def test_no_configuration_is_forgotten():
     tested = {name[5:] for name in globals() if name.startswith("test_")}
     assert {path.stem for path in CONFIGS.glob("*.yaml")} <= tested

@@ -16,6 +16,9 @@ __all__ = ["Interrupted", "interruptibly"]
 PATIENCE = 0.6
 """Seconds that work is given to end by itself."""
 
+LISTENING = 0.1
+"""Seconds after which the main thread looks for signals that were handed to another thread, which do not wake it."""
+
 STACK = 16 << 20
 """Bytes of stack; that of the main thread is smaller on some systems, and that of threads always is on macOS."""
 
@@ -68,7 +71,8 @@ def interruptibly(work: Callable[[], int], say: Callable[[], None]) -> int:
     with _handled(arrived):
         thread.start()
         threading.stack_size(before)
-        wake.wait()
+        while not wake.wait(LISTENING):
+            pass
         if signals and not outcome:
             _end(thread, outcome, signals, say)
         thread.join()

@@ -139,9 +139,7 @@ class _Watch:
             code = os.WEXITSTATUS(status)
             if code in INTERRUPTED:
                 self._say(self._farewell)
-            if (
-                code == ResourceError.exit_code
-            ):  # it may have lacked what the last word takes, and what it held is free now
+            if code == ResourceError.exit_code:  # what its last word would have taken is free now
                 self._tidy_up("failed", None)
             return code
         number = os.WTERMSIG(status)
