@@ -71,7 +71,13 @@ def estimated(capsys, *words: str) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+WITH_PLUGINS = {"compare_structures", "published_curves"}
+"""Examples whose structures come from a distribution, which need not say what they will take."""
+
+
+@pytest.mark.parametrize(
+    "path", sorted(p for p in CONFIGS.glob("*.yaml") if p.stem not in WITH_PLUGINS), ids=lambda path: path.stem
+)
 def test_every_stage_of_every_example_is_foretold(path, here, capsys):
     words = ["-p", f"mesh={mesh(here)}"] if path.stem == "bunny" else []
     found = estimated(capsys, str(path), *words)
