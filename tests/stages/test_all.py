@@ -20,6 +20,8 @@ REQUIRED = {
     "tune.porosity": {"target": 0.5},
     "tune.stiffness": {"target": 0.1},
     "write.chart": {"x": "a", "y": "b"},
+    "write.bars": {"columns": ("a",)},
+    "write.table": {"columns": ("a",)},
 }
 
 
