@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,7 +15,7 @@ from sppm_pipeline.engine.executors import SerialExecutor, make_executor
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.plugins import load_plugins
 from sppm_pipeline.engine.sweep import run_sweep, sweep_rows
-from sppm_pipeline.engine.sweep_table import csv_text, rows_of
+from sppm_pipeline.engine.sweep_table import csv_text, numbers_of, rows_of
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
 
 TEXT = """name: sweep
@@ -246,3 +247,43 @@ def test_a_sweep_without_axes_left_is_a_single_run(work):
     assert session.configuration.sweep is None
     assert session.plan().seed == 3
     assert not session.plan().after
+
+
+def test_a_parameter_chooses_the_recipe(work):
+    text = """params: {which: low}
+recipes:
+  low: [{stage: sample.random, count: 1}, {stage: field.scale, factor: 1}]
+  high: [{stage: sample.random, count: 1}, {stage: field.scale, factor: 1000}]
+pipeline:
+  - {stage: tune.repeat, recipe: "${which}"}
+sweep:
+  which: [low, high]
+"""
+    record = run(work, text)
+    values = [float(row["tune.repeat.value"]) for row in table_of(work.folder / "out")]
+    assert values[0] != values[1]
+    assert record["warnings"] == []
+    assert [entry["warnings"] for entry in record["runs"]] == [[], []]
+    with pytest.raises(ConfigError, match="no recipe 'hihg'") as caught:
+        run(work, text.replace("[low, high]", "[low, hihg]"), to="other")
+    assert (caught.value.where.line, caught.value.where.column) == (9, 16)
+    assert caught.value.hint == "did you mean 'high'?"
+
+
+def test_numbers_of_short_lists_get_columns():
+    summary = {"C": [[1.0, 2.0], [3.0, None]], "E": [4, 5.0, True], "long": [1] * 7, "said": ["a"], "in": [{"x": 1}]}
+    assert numbers_of([{"id": "e", "summary": summary}]) == {
+        "e.C.1.1": 1, "e.C.1.2": 2, "e.C.2.1": 3, "e.E.1": 4, "e.E.2": 5, "e.E.3": 1,
+    }  # fmt: skip
+
+
+def test_the_stages_of_after_are_given_the_files_of_the_runs(work, monkeypatch):
+    given = {}
+    monkeypatch.setattr("sppm_pipeline.engine.sweep.run_steps", lambda *_, **how: given.update(how["given"]))
+    run(work)
+    table = given["sweep"]
+    assert list(table.files) == ["number.txt"]
+    for file, name in zip(table.files["number.txt"], table.columns["run"], strict=True):
+        path = work.folder / "out" / "runs" / name / "number.txt"
+        assert file.path == str(path)
+        assert file.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()

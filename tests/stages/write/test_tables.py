@@ -1,0 +1,134 @@
+"""What the stages of `after` make of a table: short tables, bars, sheets of the runs' pictures, charts with groups."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sppm_pipeline.data.table import RunFile, Table
+from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.stages.write.bars import WriteBars
+from sppm_pipeline.stages.write.chart import WriteChart
+from sppm_pipeline.stages.write.sheet import WriteSheet
+from sppm_pipeline.stages.write.table import WriteTable
+from sppm_pipeline.testing.plain_context import PlainContext
+
+COLUMNS = {
+    "run": ("0000", "0001", "0002"),
+    "name": ("octet", "a|b", "gyroid"),
+    "E": (0.123456, None, 0.5),
+    "n": (3, 4, 5),
+}
+
+
+def run(stage, table, tmp_path):
+    context = PlainContext(directory=tmp_path)
+    stage.check_options()
+    stage.run(context, table)
+    return (tmp_path / stage.path).read_bytes(), context
+
+
+def test_a_markdown_table(tmp_path):
+    stage = WriteTable(columns=("name", "E", "n"), headings=("structure", "E / E_s", "n"), sort="E", descending=True)
+    text = run(stage, Table(COLUMNS), tmp_path)[0].decode()
+    assert text == (
+        "| structure | E / E_s | n |\n| --- | ---: | ---: |\n"
+        "| gyroid | 0.5 | 5 |\n| octet | 0.123 | 3 |\n| a\\|b |  | 4 |\n"
+    )
+
+
+def test_a_csv_table(tmp_path):
+    stage = WriteTable(path="t.csv", columns=("name", "E"), digits=6)
+    rows = list(csv.reader(run(stage, Table(COLUMNS), tmp_path)[0].decode().splitlines()))
+    assert rows == [["name", "E"], ["octet", "0.123456"], ["a|b", ""], ["gyroid", "0.5"]]
+
+
+@pytest.mark.parametrize(
+    ("stage", "words"),
+    [
+        (WriteTable(columns=()), "no column"),
+        (WriteTable(columns=("a",), headings=("x", "y")), "2 headings for 1"),
+        (WriteTable(columns=("a",), path="t.xls"), "as .md or .csv"),
+        (WriteBars(columns=()), "no column"),
+    ],
+)
+def test_options_that_do_not_fit(stage, words):
+    with pytest.raises(ConfigError, match=words):
+        stage.check_options()
+
+
+def test_bars_follow_the_order_and_the_mark(tmp_path):
+    def pixels(**options):
+        data, _ = run(WriteBars(label="name", columns=("E", "n"), **options), Table(COLUMNS), tmp_path)
+        with Image.open(tmp_path / "bars.png") as image:
+            return np.asarray(image).copy(), data
+
+    plain, data = pixels()
+    assert pixels()[1] == data
+    assert not np.array_equal(pixels(sort="E")[0], plain)
+    marked = pixels(mark=("gyroid",))[0]
+    assert ((marked == (206, 96, 62)).all(axis=2)).sum() > 100
+    assert not ((plain == (206, 96, 62)).all(axis=2)).any()
+    with pytest.raises(ConfigError, match="called 'gyriod'"):
+        pixels(mark=("gyriod",))
+    with pytest.raises(ConfigError, match="no column 'x'"):
+        run(WriteBars(columns=("x",)), Table(COLUMNS), tmp_path)
+    with pytest.raises(ConfigError, match="0 rows"):
+        run(WriteBars(columns=("E",)), Table({"run": (), "E": ()}), tmp_path)
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    """A table whose first and last runs wrote a picture."""
+    files: list[RunFile | None] = []
+    for number, color in enumerate([(200, 10, 10), None, (10, 10, 200)]):
+        path = tmp_path / "runs" / str(number) / "cell.png"
+        path.parent.mkdir(parents=True)
+        if color is not None:
+            Image.new("RGB", (400, 200), color).save(path)
+        files.append(RunFile(str(path), hashlib.sha256(path.read_bytes()).hexdigest()) if color else None)
+    return Table(COLUMNS, {"cell.png": tuple(files)})
+
+
+def test_a_sheet_of_the_pictures_of_all_runs(pictures, tmp_path):
+    stage = WriteSheet(picture="cell.png", label="name", columns=2, width=100)
+    data, context = run(stage, pictures, tmp_path)
+    with Image.open(tmp_path / "sheet.png") as image:
+        shown = np.asarray(image)
+    for color in ((200, 10, 10), (10, 10, 200)):
+        assert (shown == color).all(axis=2).sum() == 100 * 50
+    assert context.reported == {"pictures": 2}
+    assert context.warnings == ["1 runs wrote no 'cell.png': a|b"]
+    assert run(stage, pictures, tmp_path)[0] == data
+
+
+def test_sheets_of_what_is_not_there(pictures, tmp_path):
+    with pytest.raises(ConfigError, match=r"no run wrote a picture 'cel.png'") as caught:
+        run(WriteSheet(picture="cel.png"), pictures, tmp_path)
+    assert "cell.png" in caught.value.hint
+    first = Path(pictures.files["cell.png"][0].path)
+    first.write_bytes(b"no picture")
+    with pytest.raises(InputError, match="changed since its run"):
+        run(WriteSheet(picture="cell.png"), pictures, tmp_path)
+    bad = RunFile(str(first), hashlib.sha256(b"no picture").hexdigest())
+    with pytest.raises(InputError, match="is no picture"):
+        run(WriteSheet(picture="cell.png"), Table(COLUMNS, {"cell.png": (bad, None, None)}), tmp_path)
+    first.unlink()
+    with pytest.raises(InputError, match="cannot read"):
+        run(WriteSheet(picture="cell.png"), pictures, tmp_path)
+
+
+def test_charts_take_texts_as_groups_and_logarithmic_axes(tmp_path):
+    table = Table({"x": (1, 2, 3, 4), "y": (1.0, 10.0, 100.0, 1000.0), "g": ("b", "a", "b", None), "k": (2, 1, 2, 1)})
+    seen = set()
+    for options in ({}, {"group": "g"}, {"group": "k"}, {"log_y": True}, {"log_x": True, "group": "g"}):
+        stage = WriteChart(x="x", y="y", **options)
+        data = run(stage, table, tmp_path)[0]
+        assert run(stage, table, tmp_path)[0] == data
+        seen.add(data)
+    assert len(seen) == 5
