@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -26,6 +27,11 @@ from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 os.environ["SPPM_CACHE"] = (
     "off"  # tests neither use nor fill the cache of whoever runs them, but for those of the cache
 )
+
+# Whoever starts the tests in the background may have turned signals off, which all processes would inherit.
+for _number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, signal.default_int_handler if _number == signal.SIGINT else signal.SIG_DFL)
 
 MARK = "SPPM_TESTS"
 MARKED = f"{os.getpid()}-{os.urandom(8).hex()}"

@@ -164,7 +164,7 @@ def test_stiffness_map(run_yaml, tmp_path):
     path = reduced(
         "stiffness_map.yaml", tmp_path,
         omega=("omega: [20, 30, 40]", "omega: [30]"),
-        pores=("[24, 32, 40, 48, 56, 64, 72, 80, 92, 104, 120, 140]", "[24, 140]"),
+        pores=("[16, 24, 32, 40, 48, 56, 64, 72, 84, 96, 112, 128]", "[24, 140]"),
         seeds=("seed: {from: 1, to: 10}", "seed: [1]"),
     )  # fmt: skip
     _, folder = run_yaml(path, s=["homogenize.voxel.resolution=12", "check.connectivity.resolution=12"])

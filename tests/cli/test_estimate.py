@@ -102,7 +102,8 @@ def test_what_is_foretold_comes_true(here, capsys, name):
     found = estimated(capsys, name)
     assert found["unknown"] == []
     command = [sys.executable, "-m", "sppm_pipeline.cli.main", "run", name, "--no-plugins", "-q", "-o", "out"]
-    subprocess.run([*command, "--threads", "1"], check=True, cwd=here, stdout=subprocess.DEVNULL)
+    for _ in range(2):  # compiling kernels, if it is the first time, takes memory that is not the run's
+        subprocess.run([*command, "--threads", "1"], check=True, cwd=here, stdout=subprocess.DEVNULL)
     record = json.loads((here / "out" / "run.json").read_text())
     written = sum(file.stat().st_size for file in (here / "out").rglob("*") if file.is_file())
     assert 0.5 < found["disk_bytes"] / written < 1.5

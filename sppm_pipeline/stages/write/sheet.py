@@ -33,7 +33,7 @@ class WriteSheet(Stage):
     picture: str = option("picture.png", help="name of the picture in the folder of each run")
     label: str = option("run", help="column that stands beneath the pictures")
     columns: int | None = option(
-        None, help="pictures in a row; about as many as rows if omitted", minimum=1, maximum=400
+        None, help="pictures in a row; about as many as rows if omitted", minimum=1, maximum=100
     )
     width: int = option(
         300, help="wider pictures are scaled down to this width", unit="pixels", minimum=16, maximum=2048
