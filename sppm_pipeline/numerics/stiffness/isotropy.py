@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.stiffness.voigt import mandel, null_space
+from sppm_pipeline.numerics.stiffness.voigt import from_lame, mandel, null_space
 
 __all__ = [
     "Averages",
@@ -100,10 +100,7 @@ def nearest_isotropic(stiffness: NDArray[np.float64], norm: str = "paper") -> Is
         return IsotropicFit(0.0, float("nan"), size**2, float(size > 0))
     young = 9 * bulk * shear / (3 * bulk + shear)
     poisson = (3 * bulk - 2 * shear) / (2 * (3 * bulk + shear))
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = bulk - 2 * shear / 3
-    matrix[range(6), range(6)] += [2 * shear] * 3 + [shear] * 3
-    distance = length(matrix - stiffness)
+    distance = length(from_lame(bulk - 2 * shear / 3, shear) - stiffness)
     return IsotropicFit(young, poisson, distance**2, distance / size)
 
 

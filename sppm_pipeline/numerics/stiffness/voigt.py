@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 __all__ = [
     "compliance",
     "engineering_constants",
+    "from_lame",
     "from_tensor",
     "isotropic",
     "mandel",
@@ -39,6 +40,11 @@ def isotropic(young: float, poisson: float) -> NDArray[np.float64]:
     """
     lame = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
     shear = young / (2 * (1 + poisson))
+    return from_lame(lame, shear)
+
+
+def from_lame(lame: float, shear: float) -> NDArray[np.float64]:
+    """The stiffness with these Lamé constants, (6, 6)."""
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = lame
     matrix[range(6), range(6)] += [2 * shear] * 3 + [shear] * 3
