@@ -14,8 +14,9 @@ from sppm_pipeline.numerics.multigrid.hierarchy import Hierarchy
 from sppm_pipeline.numerics.multigrid.load_cases import load_cases
 from sppm_pipeline.numerics.multigrid.pcg import Solved, Stop
 from sppm_pipeline.numerics.multigrid.rows import STRIDE
+from sppm_pipeline.numerics.stiffness.voigt import from_lame
 
-__all__ = ["Homogenized", "isotropic_stiffness", "lame", "stiffness"]
+__all__ = ["Homogenized", "lame", "stiffness"]
 
 _LAYERS = 8
 """Layers of voxels whose energies are summed in one go; a constant, so that sums do not depend on threads."""
@@ -48,13 +49,6 @@ class Homogenized(NamedTuple):
 def lame(young: Any, poisson: Any) -> tuple[Any, Any]:
     """Lamé constants λ and μ from Young's modulus and Poisson's ratio, scalars or arrays."""
     return young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
-
-
-def isotropic_stiffness(lam: float, mu: float) -> NDArray[np.float64]:
-    """The 6 x 6 stiffness with these Lamé constants."""
-    matrix = np.diag([2 * mu] * 3 + [mu] * 3)
-    matrix[:3, :3] += lam
-    return matrix
 
 
 def stiffness(
@@ -109,7 +103,7 @@ def stiffness(
     # numbers near 1, whatever the unit
     scale = float(mu.max())
     lam, mu = lam / dtype.type(scale), mu / dtype.type(scale)
-    mean = isotropic_stiffness(float(lam.mean(dtype=np.float64)), float(mu.mean(dtype=np.float64)))
+    mean = from_lame(float(lam.mean(dtype=np.float64)), float(mu.mean(dtype=np.float64)))
     longest = max(edges)
     edges = (edges[0] / longest, edges[1] / longest, edges[2] / longest)
 

@@ -8,7 +8,8 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError, ResourceError
 from sppm_pipeline.families import memory
-from sppm_pipeline.numerics.elasticity.homogenize import isotropic_stiffness, lame
+from sppm_pipeline.numerics.elasticity.homogenize import lame
+from sppm_pipeline.numerics.stiffness.voigt import from_lame
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -44,7 +45,7 @@ def test_a_cell_of_the_paper(cell):
     assert "fractions" in report.method
     assert tuple(report.solver["grid"]) == (24, 24, 24)
     solid = 1 - report.porosity
-    bound = solid * isotropic_stiffness(*lame(1.0, 0.3))
+    bound = solid * from_lame(*lame(1.0, 0.3))
     assert np.linalg.eigvalsh(report.stiffness)[0] > 0
     assert np.linalg.eigvalsh(bound - report.stiffness)[0] > 0
     binary = homogenized(cell, resolution=24, fractions="binary")
@@ -63,7 +64,7 @@ def test_units_and_compliance():
     assert summary["E"] == pytest.approx([2100.0] * 3, rel=1e-5)
     assert summary["G"] == pytest.approx([840.0] * 3, rel=1e-5)
     assert all(value == pytest.approx(0.25, rel=1e-5) for value in summary["nu"].values())
-    assert summary["C"] == pytest.approx(isotropic_stiffness(*lame(2100.0, 0.25)), rel=1e-5, abs=1e-2)
+    assert summary["C"] == pytest.approx(from_lame(*lame(2100.0, 0.25)), rel=1e-5, abs=1e-2)
     assert summary["unit"] == "MPa"
 
 
@@ -92,7 +93,7 @@ def test_a_long_voxel():
 
 def test_fractions_of_an_image_scale_the_stiffness():
     report = homogenized(voxels(np.full((3, 3, 3), 0.4, np.float32)))
-    assert pytest.approx(0.4 * isotropic_stiffness(*lame(1.0, 0.3)), rel=1e-5, abs=1e-6) == report.stiffness
+    assert pytest.approx(0.4 * from_lame(*lame(1.0, 0.3)), rel=1e-5, abs=1e-6) == report.stiffness
     assert report.porosity == pytest.approx(0.6)
     binary = homogenized(voxels(np.full((3, 3, 3), 0.4, np.float32)), fractions="binary")
     assert not binary.stiffness.any()
@@ -102,7 +103,7 @@ def test_fractions_of_an_image_scale_the_stiffness():
 def test_ersatz_material_fills_the_void():
     values = np.zeros((4, 4, 4), np.uint8)
     report = homogenized(voxels(values), ersatz=1e-3)
-    assert pytest.approx(1e-3 * isotropic_stiffness(*lame(1.0, 0.3)), rel=1e-5, abs=1e-8) == report.stiffness
+    assert pytest.approx(1e-3 * from_lame(*lame(1.0, 0.3)), rel=1e-5, abs=1e-8) == report.stiffness
     image, shares = homogenized(voxels(cross()), ersatz=0.1), voxels(cross().astype(np.float32))
     assert pytest.approx(homogenized(shares, ersatz=0.1).stiffness, rel=1e-4) == image.stiffness
 
