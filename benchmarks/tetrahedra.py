@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.measure import repeat_in_process, table
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.microstructure import Microstructure
+from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.numerics.tetrahedra.quality import dihedral_histogram, quality
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph

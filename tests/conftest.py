@@ -12,7 +12,7 @@ import pytest
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.microstructure import Microstructure
+from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.numerics.domain import primitive_meshes
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.field.gaussian import GaussianField

@@ -10,7 +10,7 @@ from PIL import Image
 from sppm_pipeline.formats import ply
 from sppm_pipeline.formats.detect import decode_mesh
 from sppm_pipeline.numerics.domain import primitive_meshes
-from sppm_pipeline.numerics.surface.measures import measure_surface
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 

@@ -67,7 +67,7 @@ def _stages(forecast: Forecast) -> list[dict[str, Any]]:
 
 
 def _print(forecast: Forecast, total: dict[str, Any]) -> None:
-    from sppm_pipeline.engine.resources import words_for_bytes
+    from sppm_pipeline.process.resources import words_for_bytes
 
     width = max(len(stage.step.id) for stage in forecast.stages)
     print(f"{'':{width}s}     memory       disk    seconds     voxels")

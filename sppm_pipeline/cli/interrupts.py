@@ -104,7 +104,7 @@ def _end(
 ) -> None:
     """Ask for an end, wait for a moment, and enforce it; a second signal enforces it at once."""
     # nothing has to be ended if the engine was not even loaded
-    interruption = sys.modules.get("sppm_pipeline.engine.interruption")
+    interruption = sys.modules.get("sppm_pipeline.process.interruption")
     if interruption is not None:
         interruption.request()
     _raise_in(thread)

@@ -55,9 +55,9 @@ def _seconds(text: str) -> float:
 @contextlib.contextmanager
 def limits_of(args: Namespace) -> Iterator[None]:
     """Put the limits into the environment, where stages of this and of worker processes find them."""
-    from sppm_pipeline.engine.containment import STAGE_TIME
     from sppm_pipeline.engine.contract import CONTRACT
-    from sppm_pipeline.engine.resources import MEMORY
+    from sppm_pipeline.process.containment import STAGE_TIME
+    from sppm_pipeline.process.resources import MEMORY
 
     wished = {
         STAGE_TIME: repr(args.stage_time) if args.stage_time is not None else None,

@@ -167,7 +167,7 @@ def _report(error: Exception, debug: bool) -> int:
         name = f": {error.filename!r}" if error.filename is not None else ""
         _say(f"{error.strerror or error}{name}")
         return 5
-    from sppm_pipeline.engine.resources import lack
+    from sppm_pipeline.process.resources import lack
 
     if (lacking := lack(error)) is not None:
         _say(lacking)

@@ -18,8 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
-from sppm_pipeline.engine import interruption
 from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.process import interruption
 
 __all__ = ["CRASHES", "supervised", "watched"]
 

@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from sppm_pipeline.data.noun import Noun
+from sppm_pipeline.data.artifact import Noun
 from sppm_pipeline.errors import ConfigError
 
 __all__ = ["UNITS_IN_MM", "Cell", "Length", "parse_length"]

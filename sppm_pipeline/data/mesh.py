@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.noun import Noun, frozen
+from sppm_pipeline.data.artifact import Noun, frozen
 
 __all__ = ["SurfaceMesh"]
 
@@ -45,13 +45,13 @@ class SurfaceMesh(Noun):
     @cached_property
     def bounds_solid(self) -> bool:
         """Whether the triangles bound a volume; if not, what is inside is a matter of votes."""
-        from sppm_pipeline.numerics.surface.measures import edge_counts
+        from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
         return edge_counts(self.faces).bounds_solid
 
     @cached_property
     def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        from sppm_pipeline.numerics.surface.measures import bounds
+        from sppm_pipeline.numerics.meshcheck.measures import bounds
 
         return bounds(self.vertices, self.faces)
 
@@ -69,7 +69,7 @@ class SurfaceMesh(Noun):
         """Counts, box and signed volume."""
         if not len(self.faces):
             return {"name": self.name, "vertices": len(self.vertices), "triangles": 0}
-        from sppm_pipeline.numerics.surface.measures import volume
+        from sppm_pipeline.numerics.meshcheck.measures import volume
 
         return {
             "name": self.name,

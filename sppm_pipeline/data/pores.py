@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.artifact import Noun, frozen
 from sppm_pipeline.data.length import Cell
-from sppm_pipeline.data.noun import Noun, frozen
 
 __all__ = ["PoreSet"]
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.artifact import Noun, frozen
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.noun import Noun, frozen
 
 __all__ = ["RepeatedMesh"]
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.noun import Noun, frozen
+from sppm_pipeline.data.artifact import Noun, frozen
 
 if TYPE_CHECKING:
-    from sppm_pipeline.numerics.stiffness.bounds import Bounds
+    from sppm_pipeline.numerics.homogenization.stiffness.bounds import Bounds
 
 __all__ = ["StiffnessReport"]
 
@@ -76,15 +76,15 @@ class StiffnessReport(Noun):
     @cached_property
     def bounds(self) -> Bounds:
         """Voigt, Reuss and Hashin-Shtrikman, and whether the stiffness keeps to them."""
-        from sppm_pipeline.numerics.stiffness.bounds import bounds
+        from sppm_pipeline.numerics.homogenization.stiffness.bounds import bounds
 
         return bounds(self.stiffness, list(self.phases))
 
     def summary(self) -> dict[str, Any]:
         """Engineering constants, isotropy, bounds; what is not defined is None."""
-        from sppm_pipeline.numerics.stiffness import isotropy
-        from sppm_pipeline.numerics.stiffness.directional import extremes
-        from sppm_pipeline.numerics.stiffness.voigt import compliance, engineering_constants
+        from sppm_pipeline.numerics.homogenization.stiffness import isotropy
+        from sppm_pipeline.numerics.homogenization.stiffness.directional import extremes
+        from sppm_pipeline.numerics.homogenization.stiffness.voigt import compliance, engineering_constants
 
         c = self.stiffness
         constants, mean = engineering_constants(c), isotropy.averages(c)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.noun import Noun
+from sppm_pipeline.data.artifact import Noun
 from sppm_pipeline.errors import ConfigError
 
 __all__ = ["RunFile", "Table"]

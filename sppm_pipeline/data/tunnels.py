@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.noun import Noun, frozen
+from sppm_pipeline.data.artifact import Noun, frozen
 from sppm_pipeline.data.pores import PoreSet
 
 __all__ = ["TunnelGraph"]

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.engine.interruption import check
 from sppm_pipeline.engine.jsonable import jsonable
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.outputs import RunFolder, Scratch
-from sppm_pipeline.engine.resources import memory_budget, wished_memory
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.process.interruption import check
+from sppm_pipeline.process.resources import memory_budget, wished_memory
 from sppm_pipeline.stage import Context
 
 __all__ = ["RunContext", "StageLog", "generator"]

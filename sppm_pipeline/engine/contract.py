@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.data.noun import Noun
+from sppm_pipeline.data.artifact import Noun
 
 __all__ = ["CONTRACT", "changed", "digests", "is_strict", "not_finite"]
 

@@ -9,11 +9,11 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from sppm_pipeline.engine.interruption import die_with_parent
 from sppm_pipeline.engine.plugins import Plugins
 from sppm_pipeline.engine.problems import did_you_mean
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.hookspecs import hookimpl
+from sppm_pipeline.process.interruption import die_with_parent
 
 __all__ = ["SerialExecutor", "make_executor", "sppm_executors"]
 

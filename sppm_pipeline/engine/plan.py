@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.configuration import FORMAT, Configuration, StageEntry, stage_entries
-from sppm_pipeline.engine.containment import contained
 from sppm_pipeline.engine.document import Entry, Node, plain
 from sppm_pipeline.engine.names import refuse_clashes
 from sppm_pipeline.engine.options import options_of, parse_options, plain_option
@@ -20,6 +19,7 @@ from sppm_pipeline.engine.registry import Registry
 from sppm_pipeline.engine.substitution import Overrides, Substitution, override_options, override_params
 from sppm_pipeline.engine.wiring import Draft, Step, recipe_order, wire
 from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError
+from sppm_pipeline.process.containment import contained
 
 __all__ = ["SWEEP_ID", "Plan", "make_plan", "step_options"]
 

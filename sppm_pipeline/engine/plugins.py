@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 import pluggy
 
 from sppm_pipeline import hookspecs
-from sppm_pipeline.engine.containment import contained
 from sppm_pipeline.engine.problems import did_you_mean, listed, shown
 from sppm_pipeline.errors import ConfigError, PluginError
+from sppm_pipeline.process.containment import contained
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

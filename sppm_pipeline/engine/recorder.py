@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.files import write_whole
-from sppm_pipeline.engine.interruption import requested, running, stopped_running
 from sppm_pipeline.engine.jsonable import json_text
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.outputs import RECORD, SWEEP_RUNS, RunFolder
@@ -18,6 +17,7 @@ from sppm_pipeline.engine.plan import Plan
 from sppm_pipeline.engine.record import error_entry, record_of
 from sppm_pipeline.engine.sealing import sealed
 from sppm_pipeline.errors import NativeCrash, SppmError
+from sppm_pipeline.process.interruption import requested, running, stopped_running
 
 __all__ = ["Recorder", "mark_ended"]
 

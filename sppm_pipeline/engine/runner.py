@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.context import RunContext, StageLog
-from sppm_pipeline.engine.interruption import check
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.plan import Plan, step_options
@@ -21,6 +20,7 @@ from sppm_pipeline.engine.running import RecipeSteps, last_uses, run_step, summa
 from sppm_pipeline.engine.verification import finished_run
 from sppm_pipeline.engine.wiring import Step
 from sppm_pipeline.errors import ConfigError, SppmError
+from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.keeper import Keeper

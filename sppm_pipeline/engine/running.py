@@ -10,16 +10,16 @@ from typing import Any
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine import contract
-from sppm_pipeline.engine.containment import contained, limited
 from sppm_pipeline.engine.context import RunContext
-from sppm_pipeline.engine.interruption import check
 from sppm_pipeline.engine.jsonable import jsonable
 from sppm_pipeline.engine.options import options_of, parse_typed
 from sppm_pipeline.engine.ports import noun_words
 from sppm_pipeline.engine.problems import did_you_mean, listed
-from sppm_pipeline.engine.resources import lack
 from sppm_pipeline.engine.wiring import Step
 from sppm_pipeline.errors import ConfigError, InputError, PluginError, ResourceError, SppmError
+from sppm_pipeline.process.containment import contained, limited
+from sppm_pipeline.process.interruption import check
+from sppm_pipeline.process.resources import lack
 from sppm_pipeline.stage import Context, Recipe, Stage
 
 __all__ = ["StepRecipe", "last_uses", "run_step", "summary_of"]

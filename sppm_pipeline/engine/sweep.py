@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from sppm_pipeline.engine.configuration import MAX_SEED
 from sppm_pipeline.engine.document import Entry, Node, plain
 from sppm_pipeline.engine.executors import make_executor
-from sppm_pipeline.engine.interruption import check
 from sppm_pipeline.engine.jsonable import json_text
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.outputs import SWEEP_RUNS, remove_stale_runs
@@ -25,6 +24,7 @@ from sppm_pipeline.engine.runner import Recorder, check_until, run_plan, run_ste
 from sppm_pipeline.engine.session import Order, Session, open_session
 from sppm_pipeline.engine.sweep_table import columns_of, csv_text, numbers_of, rows_of
 from sppm_pipeline.errors import ConfigError, NativeCrash, SppmError
+from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
     from sppm_pipeline.data.table import Table
@@ -298,8 +298,8 @@ def _stop_workers() -> None:
     if "multiprocessing" in sys.modules:
         for process in sys.modules["multiprocessing"].active_children():
             process.terminate()
-    if "sppm_pipeline.native" in sys.modules:
-        sys.modules["sppm_pipeline.native"].stop_all()
+    if "sppm_pipeline.process" in sys.modules:
+        sys.modules["sppm_pipeline.process"].stop_all()
 
 
 @functools.lru_cache(maxsize=1)

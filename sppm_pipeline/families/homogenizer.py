@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Facts, Given
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.families.memory import require_memory
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.process.memory import require_memory
 from sppm_pipeline.stage import Context, Stage, option
 
 __all__ = ["Cell", "VoxelHomogenizer"]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.tileset import TileSet
-from sppm_pipeline.data.tiling import Tiling
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.stage import Context, Stage, option
 
 __all__ = ["Lattice", "Tiler", "check_repeats", "foreseen_tiling", "lattice_for"]

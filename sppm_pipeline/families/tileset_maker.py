@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.microstructure import Microstructure
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.tileset import TileSet
-from sppm_pipeline.data.tiling import Tiling
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields.microstructure import Microstructure
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.stage import Context, Recipe, Stage, option

@@ -15,7 +15,7 @@ from sppm_pipeline.formats.gltf_json import Entry, read_document
 from sppm_pipeline.formats.merging import merge_equal
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces
 from sppm_pipeline.formats.placing import IDENTITY, MOST_PLACED, Matrix, after, place
-from sppm_pipeline.numerics.surface.measures import edge_counts
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
 __all__ = ["decode", "encode"]
 

@@ -24,7 +24,7 @@ from sppm_pipeline.formats.text import (
     skip_token,
 )
 from sppm_pipeline.numerics.compiled import kernel
-from sppm_pipeline.numerics.surface.measures import edge_counts
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
 __all__ = ["decode", "encode", "is_ascii", "is_binary"]
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from sppm_pipeline.data.artifact import Noun
 from sppm_pipeline.data.length import Cell
-from sppm_pipeline.data.noun import Noun
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.engine.jsonable import json_text, jsonable

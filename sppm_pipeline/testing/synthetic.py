@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
+from sppm_pipeline.data.artifact import Noun
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.noun import Noun
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.hookspecs import hookimpl

@@ -12,7 +12,7 @@ import pytest
 
 from sppm_pipeline.cli.limits import size
 from sppm_pipeline.cli.main import main
-from sppm_pipeline.engine import resources
+from sppm_pipeline.process import resources
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 

@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
-from sppm_pipeline.data.noun import Noun
+from sppm_pipeline.data.artifact import Noun
 from sppm_pipeline.stage import Context, Stage, option
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.engine.jsonable import json_text, jsonable
-from sppm_pipeline.numerics.stiffness.voigt import isotropic
+from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic
 
 SOLID = ((1.0, 2.0, 0.3),)
 POROUS = ((0.4, 1.0, 0.3), (0.6, 0.0, 0.0))

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from sppm_pipeline.data.artifact import Noun
 from sppm_pipeline.data.length import Cell, Length
-from sppm_pipeline.data.noun import Noun
 from sppm_pipeline.data.storage import DamagedError, NotStorable, load_value, save_value, stored_bytes
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.data.volume_mesh import VolumeMesh

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.noun import Noun
+from sppm_pipeline.data.artifact import Noun
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 SLOW = 0.05

@@ -13,8 +13,8 @@ import time
 import pytest
 
 from sppm_pipeline.cli.main import main
-from sppm_pipeline.engine import containment
 from sppm_pipeline.errors import PluginError
+from sppm_pipeline.process import containment
 
 HEAD = """
 import os, sys, time
@@ -24,7 +24,7 @@ import numpy as np
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.data.length import Cell
-from sppm_pipeline.data.noun import Noun
+from sppm_pipeline.data.artifact import Noun
 from sppm_pipeline.data.pores import PoreSet
 
 @hookimpl
@@ -314,7 +314,7 @@ def test_a_stage_that_hangs_is_ended(here, install, capsys, text):
 def test_a_stage_that_cannot_be_interrupted_ends_the_process(here, install, text):
     install(body("context.output('half').write_text('half')\n" + text))
     code = (
-        "import sys; import sppm_pipeline.engine.containment as c; c.GRACE = 0.3\n"
+        "import sys; import sppm_pipeline.process.containment as c; c.GRACE = 0.3\n"
         "from sppm_pipeline.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"
     )
     words = ["run", "strange.yaml", "-q", "--stage-time", "0.3"]

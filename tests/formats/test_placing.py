@@ -12,7 +12,7 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.detect import decode_mesh, decode_mesh_file
 from sppm_pipeline.formats.placing import IDENTITY, after, place, require_few
 from sppm_pipeline.formats.three_mf_model import CORE, PRODUCTION
-from sppm_pipeline.numerics.surface.measures import volume
+from sppm_pipeline.numerics.meshcheck.measures import volume
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], float)
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

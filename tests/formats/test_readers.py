@@ -7,7 +7,7 @@ import pytest
 
 from sppm_pipeline.formats import obj, off, ply, stl
 from sppm_pipeline.formats.detect import decode_mesh
-from sppm_pipeline.numerics.surface.measures import edge_counts
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
 SQUARE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
 FAN = [[0, 1, 2], [0, 2, 3]]

@@ -11,8 +11,8 @@ import trimesh
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.formats import obj, off, ply, stl
 from sppm_pipeline.formats.detect import FORMATS, decode_mesh_file, sniff
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes
-from sppm_pipeline.numerics.surface.measures import measure_surface
 from sppm_pipeline.numerics.surface.rotation import rotated, upright
 
 Mesh = tuple[np.ndarray, np.ndarray]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from sppm_even_tiles.dealing import alike_pairs, deal
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.tileset import TileSet
-from sppm_pipeline.data.tiling import Tiling
 from sppm_pipeline.families import Tiler
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.stage import Context
 
 

@@ -12,8 +12,8 @@ from sppm_even_tiles.even_interiors import EvenInteriors
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.tileset import TileSet
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
 from sppm_pipeline.stages.field.gaussian import GaussianField

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.native import tell
+from sppm_pipeline.process import tell
 
 __all__ = ["apply", "count_self_intersections"]
 

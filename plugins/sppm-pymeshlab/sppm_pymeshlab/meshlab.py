@@ -8,7 +8,7 @@ import numpy as np
 
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import DesignError, InputError
-from sppm_pipeline.native import ArraySpec, run_native
+from sppm_pipeline.process import ArraySpec, run_native
 from sppm_pipeline.stage import Context
 
 __all__ = ["LARGEST", "Refused", "compared", "filtered", "self_intersections", "worked"]
@@ -78,7 +78,7 @@ def worked(context: Context, mesh: SurfaceMesh, name: str, seconds: float, **opt
     DesignError
         If a closed mesh comes back open, or its volume is gone.
     """
-    from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+    from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 
     made = filtered(mesh, name, seconds, **options)
     before, after = edge_counts(mesh.faces), edge_counts(made.faces)
@@ -98,7 +98,7 @@ def worked(context: Context, mesh: SurfaceMesh, name: str, seconds: float, **opt
 
 def compared(context: Context, before: SurfaceMesh, after: SurfaceMesh) -> None:
     """Report what has changed: triangles, edge lengths, and the volume if there is one."""
-    from sppm_pipeline.numerics.surface.measures import volume
+    from sppm_pipeline.numerics.meshcheck.measures import volume
 
     was, now = (volume(mesh.vertices, mesh.faces) for mesh in (before, after))
     context.report(triangles_before=len(before.faces), volume_before_mm3=was, volume_after_mm3=now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.surface.measures import components, edge_counts, volume
+from sppm_pipeline.numerics.meshcheck.measures import components, edge_counts, volume
 from sppm_pymeshlab.winding import winding_numbers
 
 __all__ = ["turned_outward"]

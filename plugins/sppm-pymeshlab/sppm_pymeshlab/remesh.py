@@ -35,7 +35,7 @@ class Remesh(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Remesh, and report edges and volumes."""
-        from sppm_pipeline.numerics.surface.measures import surface_area
+        from sppm_pipeline.numerics.meshcheck.measures import surface_area
 
         edge = self.edge.mm()
         expected = surface_area(mesh.vertices, mesh.faces) / (3**0.5 / 4 * edge**2)

@@ -94,7 +94,7 @@ class _Repair:
     intersecting: int | None = None
 
     def __post_init__(self) -> None:
-        from sppm_pipeline.numerics.surface.measures import edge_counts
+        from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
         self.mesh = self.start
         self.consistent = edge_counts(self.start.faces).consistent
@@ -127,7 +127,7 @@ class _Repair:
                     self.context.warn(f"the step {step!r} was left out: {error.message}")
 
     def _called_for(self, step: str) -> bool:
-        from sppm_pipeline.numerics.surface.measures import measure_surface, volume
+        from sppm_pipeline.numerics.meshcheck.measures import measure_surface, volume
 
         faces = self.mesh.faces
         measures = measure_surface(self.mesh.vertices, faces)
@@ -181,7 +181,7 @@ class _Repair:
 
     def _spoilt(self, step: str, made: SurfaceMesh) -> str | None:
         """What is worse than before, if the step was meant to make it better."""
-        from sppm_pipeline.numerics.surface.measures import edge_counts
+        from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
         was, now = edge_counts(self.mesh.faces), edge_counts(made.faces)
         if step in ("clean", "merge", "close") and now.boundary > was.boundary:
@@ -223,7 +223,7 @@ class _Repair:
         return made
 
     def _note(self, step: str, made: SurfaceMesh, changed: float | None, undone: str | None) -> None:
-        from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+        from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 
         entry: dict[str, Any] = {"step": step, "kept": undone is None}
         if undone is not None:
@@ -243,7 +243,7 @@ class _Repair:
 
     def finished(self) -> SurfaceMesh:
         """The mesh, if it will do; the report of all steps in any case."""
-        from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+        from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 
         edges = edge_counts(self.mesh.faces)
         before = volume(self.start.vertices, self.start.faces)

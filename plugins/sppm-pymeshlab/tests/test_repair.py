@@ -16,7 +16,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, NativeCrash, PluginError
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh
-from sppm_pipeline.numerics.surface.measures import edge_counts, measure_surface, volume
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, measure_surface, volume
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from sppm_pipeline.numerics.picture.charts import chart
-from sppm_pipeline.numerics.picture.series import Line, Points
-from sppm_pipeline.numerics.stiffness.bounds import hashin_shtrikman
+from sppm_pipeline.numerics.homogenization.stiffness.bounds import hashin_shtrikman
+from sppm_pipeline.render.charts import chart
+from sppm_pipeline.render.series import Line, Points
 
 COLORS = {
     "octet": (46, 98, 158),

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.families import lattice_for
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 
 __all__ = ["Brick", "BrickField", "Kept", "region_of"]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 
 __all__ = ["CellField", "in_cell_edges"]

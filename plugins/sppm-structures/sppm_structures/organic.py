@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, ResourceError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.assembly.pieces import Pieces
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.grid import Grid

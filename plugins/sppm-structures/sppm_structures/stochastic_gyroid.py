@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_structures.cell_field import CellField
 from sppm_structures.waves import Waves, half_space, sum_of_waves, waves_of

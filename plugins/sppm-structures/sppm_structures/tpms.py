@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_structures.cell_field import CellField, in_cell_edges
 from sppm_structures.nodal import SURFACES

@@ -10,12 +10,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.noun import frozen
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_structures.brick_field import Brick, BrickField, region_of
 from sppm_structures.cell_field import in_cell_edges

@@ -65,7 +65,7 @@ class TetWild(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> VolumeMesh:
         """Fill the surface, check volume and orientation, report the quality."""
-        from sppm_pipeline.native import ArraySpec, run_native
+        from sppm_pipeline.process import ArraySpec, run_native
 
         diagonal, area, enclosed = _checked(mesh)
         epsilon, edge = (
@@ -163,7 +163,7 @@ def _checked(mesh: SurfaceMesh) -> tuple[float, float, float]:
     InputError
         If the surface is empty, flat, open or inside out.
     """
-    from sppm_pipeline.numerics.surface.measures import edge_counts, surface_area, volume
+    from sppm_pipeline.numerics.meshcheck.measures import edge_counts, surface_area, volume
 
     if not len(mesh.faces):
         raise InputError(f"{mesh.name} has no triangles")

@@ -15,13 +15,13 @@ from sppm_tetwild import random_device
 from sppm_tetwild.quality import cell_volumes, dihedral_angles
 from sppm_tetwild.tetwild import TetWild
 
-import sppm_pipeline.native as native
+import sppm_pipeline.process as native
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import DesignError, InputError, ResourceError
-from sppm_pipeline.native import NativeResult
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh
-from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
+from sppm_pipeline.process import NativeResult
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext

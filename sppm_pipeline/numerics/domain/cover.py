@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside, way_for
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.surface.orientation import orient
+from sppm_pipeline.numerics.meshcheck.orientation import orient
 
 __all__ = ["cells_touched"]
 

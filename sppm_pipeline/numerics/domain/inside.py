@@ -11,8 +11,8 @@ from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, prepare_scan
 from sppm_pipeline.numerics.domain.spanned import SpannedScan, prepare_spanned, spanned_layers
 from sppm_pipeline.numerics.domain.three_axis import ThreeAxisScan, prepare_three_axis, vote_layers
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.surface.measures import bounds, edge_counts
-from sppm_pipeline.numerics.surface.orientation import orient
+from sppm_pipeline.numerics.meshcheck.measures import bounds, edge_counts
+from sppm_pipeline.numerics.meshcheck.orientation import orient
 
 __all__ = ["Judgement", "Method", "inside_layers", "judge", "prepare_inside", "way_for"]
 

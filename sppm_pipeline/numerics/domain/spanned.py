@@ -19,9 +19,9 @@ from sppm_pipeline.numerics.domain.mesh_arrays import as_mesh
 from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, prepare_scan, scan_layers
 from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.surface.box_tree import DEPTH, box_tree
-from sppm_pipeline.numerics.surface.measures import components
-from sppm_pipeline.numerics.surface.winding_number import FAR, Dipoles, dipoles, winding_at
+from sppm_pipeline.numerics.meshcheck.box_tree import DEPTH, box_tree
+from sppm_pipeline.numerics.meshcheck.measures import components
+from sppm_pipeline.numerics.meshcheck.winding_number import FAR, Dipoles, dipoles, winding_at
 
 __all__ = ["UNDECIDED", "SpannedScan", "prepare_spanned", "spanned_layers", "spanning_triangles"]
 

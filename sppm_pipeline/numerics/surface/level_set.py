@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import kernel
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.surface.kissing import parted_vertices
+from sppm_pipeline.numerics.meshcheck.kissing import parted_vertices
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
 
 __all__ = ["lattice_bytes", "lattice_samples", "run_level_set"]

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.cleaned import CleanedField
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
+from sppm_pipeline.fields.cleaned import CleanedField
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 

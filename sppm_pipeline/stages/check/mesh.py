@@ -14,7 +14,7 @@ from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 if TYPE_CHECKING:
-    from sppm_pipeline.numerics.surface.survey import Survey
+    from sppm_pipeline.numerics.meshcheck.survey import Survey
 
 LISTED = 20
 """Components and holes that are listed one by one, the largest first."""
@@ -69,7 +69,7 @@ class CheckMesh(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Measure everything, then say what is wrong."""
-        from sppm_pipeline.numerics.surface.survey import survey
+        from sppm_pipeline.numerics.meshcheck.survey import survey
 
         if not len(mesh.faces):
             raise InputError(f"{mesh.name} has no triangles")

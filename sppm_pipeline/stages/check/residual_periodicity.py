@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.tiling import RepeatedField, Tiling
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.fields.tiling import RepeatedField, Tiling
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.stage import Context, Stage, option
 

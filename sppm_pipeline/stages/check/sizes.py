@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, ResourceError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -85,9 +85,9 @@ def _described(phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool], spac
 
 def _solid_and_area(field: ScalarField, n: int, threads: int) -> tuple[NDArray[np.uint8], float]:
     """Voxels, and the area of the surface between them in cell edges^2, divided by the number of cells."""
+    from sppm_pipeline.numerics.meshcheck.measures import surface_area
     from sppm_pipeline.numerics.surface.closing import wrapped
     from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes
-    from sppm_pipeline.numerics.surface.measures import surface_area
 
     values = field.sample(cell_centres(n, field.cells), threads)
     solid = (values < 0).view(np.uint8)

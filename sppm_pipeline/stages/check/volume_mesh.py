@@ -36,7 +36,7 @@ class CheckVolumeMesh(Stage):
 
     def run(self, context: Context, mesh: VolumeMesh) -> VolumeMesh:
         """Measure, and pass the mesh on."""
-        from sppm_pipeline.numerics.surface.measures import edge_counts
+        from sppm_pipeline.numerics.meshcheck.measures import edge_counts
         from sppm_pipeline.numerics.tetrahedra import faces, periodic
         from sppm_pipeline.numerics.tetrahedra.quadratic import least_jacobian
         from sppm_pipeline.numerics.tetrahedra.quality import dihedral_histogram, quality

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import (
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields.field_surface import (
     FEWEST,
     MOST,
     FieldSurface,
@@ -22,13 +24,11 @@ from sppm_pipeline.data.field_surface import (
     on_torus,
     voxels_along_edge,
 )
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.part import Part
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.memory import child_memory, require_memory
-from sppm_pipeline.native.solids import ManifoldLimits, manifold_combine, manifold_extract
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.process.memory import child_memory, require_memory
+from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine, manifold_extract
 from sppm_pipeline.stage import Context, Stage, option
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -105,7 +105,7 @@ class ManifoldSdf(Stage):
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample a grid of half the spacing, extract, cut, judge; in mm (cell edges for a cell without a size)."""
-        from sppm_pipeline.numerics.surface.solids import check_solid
+        from sppm_pipeline.numerics.meshcheck.solids import check_solid
 
         part = field if isinstance(field, Part) else None
         if part is not None:
@@ -128,8 +128,8 @@ class ManifoldSdf(Stage):
 
     def _level_set(self, context: Context, samples: NDArray[np.float32], field: ScalarField, grid: Grid) -> Mesh:
         """The surface of one field, placed in the world and judged."""
+        from sppm_pipeline.numerics.meshcheck.solids import check_solid
         from sppm_pipeline.numerics.surface.level_set import lattice_samples
-        from sppm_pipeline.numerics.surface.solids import check_solid
 
         if not (samples < 0).any():
             raise DesignError("there is no solid to mesh", hint="lower the porosity or the level")
@@ -166,7 +166,7 @@ class ManifoldSdf(Stage):
         return ManifoldLimits(self.time_limit, child_memory(context.memory_limit))
 
     def _without_islands(self, context: Context, made: Mesh) -> Mesh:
-        from sppm_pipeline.numerics.surface.bodies import find_shells, largest_body
+        from sppm_pipeline.numerics.meshcheck.bodies import find_shells, largest_body
 
         shells = find_shells(*made)
         context.report(bodies=shells.bodies, cavities=shells.cavities)

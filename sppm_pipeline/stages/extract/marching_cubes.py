@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import (
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields.field_surface import (
     FEWEST,
     KEPT_SAMPLES,
     MOST,
@@ -21,10 +23,8 @@ from sppm_pipeline.data.field_surface import (
     node_grid,
     voxels_along_edge,
 )
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.part import Part
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -81,7 +81,7 @@ class MarchingCubes(Stage):
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample the nodes of a grid and extract the surface, in mm (cell edges for a cell without a size)."""
-        from sppm_pipeline.numerics.surface.measures import balanced_edges
+        from sppm_pipeline.numerics.meshcheck.measures import balanced_edges
 
         n = voxels_along_edge(field, self.resolution, self.spacing)
         if (coarse := field.coarseness(1 / n)) is not None:

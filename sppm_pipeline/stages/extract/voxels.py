@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.stage import Context, Stage, option

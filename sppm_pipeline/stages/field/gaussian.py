@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.microstructure import CUTOFF, Microstructure, pieces_from_graph
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph
 from sppm_pipeline.stage import Context, Stage, option
 
 NARROWEST, WIDEST = 1e-3, 8.0

@@ -9,14 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import FEWEST, MOST, FieldSurface, foreseen_voxels, node_grid, voxels_along_edge
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.memory import child_memory, require_memory
-from sppm_pipeline.native.solids import ManifoldLimits, manifold_combine
+from sppm_pipeline.fields.field_surface import FEWEST, MOST, FieldSurface, foreseen_voxels, node_grid, voxels_along_edge
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.process.memory import child_memory, require_memory
+from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -85,9 +85,9 @@ class BooleanFill(Stage):
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> SurfaceMesh:
         """Extract, predict the memory, intersect, judge."""
         from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES
-        from sppm_pipeline.numerics.surface.bodies import find_shells, largest_body
-        from sppm_pipeline.numerics.surface.measures import volume
-        from sppm_pipeline.numerics.surface.solids import check_solid
+        from sppm_pipeline.numerics.meshcheck.bodies import find_shells, largest_body
+        from sppm_pipeline.numerics.meshcheck.measures import volume
+        from sppm_pipeline.numerics.meshcheck.solids import check_solid
 
         edge = field.physical_edge()
         check_solid(domain.vertices, domain.faces, domain.name)

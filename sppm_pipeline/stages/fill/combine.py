@@ -11,8 +11,8 @@ from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families.memory import child_memory, require_memory
-from sppm_pipeline.native.solids import ManifoldLimits, manifold_combine
+from sppm_pipeline.process.memory import child_memory, require_memory
+from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 
 ZERO = Length(0.0)
@@ -80,9 +80,9 @@ class Combine(Stage):
     def run(self, context: Context, mesh: SurfaceMesh, tool: SurfaceMesh) -> SurfaceMesh:
         """Place the copies of the tool, unite them, and combine."""
         from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES
-        from sppm_pipeline.numerics.surface.measures import volume
+        from sppm_pipeline.numerics.meshcheck.measures import volume
+        from sppm_pipeline.numerics.meshcheck.solids import check_solid
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation
-        from sppm_pipeline.numerics.surface.solids import check_solid
 
         check_solid(mesh.vertices, mesh.faces, mesh.name)
         check_solid(tool.vertices, tool.faces, tool.name)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.conductivity import ConductivityReport
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.homogenizer import Cell, VoxelHomogenizer
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, option
 
 
@@ -49,8 +49,8 @@ class HomogenizeConductivity(VoxelHomogenizer):
 
     def run(self, context: Context, source: ScalarField | Voxels) -> ConductivityReport:
         """Solve three load cases."""
-        from sppm_pipeline.numerics.conduction.homogenize import conductivity, tortuosity
         from sppm_pipeline.numerics.connectivity.percolation import phase_report
+        from sppm_pipeline.numerics.homogenization.conduction.homogenize import conductivity, tortuosity
 
         cell = self.cell_of(context, source)
         k = self._conductivities(cell)

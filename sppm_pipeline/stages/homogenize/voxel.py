@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.homogenizer import Cell, VoxelHomogenizer
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, option
 
 
@@ -59,7 +59,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
     def stiffness_of(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Solve six load cases."""
         from sppm_pipeline.numerics.connectivity.percolation import phase_report
-        from sppm_pipeline.numerics.elasticity.homogenize import stiffness
+        from sppm_pipeline.numerics.homogenization.elasticity.homogenize import stiffness
 
         cell = self.cell_of(context, source)
         lam, mu = self._lame(cell)
@@ -121,7 +121,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
 
     def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
         """Lamé constants of all voxels."""
-        from sppm_pipeline.numerics.elasticity.homogenize import lame
+        from sppm_pipeline.numerics.homogenization.elasticity.homogenize import lame
 
         young, poisson = self._materials()
         constants = np.array([(0.0, 0.0), *(lame(e, v) for e, v in zip(young, poisson, strict=True))])
@@ -182,7 +182,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
             return self.stiffness_of(context, source)
         if isinstance(source, Voxels):
             raise ConfigError("an image has one grid only", hint="leave out `grids`, or homogenize the field")
-        from sppm_pipeline.numerics.stiffness.convergence import richardson
+        from sppm_pipeline.numerics.homogenization.stiffness.convergence import richardson
 
         counts = self._resolutions()
         if len(set(counts)) < self.grids:

@@ -35,7 +35,7 @@ class Boundary(Stage):
         """Find the faces with a cell on one side only."""
         import numpy as np
 
-        from sppm_pipeline.numerics.surface.measures import edge_counts
+        from sppm_pipeline.numerics.meshcheck.measures import edge_counts
         from sppm_pipeline.numerics.tetrahedra.faces import boundary_triangles, face_neighbours
 
         triangles = boundary_triangles(mesh.cells, face_neighbours(mesh.cells))

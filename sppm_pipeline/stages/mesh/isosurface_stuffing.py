@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_surface import body_facts
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.fields.field_surface import body_facts
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Stage, option
 

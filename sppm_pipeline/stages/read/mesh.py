@@ -76,7 +76,7 @@ class ReadMesh(Stage):
     def estimate(self, given: Given) -> Estimate:
         """From the file itself, which is read: nothing else tells the size of the part."""
         from sppm_pipeline.formats.detect import decode_mesh_file
-        from sppm_pipeline.numerics.surface.measures import surface_area, volume
+        from sppm_pipeline.numerics.meshcheck.measures import surface_area, volume
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation, upright
 
         if self.path.stat().st_size > PROBED_FILE:
@@ -103,7 +103,7 @@ class ReadMesh(Stage):
     def run(self, context: Context) -> SurfaceMesh:
         """Read the file."""
         from sppm_pipeline.formats.detect import decode_mesh_file
-        from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+        from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation, upright
 
         file = decode_mesh_file(content_of(self.path, LARGEST_FILE), self.path.name)
@@ -165,7 +165,7 @@ def _box(
     InputError
         If the part is flat, or of a size that no part has.
     """
-    from sppm_pipeline.numerics.surface.measures import bounds
+    from sppm_pipeline.numerics.meshcheck.measures import bounds
 
     lower, upper = bounds(vertices, faces)
     farthest = float(max(np.abs(lower).max(), np.abs(upper).max()))

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
-from sppm_pipeline.data.field_slices import FieldSlices
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.part import Part
-from sppm_pipeline.data.slices import SliceStack
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.fields.field_slices import FieldSlices
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.slice_stack import SliceStack
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Stage, option
 

@@ -9,10 +9,10 @@ from typing import ClassVar
 from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.mesh_slices import MeshSlices
-from sppm_pipeline.data.slices import SliceStack
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
+from sppm_pipeline.fields.mesh_slices import MeshSlices
+from sppm_pipeline.fields.slice_stack import SliceStack
 from sppm_pipeline.stage import Context, Stage, option
 
 MOST_PIXELS = 2**31

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.microstructure import Microstructure
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.tileset import TileSet
-from sppm_pipeline.data.tiling import Tiling
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import foreseen_tiling, lattice_for
 from sppm_pipeline.families.tiler import check_repeats
+from sppm_pipeline.fields.microstructure import Microstructure
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Recipe, Stage, option

@@ -8,14 +8,14 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.microstructure import Microstructure
-from sppm_pipeline.data.tileset import TileSet
-from sppm_pipeline.data.tiling import RepeatedField, Tiling
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import foreseen_tiling, lattice_for
+from sppm_pipeline.fields.microstructure import Microstructure
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import RepeatedField, Tiling
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.stage import Context, Stage, option
 

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.tileset import TileSet
 from sppm_pipeline.families import Tiler
+from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.stage import option
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.microstructure import Microstructure
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields.microstructure import Microstructure
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid, cell_centres
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.numerics.stiffness.surrogate import parameter_for
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.numerics.homogenization.stiffness.surrogate import parameter_for
 from sppm_pipeline.stage import Context, Recipe, option
 from sppm_pipeline.stages.homogenize.voxel import ElasticHomogenizer
 

@@ -44,7 +44,7 @@ class WriteBars(Stage):
         """Draw the panels."""
         from PIL import Image
 
-        from sppm_pipeline.numerics.picture.bars import Panel, bar_panels
+        from sppm_pipeline.render.bars import Panel, bar_panels
 
         if not 0 < table.rows <= MOST_ROWS:
             raise ConfigError(f"the table has {table.rows} rows; bars can be drawn of 1 to {MOST_ROWS}")

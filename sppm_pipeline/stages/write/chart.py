@@ -42,9 +42,9 @@ class WriteChart(Stage):
         """Draw the diagram."""
         from PIL import Image
 
-        from sppm_pipeline.numerics.picture.charts import chart
-        from sppm_pipeline.numerics.picture.series import Boxes, Line, Points
         from sppm_pipeline.numerics.porosity.line import fit_line
+        from sppm_pipeline.render.charts import chart
+        from sppm_pipeline.render.series import Boxes, Line, Points
 
         x, y = table.numbers(self.x), table.numbers(self.y)
         names = list(table.column(self.group)) if self.group else [""] * len(x)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.microstructure import Microstructure
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.stage import Context, Stage, option
 
 

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.part import Part
-from sppm_pipeline.data.tileset import TileSet
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.numerics.grid import Grid, cell_nodes
 from sppm_pipeline.stage import Context, Stage, option
 
 if TYPE_CHECKING:
-    from sppm_pipeline.numerics.picture.camera import Camera
+    from sppm_pipeline.render.camera import Camera
 
 MOST_SAMPLES = 64_000_000
 """Samples of a field for one picture; finer grids are coarsened, as no pixel would show the difference."""
@@ -84,7 +84,7 @@ class WritePicture(Stage):
         if isinstance(what, TileSet):
             picture = self._sheet(context, what)
         elif isinstance(what, SurfaceMesh):
-            from sppm_pipeline.numerics.picture.mesh_view import render_mesh
+            from sppm_pipeline.render.mesh_view import render_mesh
 
             picture = render_mesh(what.vertices, what.faces, camera=self._camera(), size=self.size)
         else:
@@ -92,7 +92,7 @@ class WritePicture(Stage):
         Image.fromarray(picture).save(context.output(self.path))
 
     def _camera(self) -> Camera:
-        from sppm_pipeline.numerics.picture.camera import Camera
+        from sppm_pipeline.render.camera import Camera
 
         return Camera(azimuth=self.azimuth, elevation=self.elevation)
 
@@ -120,10 +120,10 @@ class WritePicture(Stage):
         self, inner: NDArray[np.float32], outer: NDArray[np.float32] | None, grid: Grid, size: tuple[int, int]
     ) -> NDArray[np.uint8]:
         """The surface of the solid, cut faces in a colour of their own."""
-        from sppm_pipeline.numerics.picture.cut_faces import cut_values
-        from sppm_pipeline.numerics.picture.mesh_view import render_mesh
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
         from sppm_pipeline.numerics.surface.intersection import on_both_fields
+        from sppm_pipeline.render.cut_faces import cut_values
+        from sppm_pipeline.render.mesh_view import render_mesh
 
         values = inner if outer is None else np.maximum(inner, outer)
         vertices, faces = capped_marching_cubes(values, 0.0, grid.origin, grid.spacing)
@@ -133,7 +133,7 @@ class WritePicture(Stage):
         return render_mesh(vertices, faces, camera=self._camera(), size=size, cut=cut)
 
     def _sheet(self, context: Context, tileset: TileSet) -> NDArray[np.uint8]:
-        from sppm_pipeline.numerics.picture.plates import contact_sheet
+        from sppm_pipeline.render.plates import contact_sheet
 
         pictures, labels = [], []
         c = tileset.palette_colors

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.slices import SliceStack
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.fields.slice_stack import SliceStack
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -115,7 +115,7 @@ class WritePng(Stage):
         if overview:
             from PIL import Image
 
-            from sppm_pipeline.numerics.picture.plates import layer_sheet
+            from sppm_pipeline.render.plates import layer_sheet
 
             Image.fromarray(layer_sheet(overview)).save(context.output(self.path.rstrip("/") + "-overview.png"))
 

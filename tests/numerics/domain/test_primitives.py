@@ -8,7 +8,7 @@ import pytest
 from sppm_pipeline.numerics.domain import primitive_meshes as meshes
 from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.surface.measures import measure_surface, surface_area, volume
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface, surface_area, volume
 
 GRID = Grid((-1.52, -1.49, -1.47), (0.061, 0.059, 0.063), (50, 51, 47))
 CENTRE = (0.02, -0.03, 0.05)

@@ -9,9 +9,9 @@ from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
 from sppm_pipeline.numerics.domain.signed_distance import signed_distance
 from sppm_pipeline.numerics.domain.spanned import prepare_spanned, spanned_layers, spanning_triangles
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.surface.box_tree import box_tree
-from sppm_pipeline.numerics.surface.measures import edge_counts
-from sppm_pipeline.numerics.surface.winding_number import dipoles, winding_numbers
+from sppm_pipeline.numerics.meshcheck.box_tree import box_tree
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts
+from sppm_pipeline.numerics.meshcheck.winding_number import dipoles, winding_numbers
 
 GRID = Grid((-1.07, -1.1, -0.83), (0.05, 0.06, 0.045), (43, 37, 39))
 BALL = ball_mesh((0, 0, 0), 0.78, 3)

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 from sppm_pipeline.numerics.surface.closing import capped_marching_cubes, capped_marching_cubes_slabs, wrapped
 from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes
-from sppm_pipeline.numerics.surface.measures import measure_surface
 
 ORIGIN, SPACING = (0.3, -1.0, 2.0), (0.5, 0.25, 0.125)
 fixed = settings(derandomize=True, deadline=None, max_examples=30)

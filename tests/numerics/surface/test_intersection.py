@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
 from sppm_pipeline.numerics.surface.intersection import on_both_fields
-from sppm_pipeline.numerics.surface.measures import edge_counts, volume
 
 
 def fields(n, steepness):

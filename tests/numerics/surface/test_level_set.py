@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 from sppm_pipeline.numerics.surface.level_set import _minus_value_at, lattice_bytes, lattice_samples, run_level_set
-from sppm_pipeline.numerics.surface.measures import measure_surface
 
 
 def half_grid(shape, function, low=(-1.0, -0.7, -0.4), spacing=0.1):

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, euler_number, measure_surface, volume
 from sppm_pipeline.numerics.surface import marching_cubes as module
 from sppm_pipeline.numerics.surface.closing import wrapped
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN, marching_cubes, marching_cubes_slabs
 from sppm_pipeline.numerics.surface.marching_tables import case_tables
-from sppm_pipeline.numerics.surface.measures import edge_counts, euler_number, measure_surface, volume
 
 Field = NDArray[np.float32]
 fixed = settings(derandomize=True, deadline=None, max_examples=40)

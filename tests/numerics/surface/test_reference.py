@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, measure_surface
 from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes
-from sppm_pipeline.numerics.surface.measures import edge_counts, measure_surface
 from sppm_pipeline.numerics.surface.reference import marching_cubes_reference
 
 ORIGIN, SPACING = (0.5, -2.0, 1.0), (0.1, 0.2, 0.15)

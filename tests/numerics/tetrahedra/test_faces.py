@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from sppm_pipeline.numerics.surface.measures import measure_surface
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 from sppm_pipeline.numerics.tetrahedra.faces import BOUNDARY, CROWDED, boundary_triangles, components, face_neighbours
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 from sppm_pipeline.numerics.tetrahedra import faces, periodic, warping
 from sppm_pipeline.numerics.tetrahedra.quality import dihedral_extremes, quality, volumes
 from sppm_pipeline.numerics.tetrahedra.stuffing import ANGLES, require_room, stuff, without_islands

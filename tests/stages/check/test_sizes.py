@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, ResourceError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stages.check.sizes import CheckSizes
 from sppm_pipeline.stages.extract.voxels import ExtractVoxels
 from sppm_pipeline.testing.plain_context import PlainContext

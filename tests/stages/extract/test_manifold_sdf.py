@@ -6,11 +6,11 @@ import pytest
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, ResourceError
-from sppm_pipeline.families import memory
+from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.domain.primitive_meshes import box_mesh
-from sppm_pipeline.numerics.surface.measures import measure_surface, volume
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface, volume
+from sppm_pipeline.process import memory
 from sppm_pipeline.stages.extract.manifold_sdf import ManifoldSdf
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling

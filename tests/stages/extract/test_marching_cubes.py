@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.data import field_surface
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields import field_surface
+from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.grid import cell_centres
-from sppm_pipeline.numerics.surface.measures import components, measure_surface
+from sppm_pipeline.numerics.meshcheck.measures import components, measure_surface
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.testing.plain_context import PlainContext
 

@@ -6,7 +6,7 @@ import pytest
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.extract.unit_cell import UnitCell
 from sppm_pipeline.stages.fill.implicit import ImplicitFill

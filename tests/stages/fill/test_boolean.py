@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.field_surface import FieldSurface, node_grid
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, ResourceError
-from sppm_pipeline.families import memory
+from sppm_pipeline.fields.field_surface import FieldSurface, node_grid
+from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_mesh
 from sppm_pipeline.numerics.grid import Grid, cell_centres
-from sppm_pipeline.numerics.surface.bodies import find_shells
-from sppm_pipeline.numerics.surface.measures import edge_counts, volume
+from sppm_pipeline.numerics.meshcheck.bodies import find_shells
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
+from sppm_pipeline.process import memory
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.fill.boolean import BooleanFill
 from sppm_pipeline.testing.contracts import StageContract

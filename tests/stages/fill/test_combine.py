@@ -9,7 +9,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.numerics.domain.primitive_meshes import box_mesh, cylinder_mesh
-from sppm_pipeline.numerics.surface.measures import measure_surface, volume
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface, volume
 from sppm_pipeline.stages.fill.combine import Combine
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stages.homogenize.tet import HomogenizeTet
 from sppm_pipeline.stages.mesh.isosurface_stuffing import IsosurfaceStuffing
 from sppm_pipeline.testing.plain_context import PlainContext

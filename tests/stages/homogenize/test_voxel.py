@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError, ResourceError
-from sppm_pipeline.families import memory
-from sppm_pipeline.numerics.elasticity.homogenize import lame
-from sppm_pipeline.numerics.stiffness.voigt import from_lame
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.numerics.homogenization.elasticity.homogenize import lame
+from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame
+from sppm_pipeline.process import memory
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import DesignError, ResourceError
+from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.grid import cell_centres
-from sppm_pipeline.numerics.surface.measures import measure_surface
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 from sppm_pipeline.numerics.tetrahedra.periodic import face_match, matched_nodes
 from sppm_pipeline.numerics.tetrahedra.quality import quality
 from sppm_pipeline.numerics.tetrahedra.stuffing import ANGLES

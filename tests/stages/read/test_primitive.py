@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.numerics.surface.measures import measure_surface
+from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 from sppm_pipeline.stages.read.primitive import SHAPES, ReadPrimitive
 from sppm_pipeline.testing.plain_context import PlainContext
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.data import field_slices
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields import field_slices
+from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
 from sppm_pipeline.numerics.grid import cell_centres
 from sppm_pipeline.stages.fill.implicit import ImplicitFill

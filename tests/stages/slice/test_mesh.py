@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.data import mesh_slices
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import DesignError, InputError
+from sppm_pipeline.fields import mesh_slices
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_knot_mesh
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.slice.field import SliceField

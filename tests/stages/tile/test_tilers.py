@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.cleaned import CleanedField
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.tiling import RepeatedField
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields.cleaned import CleanedField
+from sppm_pipeline.fields.tiling import RepeatedField
 from sppm_pipeline.numerics.assembly.gather import sample_exact
 from sppm_pipeline.numerics.assembly.tiling_arrays import check_tiling
 from sppm_pipeline.numerics.grid import Grid, cell_centres
@@ -143,7 +143,7 @@ def test_cleaned_cells_can_be_repeated(cell, ball):
 
 def laid_once(cell):
     """A tiling that does not repeat."""
-    from sppm_pipeline.data.tileset import TileSet
+    from sppm_pipeline.fields.tileset import TileSet
 
     return WangTiling(cells=(2, 1, 1)).run(PlainContext(), TileSet(cell, "wang", 1), None)
 

@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.field import ScalarField
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid, cell_centres
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.stages.connect.mst import MinimumSpanningTree

@@ -19,7 +19,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.formats.detect import decode_mesh_file
-from sppm_pipeline.numerics.surface.measures import volume
+from sppm_pipeline.numerics.meshcheck.measures import volume
 from sppm_pipeline.stages.extract.unit_cell import UnitCell
 from sppm_pipeline.stages.read.mesh import ReadMesh
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling

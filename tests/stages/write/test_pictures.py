@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sppm_pipeline.data.part import Part
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.fields.part import Part
 from sppm_pipeline.stages.write.chart import WriteChart
 from sppm_pipeline.stages.write.graph import WriteGraph
 from sppm_pipeline.stages.write.picture import WritePicture

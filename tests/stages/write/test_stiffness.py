@@ -9,7 +9,7 @@ from PIL import Image
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.formats import ply
-from sppm_pipeline.numerics.stiffness.voigt import isotropic
+from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic
 from sppm_pipeline.stages.write.stiffness import WriteStiffness
 from sppm_pipeline.testing.plain_context import PlainContext
 

@@ -1,0 +1,1 @@
+"""What is evaluated lazily: scalar fields, what is composed of them, and the stacks of layers cut from them."""

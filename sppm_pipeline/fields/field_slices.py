@@ -1,0 +1,134 @@
+"""Layers of a field: mesh-free slicing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.numerics.grid import Grid
+
+__all__ = ["FieldSlices"]
+
+SLAB_PIXELS = 2**22
+"""Pixels evaluated at a time; a slab holds at least one layer."""
+
+KEPT_BITS = 2**30
+"""Stacks up to this many voxels are kept, one bit each, between the two passes that remove islands."""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSlices(SliceStack):
+    """Sections of a field at the mid-height of each layer; islands are removed in a pass ahead of the delivering one.
+
+    Attributes
+    ----------
+    source : ScalarField
+    grid : Grid
+        Pixel centres of all layers, cell edges.
+    pixel, layer : float
+        Pitch and height, mm.
+    lower : tuple of 3 floats
+        World position of the low corner of the stack, mm.
+    islands : {"remove", "keep"}
+    subsamples : int
+        For grey layers: each pixel is sampled on k x k points, and its value is the solid share.
+    """
+
+    source: ScalarField
+    grid: Grid
+    pixel: float
+    layer: float
+    lower: tuple[float, float, float]
+    islands: str = "remove"
+    subsamples: int = 1
+    _found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def pixel_mm(self) -> float:
+        return self.pixel
+
+    @property
+    def layer_mm(self) -> float:
+        return self.layer
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return self.grid.shape
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.lower
+
+    @property
+    def grey(self) -> bool:
+        return self.subsamples > 1
+
+    def _fine(self) -> Grid:
+        """The grid on which solid is decided: that of the pixels, or of their subsamples."""
+        k = self.subsamples
+        (x, y, z), (hx, hy, hz), (nx, ny, nz) = self.grid
+        return Grid(
+            (x - hx / 2 + hx / (2 * k), y - hy / 2 + hy / (2 * k), z), (hx / k, hy / k, hz), (nx * k, ny * k, nz)
+        )
+
+    def _solid(self, threads: int) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+        fine = self._fine()
+        nx, ny, nz = fine.shape
+        step = max(1, SLAB_PIXELS // (nx * ny))
+        for start in range(0, nz, step):
+            yield start, self.source.solid_layers(fine, start, min(start + step, nz), threads)
+
+    def slabs(self, threads: int = 1) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+        count = 0
+        for start, solid in self._cleaned(threads):
+            count += int(np.count_nonzero(solid))
+            if self.subsamples > 1:
+                from sppm_pipeline.numerics.domain.coverage import grey_by_coverage
+
+                factor = (self.subsamples, self.subsamples)
+                yield start, np.stack([grey_by_coverage(layer, factor) for layer in solid])
+            else:
+                np.multiply(solid, np.uint8(255), out=solid)
+                yield start, solid
+        nx, ny, nz = self._fine().shape
+        self._found["solid_voxels"] = count
+        self._found["solid_share_of_box"] = count / (nx * ny * nz)
+        edge = self.source.edge_mm or 1.0
+        hx, hy, hz = self._fine().spacing
+        self._found["solid_volume_mm3"] = count * hx * hy * hz * edge**3
+
+    def _cleaned(self, threads: int) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+        if self.islands == "keep":
+            yield from self._solid(threads)
+            return
+        from sppm_pipeline.numerics.connectivity.streaming import IslandFilter
+
+        nx, ny, nz = self._fine().shape
+        keep_bits = nx * ny * nz <= KEPT_BITS
+        kept: list[tuple[int, NDArray[np.uint8], tuple[int, ...]]] = []
+        islands = IslandFilter(ny, nx)
+        for start, solid in self._solid(threads):
+            islands.observe(solid)
+            if keep_bits:
+                kept.append((start, np.packbits(solid), solid.shape))
+        statistics = islands.finish("largest")
+        self._found["components"] = statistics.components
+        self._found["removed_share"] = statistics.removed_share
+        self._found["spans"] = list(statistics.spans)
+        again: Iterator[tuple[int, NDArray[np.uint8]]] = (
+            ((start, np.unpackbits(bits, count=int(np.prod(shape))).reshape(shape)) for start, bits, shape in kept)
+            if keep_bits
+            else self._solid(threads)
+        )
+        for start, solid in again:
+            yield start, islands.clear(solid)
+
+    def findings(self) -> dict[str, Any]:
+        """Solid volume and what was removed; known after the layers were read."""
+        return dict(self._found)

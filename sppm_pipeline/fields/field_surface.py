@@ -1,0 +1,299 @@
+"""The surface of a field, sampled and marched through slab by slab."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.numerics.grid import Grid
+
+__all__ = [
+    "FEWEST",
+    "MOST",
+    "FieldSurface",
+    "SampledSlab",
+    "body_facts",
+    "foreseen_triangles",
+    "foreseen_voxels",
+    "node_grid",
+    "on_torus",
+    "voxels_along_edge",
+]
+
+SLAB_SAMPLES = 2**20
+"""Samples taken at a time; a slab holds at least two planes."""
+
+KEPT_SAMPLES = 2**25
+"""Grids up to this many samples are kept between the pass that finds islands and the one that marches."""
+
+FEWEST, MOST = 4, 2048
+"""Voxels along a cell edge."""
+
+Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+Item = TypeVar("Item")
+
+
+def voxels_along_edge(field: ScalarField, resolution: int | None, spacing: Length | None) -> int:
+    """Voxels along a cell edge: as given, or as many as make them no longer than a spacing; 32 if neither is given.
+
+    Raises
+    ------
+    DesignError
+        If a spacing is given for a cell without a physical size, or leads to fewer or more voxels than are allowed.
+    """
+    if spacing is None:
+        return resolution or 32
+    n = math.ceil(field.physical_edge() / spacing.mm() - 1e-9)
+    if not FEWEST <= n <= MOST:
+        raise DesignError(
+            f"a spacing of {spacing} makes {n} voxels along a cell edge of {field.edge_mm:g} mm; "
+            f"allowed are {FEWEST} to {MOST}",
+            hint="choose another `spacing`, or give `resolution` instead",
+        )
+    return n
+
+
+def foreseen_voxels(facts: Mapping[str, Any], resolution: int | None, spacing: Length | None) -> int:
+    """What `voxels_along_edge` will say of a field with these facts."""
+    if spacing is None or not facts["cell_mm"]:
+        return resolution or 32
+    edge: float = facts["cell_mm"]
+    return math.ceil(edge / spacing.mm() - 1e-9)
+
+
+def foreseen_triangles(facts: Mapping[str, Any], per_cell: int) -> float:
+    """Triangles of marching cubes of a field with these facts."""
+    from sppm_pipeline.numerics.forecast.costs import body_triangles
+
+    return body_triangles(facts["surface"], facts["volume"], facts["envelope"], facts["porosity"], per_cell)
+
+
+def body_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Size, volume and area in mm of the solid of a field with these facts, as meshes tell them."""
+    scale = facts["cell_mm"] or 1.0
+    return {
+        "size_mm": tuple(scale * v for v in facts["box"]),
+        "volume_mm3": (1 - facts["porosity"]) * facts["volume"] * scale**3,
+        "area_mm2": facts["surface"] * facts["volume"] * scale**2,
+    }
+
+
+def on_torus(field: ScalarField) -> bool:
+    """Whether a field is a lone periodic cell, of which what touches a face goes on at the opposite one."""
+    return field.periodic and field.cells == (1, 1, 1) and not isinstance(field, Part)
+
+
+def node_grid(field: ScalarField, per_cell: int) -> Grid:
+    """The nodes, `per_cell` to a cell edge, on which the surface of a field is found; in cell edges.
+
+    They fill the box of a cell or tiling with both of its ends, and reach one node beyond the domain of a part.
+    """
+    h = 1.0 / per_cell
+    low, high = np.zeros(3, np.int64), np.array(field.cells) * per_cell
+    if isinstance(field, Part):
+        edge = field.physical_edge()
+        low = np.floor((field.domain.lower - field.origin_mm) / edge * per_cell).astype(np.int64) - 1
+        high = np.ceil((field.domain.upper - field.origin_mm) / edge * per_cell).astype(np.int64) + 1
+    nx, ny, nz = (int(v) for v in high - low + 1)
+    x, y, z = (float(v) * h for v in low)
+    return Grid((x, y, z), (h, h, h), (nx, ny, nz))
+
+
+class SampledSlab(NamedTuple):
+    """Consecutive planes of samples.
+
+    Attributes
+    ----------
+    start : int
+        Number of the first plane.
+    values : (planes, ny, nx) float32
+        Negative in the solid.
+    apart : tuple of (planes, ny, nx) float32, or None
+        Of a part: the fields of the microstructure, of the domain, and of the skin if there is one.
+    """
+
+    start: int
+    values: NDArray[np.float32]
+    apart: tuple[NDArray[np.float32], ...] | None
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSurface:
+    """The boundary of the solid of a field; memory is that of a slab, and of up to `KEPT_SAMPLES` samples.
+
+    Attributes
+    ----------
+    source : ScalarField
+    grid : Grid
+        Nodes, cell edges.
+    islands : {"remove", "keep"}
+        Whether solid that is not connected, across faces of voxels around the nodes, to the largest component is left
+        out. On the grid of a lone periodic cell components are found on the torus, so that opposite faces stay equal.
+    caps : bool
+        Whether the surface is closed where the solid meets the border of the grid.
+    cut : bool
+        Whether a part ends at the surface of its domain. Otherwise it ends at least a voxel outside of it, without
+        regard to shape, and is there to be cut by the mesh of the domain; `islands` are then to be kept.
+    """
+
+    source: ScalarField
+    grid: Grid
+    islands: str = "remove"
+    caps: bool = True
+    cut: bool = True
+    _found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    def mesh(self, threads: int = 1, progress: Callable[[float, float], None] | None = None) -> Mesh:
+        """Vertices (n, 3) float64 in cell edges and faces (m, 3) int32; see `pieces`."""
+        from sppm_pipeline.numerics.surface.joining import joined_mesh
+
+        return joined_mesh(self.pieces(threads, progress), lambda: self._found.get("expected", (0, 0)))
+
+    def pieces(self, threads: int = 1, progress: Callable[[float, float], None] | None = None) -> Iterator[Mesh]:
+        """The mesh piece by piece, in cell edges; the same bytes whatever the number of threads.
+
+        Vertices and faces follow upon those of the pieces before, as `joined_mesh` takes them.
+        """
+        from sppm_pipeline.numerics.surface.closing import capped_marching_cubes_slabs
+        from sppm_pipeline.numerics.surface.intersection import on_both_fields
+        from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes_slabs
+
+        origin, spacing, (_, _, nz) = self.grid
+        slabs = self.slabs(threads)
+        if not isinstance(self.source, Part):
+            values = (slab.values for slab in _told(slabs, nz, progress))
+            if self.caps:
+                yield from capped_marching_cubes_slabs(values, 0.0, origin, spacing)
+            else:
+                yield from marching_cubes_slabs(values, 0.0, origin, spacing)
+            return
+        # The domain ends within the grid, so nothing is left to be capped, and a piece belongs to a slab and the plane
+        # before it.
+        current: list[SampledSlab] = []
+
+        def values_of_part() -> Iterator[NDArray[np.float32]]:
+            for slab in _told(slabs, nz, progress):
+                current.append(slab)
+                yield slab.values
+
+        below: tuple[NDArray[np.float32], ...] | None = None
+        for vertices, faces in marching_cubes_slabs(values_of_part(), 0.0, origin, spacing):
+            slab = current.pop()
+            assert slab.apart is not None
+            fields = slab.apart
+            if below is not None:
+                fields = tuple(np.concatenate(pair) for pair in zip(below, slab.apart, strict=True))
+            start = slab.start - (below is not None)
+            below = tuple(part[-1:].copy() for part in slab.apart)
+            yield on_both_fields(vertices, fields[0], fields[1], self.grid, start, *fields[2:]), faces
+
+    def slabs(self, threads: int = 1) -> Iterator[SampledSlab]:
+        """The samples, without islands if they are to be removed."""
+        if self.islands == "keep":
+            yield from _ahead(self._sampled(threads), threads)
+            return
+        from sppm_pipeline.numerics.connectivity.components import components_of_runs
+        from sppm_pipeline.numerics.connectivity.islands import negate_runs
+        from sppm_pipeline.numerics.connectivity.runs import find_runs, stack_runs
+
+        # on the torus the last node of an axis is the first one
+        torus = on_torus(self.source)
+        nx, ny, nz = (n - torus for n in self.grid.shape)
+        keep = nx * ny * nz * (3 if isinstance(self.source, Part) else 1) <= KEPT_SAMPLES
+        kept: deque[SampledSlab] = deque()
+        runs = []
+        for slab in _ahead(self._sampled(threads), threads):
+            if slab.start < nz:
+                solid = slab.values[: nz - slab.start, :ny, :nx] < 0
+                runs.append(find_runs(np.ascontiguousarray(solid).view(np.uint8)))
+            if keep:
+                kept.append(slab)
+        found = components_of_runs(stack_runs(runs), (torus,) * 3)
+        total, largest = int(found.sizes.sum()), int(found.sizes[:1].sum())
+        self._found["removed_share"] = (total - largest) / max(1, total)
+        # the two ends of a run are vertices, and the surface crosses the edges of the other two directions as often;
+        # reserved memory costs nothing until it is used
+        vertices = int(1.05 * 6 * found.runs.n_runs)
+        self._found["expected"] = (vertices, 2 * vertices)
+        stays, rows, bounds = found.of_run == 0, found.runs.rows, found.runs.bounds
+        del found
+        again = _emptied(kept) if keep else _ahead(self._sampled(threads), threads)
+        for slab in again:
+            if largest < total:
+                negate_runs(rows, bounds, stays, (nz, ny, nx), slab.start, slab.values)
+            yield slab
+
+    def _sampled(self, threads: int) -> Iterator[SampledSlab]:
+        nx, ny, nz = self.grid.shape
+        step = max(2, SLAB_SAMPLES // (nx * ny))
+        for start in range(0, nz, step):
+            yield self._planes(start, min(start + step, nz), threads)
+
+    def _planes(self, start: int, stop: int, threads: int) -> SampledSlab:
+        if not isinstance(self.source, Part):
+            return SampledSlab(start, self.source.sample_layers(self.grid, start, stop, threads), None)
+        inner, skin, outer = self.source.sample_fields(self.grid, threads, start, stop)
+        if not self.cut:
+            # All nodes a voxel or more outside are void, by so little that the surface lies at them: a point of the
+            # domain is nearer than that to some corner of its cube of nodes, so the surface never passes through the
+            # domain.
+            outside = outer >= (1 - 1e-4) * self.grid.spacing[0]
+            outer = np.where(outside, np.float32(1e-30), np.float32(-1e30))
+        united = inner if skin is None else np.minimum(inner, skin)
+        fields = (inner, outer) if skin is None else (inner, outer, skin)
+        return SampledSlab(start, np.maximum(united, outer), fields)
+
+    def expected_triangles(self, threads: int = 1, layers: int = 24) -> int:
+        """About how many triangles the surface will have, from some layers of cubes spread over the grid."""
+        from sppm_pipeline.numerics.surface.sign_words import pack_signs, slab_counts
+
+        nx, ny, nz = self.grid.shape
+        looked = sorted({round((i + 0.5) * (nz - 1) / layers - 0.5) for i in range(layers)})
+        vertices = 0
+        for start in looked:
+            values = self._planes(start, start + 2, threads).values
+            words = np.empty((2, ny, -(-nx // 64)), np.uint64)
+            pack_signs(values, np.float32(0), words)
+            vertices += slab_counts(words, nx, False)[0]
+        return int(2 * vertices * (nz - 1) / len(looked))  # a closed surface has two triangles for each vertex
+
+    def findings(self) -> dict[str, Any]:
+        """What was removed; known after the slabs were read."""
+        return {"removed_share": self._found["removed_share"]} if "removed_share" in self._found else {}
+
+
+def _emptied(items: deque[Item]) -> Iterator[Item]:
+    while items:
+        yield items.popleft()
+
+
+def _told(
+    slabs: Iterable[SampledSlab], planes: int, progress: Callable[[float, float], None] | None
+) -> Iterator[SampledSlab]:
+    for slab in slabs:
+        yield slab
+        if progress is not None:
+            progress(slab.start + len(slab.values), planes)
+
+
+def _ahead(items: Iterator[Item], threads: int) -> Iterator[Item]:
+    """The same items; with more than one thread the next one is made while the last one is worked on."""
+    if threads < 2:
+        yield from items
+        return
+    with ThreadPoolExecutor(1) as worker:
+        coming = worker.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = worker.submit(next, items, None)
+            yield item

@@ -1,0 +1,112 @@
+"""Layers of a mesh: what is inside, at the middle of each pixel and layer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.numerics.grid import Grid
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.domain.inside import Method
+
+__all__ = ["MeshSlices"]
+
+SLAB_PIXELS = 2**22
+"""Pixels scanned at a time; a slab holds at least one layer."""
+
+VOTED_PIXELS = 2**25
+"""The same for a vote, which looks at all triangles for every slab."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeshSlices(SliceStack):
+    """Sections of a mesh at the mid-height of each layer; shells that overlap are united.
+
+    Attributes
+    ----------
+    source : SurfaceMesh
+        Wound outwards.
+    pixel, layer : float
+        Pitch and height, mm.
+    lower : tuple of 3 floats
+        World position of the low corner of the stack, mm.
+    size : tuple of 3 ints
+        Pixels along x and y, number of layers.
+    method : {"scanline", "winding", "vote"}
+        How it is told what is inside.
+    subsamples : int
+        For grey layers: each pixel is sampled on k x k points, and its value is the solid share.
+    """
+
+    source: SurfaceMesh
+    pixel: float
+    layer: float
+    lower: tuple[float, float, float]
+    size: tuple[int, int, int]
+    method: Method = "scanline"
+    subsamples: int = 1
+    _found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def pixel_mm(self) -> float:
+        return self.pixel
+
+    @property
+    def layer_mm(self) -> float:
+        return self.layer
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return self.size
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.lower
+
+    @property
+    def grey(self) -> bool:
+        return self.subsamples > 1
+
+    def samples(self) -> Grid:
+        """Where the mesh is sampled: in the middle of the pixels or of their parts, mm."""
+        (x, y, z), (nx, ny, nz), k = self.lower, self.size, self.subsamples
+        h = self.pixel / k
+        return Grid((x + h / 2, y + h / 2, z + self.layer / 2), (h, h, self.layer), (nx * k, ny * k, nz))
+
+    def slabs(self, threads: int = 1) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+        from sppm_pipeline.numerics.domain.coverage import grey_by_coverage
+        from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
+
+        grid = self.samples()
+        nx, ny, nz = grid.shape
+        scan = prepare_inside(self.source.vertices, self.source.faces, grid, self.method)
+        step = max(1, (VOTED_PIXELS if self.method == "vote" else SLAB_PIXELS) // (nx * ny))
+        count = undecided = 0
+        for start in range(0, nz, step):
+            found = inside_layers(scan, start, min(start + step, nz))
+            inside = found.mask
+            count += int(np.count_nonzero(inside))
+            undecided += found.undecided
+            if self.subsamples > 1:
+                factor = (self.subsamples, self.subsamples)
+                yield start, np.stack([grey_by_coverage(layer, factor) for layer in inside])
+            else:
+                np.multiply(inside, np.uint8(255), out=inside)
+                yield start, inside
+        hx, hy, hz = grid.spacing
+        self._found["solid_voxels"] = count
+        self._found["solid_share_of_box"] = count / (nx * ny * nz)
+        self._found["solid_volume_mm3"] = count * hx * hy * hz
+        if self.method != "scanline":
+            self._found["undecided_share"] = undecided / max(1, count)
+
+    def findings(self) -> dict[str, Any]:
+        """Solid volume, and how much of it is doubtful; known after the layers were read."""
+        return dict(self._found)

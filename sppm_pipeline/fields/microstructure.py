@@ -1,0 +1,211 @@
+"""The microstructure: kernels of all interiors and faces, and the level at which their sum is cut."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.artifact import frozen
+from sppm_pipeline.data.length import Cell
+from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.fields.periods import sample_one_period
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.numerics.assembly.pieces import Pieces
+from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.kernels.kernels import Kernels
+
+__all__ = ["CUTOFF", "Microstructure", "pieces_from_graph"]
+
+CUTOFF = 1e-5
+"""Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Microstructure(ScalarField):
+    """Kernels of K interiors and of coloured faces, cut at one level (paper, eq. 3-5).
+
+    With one interior and at most one colour it is a periodic cell and can be sampled; with more it is the material
+    of a tile set, which a tiling lays out.
+
+    Attributes
+    ----------
+    cell : Cell
+    graph : TunnelGraph
+        The pores and tunnels the kernels stand for.
+    pieces : Pieces
+        Kernels by interior, face and connector; cell edges.
+    level : float
+        The level C: solid where the sum is smaller.
+    """
+
+    cell: Cell
+    graph: TunnelGraph
+    pieces: Pieces
+    level: float
+    banks: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
+    """Sampled patches, kept by those who lay the microstructure out; the level does not enter them."""
+
+    def check(self) -> None:
+        """The level is a positive number."""
+        if not 0 < self.level < np.inf:
+            raise ValueError(f"the level must be positive and finite, got {self.level}")
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return (1, 1, 1)
+
+    @property
+    def periodic(self) -> bool:
+        return True
+
+    @property
+    def finest_radius(self) -> float | None:
+        pieces = self.pieces
+        parts = [*pieces.interiors, *(k for axis in pieces.faces for k in axis), *pieces.connectors.values()]
+        mu = max((float(k.mu.max()) for k in parts if len(k.mu)), default=0.0)
+        if not mu or self.level >= 1:
+            return None
+        radius = -math.log(self.level) / mu
+        return math.sqrt(radius) if pieces.squared else radius
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.cell.edge if self.cell.physical else None
+
+    @property
+    def interiors(self) -> int:
+        """K."""
+        return self.graph.pores.interiors
+
+    @property
+    def colors(self) -> tuple[int, int, int]:
+        """Number of face patterns perpendicular to x, y, z."""
+        return self.graph.pores.colors
+
+    def face_ids(self, colors: tuple[int, int, int]) -> tuple[int, int, int]:
+        """`colors` as tilings hold them: -1 along an axis without face patterns."""
+        x, y, z = (k if there else -1 for k, there in zip(colors, self.colors, strict=True))
+        return (x, y, z)
+
+    def with_level(self, level: float) -> Microstructure:
+        """The same kernels cut at another level."""
+        return replace(self, level=float(level))
+
+    def cut_at(self, value: float) -> Microstructure:
+        """The same kernels, with `value` added to the level."""
+        return self.with_level(self.level + value)
+
+    def alone(self, interior: int, colors: tuple[int, int, int]) -> PeriodicTile:
+        """Interior t with faces of the given colours on both opposite sides, repeated for ever."""
+        return PeriodicTile(self, interior, colors)
+
+    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        return self.sample_layers(grid, 0, grid.shape[2], threads)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        if self.interiors > 1 or max(self.colors) > 1:
+            raise ValueError("a microstructure with several interiors or colours has to be laid out to be sampled")
+        return self.alone(0, (0, 0, 0)).sample_layers(grid, start, stop, threads)
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers of pores and tunnels and the level."""
+        return {**self.graph.pores.summary(), **self.graph.summary(), "level": self.level}
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicTile(ScalarField):
+    """One tile of a microstructure among copies of itself."""
+
+    micro: Microstructure
+    interior: int
+    colors: tuple[int, int, int]
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return (1, 1, 1)
+
+    @property
+    def periodic(self) -> bool:
+        return True
+
+    @property
+    def finest_radius(self) -> float | None:
+        return self.micro.finest_radius
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.micro.edge_mm
+
+    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        return self.sample_layers(grid, 0, grid.shape[2], threads)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        from sppm_pipeline.numerics.assembly.gather import sample_exact
+
+        def sample(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+            return sample_exact(self.micro.pieces, self.arrays(), grid, CUTOFF, threads, start, stop)
+
+        values = sample_one_period(grid, self.cells, start, stop, sample)
+        values -= np.float32(self.micro.level)
+        return values
+
+    def arrays(self) -> TilingArrays:
+        """The periodic tiling of this one tile."""
+        return lone_periodic_cell(self.interior, self.micro.face_ids(self.colors))
+
+
+def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], squared: bool) -> Pieces:
+    """Sort the kernels of all pores and tunnels by the piece they belong to.
+
+    Parameters
+    ----------
+    graph : TunnelGraph
+    omega : (n,) float64, 1 / cell edge^2
+        One for each pore.
+    mu : (m,) float64, 1 / cell edge, or 1 / cell edge^2 if `squared`
+        One for each tunnel.
+    squared : bool
+        Whether tunnel distances are squared.
+    """
+    pores = graph.pores
+    starts, ends = graph.segments()
+    a, b = pores.piece[graph.edges].T
+    axis_of_piece = pores.axis_of_piece()
+    no_pores = np.zeros(0, np.int64)
+
+    def kernels(own: NDArray[np.int64], tunnels: NDArray[np.int64]) -> Kernels:
+        return Kernels(
+            frozen(pores.centers[own]),
+            frozen(omega[own]),
+            frozen(starts[tunnels]),
+            frozen(ends[tunnels]),
+            frozen(mu[tunnels]),
+            squared,
+        )
+
+    inside = np.flatnonzero(a == b)
+    inside = inside[np.argsort(a[inside], kind="stable")]
+    first = np.searchsorted(a[inside], np.arange(len(axis_of_piece) + 1))
+    whole = [kernels(pores.indices(p), inside[first[p] : first[p + 1]]) for p in range(len(axis_of_piece))]
+    empty = kernels(no_pores, no_pores)
+    most = max(pores.colors)  # every axis is given as many colours, the missing ones without content
+    faces = [
+        tuple(whole[pores.face_piece(axis, k)] if k < pores.colors[axis] else empty for k in range(most))
+        for axis in range(3)
+    ]
+
+    crossing = np.flatnonzero(a != b)
+    keys = np.stack([a[crossing], axis_of_piece[b[crossing]], graph.shift[crossing].sum(1), b[crossing]], 1)
+    different, which = np.unique(keys, axis=0, return_inverse=True)  # interior, axis, side, face piece
+    which = which.reshape(-1)
+    groups = np.split(crossing[np.argsort(which, kind="stable")], np.cumsum(np.bincount(which))[:-1])
+    connectors = {
+        (int(t), int(axis), int(side), int(piece) - pores.face_piece(int(axis), 0)): kernels(no_pores, group)
+        for (t, axis, side, piece), group in zip(different, groups, strict=bool(len(different)))
+    }
+    return Pieces(tuple(whole[: pores.interiors]), (faces[0], faces[1], faces[2]), connectors)

@@ -1,0 +1,123 @@
+"""The scalar field whose negative part is solid."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.grid import Grid
+
+__all__ = ["RESOLVED", "ScalarField"]
+
+RESOLVED = 1.2
+"""Voxels up to this many tunnel radii keep the void in one piece, as measured on cells of the paper."""
+
+
+class ScalarField(Noun, ABC):
+    """A field ``G - C`` over a lattice of unit cells: negative inside the solid, positive in pores and tunnels.
+
+    It is no distance. Positions are in cell edges, measured from the lattice origin; `edge_mm` and `origin_mm` say
+    where that is in the world. Nothing is computed before somebody samples it.
+
+    Attributes
+    ----------
+    cells : tuple of 3 ints
+        Extent of the described region.
+    periodic : bool
+        Whether the region repeats for ever; otherwise the field is defined in ``[0, cells]``.
+    """
+
+    @property
+    @abstractmethod
+    def cells(self) -> tuple[int, int, int]: ...
+
+    @property
+    @abstractmethod
+    def periodic(self) -> bool: ...
+
+    @property
+    def edge_mm(self) -> float | None:
+        """Edge of a cell in millimetres; None if it has no physical size."""
+        return None
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        """Position of the lattice origin in the world."""
+        return (0.0, 0.0, 0.0)
+
+    @abstractmethod
+    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        """Values at the points of `grid` (cell edges), (nz, ny, nx) float32, C-contiguous.
+
+        A sample depends on its position alone: not on the number of threads, nor on how a large grid is cut.
+        """
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """`sample` for the layers start <= k < stop of a larger grid: bit for bit those of the whole."""
+        return self.sample(grid.layers(start, stop), threads)
+
+    def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
+        """1 where the field is negative, else 0, (nz, ny, nx) uint8; faster than `sample` where a class can."""
+        return (self.sample(grid, threads) < 0).view(np.uint8)
+
+    def solid_layers(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        """`solid` for the layers start <= k < stop of a larger grid; classes may keep what the whole grid needs.
+
+        `wanted` (stop - start, ny, 2) names the first sample of each row that matters and the one after the last; a
+        class may leave the others undecided.
+        """
+        return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
+
+    def cut_at(self, value: float) -> ScalarField:
+        """The structure whose solid is where this field is smaller than `value`; what tuning the porosity asks for.
+
+        A class that has a name for it (a level, a radius, a thickness) makes one of its own with that changed.
+        """
+        from sppm_pipeline.fields.cut import CutField
+
+        return CutField(self, value)
+
+    @property
+    def finest_radius(self) -> float | None:
+        """Radius of the thinnest tunnel, cell edges; None if it is unknown."""
+        return None
+
+    def coarseness(self, spacing: float) -> str | None:
+        """What to tell a user whose samples lie too far apart to show the thinnest tunnels; None if they do not.
+
+        Parameters
+        ----------
+        spacing : float
+            Distance of samples, cell edges.
+        """
+        radius = self.finest_radius
+        if radius is None or spacing <= RESOLVED * radius:
+            return None
+        wanted = math.ceil(1 / (RESOLVED * radius))
+        edge = f" ({self.edge_mm / wanted:.3g} mm)" if self.edge_mm else ""
+        return (
+            f"{1 / spacing:.4g} voxels along a cell edge are too few for the thinnest tunnels, of radius {radius:.3g} "
+            f"cell edges: some void may look closed; {wanted} or more{edge} show them"
+        )
+
+    def physical_edge(self) -> float:
+        """`edge_mm`, or an error for those who need a size.
+
+        Raises
+        ------
+        DesignError
+            If the cell has no physical size.
+        """
+        if self.edge_mm is None:
+            raise DesignError(
+                "the cell has no physical size, so that millimetres mean nothing to it",
+                hint="give the first sampling stage `edge: 7.5 mm`, or lay the cell with a `tile` stage and its `cell`",
+            )
+        return self.edge_mm

@@ -1,0 +1,63 @@
+"""Tile sets: which interiors may meet which face colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.fields.microstructure import Microstructure
+
+__all__ = ["TileSet"]
+
+
+@dataclass(frozen=True, eq=False)
+class TileSet(Noun):
+    """A microstructure with many interiors and face colours, and the kind of rule it was drawn for.
+
+    Attributes
+    ----------
+    micro : Microstructure
+    kind : {"wang", "free", "corner"}
+        "wang": interior t belongs to the tile with colours (cx, cy, cz), t = (cx c + cy) c + cz, equal on opposite
+        faces (paper, section 2.2). "free": any interior meets any colour on any side. "corner": face colours stand
+        for the colours of the four corners of the face.
+    palette_colors : int
+        c: face colours, or corner colours for "corner".
+    porosity : tuple of float
+        Porosity of each interior among copies of itself, as measured when the set was made; empty if not measured.
+    """
+
+    micro: Microstructure
+    kind: str
+    palette_colors: int
+    porosity: tuple[float, ...] = ()
+
+    def combinations(self) -> NDArray[np.int32] | None:
+        """Rows (interior, six face colours) that may occur, or None if any interior meets any colours.
+
+        The colours stand in the order low x, high x, low y, high y, low z, high z.
+        """
+        if self.kind != "wang":
+            return None
+        c = self.palette_colors
+        tile = np.arange(c**3)
+        own = (tile // c**2, tile // c % c, tile % c)
+        there = self.micro.colors
+        x, y, z = (k if n else np.full_like(k, -1) for k, n in zip(own, there, strict=True))
+        return np.stack([tile, x, x, y, y, z, z], 1).astype(np.int32)
+
+    def summary(self) -> dict[str, Any]:
+        """Sizes, level and the spread of porosity over the tiles."""
+        spread: dict[str, Any] = {}
+        if self.porosity:
+            mean = sum(self.porosity) / len(self.porosity)
+            spread = {
+                "porosity": mean,
+                "tile_porosity_min": min(self.porosity),
+                "tile_porosity_max": max(self.porosity),
+            }
+        return {**self.micro.summary(), "kind": self.kind, "palette_colors": self.palette_colors, **spread}

@@ -1,0 +1,1 @@
+"""Effective properties of periodic cells: elasticity and conduction on voxels, elasticity on tetrahedra."""

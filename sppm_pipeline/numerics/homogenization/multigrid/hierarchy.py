@@ -1,0 +1,236 @@
+"""The grids of a multigrid cycle, and the cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY, BLOCK, HEAD, LANES, RESIDUAL, SMOOTH, STRIDE
+from sppm_pipeline.numerics.homogenization.multigrid.transfer import interpolate_add, restrict
+from sppm_pipeline.numerics.homogenization.multigrid.vectors import dense_product, dot, weighted
+
+__all__ = ["Hierarchy", "Level", "Workspace", "coarser", "node_sums", "padded"]
+
+COARSEST = 2
+"""Axes of the coarsest grid have at most so many voxels: its matrix is so small that no library shares it out."""
+
+_SINGULAR = 1e-5
+"""Eigenvalues of the coarsest matrix below this part of the largest are rounding."""
+
+_TWICE = 8
+"""Coarse grids with longer axes than this are visited twice in a cycle."""
+
+_POWER_STEPS = 10
+
+
+class Level(Protocol):
+    """One grid of a problem: how a pass over it looks.
+
+    Attributes
+    ----------
+    shape : (nz, ny, nx)
+    edges : (hx, hy, hz)
+        Of a voxel.
+    components : int
+        Unknowns of a node.
+    diagonal : (nz * ny * nx,) float64 or float32
+        Diagonal of the matrix, the mean of the components of a node; 0 in the void.
+    weight : (nz * ny * nx,)
+        Damped inverse of the diagonal; 0 in the void.
+    """
+
+    shape: tuple[int, int, int]
+    edges: tuple[float, float, float]
+    components: int
+    diagonal: NDArray[Any]
+    weight: NDArray[Any]
+
+    def sweep(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
+        """A pass over the grid, see `rows.APPLY` and its neighbours; vectors are flat."""
+        ...
+
+    def forces(self, load: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:
+        """What a constant load, a mean strain or gradient, does to the nodes, written to `out`."""
+        ...
+
+    def rounding(self) -> float:
+        """What rounding may make of forces that should be zero, for each node."""
+        ...
+
+
+def coarser(shape: tuple[int, int, int]) -> tuple[int, int, int] | None:
+    """Voxels of the next grid; None if `shape` is the coarsest."""
+    if max(shape) <= COARSEST:
+        return None
+    z, y, x = (-(-n // 2) for n in shape)
+    return z, y, x
+
+
+def padded(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """Rows with room for whole vectors, the last voxel standing before the first, too; flat."""
+    nz, ny, nx = values.shape
+    rows = np.zeros((nz, ny, HEAD + -(-(nx + 1) // LANES) * LANES), dtype)
+    rows[:, :, HEAD : HEAD + nx] = values
+    rows[:, :, HEAD - 1] = values[:, :, -1]
+    return rows.reshape(-1)
+
+
+def node_sums(values: NDArray[Any]) -> NDArray[Any]:
+    """Sum over the eight voxels around each node of a periodic grid."""
+    for axis in range(3):
+        values = values + np.roll(values, 1, axis)
+    return values
+
+
+class Workspace:
+    """What one thread needs for a cycle, made once.
+
+    Parameters
+    ----------
+    levels : sequence of Level
+    scratch_rows : int
+        Rows of scratch of a pass.
+    """
+
+    def __init__(self, levels: list[Level], scratch_rows: int) -> None:
+        dtype = levels[0].weight.dtype
+        longest = max(level.shape[2] for level in levels)
+        components = levels[0].components
+        self.rows = np.zeros(scratch_rows * STRIDE, dtype)
+        self.line = np.zeros(longest + 2, dtype)
+        # rows of the plane have the distance of rows of scratch, too
+        self.plane = np.zeros(components * max(lv.shape[1] * -(-lv.shape[2] // BLOCK) for lv in levels) * STRIDE, dtype)
+        sizes = [components * int(np.prod(level.shape)) for level in levels]
+        self.z = [np.zeros(size, dtype) for size in sizes]
+        self.q = [np.zeros(size, dtype) for size in sizes]
+        sizes[0] = 0
+        self.r = [np.zeros(size, dtype) for size in sizes]
+        self.rest = [np.zeros(size, dtype) for size in sizes]
+        self.sum = [np.zeros(size, dtype) for size in sizes]
+
+
+@dataclass(frozen=True)
+class Hierarchy:
+    """Grids from the finest to the coarsest, with the inverse on the last.
+
+    Attributes
+    ----------
+    levels : list of Level
+    transfers : list of (6,) int64
+        Shapes of each pair of grids, as `transfer.restrict` wants them.
+    inverse : (m, m) float64
+        Of the coarsest matrix.
+    scratch_rows : int
+    twice : bool
+        Whether coarse grids are visited twice in a cycle. That saves iterations, but if a coarse grid is much softer
+        than it should be, the cycle is no longer positive definite; with single visits it always is.
+    """
+
+    levels: list[Level]
+    transfers: list[NDArray[np.int64]]
+    inverse: NDArray[np.float64]
+    scratch_rows: int
+    twice: bool
+
+    @classmethod
+    def of(cls, levels: list[Level], scratch_rows: int, largest: float) -> Hierarchy:
+        """Set the damping of all levels and invert the coarsest matrix.
+
+        Parameters
+        ----------
+        levels : list of Level
+        scratch_rows : int
+        largest : float
+            Bound of the eigenvalues of the matrix over its diagonal, for cycles that can't fail; 0 to
+            estimate it, and to visit coarse grids twice.
+        """
+        work = Workspace(levels, scratch_rows)
+        for level in levels:
+            inverse = np.zeros_like(level.weight)
+            np.divide(1, level.diagonal, out=inverse, where=level.diagonal > 0)
+            level.weight[:] = inverse
+            damping = 1.9 / (largest or _largest_eigenvalue(level, work))
+            level.weight *= level.weight.dtype.type(min(0.5, damping))
+        pairs = pairwise(levels)
+        transfers = [np.array([*fine.shape[::-1], *coarse.shape[::-1]], np.int64) for fine, coarse in pairs]
+        return cls(levels, transfers, _inverse(levels[-1], work), scratch_rows, largest == 0)
+
+    def workspace(self) -> Workspace:
+        """For one thread."""
+        return Workspace(self.levels, self.scratch_rows)
+
+    def cycle(self, r: NDArray[Any], work: Workspace, depth: int = 0) -> tuple[NDArray[Any], float]:
+        """One V- or W-cycle with one damped Jacobi step before and after: an approximation of the solution for `r`.
+
+        Returns
+        -------
+        z : flat
+            Belongs to `work`.
+        product : float
+            ``r . z``.
+        """
+        level = self.levels[depth]
+        z, q = work.z[depth], work.q[depth]
+        if depth == len(self.levels) - 1:
+            dense_product(self.inverse, r, z)
+            return z, dot(r, z)
+        weighted(r, level.weight, z)
+        level.sweep(RESIDUAL, z, r, q, work)
+        restrict(q, work.r[depth + 1], self.transfers[depth], work.line)
+        correction = self._correction(work, depth + 1)
+        interpolate_add(correction, z, self.transfers[depth], work.line)
+        return q, level.sweep(SMOOTH, z, r, q, work)
+
+    def _correction(self, work: Workspace, depth: int) -> NDArray[Any]:
+        """The solution for ``work.r[depth]`` by one cycle, or two where they save more iterations than they cost."""
+        level, r, rest, total = self.levels[depth], work.r[depth], work.rest[depth], work.sum[depth]
+        once, _ = self.cycle(r, work, depth)
+        if not self.twice or max(level.shape) <= _TWICE:
+            return once
+        total[:] = once
+        level.sweep(RESIDUAL, total, r, rest, work)
+        again, _ = self.cycle(rest, work, depth)
+        total += again
+        return total
+
+
+def _largest_eigenvalue(level: Level, work: Workspace) -> float:
+    """Of the matrix over its diagonal, by power steps from alternating signs with a fixed pattern."""
+    size = level.components * level.weight.size
+    numbers = np.arange(size, dtype=np.uint32)
+    numbers *= np.uint32(2654435769)
+    numbers ^= numbers >> np.uint32(15)
+    numbers *= np.uint32(2246822519)
+    v = (numbers >> np.uint32(8)).astype(level.weight.dtype)
+    v -= v.dtype.type(2**23)
+    q = np.empty_like(v)
+    largest = 1.0
+    weighted(v, level.weight, q)
+    v, q = q, v
+    for _ in range(_POWER_STEPS):
+        norm = np.sqrt(dot(v, v))
+        if not norm > 0:
+            return 1.0
+        v *= v.dtype.type(1 / norm)
+        level.sweep(APPLY, v, v, q, work)
+        weighted(q, level.weight, q)
+        largest = np.sqrt(dot(q, q))
+        v, q = q, v
+    return max(1.0, float(largest))
+
+
+def _inverse(level: Level, work: Workspace) -> NDArray[np.float64]:
+    """Pseudo-inverse of the matrix of a small level: translations, and loose parts, have no stiffness."""
+    size = level.components * level.weight.size
+    matrix = np.empty((size, size))
+    unit, column = np.zeros(size, level.weight.dtype), np.empty(size, level.weight.dtype)
+    for i in range(size):
+        unit[i] = 1
+        level.sweep(APPLY, unit, unit, column, work)
+        unit[i] = 0
+        matrix[:, i] = column
+    return np.asarray(np.linalg.pinv((matrix + matrix.T) / 2, rcond=_SINGULAR, hermitian=True), np.float64)

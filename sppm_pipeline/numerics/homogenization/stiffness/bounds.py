@@ -1,0 +1,135 @@
+"""Bounds on the stiffness of a composite from its phases and their shares alone."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.homogenization.stiffness.isotropy import averages
+from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic, mandel
+
+__all__ = ["Bounds", "Interval", "bounds", "hashin_shtrikman", "reuss", "voigt"]
+
+
+class Interval(NamedTuple):
+    """A modulus lies between `lower` and `upper`."""
+
+    lower: float
+    upper: float
+
+    def holds(self, value: float, slack: float = 1e-9) -> bool:
+        """Whether `value` lies inside, rounding allowed for."""
+        room = slack * max(abs(self.upper), abs(self.lower))
+        return self.lower - room <= value <= self.upper + room
+
+
+class Bounds(NamedTuple):
+    """What is known before any simulation, and whether a computed stiffness keeps to it.
+
+    Attributes
+    ----------
+    voigt, reuss : (6, 6)
+        The stiffness lies between them, in the sense of energy, whatever its symmetry.
+    within : bool
+        Whether it does.
+    bulk, shear : Interval
+        Hashin-Shtrikman, for isotropic composites.
+    bulk_holds, shear_holds : bool
+        Whether the averages of Hill lie there; a structure that is far from isotropic need not.
+    """
+
+    voigt: NDArray[np.float64]
+    reuss: NDArray[np.float64]
+    within: bool
+    bulk: Interval
+    shear: Interval
+    bulk_holds: bool
+    shear_holds: bool
+
+
+def voigt(phases: list[tuple[float, float, float]]) -> NDArray[np.float64]:
+    """Mean of the stiffnesses, (6, 6): the upper bound.
+
+    Parameters
+    ----------
+    phases : list of (share, Young's modulus, Poisson's ratio)
+        Shares sum to 1; void has modulus 0.
+    """
+    total = np.zeros((6, 6))
+    for share, young, poisson in phases:
+        total += share * isotropic(young, poisson)
+    return total
+
+
+def reuss(phases: list[tuple[float, float, float]]) -> NDArray[np.float64]:
+    """Inverse of the mean of the compliances, (6, 6): the lower bound; zero if there is void. See `voigt`."""
+    if any(share > 0 and young == 0 for share, young, _ in phases):
+        return np.zeros((6, 6))
+    total = np.zeros((6, 6))
+    for share, young, poisson in phases:
+        if share > 0:
+            total += share * np.linalg.inv(isotropic(young, poisson))
+    return np.asarray(np.linalg.inv(total), np.float64)
+
+
+def hashin_shtrikman(phases: list[tuple[float, float, float]]) -> tuple[Interval, Interval]:
+    """Bounds on the bulk and the shear modulus of an isotropic composite of any number of phases. See `voigt`.
+
+    References
+    ----------
+    Hashin and Shtrikman 1963; in the form of Berryman 1980, with the moduli of the softest and the stiffest phase.
+    """
+    present = [(share, *_bulk_and_shear(young, poisson)) for share, young, poisson in phases if share > 0]
+    bulks, shears = [bulk for _, bulk, _ in present], [shear for _, _, shear in present]
+
+    def bulk(shear: float) -> float:
+        return _shifted_mean([(share, k) for share, k, _ in present], 4 * shear / 3)
+
+    def zeta(k: float, g: float) -> float:
+        return g / 6 * (9 * k + 8 * g) / (k + 2 * g) if g > 0 else 0.0
+
+    def shear(shift: float) -> float:
+        return _shifted_mean([(share, g) for share, _, g in present], shift)
+
+    return (
+        Interval(bulk(min(shears)), bulk(max(shears))),
+        Interval(shear(zeta(min(bulks), min(shears))), shear(zeta(max(bulks), max(shears)))),
+    )
+
+
+def bounds(stiffness: NDArray[np.float64], phases: list[tuple[float, float, float]], slack: float = 1e-6) -> Bounds:
+    """All bounds, and whether `stiffness` keeps to them. See `voigt` for `phases`.
+
+    Parameters
+    ----------
+    slack : float
+        Violations up to this share of the upper bound are rounding.
+    """
+    upper, lower = voigt(phases), reuss(phases)
+    room = slack * float(np.linalg.norm(mandel(upper)))
+    below = np.linalg.eigvalsh(mandel(upper - stiffness))[0] >= -room
+    above = np.linalg.eigvalsh(mandel(stiffness - lower))[0] >= -room
+    bulk, shear = hashin_shtrikman(phases)
+    mean = averages(stiffness)
+    return Bounds(
+        upper,
+        lower,
+        bool(below and above),
+        bulk,
+        shear,
+        bulk.holds(mean.bulk_hill, slack),
+        shear.holds(mean.shear_hill, slack),
+    )
+
+
+def _bulk_and_shear(young: float, poisson: float) -> tuple[float, float]:
+    return young / (3 * (1 - 2 * poisson)), young / (2 * (1 + poisson))
+
+
+def _shifted_mean(terms: list[tuple[float, float]], shift: float) -> float:
+    """The harmonic mean of values to which `shift` was added, less `shift`."""
+    if shift == 0 and any(value == 0 for _, value in terms):
+        return 0.0
+    return 1 / sum(share / (value + shift) for share, value in terms) - shift

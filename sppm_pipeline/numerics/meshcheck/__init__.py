@@ -1,0 +1,1 @@
+"""What is wrong with a triangle mesh, and what it encloses: adjacency, orientation, self-intersections, measures."""

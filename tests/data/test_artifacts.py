@@ -1,0 +1,112 @@
+"""Nouns: read-only, checked, with digests that tell different content apart."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.artifact import frozen
+from sppm_pipeline.data.length import Cell
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.data.table import Table
+from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.stages.check.connectivity import CheckConnectivity
+from sppm_pipeline.stages.slice.field import SliceField
+from sppm_pipeline.testing.plain_context import PlainContext
+
+
+def test_arrays_are_frozen_and_those_of_others_left_alone():
+    mine = np.zeros((4, 3))
+    pores = PoreSet(Cell(), mine, np.zeros(4, np.int32))
+    mine[0] = 1  # a copy or not: the noun must not change with it
+    with pytest.raises(ValueError, match="read-only"):
+        pores.centers[0] = 2
+    view = np.zeros((5, 3))[1:]
+    assert not frozen(view).flags.writeable
+    assert view.flags.writeable
+    assert frozen(frozen(view)) is not view
+
+
+def pores(**changes):
+    values = {
+        "cell": Cell(),
+        "centers": np.array([[0.5, 0.5, 0.5], [0, 0.2, 0.3], [0.4, 0, 0.1]]),
+        "piece": np.array([0, 1, 2], np.int32),
+        "colors": (1, 1, 0),
+    }
+    return PoreSet(**values | changes)
+
+
+def test_pores_are_checked():
+    pores().check()
+    assert pores().summary()["pores_per_cell"] == 3
+    for wrong, said in [
+        (pores(piece=np.array([0, 1], np.int32)), "piece numbers"),
+        (pores(piece=np.array([0, 1, 3], np.int32)), "does not exist"),
+        (pores(piece=np.array([0, 1, -1], np.int32)), "does not exist"),
+        (pores(piece=np.array([0, 2, 1], np.int32)), "coordinate 0"),
+        (pores(centers=np.full((3, 3), np.nan)), "finite"),
+    ]:
+        with pytest.raises(ValueError, match=said):
+            wrong.check()
+
+
+def test_pieces():
+    many = pores(centers=np.zeros((6, 3)), piece=np.array([4, 0, 2, 0, 4, 1], np.int32), interiors=2, colors=(1, 0, 2))
+    assert many.axis_of_piece().tolist() == [-1, -1, 0, 2, 2]
+    assert [many.indices(p).tolist() for p in range(5)] == [[1, 3], [5], [2], [], [0, 4]]
+    assert many.face_piece(2, 1) == 4
+
+
+def test_tunnels_are_checked():
+    def graph(edges, shift=None):
+        return TunnelGraph(pores(), np.array(edges), np.zeros((len(edges), 3)) if shift is None else shift)
+
+    graph([[0, 1], [0, 2]]).check()
+    for wrong, said in [
+        (graph([[1, 0]]), "interior pore to a face"),
+        (graph([[1, 2]]), "interior pore to a face"),
+        (graph([[0, 3]]), "does not exist"),
+        (graph([[0, 1]], np.zeros((2, 3))), "shifts"),
+    ]:
+        with pytest.raises(ValueError, match=said):
+            wrong.check()
+    assert graph(np.zeros((0, 2))).summary()["mean_tunnel_length"] is None
+
+
+def test_meshes_are_checked(wedge):
+    wedge.check()
+    assert wedge.bounds_solid
+    assert wedge.summary()["volume_mm3"] > 0
+    assert not SurfaceMesh(wedge.vertices, wedge.faces[1:]).bounds_solid
+    for wrong in (SurfaceMesh(wedge.vertices * np.nan, wedge.faces), SurfaceMesh(wedge.vertices, wedge.faces + 1)):
+        with pytest.raises(ValueError, match=r"finite|does not exist"):
+            wrong.check()
+    SurfaceMesh(np.zeros((0, 3)), np.zeros((0, 3), int)).check()
+
+
+def test_tables():
+    table = Table({"a": [1, 2], "b": ("x", None)})
+    table.check()
+    assert table.rows == 2
+    with pytest.raises(ValueError, match="lengths"):
+        Table({"a": [1], "b": []}).check()
+
+
+def test_every_noun_has_a_digest_that_follows_its_content(cell, wang, wang_tiling, wedge):
+    part = Part(wang_tiling, wedge, 0.2)
+    context = PlainContext()
+    nouns = [
+        cell, cell.with_level(0.26), cell.graph, cell.graph.pores, cell.cell, wang, wang_tiling, wedge, part,
+        dataclasses.replace(part, skin_mm=0.3), Table({"a": (1, None, "x")}),
+        CheckConnectivity(resolution=12).run(context, cell.with_level(0.9)),
+        SliceField(resolution=8).run(context, wang_tiling), cell.alone(0, (0, 0, 0)),
+    ]  # fmt: skip
+    digests = [noun.digest() for noun in nouns]
+    assert len(set(digests)) == len(nouns)
+    before = part.digest()
+    wang_tiling.sample(SliceField(resolution=8).run(context, wang_tiling).grid)  # fills caches
+    assert part.digest() == before
+    assert dataclasses.replace(cell, level=cell.level).digest() == cell.digest()
