@@ -3,7 +3,7 @@
 Usage: python -m benchmarks.agreement MESH [VOXELS [MESH_VOXELS [HEIGHT_MM]]]
 
 The part, scaled to HEIGHT_MM (30), is cut into layers straight from the field at VOXELS (50) pixels along a cell edge,
-and meshed at MESH_VOXELS (149, which puts hardly a node where a pixel has its centre: at twice VOXELS all of them would
+and meshed at MESH_VOXELS (149, which puts hardly a node where a pixel has its center: at twice VOXELS all of them would
 coincide, and there the mesh can only agree). PrusaSlicer cuts that mesh, with everything that prepares a print switched
 off, on a display whose pixels are ours. Where it is not installed, trimesh cuts the mesh and an even-odd rule fills the
 sections.
@@ -12,12 +12,12 @@ What is compared is made alike, as far as it can be:
 
 * Islands are kept. Which solid hangs on nothing depends on the grid: a neck that a fine grid resolves is open on a
   coarse one, and what hangs on it then is an island there. Of a small part that is more than a hundredth of the solid.
-* The slicer fills a pixel where it is covered by half. So do ours here, by 15 x 15 samples a pixel (`grey: 15`, cut at
-  one half); layers in black and white fill a pixel where its centre is solid, which makes another half of a per cent.
+* The slicer fills a pixel where it is covered by half. So do ours here, by 15 x 15 samples a pixel (`gray: 15`, cut at
+  one half); layers in black and white fill a pixel where its center is solid, which makes another half of a per cent.
 * What the chords of the mesh cost is told apart from what the slicer does, by our own scanlines through its mesh.
 
 Registration is known, never searched for. Two posts are added to the mesh at opposite corners of the stack of layers,
-`MARGIN` pixels outside of it and as high as it is. The slicer centres what it is given and puts it down on the plate,
+`MARGIN` pixels outside of it and as high as it is. The slicer centers what it is given and puts it down on the plate,
 so that with the posts its pixels and layers fall on ours. The posts differ in width: a mirrored or turned picture
 shows them in wrong places and is refused. Both ways cut at the mid-height of a layer.
 """
@@ -46,8 +46,8 @@ CONFIG = Path(__file__).parent.parent / "configs" / "bunny.yaml"
 LAYERS = """  - {stage: slice.field, resolution: "${voxels}"}
   - {stage: write.png, path: slices, sheet: 0}
 """
-GREY = 15  # odd, so that no pixel is covered by exactly half of its samples
-COVERED = LAYERS.replace("{stage: slice.field,", f"{{stage: slice.field, grey: {GREY},")
+GRAY = 15  # odd, so that no pixel is covered by exactly half of its samples
+COVERED = LAYERS.replace("{stage: slice.field,", f"{{stage: slice.field, gray: {GRAY},")
 SURFACE = """  - {stage: extract.marching_cubes, resolution: "${voxels}", islands: keep}
   - {stage: write.stl, path: part.stl}
 """
@@ -144,11 +144,11 @@ def slicer_layers(program: str, stl: Path, manifest: dict[str, Any]) -> tuple[Ru
 def filled(
     segments: NDArray[np.float64], origin: tuple[float, float], pixel: float, shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """Pixels (rows, columns) whose centre lies within a section, by the even-odd rule along every row.
+    """Pixels (rows, columns) whose center lies within a section, by the even-odd rule along every row.
 
     `segments` is (n, 2, 2): both ends of each piece of the outline, x and y in mm, in any order and direction.
     """
-    ends = (segments - origin) / pixel - 0.5  # centres of pixels are whole numbers
+    ends = (segments - origin) / pixel - 0.5  # centers of pixels are whole numbers
     (x0, y0), (x1, y1) = ends[:, 0].T, ends[:, 1].T
     first = np.clip(np.ceil(np.minimum(y0, y1)), 0, shape[0]).astype(int)
     count = np.clip(np.ceil(np.maximum(y0, y1)), 0, shape[0]).astype(int) - first
@@ -187,7 +187,7 @@ def sections_of_file(stl: str, manifest: str, out: str) -> None:
 def scanned_layers(
     vertices: NDArray[np.float64], faces: NDArray[np.integer], manifest: dict[str, Any]
 ) -> Iterator[NDArray[np.bool_]]:
-    """Cut a mesh with our own scanlines: pixels whose centre is inside, (rows, columns), lowest y first."""
+    """Cut a mesh with our own scanlines: pixels whose center is inside, (rows, columns), lowest y first."""
     pixel, layer = manifest["pixel_mm"], manifest["layer_mm"]
     x, y, z = np.array(manifest["origin_mm"]) + np.array([pixel, pixel, layer]) / 2
     shape = (manifest["width_px"], manifest["height_px"], manifest["layers"])
@@ -240,14 +240,14 @@ def main() -> None:
             cut = run([sys.executable, "-c", script, str(stl), str(slices / "manifest.json"), str(out)])
             theirs = iter(np.load(out))
         cuts = list(theirs)
-        centres = list(own_layers(slices, manifest))
+        centers = list(own_layers(slices, manifest))
         covered = list(own_layers(folder / "covered" / "slices", manifest))
         counts = compare(iter(covered), iter(cuts))
         through = list(scanned_layers(*mesh, manifest))
         others = {
-            f"layers in black and white and {name}'s": (centres, cuts),
+            f"layers in black and white and {name}'s": (centers, cuts),
             f"our scanlines through the mesh and {name}'s, on the same mesh": (through, cuts),
-            "layers in black and white and our scanlines through the mesh": (centres, through),
+            "layers in black and white and our scanlines through the mesh": (centers, through),
         }
         sizes = [sum(f.stat().st_size for f in slices.glob("*.png")) / 1e6, stl.stat().st_size / 1e6]
 

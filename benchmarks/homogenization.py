@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.measure import table
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.numerics.homogenization.conduction.homogenize import conductivity
 from sppm_pipeline.numerics.homogenization.elasticity.homogenize import Homogenized, lame, stiffness
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
@@ -38,7 +38,7 @@ def cell(n: int) -> NDArray[np.float32]:
         BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
         GaussianField(omega=30.0, mu=30.0, level=0.25),
     )
-    values = recipe.run(PlainContext(7)).sample(cell_centres(n), 2)
+    values = recipe.run(PlainContext(7)).sample(cell_centers(n), 2)
     return (values < np.median(values)).astype(np.float32)
 
 

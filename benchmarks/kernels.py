@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.measure import repeat_in_process, table
 from sppm_pipeline.numerics.connecting.bounded import spanning_subgraph
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
@@ -41,7 +41,7 @@ def main() -> None:
     kernels = paper_cell()
     rows = []
     for n in (64, 128):
-        grid = cell_centres(n)
+        grid = cell_centers(n)
         wall, cpu = repeat_in_process(lambda: add_kernels(np.zeros((n, n, n), np.float32), grid, kernels))  # noqa: B023
         rows.append([f"field of 148 pores, 590 tunnels, {n}^3", wall * 1e3, cpu * 1e3, cpu / n**3 * 1e9])
     wall, cpu = repeat_in_process(lambda: obvious_field(kernels, 64), 1)

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.measure import repeat_in_process, table
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.fields.microstructure import Microstructure
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.numerics.tetrahedra.quality import dihedral_histogram, quality
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.field.gaussian import GaussianField
@@ -20,7 +20,7 @@ from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 EXACT = 384
-"""Voxels along the edge whose centres tell the volume that the meshes are held against."""
+"""Voxels along the edge whose centers tell the volume that the meshes are held against."""
 
 
 def paper_cell() -> Microstructure:
@@ -37,8 +37,8 @@ def paper_cell() -> Microstructure:
 
 
 def solid_share(cell: Microstructure) -> float:
-    """Share of voxel centres in the solid, slab by slab."""
-    grid = cell_centres(EXACT)
+    """Share of voxel centers in the solid, slab by slab."""
+    grid = cell_centers(EXACT)
     return float(np.mean([(cell.sample_layers(grid, k, k + 8) < 0).mean() for k in range(0, EXACT, 8)]))
 
 

@@ -71,7 +71,7 @@ def index_page(registry: Registry) -> str:
         lines += [f"## {family}", "", f"{what[:1].upper()}{what[1:]}.", ""]
         lines += table(("stage", "takes", "makes", "what it does"), rows)
         lines.append("")
-    lines.append("A question mark stands behind a noun that is used if an earlier stage makes it.")
+    lines.append("A question mark stands behind an artifact that is used if an earlier stage makes it.")
     return "\n".join(lines) + "\n"
 
 

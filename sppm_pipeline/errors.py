@@ -16,19 +16,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = [
-    "ConfigError",
-    "ConfigErrors",
-    "DesignError",
-    "InputError",
-    "NativeCrash",
-    "PluginError",
-    "Position",
-    "ResourceError",
-    "SppmError",
-    "WiringError",
-]
-
 
 @dataclass(frozen=True)
 class Position:

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from sppm_pipeline.stage import Stage
 
-__all__ = ["API_VERSION", "PROJECT", "hookimpl", "hookspec"]
-
 PROJECT = "sppm"
 """Name of the pluggy project; entry points of distributions stand in the group ``sppm``."""
 
@@ -37,7 +35,7 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
 
         @hookimpl
         def sppm_stages():
-            return {"sample.fcc": "sppm_fcc.sampler:FaceCentredCubic"}
+            return {"sample.fcc": "sppm_fcc.sampler:FaceCenterdCubic"}
     """
 
 

@@ -2,9 +2,10 @@
 
 A stage is a frozen, keyword-only dataclass. Its fields are its options, each declared once with `option`; the parser,
 the command line help, the reference pages and the JSON Schema all come from there. The annotated signature of `run` is
-its list of ports: a required port is annotated with a noun, an optional one with ``Noun | None``, a port that takes one
-of several nouns with ``A | B``, a recipe with ``Recipe``. What `run` returns is what the stage makes; a stage annotated
-``-> Any`` makes what its recipe makes, and a type variable on a port and on the result passes the type through.
+its list of ports: a required port is annotated with an artifact type, an optional one with ``Artifact | None``, a port
+that takes one of several types with ``A | B``, a recipe with ``Recipe``. What `run` returns is what the stage makes; a
+stage annotated ``-> Any`` makes what its recipe makes, and a type variable on a port and on the result passes the type
+through.
 """
 
 from __future__ import annotations
@@ -22,23 +23,13 @@ from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.errors import DesignError
 
-__all__ = [
-    "FAMILIES",
-    "Context",
-    "OptionSpec",
-    "Recipe",
-    "Rejected",
-    "Stage",
-    "option",
-]
-
 FAMILIES: Mapping[str, str] = {
-    "read": "a file or a primitive becomes a noun",
+    "read": "a file or a primitive becomes an artifact",
     "sample": "pores are thrown",
     "connect": "pores are joined by tunnels",
     "field": "pores and tunnels become a field",
     "tune": "a recipe is repeated until it meets a target",
-    "tileset": "a recipe is drawn for many interiors and face colours",
+    "tileset": "a recipe is drawn for many interiors and face colors",
     "tile": "cells are laid into a part",
     "fill": "a part is cut from the tiling",
     "extract": "a field becomes a triangle mesh or an image of voxels",
@@ -46,7 +37,7 @@ FAMILIES: Mapping[str, str] = {
     "homogenize": "effective properties are computed",
     "check": "something is measured, and may be rejected",
     "slice": "a field or mesh becomes a stack of layers",
-    "write": "a noun becomes files",
+    "write": "an artifact becomes files",
 }
 
 
@@ -114,7 +105,7 @@ class Context(ABC):
     threads : int
         How many threads the stage may use; results must not depend on it.
     palette : Palette
-        How many interiors and face colours are wanted; one of each outside tile sets.
+        How many interiors and face colors are wanted; one of each outside tile sets.
     memory : int
         Bytes that a stage which can choose should plan with; results must not depend on it.
     memory_limit : int or None

@@ -1,4 +1,4 @@
-"""Small structures that many tests of stages and nouns share, and a way to run YAML."""
+"""Small structures that many tests of stages and artifacts share, and a way to run YAML."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def cell() -> Microstructure:
 
 @pytest.fixture(scope="session")
 def wang():
-    """A tile set with two colours, eight tiles, porosity one half."""
+    """A tile set with two colors, eight tiles, porosity one half."""
     return WangTileSet(colors=2, porosity=0.5, resolution=24, tolerance=0.01).run(PlainContext(4), small_recipe())
 
 
@@ -133,7 +133,7 @@ def ball() -> SurfaceMesh:
 def run_yaml(tmp_path):
     """Run a configuration, given as text or as a file, through the engine; returns the record and the run directory."""
     from sppm_pipeline.engine.runner import run_plan
-    from sppm_pipeline.engine.session import Order, open_session
+    from sppm_pipeline.engine.session import RunRequest, open_session
     from sppm_pipeline.engine.substitution import Overrides
     from sppm_pipeline.engine.sweep import run_sweep
 
@@ -143,7 +143,7 @@ def run_yaml(tmp_path):
             path.write_text(source if source.startswith("sppm:") else f"sppm: 1\n{source}", encoding="utf-8")
         else:
             path = Path(source)
-        session = open_session(Order(str(path), BUILTINS, (), False, Overrides(tuple(p), tuple(s), seed)))
+        session = open_session(RunRequest(str(path), BUILTINS, (), False, Overrides(tuple(p), tuple(s), seed)))
         plan, folder = session.plan(), tmp_path / to
         if session.configuration.sweep is None:
             return run_plan(plan, folder, threads=threads), folder

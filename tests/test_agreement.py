@@ -8,7 +8,7 @@ import trimesh
 from PIL import Image
 
 VOXELS = 32  # along a cell edge
-# no multiple of the pixels: a node of the mesh's grid at a pixel's centre has the sign of that pixel by construction
+# no multiple of the pixels: a node of the mesh's grid at a pixel's center has the sign of that pixel by construction
 FINE, COARSE = 61, 23
 YAML = f"""sppm: 1
 name: agreement
@@ -41,7 +41,7 @@ def layers(folder):
 
 
 def filled(segments, x, y):
-    """Whether pixel centres (rows at `y`, columns at `x`) lie within an outline: even-odd along every row."""
+    """Whether pixel centers (rows at `y`, columns at `x`) lie within an outline: even-odd along every row."""
     a, b = segments[:, 0], segments[:, 1]
     image = np.zeros((len(y), len(x)), bool)
     for row, height in enumerate(y):

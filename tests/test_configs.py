@@ -182,7 +182,7 @@ def test_representative_volume(run_yaml, summary):
     record, folder = run_yaml(
         CONFIGS / "representative_volume.yaml",
         p=["samples=2", "assemblies=[1, 2]"],
-        s=["homogenize.realisations.resolution=8", "tileset.wang_3color.colors=1", "tileset.wang_3color.resolution=12",
+        s=["homogenize.realizations.resolution=8", "tileset.wang_3color.colors=1", "tileset.wang_3color.resolution=12",
            "tileset.wang_3color.tolerance=0.05"],
     )  # fmt: skip
     assert {"young.png", "poisson.png", "deviation.png"} <= outputs(folder)

@@ -27,8 +27,8 @@ pipeline:
   - {stage: read.primitive, shape: torus_knot, size: [12 mm, 12 mm, 6 mm], facets: 24}
   - {stage: tile.free_faces, cell: 3 mm}
   - {stage: fill.implicit, skin: 0.4 mm}
-  - {stage: slice.field, pixel: 0.3 mm, grey: 2}
-  - {stage: write.png, id: fast, path: grey}
+  - {stage: slice.field, pixel: 0.3 mm, gray: 2}
+  - {stage: write.png, id: fast, path: gray}
   - {stage: slice.field, id: thin, pixel: 0.31 mm, layer: 0.2 mm}
   - {stage: write.png, id: exact, path: binary}
   - {stage: write.picture, id: view, path: part.png, resolution: 6, size: [160, 120]}
@@ -44,8 +44,8 @@ RUN = """
 import sys
 from pathlib import Path
 from sppm_pipeline.engine.runner import run_plan
-from sppm_pipeline.engine.session import Order, open_session
-session = open_session(Order(sys.argv[1], ("sppm_pipeline.stages", "sppm_pipeline.engine.executors"), (), False))
+from sppm_pipeline.engine.session import RunRequest, open_session
+session = open_session(RunRequest(sys.argv[1], ("sppm_pipeline.stages", "sppm_pipeline.engine.executors"), (), False))
 run_plan(session.plan(), Path(sys.argv[2]), threads=2)
 """
 
@@ -62,7 +62,7 @@ def digests(folder):
 def test_threads_and_processes_change_no_byte(run_yaml, tmp_path):
     _, one = run_yaml(YAML, threads=1, to="one")
     expected = digests(one)
-    assert {"graph.json", "cell.obj", "sheet.png", "grey/00000.png", "binary/manifest.json", "part.png", "part.stl",
+    assert {"graph.json", "cell.obj", "sheet.png", "gray/00000.png", "binary/manifest.json", "part.png", "part.stl",
             "part.ply", "fresh/00009.png"} <= set(expected)  # fmt: skip
     _, two = run_yaml(YAML, threads=2, to="two")
     assert digests(two) == expected

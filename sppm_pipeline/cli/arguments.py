@@ -11,22 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.plugins import Plugins
-    from sppm_pipeline.engine.session import Order, Session
-
-__all__ = [
-    "ALLOWED",
-    "BUILTINS",
-    "add_cache",
-    "add_configuration",
-    "add_plugins",
-    "allowed_from",
-    "cache_of",
-    "find_configuration",
-    "open_from",
-    "order_from",
-    "plugins_from",
-    "warn_of_failed_plugins",
-]
+    from sppm_pipeline.engine.session import RunRequest, Session
 
 BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
 """Modules whose hook implementations are always there."""
@@ -110,12 +95,12 @@ def find_configuration(name: str) -> Path:
     raise ConfigError(f"there is no configuration {name!r}", hint=hint)
 
 
-def order_from(args: Namespace) -> Order:
+def order_from(args: Namespace) -> RunRequest:
     """What the arguments ask for."""
-    from sppm_pipeline.engine.session import Order
+    from sppm_pipeline.engine.session import RunRequest
     from sppm_pipeline.engine.substitution import Overrides
 
-    return Order(
+    return RunRequest(
         file=str(find_configuration(args.file)),
         builtins=BUILTINS,
         plugins=tuple(args.plugin),

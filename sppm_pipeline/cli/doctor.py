@@ -14,8 +14,6 @@ from pathlib import Path
 
 from sppm_pipeline.cli.arguments import add_plugins, plugins_from
 
-__all__ = ["configure", "execute"]
-
 Finding = tuple[bool, str, str]
 """Whether all is well, what was looked at, what was found."""
 

@@ -13,8 +13,6 @@ from sppm_pipeline.cli.limits import add_limits, limits_of
 if TYPE_CHECKING:
     from sppm_pipeline.engine.estimate import Forecast
 
-__all__ = ["configure", "execute"]
-
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from sppm_pipeline.cli.arguments import add_cache, add_configuration, cache_of, open_from, plugins_from
 
-__all__ = ["configure", "execute"]
-
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""

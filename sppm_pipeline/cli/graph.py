@@ -6,8 +6,6 @@ from argparse import ArgumentParser, Namespace
 
 from sppm_pipeline.cli.arguments import add_configuration, open_from
 
-__all__ = ["configure", "execute"]
-
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""

@@ -11,8 +11,6 @@ import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-__all__ = ["Interrupted", "interruptibly"]
-
 PATIENCE = 0.6
 """Seconds that work is given to end by itself."""
 

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["VERBS", "leave", "main"]
-
 VERBS = {
     "run": "run a pipeline, or every row of its sweep",
     "check": "check a configuration and print its wiring, without running it",

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from sppm_pipeline.errors import ConfigError
 
-__all__ = ["configure", "execute"]
-
 _PLACE = "jittered_grid"
 
 

@@ -9,8 +9,6 @@ from typing import Any
 
 from sppm_pipeline.cli.arguments import BUILTINS, add_plugins, allowed_from, plugins_from
 
-__all__ = ["configure", "execute", "findings_of"]
-
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""

@@ -11,8 +11,6 @@ from typing import Any, TextIO
 
 from sppm_pipeline.engine.monitor import Monitor
 
-__all__ = ["ProgressLines"]
-
 REDRAW = 0.1
 """Seconds between two redraws on a terminal."""
 

@@ -11,8 +11,6 @@ from typing import Any
 from sppm_pipeline.cli.arguments import add_cache, add_configuration, cache_of, open_from
 from sppm_pipeline.cli.limits import add_limits, limits_of
 
-__all__ = ["configure", "execute"]
-
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""

@@ -7,8 +7,6 @@ from argparse import ArgumentParser, Namespace
 
 from sppm_pipeline.cli.arguments import add_plugins, plugins_from
 
-__all__ = ["configure", "execute"]
-
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""

@@ -11,8 +11,6 @@ from sppm_pipeline.cli.arguments import add_plugins, plugins_from
 if TYPE_CHECKING:
     from sppm_pipeline.engine.registry import Registry
 
-__all__ = ["configure", "execute"]
-
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""

@@ -21,8 +21,6 @@ from types import FrameType
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.process import interruption
 
-__all__ = ["CRASHES", "supervised", "watched"]
-
 PATIENCE = 1.1
 """Seconds that the child is given to end by itself; within `interrupts.PATIENCE` it puts everything in order."""
 

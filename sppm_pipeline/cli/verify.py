@@ -7,8 +7,6 @@ import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-__all__ = ["configure", "execute"]
-
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""

@@ -1,1 +1,1 @@
-"""The nouns that pass between stages: frozen, with read-only arrays, a summary, a digest and a check."""
+"""The artifacts that pass between stages: frozen, with read-only arrays, a summary, a digest and a check."""

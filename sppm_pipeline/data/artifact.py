@@ -1,4 +1,4 @@
-"""What all nouns share: read-only arrays, a digest of their content, a summary for the run record."""
+"""What all artifacts share: read-only arrays, a digest of their content, a summary for the run record."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-__all__ = ["Noun", "frozen"]
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -22,18 +20,18 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-class Noun:
+class Artifact:
     """Base of everything a stage may make. Subclasses are frozen dataclasses."""
 
     def summary(self) -> dict[str, Any]:
-        """Numbers that describe the noun, JSON-ready, under plain names; they go into the run record."""
+        """Numbers that describe the artifact, JSON-ready, under plain names; they go into the run record."""
         return {}
 
     def check(self) -> None:
-        """Raise `ValueError` if the parts of the noun contradict each other; the engine calls it on every result."""
+        """Raise `ValueError` if the parts contradict each other; the engine calls it on every result."""
 
     def digest(self) -> str:
-        """SHA-256 of the noun's public fields: type, names, array dtypes, shapes and bytes."""
+        """SHA-256 of the artifact's public fields: type, names, array dtypes, shapes and bytes."""
         h = hashlib.sha256()
         _feed(h, self)
         return h.hexdigest()
@@ -41,10 +39,10 @@ class Noun:
 
 def _feed(h: Any, value: Any) -> None:
     """Hash `value` with its type and length in front, so that different structures can't collide by concatenation."""
-    if isinstance(value, Noun) or (isinstance(value, tuple) and hasattr(value, "_fields")):
+    if isinstance(value, Artifact) or (isinstance(value, tuple) and hasattr(value, "_fields")):
         names = (
             [f.name for f in fields(value) if f.compare]  # type: ignore[arg-type]
-            if isinstance(value, Noun)
+            if isinstance(value, Artifact)
             else list(value._fields)
         )
         h.update(f"{type(value).__name__}{len(names)};".encode())

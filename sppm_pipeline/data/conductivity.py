@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun, frozen
-
-__all__ = ["ConductivityReport"]
+from sppm_pipeline.data.artifact import Artifact, frozen
 
 
 @dataclass(frozen=True, eq=False)
-class ConductivityReport(Noun):
+class ConductivityReport(Artifact):
     """Effective conductivity, or diffusivity, of a periodic cell, and how it was computed.
 
     Attributes

@@ -8,10 +8,8 @@ from typing import Any
 
 from sppm_pipeline.data.palette import Palette
 
-__all__ = ["Estimate", "Facts", "Given"]
-
 Facts = Mapping[str, Any]
-"""What is known of a noun before it exists, by plain names that stages agree on, for instance `triangles`."""
+"""What is known of an artifact before it exists, by plain names that stages agree on, for instance `triangles`."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ class Given:
     Attributes
     ----------
     palette : Palette
-        How many interiors and face colours are wanted.
+        How many interiors and face colors are wanted.
     ports : mapping of port to Facts or None
         None for an optional port that is left open.
     recipes : mapping of port to function of palette to Estimate

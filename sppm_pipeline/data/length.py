@@ -6,10 +6,8 @@ import math
 import re
 from dataclasses import dataclass
 
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.errors import ConfigError
-
-__all__ = ["UNITS_IN_MM", "Cell", "Length", "parse_length"]
 
 UNITS_IN_MM = {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
@@ -34,7 +32,7 @@ class Length:
         return f"{self.value:g} {self.unit}" if self.unit else f"{self.value:g}"
 
     def mm(self) -> float:
-        """The length in millimetres; a bare number is millimetres."""
+        """The length in millimeters; a bare number is millimeters."""
         return self.value * (UNITS_IN_MM[self.unit] if self.unit else 1.0)
 
 
@@ -65,7 +63,7 @@ def parse_length(value: object) -> Length:
 
 
 @dataclass(frozen=True)
-class Cell(Noun):
+class Cell(Artifact):
     """The periodic cube in which pores are designed.
 
     Inside the program a cell is the unit cube; `edge` says how long that cube's edge is in the lengths that the
@@ -76,7 +74,7 @@ class Cell(Noun):
     edge : float
         Edge length in the user's lengths.
     physical : bool
-        Whether the user's lengths are millimetres.
+        Whether the user's lengths are millimeters.
     """
 
     edge: float = 1.0

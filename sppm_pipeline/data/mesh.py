@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun, frozen
-
-__all__ = ["SurfaceMesh"]
+from sppm_pipeline.data.artifact import Artifact, frozen
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceMesh(Noun):
+class SurfaceMesh(Artifact):
     """An indexed triangle mesh; faces are oriented so that their normals point out of the solid.
 
     Attributes

@@ -1,4 +1,4 @@
-"""How many interiors and face colours a recipe is asked to draw in one go."""
+"""How many interiors and face colors a recipe is asked to draw in one go."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Palette"]
-
 
 @dataclass(frozen=True, eq=False)
 class Palette:
     """The interiors and face patterns that samplers and connectors have to supply.
 
-    A lone periodic cell asks for one interior and one colour. Interior t may meet any colour on each of its six
+    A lone periodic cell asks for one interior and one color. Interior t may meet any color on each of its six
     sides, unless `meetings` lists the combinations that occur.
 
     Attributes
@@ -24,7 +22,7 @@ class Palette:
     colors : tuple of 3 ints
         The number of face patterns perpendicular to x, y, z.
     meetings : (p, 4) int64 or None
-        Rows (interior, axis, side, colour); side 0 is the low face. None: all combinations.
+        Rows (interior, axis, side, color); side 0 is the low face. None: all combinations.
     """
 
     interiors: int = 1

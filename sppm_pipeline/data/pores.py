@@ -1,4 +1,4 @@
-"""Pores of a cell, or of all the interiors and coloured faces of a tile set."""
+"""Pores of a cell, or of all the interiors and colored faces of a tile set."""
 
 from __future__ import annotations
 
@@ -9,17 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun, frozen
+from sppm_pipeline.data.artifact import Artifact, frozen
 from sppm_pipeline.data.length import Cell
-
-__all__ = ["PoreSet"]
 
 
 @dataclass(frozen=True, eq=False)
-class PoreSet(Noun):
-    """Pore centres, grouped by the piece of the cell they belong to.
+class PoreSet(Artifact):
+    """Pore centers, grouped by the piece of the cell they belong to.
 
-    Pieces are numbered: interior t is piece t; the face pattern perpendicular to `axis` with colour k is piece
+    Pieces are numbered: interior t is piece t; the face pattern perpendicular to `axis` with color k is piece
     ``interiors + sum(colors[:axis]) + k``. A face pore is listed once, in the plane coordinate 0 of its axis; its
     twin on the opposite face is its image at coordinate 1 (paper, section 2.1, "Boundary Periodicity Regulation").
 
@@ -51,7 +49,7 @@ class PoreSet(Noun):
         if self.piece.shape != (len(self.centers),):
             raise ValueError(f"{len(self.centers)} pores but {self.piece.shape} piece numbers")
         if not np.isfinite(self.centers).all():
-            raise ValueError("pore centres must be finite")
+            raise ValueError("pore centers must be finite")
         if len(self.piece) and not 0 <= self.piece.min() <= self.piece.max() < self.interiors + sum(self.colors):
             raise ValueError("a pore belongs to a piece that does not exist")
         for axis in range(3):
@@ -78,7 +76,7 @@ class PoreSet(Noun):
         return order[start[piece] : start[piece + 1]]
 
     def of_piece(self, piece: int) -> NDArray[np.float64]:
-        """Centres of one piece, (k, 3)."""
+        """Centers of one piece, (k, 3)."""
         return self.centers[self.indices(piece)]
 
     @cached_property

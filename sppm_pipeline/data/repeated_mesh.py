@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun, frozen
+from sppm_pipeline.data.artifact import Artifact, frozen
 from sppm_pipeline.data.mesh import SurfaceMesh
-
-__all__ = ["RepeatedMesh"]
 
 
 @dataclass(frozen=True, eq=False)
-class RepeatedMesh(Noun):
+class RepeatedMesh(Artifact):
     """A mesh that stands at several places; copies may touch each other, each is closed by itself.
 
     Attributes

@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun, frozen
+from sppm_pipeline.data.artifact import Artifact, frozen
 
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.homogenization.stiffness.bounds import Bounds
 
-__all__ = ["StiffnessReport"]
-
 
 @dataclass(frozen=True, eq=False)
-class StiffnessReport(Noun):
+class StiffnessReport(Artifact):
     """The stiffness C^H of a cell that repeats for ever, in Voigt order xx, yy, zz, yz, xz, xy, engineering shear.
 
     Attributes

@@ -1,9 +1,9 @@
-"""Nouns on disk: a tree of plain values as JSON, and their arrays as .npy files.
+"""Artifacts on disk: a tree of plain values as JSON, and their arrays as .npy files.
 
-Works for every frozen dataclass made of arrays, numbers, texts, tuples, lists, mappings, named tuples and further
-frozen dataclasses, so that a new noun needs nothing of its own. Fields with ``compare=False`` hold what can be worked
-out again; they start anew. Nothing is pickled: reading a file builds values and calls the constructors of nouns, and
-never anything else.
+Works for every frozen dataclass made of arrays, numbers, strings, tuples, lists, mappings, named tuples and further
+frozen dataclasses, so that a new artifact needs nothing of its own. Fields with ``compare=False`` hold what can be
+worked out again; they start anew. Nothing is pickled: reading a file builds values and calls the constructors of
+artifacts, and never anything else.
 
 Arrays of some size have a file each. Small ones, of which a tile set has thousands, share one file, each at a
 multiple of 64 bytes.
@@ -25,8 +25,6 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-__all__ = ["DamagedError", "NotStorable", "StoredFile", "load_value", "save_value", "stored_bytes"]
 
 TREE = "value.json"
 SHARED = "small.npy"
@@ -73,7 +71,7 @@ def save_value(value: Any, folder: Path, *, durable: bool = False) -> list[Store
     Parameters
     ----------
     value : object
-        A noun, or whatever nouns are made of.
+        An artifact, or whatever artifacts are made of.
     folder : Path
     durable : bool
         Whether the files have to survive that the machine stops right after.
@@ -128,7 +126,7 @@ def load_value(folder: Path, files: Mapping[str, StoredFile]) -> Any:
     Raises
     ------
     DamagedError
-        If a size or a digest differs, or a noun's class is gone.
+        If a size or a digest differs, or an artifact's class is gone.
     FileNotFoundError
         If a file is missing.
     """
@@ -208,15 +206,15 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
             if not field.init:
                 raise NotStorable(f"{type(value).__name__}.{field.name} is not set by the constructor")
             fields[field.name] = _encode(getattr(value, field.name), arrays)
-        return {"noun": _name_of(type(value)), "fields": fields}
+        return {"artifact": _name_of(type(value)), "fields": fields}
     raise NotStorable(type(value).__name__)
 
 
 def _decode(tree: Any, arrays: list[NDArray[Any]]) -> Any:
     if not isinstance(tree, dict):
         return tree
-    if "noun" in tree:
-        cls = _class_of(tree["noun"], _is_frozen)
+    if "artifact" in tree:
+        cls = _class_of(tree["artifact"], _is_frozen)
         return cls(**{name: _decode(item, arrays) for name, item in tree["fields"].items()})
     ((kind, content),) = tree.items()
     match kind:

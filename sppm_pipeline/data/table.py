@@ -9,10 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.errors import ConfigError
-
-__all__ = ["RunFile", "Table"]
 
 
 class RunFile(NamedTuple):
@@ -31,7 +29,7 @@ class RunFile(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Table(Noun):
+class Table(Artifact):
     """Named columns of equal length.
 
     Attributes

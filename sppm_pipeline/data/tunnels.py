@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun, frozen
+from sppm_pipeline.data.artifact import Artifact, frozen
 from sppm_pipeline.data.pores import PoreSet
-
-__all__ = ["TunnelGraph"]
 
 
 @dataclass(frozen=True, eq=False)
-class TunnelGraph(Noun):
+class TunnelGraph(Artifact):
     """Edges between the pores of a `PoreSet`.
 
     Edge (i, j) with shift s is the tunnel from pore i to the image of pore j at ``centers[j] + s``. An edge inside one

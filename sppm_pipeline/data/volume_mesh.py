@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun, frozen
-
-__all__ = ["VolumeMesh"]
+from sppm_pipeline.data.artifact import Artifact, frozen
 
 
 @dataclass(frozen=True, eq=False)
-class VolumeMesh(Noun):
+class VolumeMesh(Artifact):
     """A mesh of tetrahedra with positive volume, straight (4 nodes) or quadratic (10 nodes).
 
     Attributes

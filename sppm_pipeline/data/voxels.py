@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun
-
-__all__ = ["Voxels"]
+from sppm_pipeline.data.artifact import Artifact
 
 
 @dataclass(frozen=True, eq=False)
-class Voxels(Noun):
+class Voxels(Artifact):
     """An image of a structure: a phase for each voxel, or how much of each voxel is solid.
 
     Attributes
@@ -26,7 +24,7 @@ class Voxels(Noun):
         Edges of a voxel, mm, or cell edges if `physical` is False.
     physical : bool
     periodic : tuple of 3 bools
-        Whether opposite sides are neighbours.
+        Whether opposite sides are neighbors.
     """
 
     values: NDArray[np.uint8] | NDArray[np.float32]

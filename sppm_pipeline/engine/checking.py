@@ -13,8 +13,6 @@ from sppm_pipeline.engine.session import Session
 from sppm_pipeline.engine.sweep import Row, check_sweep, sweep_rows
 from sppm_pipeline.errors import ConfigError
 
-__all__ = ["checked", "forecasts", "refuse_unfit"]
-
 MOST_FORECASTS = 50
 """Rows of a sweep that are foretold; of more, evenly spread ones stand for all."""
 

@@ -15,8 +15,6 @@ from sppm_pipeline.engine.document import Entry, Node, Override, plain, read_yam
 from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, Position
 
-__all__ = ["FORMAT", "MAX_SEED", "RESERVED", "Configuration", "StageEntry", "read_configuration", "stage_entries"]
-
 FORMAT = 1
 """Version of the file format: the value of the key `sppm`."""
 

@@ -19,8 +19,6 @@ from sppm_pipeline.process.interruption import check
 from sppm_pipeline.process.resources import memory_budget, wished_memory
 from sppm_pipeline.stage import Context
 
-__all__ = ["RunContext", "StageLog", "generator"]
-
 
 def generator(seed: int, path: tuple[str, ...], key: tuple[int, ...]) -> np.random.Generator:
     """The generator of one draw: a function of the run's seed, the stage's path and a key, and of nothing else.

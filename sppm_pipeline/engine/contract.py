@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.data.artifact import Noun
-
-__all__ = ["CONTRACT", "changed", "digests", "is_strict", "not_finite"]
+from sppm_pipeline.data.artifact import Artifact
 
 CONTRACT = "SPPM_CONTRACT"
 """Environment variable that switches the costly checks on, for those who write plugins."""
@@ -24,9 +22,9 @@ def is_strict() -> bool:
 
 
 def not_finite(made: Any) -> str | None:
-    """The place of a NaN or infinity in the arrays and numbers of a noun; None if there is none.
+    """The place of a NaN or infinity in the arrays and numbers of an artifact; None if there is none.
 
-    Infinities in private fields, and in fields that no comparison looks at, are the noun's own business.
+    Infinities in private fields, and in fields that no comparison looks at, are the artifact's own business.
     """
     for place, value in _parts(made, type(made).__name__):
         if isinstance(value, np.ndarray):
@@ -39,8 +37,8 @@ def not_finite(made: Any) -> str | None:
 
 
 def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
-    """Arrays and numbers of nouns, tuples and lists, with their places; tables may hold NaN where a run failed."""
-    if isinstance(value, Noun):
+    """Arrays and numbers of artifacts, tuples and lists, with their places; tables may hold NaN where a run failed."""
+    if isinstance(value, Artifact):
         for field in dataclasses.fields(value):  # type: ignore[arg-type]
             if field.compare and not field.name.startswith("_"):
                 yield from _parts(getattr(value, field.name), f"{place}.{field.name}")
@@ -56,14 +54,14 @@ def digests(inputs: Mapping[str, Any]) -> dict[str, str]:
     """The digest of each input that has one."""
     found = {}
     for port, value in inputs.items():
-        if isinstance(value, Noun):
+        if isinstance(value, Artifact):
             try:
                 found[port] = value.digest()
-            except (TypeError, AttributeError):  # a noun that computes what it holds while it is read
+            except (TypeError, AttributeError):  # an artifact that computes what it holds while it is read
                 continue
     return found
 
 
 def changed(inputs: Mapping[str, Any], before: Mapping[str, str]) -> list[str]:
-    """The ports whose nouns are not what they were."""
+    """The ports whose artifacts are not what they were."""
     return [port for port, digest in digests({name: inputs[name] for name in before}).items() if digest != before[port]]

@@ -8,13 +8,11 @@ from typing import Any
 
 from sppm_pipeline.engine.options import Option, allowed_words, options_of, plain_option
 from sppm_pipeline.engine.plan import Plan, step_options
-from sppm_pipeline.engine.ports import noun_words, signature_of
+from sppm_pipeline.engine.ports import artifact_words, signature_of
 from sppm_pipeline.engine.registry import Registry
 from sppm_pipeline.engine.wiring import Step
 from sppm_pipeline.errors import PluginError
 from sppm_pipeline.stage import FAMILIES, Stage
-
-__all__ = ["explain_plan", "purpose_of", "stage_data", "stage_list", "stage_text"]
 
 
 def purpose_of(cls: type[Stage]) -> str:
@@ -29,7 +27,7 @@ def _takes(cls: type[Stage]) -> list[dict[str, Any]]:
     return [
         {
             "port": port.name,
-            "takes": "a recipe" if port.is_recipe else noun_words(port.types),
+            "takes": "a recipe" if port.is_recipe else artifact_words(port.types),
             "optional": port.optional,
         }
         for port in signature_of(cls).ports
@@ -38,7 +36,7 @@ def _takes(cls: type[Stage]) -> list[dict[str, Any]]:
 
 def _makes(cls: type[Stage]) -> str:
     signature = signature_of(cls)
-    return "what its recipe makes" if signature.as_recipe else noun_words(signature.makes)
+    return "what its recipe makes" if signature.as_recipe else artifact_words(signature.makes)
 
 
 def stage_data(cls: type[Stage], registry: Registry) -> dict[str, Any]:
@@ -140,7 +138,7 @@ def _explained(step: Step, path: str) -> list[str]:
             lines.append(f"      {port.name}: recipe {step.recipes.get(port.name, '(none)')}")
         else:
             lines.append(f"      {port.name}: {step.inputs.get(port.name) or '(open)'}")
-    lines.append(f"      makes {noun_words(step.makes)}; random numbers from seed and {path!r}")
+    lines.append(f"      makes {artifact_words(step.makes)}; random numbers from seed and {path!r}")
     for name, value in step_options(step).items():
         mark = "" if name in step.entry.options else " (default)"
         shown = "none" if value is None else str(value).lower() if isinstance(value, bool) else value

@@ -11,8 +11,6 @@ import os
 import re
 import sys
 
-__all__ = ["installed_version", "requirements_of"]
-
 _FOLDER = re.compile(r"(.+?)-([^-]+)(-py[\d.]+)?\.(dist|egg)-info")
 _REQUIRED = re.compile(r"^Requires-Dist: ([\w.-]+)(.*)$", re.MULTILINE)
 _NOT_IN_USE = re.compile(r"extra\s*==\s*['\"](test|dev|docs)['\"]")

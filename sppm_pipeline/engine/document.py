@@ -27,8 +27,6 @@ from sppm_pipeline.engine.limits import (
 )
 from sppm_pipeline.errors import ConfigError, Position, ResourceError
 
-__all__ = ["Entry", "Node", "Override", "as_node", "count_nodes", "parse_value", "parse_yaml", "plain", "read_yaml"]
-
 RECORD_KEY = "sppm_run"
 """First key of a run record; its `config`, which comes next, is then the document, and the rest is not read."""
 

@@ -15,8 +15,6 @@ from sppm_pipeline.engine.wiring import Step
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.process.resources import MEMORY, allowed_memory, free_disk, words_for_bytes
 
-__all__ = ["Forecast", "Foretold", "estimate_plan", "refuse_what_cannot_fit"]
-
 BASE = 150e6
 """Bytes of the program with its libraries and compiled kernels."""
 

@@ -15,8 +15,6 @@ from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.process.interruption import die_with_parent
 
-__all__ = ["SerialExecutor", "make_executor", "sppm_executors"]
-
 
 class SerialExecutor(Executor):
     """Runs each task at once, in the calling thread."""

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from sppm_pipeline.errors import ResourceError
 
-__all__ = ["clear", "digest_of", "files_in", "remove", "size_of", "sync", "tree_digest", "write_whole"]
-
 
 def files_in(path: Path) -> list[str]:
     """Names of all files below a folder, in order, relative to it."""

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from sppm_pipeline.engine.plan import SWEEP_ID, Plan
-from sppm_pipeline.engine.ports import noun_words
+from sppm_pipeline.engine.ports import artifact_words
 from sppm_pipeline.engine.wiring import Step
-
-__all__ = ["dot_graph", "mermaid_graph", "wiring_text"]
 
 
 def wiring_text(plan: Plan) -> str:
@@ -18,7 +16,7 @@ def wiring_text(plan: Plan) -> str:
         lines.append(title)
         width = max((len(_title(step)) for step in steps), default=0)
         for number, step in enumerate(steps, 1):
-            lines.append(f"  {number:2d} {_title(step):{width}s} -> {noun_words(step.makes)}")
+            lines.append(f"  {number:2d} {_title(step):{width}s} -> {artifact_words(step.makes)}")
             for port in step.signature.ports:
                 if port.is_recipe:
                     name = step.recipes.get(port.name)
@@ -42,9 +40,9 @@ def _title(step: Step) -> str:
 
 
 def _edges(plan: Plan) -> Iterator[tuple[str, str, str, bool]]:
-    """(from, to, label, dashed): nouns along solid edges, recipes along dashed ones."""
+    """(from, to, label, dashed): artifacts along solid edges, recipes along dashed ones."""
     for _, steps in _groups(plan):
-        made = {step.id: noun_words(step.makes) for step in steps} | {SWEEP_ID: "Table"}
+        made = {step.id: artifact_words(step.makes) for step in steps} | {SWEEP_ID: "Table"}
         is_after = steps is plan.after
         for step in steps:
             for port, source in step.inputs.items():

@@ -8,8 +8,6 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["json_text", "jsonable"]
-
 
 def jsonable(value: Any) -> Any:
     """`value` with numpy numbers and arrays as plain ones, tuples as lists, NaN and infinities as None.

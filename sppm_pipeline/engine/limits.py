@@ -11,20 +11,6 @@ import re
 
 from sppm_pipeline.errors import ConfigError, Position
 
-__all__ = [
-    "MAX_BYTES",
-    "MAX_DEPTH",
-    "MAX_DIGITS",
-    "MAX_KEY",
-    "MAX_NODES",
-    "MAX_RECORD",
-    "MAX_SCALAR",
-    "decoded",
-    "parsable",
-    "refuse_unparsed",
-    "unprintable",
-]
-
 MAX_BYTES = 1 << 18
 """Bytes of a configuration file."""
 

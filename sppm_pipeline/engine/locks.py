@@ -17,8 +17,6 @@ try:
 except ImportError:
     fcntl = None
 
-__all__ = ["FolderLock"]
-
 
 class FolderLock:
     """An exclusive lock on a folder or file that exists."""

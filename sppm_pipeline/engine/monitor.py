@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["Monitor"]
-
 
 class Monitor:
     """Receives the events of a run; this one ignores them. Calls may come from several threads."""

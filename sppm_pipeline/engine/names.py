@@ -11,8 +11,6 @@ from sppm_pipeline.engine.limits import unprintable
 from sppm_pipeline.engine.problems import Problems, shown
 from sppm_pipeline.errors import ConfigError, Position
 
-__all__ = ["RESERVED_NAMES", "STAGING", "collide", "folded", "output_parts", "refuse_clashes"]
-
 STAGING = ".staging-"
 RESERVED_NAMES = frozenset({"run.json", "sha256sums", "sweep.csv", "sweep.json", "runs"})
 

@@ -20,8 +20,6 @@ from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.stage import OptionSpec, Stage
 
-__all__ = ["Option", "allowed_words", "options_of", "parse_options", "parse_typed", "plain_option", "type_words"]
-
 SMALLEST_MM, LARGEST_MM = 1e-6, 1e6
 """A length with a unit lies between a nanometre and a kilometre; anything else is a slip."""
 
@@ -290,12 +288,12 @@ def _member_words(kind: Any, plural: bool) -> str:
     if typing.get_origin(kind) is not tuple:
         return _WORDS[kind][plural]
     elements = typing.get_args(kind)
-    noun = "lists" if plural else "a list"
+    artifact = "lists" if plural else "a list"
     if len(elements) == 2 and elements[1] is Ellipsis:
-        return f"{noun} of {type_words(elements[0], plural=True)}"
+        return f"{artifact} of {type_words(elements[0], plural=True)}"
     if len(set(elements)) == 1:
-        return f"{noun} of {len(elements)} {type_words(elements[0], plural=True)}"
-    return f"{noun} of {', '.join(type_words(element) for element in elements)}"
+        return f"{artifact} of {len(elements)} {type_words(elements[0], plural=True)}"
+    return f"{artifact} of {', '.join(type_words(element) for element in elements)}"
 
 
 def allowed_words(option: Option) -> str:

@@ -21,19 +21,6 @@ from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
 
-__all__ = [
-    "RECORD",
-    "SUMS",
-    "SWEEP_RUNS",
-    "RunFolder",
-    "Scratch",
-    "digest_of",
-    "is_run",
-    "output_parts",
-    "remove_stale_runs",
-    "write_whole",
-]
-
 RECORD = "run.json"
 SUMS = "SHA256SUMS"
 SWEEP_RUNS = "runs"

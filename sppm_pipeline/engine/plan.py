@@ -21,8 +21,6 @@ from sppm_pipeline.engine.wiring import Draft, Step, recipe_order, wire
 from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError
 from sppm_pipeline.process.containment import contained
 
-__all__ = ["SWEEP_ID", "Plan", "make_plan", "step_options"]
-
 SWEEP_ID = "sweep"
 """Id under which the stages of `after` find the table of the sweep."""
 
@@ -143,7 +141,7 @@ _AFTER = "after:"  # no recipe can have these names
 
 
 def _table() -> type:
-    """The noun of a sweep's table; imported late because nouns import numpy."""
+    """The artifact of a sweep's table; imported late because artifacts import numpy."""
     table: type = importlib.import_module("sppm_pipeline.data.table").Table
     return table
 

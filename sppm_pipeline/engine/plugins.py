@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from sppm_pipeline.stage import Stage
 
-__all__ = ["API_CONSTANT", "Plugin", "Plugins", "installed_plugins", "load_plugins"]
-
 API_CONSTANT = "SPPM_API_VERSION"
 """Name under which the module of a plugin may say which version of the interface it was written for."""
 

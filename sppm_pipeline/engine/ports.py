@@ -13,8 +13,6 @@ from typing import Any
 from sppm_pipeline.errors import PluginError
 from sppm_pipeline.stage import Recipe, Stage
 
-__all__ = ["Port", "Signature", "fits", "noun_words", "signature_of"]
-
 
 @dataclass(frozen=True)
 class Port:
@@ -24,7 +22,7 @@ class Port:
     ----------
     name : str
     types : tuple of type
-        The nouns it takes; empty for a recipe.
+        The artifacts it takes; empty for a recipe.
     optional : bool
     """
 
@@ -34,7 +32,7 @@ class Port:
 
     @property
     def is_recipe(self) -> bool:
-        """Whether it is handed a recipe and not a noun."""
+        """Whether it is handed a recipe and not an artifact."""
         return not self.types
 
 
@@ -50,7 +48,7 @@ class Signature:
     as_recipe : bool
         Whether it makes what its recipe makes (the result is annotated ``Any``).
     as_port : str or None
-        The port whose noun it passes on (port and result are annotated with the same type variable).
+        The port whose artifact it passes on (port and result are annotated with the same type variable).
     """
 
     ports: tuple[Port, ...]
@@ -75,7 +73,7 @@ def signature_of(cls: type[Stage]) -> Signature:
     except Exception as error:
         raise PluginError(
             f"the annotations of {name} can't be resolved: {error}",
-            hint="import the nouns for real, not under TYPE_CHECKING",
+            hint="import the artifacts for real, not under TYPE_CHECKING",
         ) from error
     if not parameters or parameters[0].name != "context":
         raise PluginError(f"the first parameter of {name} must be `context`")
@@ -91,7 +89,7 @@ def signature_of(cls: type[Stage]) -> Signature:
     result = hints["return"]
     if result is Any:
         if not any(port.is_recipe for port in ports):
-            raise PluginError(f"{name} makes Any, which only a stage with a recipe may", hint="name the noun it makes")
+            raise PluginError(f"{name} makes Any, which only a stage with a recipe may", hint="name the type it makes")
         return Signature(tuple(ports), (), True)
     makes = _members(result, f"the result of {name}")
     same = [port.name for port in ports if isinstance(result, typing.TypeVar) and hints[port.name] is result]
@@ -102,14 +100,14 @@ def signature_of(cls: type[Stage]) -> Signature:
 def _port(port: str, hint: Any, name: str) -> Port:
     members = _members(object if hint is Any else hint, f"the port {port!r} of {name}")
     optional = types.NoneType in members
-    nouns = tuple(member for member in members if member is not types.NoneType)
-    if Recipe in nouns:
-        if nouns != (Recipe,):
-            raise PluginError(f"the port {port!r} of {name} must take either a recipe or nouns")
+    artifacts = tuple(member for member in members if member is not types.NoneType)
+    if Recipe in artifacts:
+        if artifacts != (Recipe,):
+            raise PluginError(f"the port {port!r} of {name} must take either a recipe or artifacts")
         return Port(port, (), optional)
-    if not nouns:
+    if not artifacts:
         raise PluginError(f"the port {port!r} of {name} takes nothing")
-    return Port(port, nouns, optional)
+    return Port(port, artifacts, optional)
 
 
 def _members(hint: Any, what: str) -> tuple[type, ...]:
@@ -119,7 +117,7 @@ def _members(hint: Any, what: str) -> tuple[type, ...]:
     members = tuple(types.NoneType if member is None else member for member in members)
     for member in members:
         if not isinstance(member, type) or typing.get_origin(member) is not None:
-            raise PluginError(f"{what} must be annotated with nouns (classes), got {hint}")
+            raise PluginError(f"{what} must be annotated with artifacts (classes), got {hint}")
     return members
 
 
@@ -137,7 +135,7 @@ def fits(made: tuple[type, ...], port: Port) -> bool:
     return bool(made) and made != (types.NoneType,) and all(issubclass(member, wanted) for member in made)
 
 
-def noun_words(nouns: tuple[type, ...]) -> str:
+def artifact_words(artifacts: tuple[type, ...]) -> str:
     """``SurfaceMesh or ScalarField``; "nothing" for none."""
-    words = ["a recipe" if n is Recipe else "anything" if n is object else n.__name__ for n in nouns]
+    words = ["a recipe" if n is Recipe else "anything" if n is object else n.__name__ for n in artifacts]
     return " or ".join("nothing" if word == "NoneType" else word for word in words) or "nothing"

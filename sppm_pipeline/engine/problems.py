@@ -8,8 +8,6 @@ from typing import Any
 
 from sppm_pipeline.errors import ConfigError, ConfigErrors, Position
 
-__all__ = ["Problems", "did_you_mean", "listed", "nearest", "shown"]
-
 
 class Problems:
     """Errors found so far in one configuration."""

@@ -15,8 +15,6 @@ from sppm_pipeline.engine.document import RECORD_KEY
 from sppm_pipeline.engine.plan import Plan
 from sppm_pipeline.errors import SppmError
 
-__all__ = ["RECORD_VERSION", "error_entry", "peak_memory_mb", "record_of"]
-
 RECORD_VERSION = 1
 
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")

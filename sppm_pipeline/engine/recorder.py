@@ -19,8 +19,6 @@ from sppm_pipeline.engine.sealing import sealed
 from sppm_pipeline.errors import NativeCrash, SppmError
 from sppm_pipeline.process.interruption import requested, running, stopped_running
 
-__all__ = ["Recorder", "mark_ended"]
-
 
 class Recorder:
     """Keeps ``run.json`` of a run directory true: written when the run begins, as it goes on and however it ends.

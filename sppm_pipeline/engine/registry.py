@@ -16,8 +16,6 @@ from sppm_pipeline.errors import ConfigError, PluginError, Position
 from sppm_pipeline.process.containment import contained
 from sppm_pipeline.stage import FAMILIES, Stage
 
-__all__ = ["Registry"]
-
 
 class Registry:
     """Stages of all plugins.

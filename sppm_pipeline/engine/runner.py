@@ -23,10 +23,8 @@ from sppm_pipeline.errors import ConfigError, SppmError
 from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.cache.keeper import Keeper
+    from sppm_pipeline.engine.cache.keeper import CacheSession
     from sppm_pipeline.engine.cache.store import Store
-
-__all__ = ["Recorder", "available_threads", "check_until", "run_plan", "run_steps"]
 
 
 def available_threads() -> int:
@@ -131,11 +129,11 @@ def run_steps(
     """
     if until is not None:
         steps = steps[: [step.id for step in steps].index(until) + 1]
-    keeper: Keeper | None = None
+    keeper: CacheSession | None = None
     if store is not None:
-        from sppm_pipeline.engine.cache.keeper import Keeper
+        from sppm_pipeline.engine.cache.keeper import CacheSession
 
-        keeper = Keeper(store, monitor, seed=seed, recipes=recipes, about=about)
+        keeper = CacheSession(store, monitor, seed=seed, recipes=recipes, about=about)
     run = _Run(steps, recipes, seed, threads, folder, monitor, keeper, dict(given or {}), checkpoint)
     try:
         last = last_uses(steps)
@@ -164,7 +162,7 @@ class _Run:
         threads: int,
         folder: RunFolder | None,
         monitor: Monitor,
-        keeper: Keeper | None,
+        keeper: CacheSession | None,
         given: dict[str, Any],
         checkpoint: Callable[[], None],
     ) -> None:
@@ -178,8 +176,8 @@ class _Run:
         self._keeper = keeper
         self._checkpoint = checkpoint
         if keeper is not None:
-            for id_, noun in given.items():
-                keeper.given(id_, noun.digest())
+            for id_, artifact in given.items():
+                keeper.given(id_, artifact.digest())
 
     def step(self, step: Step) -> dict[str, Any]:
         """Take a step from the cache or run it; its entry in the record."""

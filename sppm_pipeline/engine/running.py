@@ -13,7 +13,7 @@ from sppm_pipeline.engine import contract
 from sppm_pipeline.engine.context import RunContext
 from sppm_pipeline.engine.jsonable import jsonable
 from sppm_pipeline.engine.options import options_of, parse_typed
-from sppm_pipeline.engine.ports import noun_words
+from sppm_pipeline.engine.ports import artifact_words
 from sppm_pipeline.engine.problems import did_you_mean, listed
 from sppm_pipeline.engine.wiring import Step
 from sppm_pipeline.errors import ConfigError, InputError, PluginError, ResourceError, SppmError
@@ -21,8 +21,6 @@ from sppm_pipeline.process.containment import contained, limited
 from sppm_pipeline.process.interruption import check
 from sppm_pipeline.process.resources import lack
 from sppm_pipeline.stage import Context, Recipe, Stage
-
-__all__ = ["StepRecipe", "last_uses", "run_step", "summary_of"]
 
 RecipeSteps = Mapping[str, Sequence[Step]]
 
@@ -88,7 +86,7 @@ def _blame(step: Step, message: str) -> SppmError:
 def _check_result(step: Step, made: Any) -> None:
     """Type as announced, parts that agree with each other."""
     if not isinstance(made, step.makes or type(None)):
-        raise _blame(step, f"made {type(made).__name__}, but announces {noun_words(step.makes)}")
+        raise _blame(step, f"made {type(made).__name__}, but announces {artifact_words(step.makes)}")
     check = getattr(made, "check", None)
     if check is not None:
         try:

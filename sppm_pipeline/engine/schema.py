@@ -15,8 +15,6 @@ from sppm_pipeline.engine.ports import signature_of
 from sppm_pipeline.engine.registry import Registry
 from sppm_pipeline.stage import OptionSpec, Stage
 
-__all__ = ["configuration_schema"]
-
 _NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 _PARAM = {"type": "string", "pattern": r"^\$\{\s*\w+\s*\}$"}
 

@@ -10,8 +10,6 @@ from typing import Any
 
 from sppm_pipeline.engine.jsonable import json_text
 
-__all__ = ["SEAL", "BrokenSealError", "read_sealed", "sealed"]
-
 SEAL = "sha256"
 """Key of the digest, the last of the file."""
 

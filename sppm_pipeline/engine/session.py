@@ -14,11 +14,9 @@ from sppm_pipeline.engine.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.registry import Registry
 from sppm_pipeline.engine.substitution import Overrides
 
-__all__ = ["Order", "Session", "open_session"]
-
 
 @dataclass(frozen=True)
-class Order:
+class RunRequest:
     """What to run and how, in plain picklable values.
 
     Attributes
@@ -43,7 +41,7 @@ class Order:
     overrides: Overrides = field(default_factory=Overrides)
     allowed: tuple[str, ...] | None = None
 
-    def absolute(self) -> Order:
+    def absolute(self) -> RunRequest:
         """The same with absolute plugin files; the configuration keeps its name, which messages show."""
         return replace(self, plugins=tuple(str(Path(path).absolute()) for path in self.plugins))
 
@@ -52,7 +50,7 @@ class Order:
 class Session:
     """A configuration that was read, with the plugins it needs."""
 
-    order: Order
+    order: RunRequest
     configuration: Configuration
     plugins: Plugins
     registry: Registry
@@ -62,7 +60,7 @@ class Session:
         return make_plan(self.configuration, self.registry, self.order.overrides, row)
 
 
-def open_session(order: Order) -> Session:
+def open_session(order: RunRequest) -> Session:
     """Read the configuration and load the plugins.
 
     Raises

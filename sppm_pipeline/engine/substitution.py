@@ -12,8 +12,6 @@ from sppm_pipeline.engine.limits import MAX_NODES
 from sppm_pipeline.engine.problems import Problems, did_you_mean, listed, shown
 from sppm_pipeline.errors import ConfigError
 
-__all__ = ["Overrides", "Substitution", "override_options", "override_params"]
-
 _WHOLE = re.compile(r"\$\{\s*(\w+)\s*\}")
 
 

@@ -19,9 +19,9 @@ from sppm_pipeline.engine.outputs import SWEEP_RUNS, remove_stale_runs
 from sppm_pipeline.engine.plan import SWEEP_ID, Plan
 from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
 from sppm_pipeline.engine.record import error_entry
-from sppm_pipeline.engine.recorder import mark_ended
-from sppm_pipeline.engine.runner import Recorder, check_until, run_plan, run_steps
-from sppm_pipeline.engine.session import Order, Session, open_session
+from sppm_pipeline.engine.recorder import Recorder, mark_ended
+from sppm_pipeline.engine.runner import check_until, run_plan, run_steps
+from sppm_pipeline.engine.session import RunRequest, Session, open_session
 from sppm_pipeline.engine.sweep_table import columns_of, csv_text, numbers_of, rows_of
 from sppm_pipeline.errors import ConfigError, NativeCrash, SppmError
 from sppm_pipeline.process.interruption import check
@@ -29,8 +29,6 @@ from sppm_pipeline.process.interruption import check
 if TYPE_CHECKING:
     from sppm_pipeline.data.table import Table
     from sppm_pipeline.engine.cache.store import Store
-
-__all__ = ["check_sweep", "run_row", "run_sweep", "sweep_rows"]
 
 MAX_ROWS = 100_000
 
@@ -303,7 +301,7 @@ def _stop_workers() -> None:
 
 
 @functools.lru_cache(maxsize=1)
-def _session(order: Order, sweep: str) -> Session:
+def _session(order: RunRequest, sweep: str) -> Session:
     """One session a sweep and worker process, whatever the number of its rows."""
     return open_session(order)
 
@@ -314,8 +312,8 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     task : mapping
-        ``order`` (an `Order`), ``sweep`` (any text that no other sweep has), ``row`` (number of the row), ``path`` (run
-        directory), ``threads``, ``until`` and ``cache`` (folder of the cache, or None).
+        ``order`` (a `RunRequest`), ``sweep`` (a string that no other sweep has), ``row`` (number of the row),
+        ``path`` (run directory), ``threads``, ``until`` and ``cache`` (folder of the cache, or None).
 
     Returns
     -------

@@ -8,9 +8,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-__all__ = ["columns_of", "csv_text", "numbers_of", "rows_of"]
-
-
 MOST_LISTED = 6
 """Longest list whose numbers get columns of their own: vectors, and the rows and columns of a stiffness matrix."""
 

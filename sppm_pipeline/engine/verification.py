@@ -16,8 +16,6 @@ from sppm_pipeline.engine.outputs import RECORD, SUMS, SWEEP_RUNS
 from sppm_pipeline.engine.sealing import BrokenSealError, read_sealed
 from sppm_pipeline.errors import InputError
 
-__all__ = ["Finding", "finished_run", "verify_run"]
-
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 

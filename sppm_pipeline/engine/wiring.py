@@ -1,4 +1,4 @@
-"""Wiring stages by type: which earlier stage each port takes its noun from."""
+"""Wiring stages by type: which earlier stage each port takes its artifact from."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from sppm_pipeline.engine.configuration import StageEntry
 from sppm_pipeline.engine.document import Node, plain
 from sppm_pipeline.engine.plugins import Plugin
-from sppm_pipeline.engine.ports import Port, Signature, fits, noun_words, signature_of
+from sppm_pipeline.engine.ports import Port, Signature, artifact_words, fits, signature_of
 from sppm_pipeline.engine.problems import Problems, did_you_mean, listed, shown
 from sppm_pipeline.errors import Position, WiringError
 from sppm_pipeline.stage import Stage
-
-__all__ = ["Draft", "Step", "recipe_order", "wire"]
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class Step:
         Who supplies the stage.
     signature : Signature
     inputs : mapping of port to id
-        The earlier stage that each port takes its noun from; None for an optional port left open.
+        The earlier stage that each port takes its artifact from; None for an optional port left open.
     recipes : mapping of port to name
     makes : tuple of type
         What it makes, recipes taken into account.
@@ -124,10 +122,10 @@ def wire(
     ----------
     drafts : sequence of Draft or None
         In order; None stands for a stage that is unknown, after which nothing is said about missing inputs.
-    recipes : mapping of recipe name to the nouns it makes
+    recipes : mapping of recipe name to the artifacts it makes
         None if that is not known.
     problems : Problems
-    given : mapping of id to nouns, optional
+    given : mapping of id to artifacts, optional
         What is there before the first stage.
 
     Returns
@@ -201,9 +199,9 @@ def _chosen_sources(
                 hint = did_you_mean(source.value, known) or "ids are the names of the stages unless given"
                 refuse(f"there is no earlier stage {shown(source.value)}", hint, source.where)
         else:
-            nouns = made[source.value]
+            artifacts = made[source.value]
             candidates = [ports[port]] if port is not None else list(ports.values())
-            fitting = [p.name for p in candidates if nouns is None or fits(nouns, p)]
+            fitting = [p.name for p in candidates if artifacts is None or fits(artifacts, p)]
             if len(fitting) == 1:
                 chosen[fitting[0]] = source.value
             elif fitting:
@@ -213,8 +211,8 @@ def _chosen_sources(
                     source.where,
                 )
             else:
-                wanted = "; ".join(f"{p.name} takes {noun_words(p.types)}" for p in candidates) or "it has no ports"
-                refuse(f"{source.value!r} makes {noun_words(nouns or ())}, but {wanted}", None, source.where)
+                wanted = "; ".join(f"{p.name} takes {artifact_words(p.types)}" for p in candidates) or "it has no ports"
+                refuse(f"{source.value!r} makes {artifact_words(artifacts or ())}, but {wanted}", None, source.where)
     return chosen
 
 
@@ -225,17 +223,17 @@ def _sources(
     made: Mapping[str, tuple[type, ...] | None],
     problems: Problems,
 ) -> dict[str, str | None]:
-    """The source of each port: as chosen, else the nearest earlier stage that makes the noun."""
+    """The source of each port: as chosen, else the nearest earlier stage that makes the artifact."""
     inputs: dict[str, str | None] = {}
     entry = draft.entry
-    unknown = any(nouns is None for nouns in made.values())
+    unknown = any(artifacts is None for artifacts in made.values())
     for port in signature.ports:
         if port.is_recipe:
             continue
         source: str | None = chosen.get(port.name) or _nearest(port, made)
         taken_by = next((name for name, other in inputs.items() if other == source and source is not None), None)
         if taken_by is not None and port.name not in chosen:
-            # one noun for two ports is never what was meant silently
+            # one artifact for two ports is never what was meant silently
             if port.optional:
                 source = None
             elif not _wished(draft, port):
@@ -250,7 +248,7 @@ def _sources(
         if source is None and not port.optional and not unknown and not _wished(draft, port):
             problems.add(
                 WiringError(
-                    f"the port {port.name!r} needs {noun_words(port.types)}, which no earlier stage makes",
+                    f"the port {port.name!r} needs {artifact_words(port.types)}, which no earlier stage makes",
                     where=entry.where,
                     stage=entry.address,
                     hint=_made_before(made),
@@ -268,14 +266,14 @@ def _wished(draft: Draft, port: Port) -> bool:
 
 def _nearest(port: Port, made: Mapping[str, tuple[type, ...] | None]) -> str | None:
     for id_ in reversed(list(made)):
-        nouns = made[id_]
-        if nouns is not None and fits(nouns, port):
+        artifacts = made[id_]
+        if artifacts is not None and fits(artifacts, port):
             return id_
     return None
 
 
 def _made_before(made: Mapping[str, tuple[type, ...] | None]) -> str:
-    there = [f"{noun_words(nouns)} by {id_}" for id_, nouns in made.items() if nouns]
+    there = [f"{artifact_words(artifacts)} by {id_}" for id_, artifacts in made.items() if artifacts]
     return f"made before: {', '.join(there)}" if there else "nothing is made before this stage"
 
 

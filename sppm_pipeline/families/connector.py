@@ -15,8 +15,6 @@ from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.stage import Context, Stage
 
-__all__ = ["Connector", "Piece"]
-
 
 class Piece(NamedTuple):
     """The pores of one interior or one face pattern, to be joined.
@@ -25,7 +23,7 @@ class Piece(NamedTuple):
     ----------
     points : (n, 3) float64, cell edges
     periodic : bool
-        Whether tunnels may lead to images in neighbouring cells (a cell without face pores).
+        Whether tunnels may lead to images in neighboring cells (a cell without face pores).
     region : str
         "face" or "interior".
     cell : Cell

@@ -13,11 +13,9 @@ from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.process.memory import require_memory
 from sppm_pipeline.stage import Context, Stage, option
-
-__all__ = ["Cell", "VoxelHomogenizer"]
 
 
 class Cell(NamedTuple):
@@ -69,7 +67,7 @@ class VoxelHomogenizer(Stage):
     )
     fractions: str = option(
         "auto",
-        help="auto: voxels at the surface count by the share of them that is solid; binary: as their centre does",
+        help="auto: voxels at the surface count by the share of them that is solid; binary: as their center does",
         choices=("auto", "binary"),
     )
     tolerance: float = option(
@@ -146,7 +144,7 @@ class VoxelHomogenizer(Stage):
         self._check_memory(context, (x, y, z), bytes_per_voxel)
         edges = (1.0, 1.0, 1.0)
         if self.fractions == "binary":
-            return Cell(source.solid(cell_centres(n, source.cells), context.threads), None, edges)
+            return Cell(source.solid(cell_centers(n, source.cells), context.threads), None, edges)
         from sppm_pipeline.numerics.porosity.fractions import solid_fractions
 
         share = solid_fractions(

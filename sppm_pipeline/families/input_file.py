@@ -7,8 +7,6 @@ from pathlib import Path
 
 from sppm_pipeline.errors import InputError
 
-__all__ = ["content_of"]
-
 
 def content_of(path: Path, limit: int) -> bytes:
     """The bytes of a file; what is no file (a folder, a pipe, a device) is not waited for.

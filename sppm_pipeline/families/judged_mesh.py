@@ -11,8 +11,6 @@ from sppm_pipeline.stage import Context
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.domain.inside import Method
 
-__all__ = ["INSIDE", "INSIDE_HELP", "MOST_UNDECIDED", "judged"]
-
 MOST_UNDECIDED = 0.25
 """Undecided voxels over those inside; above, what is inside is guesswork."""
 

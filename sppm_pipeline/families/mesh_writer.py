@@ -13,8 +13,6 @@ from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Stage
 
-__all__ = ["MeshWriter", "foreseen_mesh", "write_mesh"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class MeshWriter(Stage):

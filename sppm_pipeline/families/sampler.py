@@ -17,8 +17,6 @@ from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Stage, option
 
-__all__ = ["InteriorBox", "Sampler", "start_of"]
-
 
 class InteriorBox(NamedTuple):
     """Where a sampler puts the pores of one interior.
@@ -27,7 +25,7 @@ class InteriorBox(NamedTuple):
     ----------
     lower, upper : (3,) float64, cell edges
     periodic : bool
-        Whether the box is the whole cell and repeats; then pores near opposite faces are neighbours.
+        Whether the box is the whole cell and repeats; then pores near opposite faces are neighbors.
     obstacles : (k, 3) float64
         Pores that are there already: those of this interior and of every face it may meet, on the side it meets it.
     cell : Cell
@@ -179,7 +177,7 @@ class _Meetings:
         low, normal = pores.centers[axis >= 0], np.eye(3)[axis[axis >= 0]]
         self._all = np.concatenate([low, low + normal])
         if max(pores.colors) == 1:
-            # patterns go on in their planes beside the cell; those of several colours keep a margin instead
+            # patterns go on in their planes beside the cell; those of several colors keep a margin instead
             shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))[:, None]
             everywhere = np.where(normal > 0, shifts >= 0, True).all(-1)
             self._all = (low + shifts)[everywhere]

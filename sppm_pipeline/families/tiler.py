@@ -17,8 +17,6 @@ from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.stage import Context, Stage, option
 
-__all__ = ["Lattice", "Tiler", "check_repeats", "foreseen_tiling", "lattice_for"]
-
 
 class Lattice(NamedTuple):
     """The cells a tiler has to fill.
@@ -61,7 +59,7 @@ def lattice_for(
     from sppm_pipeline.numerics.domain.cover import cells_touched
 
     lower, upper = cover.lower, cover.upper
-    # centred, so that opposite sides of a symmetric part are cut alike
+    # centered, so that opposite sides of a symmetric part are cut alike
     count = np.maximum(np.ceil((upper - lower) / edge - 1e-9), 1).astype(int)
     origin = (lower + upper - count * edge) / 2
     shape = (int(count[0]), int(count[1]), int(count[2]))
@@ -102,7 +100,7 @@ class Tiler(Stage):
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
     )
     periodic: bool = option(
-        False, help="the box of `cells` repeats for ever, as homogenization needs it: its opposite ends are neighbours"
+        False, help="the box of `cells` repeats for ever, as homogenization needs it: its opposite ends are neighbors"
     )
     kinds: ClassVar[tuple[str, ...]] = ("wang",)
 
@@ -126,7 +124,7 @@ class Tiler(Stage):
         interior : (nx, ny, nz) int32
             Interior of each cell, -1 where `mask` is False.
         faces : tuple of 3 int32 arrays
-            Face colours; the array of axis a has one more entry along a: plane i is the low side of cell i. -1
+            Face colors; the array of axis a has one more entry along a: plane i is the low side of cell i. -1
             where no cell touches.
         """
 

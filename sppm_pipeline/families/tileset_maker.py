@@ -1,4 +1,4 @@
-"""Base class of tile set stages: draw a recipe for many interiors and colours, and set one level for all."""
+"""Base class of tile set stages: draw a recipe for many interiors and colors, and set one level for all."""
 
 from __future__ import annotations
 
@@ -17,10 +17,8 @@ from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Recipe, Stage, option
-
-__all__ = ["TileSetMaker"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +51,7 @@ class TileSetMaker(Stage):
 
     @abstractmethod
     def palette_size(self) -> int:
-        """The number of colours that `TileSet.palette_colors` states."""
+        """The number of colors that `TileSet.palette_colors` states."""
 
     def estimate(self, given: Given) -> Estimate:
         from sppm_pipeline.numerics.forecast.costs import field_seconds
@@ -116,7 +114,7 @@ class TileSetMaker(Stage):
 
         def sums(arrays: TilingArrays) -> NDArray[np.float32]:
             threads = context.threads if len(trial) == 1 else 1
-            return Tiling(tileset, arrays, None).sums(cell_centres(n, arrays.shape), threads)
+            return Tiling(tileset, arrays, None).sums(cell_centers(n, arrays.shape), threads)
 
         if len(trial) == 1:
             return [sums(trial[0])]

@@ -11,8 +11,6 @@ from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.stage import Context, Stage
 
-__all__ = ["VolumeMeshWriter"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class VolumeMeshWriter(Stage):

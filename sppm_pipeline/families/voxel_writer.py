@@ -11,8 +11,6 @@ from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.stage import Context, Stage
 
-__all__ = ["VoxelWriter"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class VoxelWriter(Stage):

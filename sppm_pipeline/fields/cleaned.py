@@ -12,8 +12,6 @@ from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["CleanedField"]
-
 
 @dataclass(frozen=True, eq=False)
 class CleanedField(ScalarField):

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["CutField"]
-
 
 @dataclass(frozen=True, eq=False)
 class CutField(ScalarField):

@@ -13,8 +13,6 @@ from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.slice_stack import SliceStack
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["FieldSlices"]
-
 SLAB_PIXELS = 2**22
 """Pixels evaluated at a time; a slab holds at least one layer."""
 
@@ -30,14 +28,14 @@ class FieldSlices(SliceStack):
     ----------
     source : ScalarField
     grid : Grid
-        Pixel centres of all layers, cell edges.
+        Pixel centers of all layers, cell edges.
     pixel, layer : float
         Pitch and height, mm.
     lower : tuple of 3 floats
         World position of the low corner of the stack, mm.
     islands : {"remove", "keep"}
     subsamples : int
-        For grey layers: each pixel is sampled on k x k points, and its value is the solid share.
+        For gray layers: each pixel is sampled on k x k points, and its value is the solid share.
     """
 
     source: ScalarField
@@ -66,7 +64,7 @@ class FieldSlices(SliceStack):
         return self.lower
 
     @property
-    def grey(self) -> bool:
+    def gray(self) -> bool:
         return self.subsamples > 1
 
     def _fine(self) -> Grid:
@@ -89,10 +87,10 @@ class FieldSlices(SliceStack):
         for start, solid in self._cleaned(threads):
             count += int(np.count_nonzero(solid))
             if self.subsamples > 1:
-                from sppm_pipeline.numerics.domain.coverage import grey_by_coverage
+                from sppm_pipeline.numerics.domain.coverage import gray_by_coverage
 
                 factor = (self.subsamples, self.subsamples)
-                yield start, np.stack([grey_by_coverage(layer, factor) for layer in solid])
+                yield start, np.stack([gray_by_coverage(layer, factor) for layer in solid])
             else:
                 np.multiply(solid, np.uint8(255), out=solid)
                 yield start, solid

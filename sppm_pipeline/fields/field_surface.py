@@ -18,19 +18,6 @@ from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = [
-    "FEWEST",
-    "MOST",
-    "FieldSurface",
-    "SampledSlab",
-    "body_facts",
-    "foreseen_triangles",
-    "foreseen_voxels",
-    "node_grid",
-    "on_torus",
-    "voxels_along_edge",
-]
-
 SLAB_SAMPLES = 2**20
 """Samples taken at a time; a slab holds at least two planes."""
 

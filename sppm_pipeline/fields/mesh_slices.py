@@ -16,8 +16,6 @@ from sppm_pipeline.numerics.grid import Grid
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.domain.inside import Method
 
-__all__ = ["MeshSlices"]
-
 SLAB_PIXELS = 2**22
 """Pixels scanned at a time; a slab holds at least one layer."""
 
@@ -42,7 +40,7 @@ class MeshSlices(SliceStack):
     method : {"scanline", "winding", "vote"}
         How it is told what is inside.
     subsamples : int
-        For grey layers: each pixel is sampled on k x k points, and its value is the solid share.
+        For gray layers: each pixel is sampled on k x k points, and its value is the solid share.
     """
 
     source: SurfaceMesh
@@ -71,7 +69,7 @@ class MeshSlices(SliceStack):
         return self.lower
 
     @property
-    def grey(self) -> bool:
+    def gray(self) -> bool:
         return self.subsamples > 1
 
     def samples(self) -> Grid:
@@ -81,7 +79,7 @@ class MeshSlices(SliceStack):
         return Grid((x + h / 2, y + h / 2, z + self.layer / 2), (h, h, self.layer), (nx * k, ny * k, nz))
 
     def slabs(self, threads: int = 1) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        from sppm_pipeline.numerics.domain.coverage import grey_by_coverage
+        from sppm_pipeline.numerics.domain.coverage import gray_by_coverage
         from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
 
         grid = self.samples()
@@ -96,7 +94,7 @@ class MeshSlices(SliceStack):
             undecided += found.undecided
             if self.subsamples > 1:
                 factor = (self.subsamples, self.subsamples)
-                yield start, np.stack([grey_by_coverage(layer, factor) for layer in inside])
+                yield start, np.stack([gray_by_coverage(layer, factor) for layer in inside])
             else:
                 np.multiply(inside, np.uint8(255), out=inside)
                 yield start, inside

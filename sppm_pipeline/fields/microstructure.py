@@ -19,17 +19,15 @@ from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_per
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 
-__all__ = ["CUTOFF", "Microstructure", "pieces_from_graph"]
-
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Microstructure(ScalarField):
-    """Kernels of K interiors and of coloured faces, cut at one level (paper, eq. 3-5).
+    """Kernels of K interiors and of colored faces, cut at one level (paper, eq. 3-5).
 
-    With one interior and at most one colour it is a periodic cell and can be sampled; with more it is the material
+    With one interior and at most one color it is a periodic cell and can be sampled; with more it is the material
     of a tile set, which a tiling lays out.
 
     Attributes
@@ -101,7 +99,7 @@ class Microstructure(ScalarField):
         return self.with_level(self.level + value)
 
     def alone(self, interior: int, colors: tuple[int, int, int]) -> PeriodicTile:
-        """Interior t with faces of the given colours on both opposite sides, repeated for ever."""
+        """Interior t with faces of the given colors on both opposite sides, repeated for ever."""
         return PeriodicTile(self, interior, colors)
 
     def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
@@ -109,7 +107,7 @@ class Microstructure(ScalarField):
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         if self.interiors > 1 or max(self.colors) > 1:
-            raise ValueError("a microstructure with several interiors or colours has to be laid out to be sampled")
+            raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
         return self.alone(0, (0, 0, 0)).sample_layers(grid, start, stop, threads)
 
     def summary(self) -> dict[str, Any]:
@@ -193,7 +191,7 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     first = np.searchsorted(a[inside], np.arange(len(axis_of_piece) + 1))
     whole = [kernels(pores.indices(p), inside[first[p] : first[p + 1]]) for p in range(len(axis_of_piece))]
     empty = kernels(no_pores, no_pores)
-    most = max(pores.colors)  # every axis is given as many colours, the missing ones without content
+    most = max(pores.colors)  # every axis is given as many colors, the missing ones without content
     faces = [
         tuple(whole[pores.face_piece(axis, k)] if k < pores.colors[axis] else empty for k in range(most))
         for axis in range(3)

@@ -17,8 +17,6 @@ from sppm_pipeline.numerics.grid import Grid
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.domain.inside import Method
 
-__all__ = ["Part"]
-
 DISTANCE_SAMPLES = 2**22
 """Samples whose distance from the domain is found at a time."""
 
@@ -79,7 +77,7 @@ class Part(ScalarField):
         return self.inside or way_for(self.domain.bounds_solid)
 
     def in_mm(self, grid: Grid) -> Grid:
-        """`grid`, given in cell edges, in world millimetres."""
+        """`grid`, given in cell edges, in world millimeters."""
         edge = self.physical_edge()
         x, y, z = (o + edge * g for o, g in zip(self.origin_mm, grid.origin, strict=True))
         hx, hy, hz = (edge * h for h in grid.spacing)

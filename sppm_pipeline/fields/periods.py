@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["sample_one_period"]
-
 
 def sample_one_period(
     grid: Grid, cells: tuple[int, int, int], start: int, stop: int, sample: Callable[[Grid, int, int], NDArray[Any]]

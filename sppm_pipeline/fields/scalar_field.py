@@ -8,17 +8,15 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.grid import Grid
-
-__all__ = ["RESOLVED", "ScalarField"]
 
 RESOLVED = 1.2
 """Voxels up to this many tunnel radii keep the void in one piece, as measured on cells of the paper."""
 
 
-class ScalarField(Noun, ABC):
+class ScalarField(Artifact, ABC):
     """A field ``G - C`` over a lattice of unit cells: negative inside the solid, positive in pores and tunnels.
 
     It is no distance. Positions are in cell edges, measured from the lattice origin; `edge_mm` and `origin_mm` say
@@ -42,7 +40,7 @@ class ScalarField(Noun, ABC):
 
     @property
     def edge_mm(self) -> float | None:
-        """Edge of a cell in millimetres; None if it has no physical size."""
+        """Edge of a cell in millimeters; None if it has no physical size."""
         return None
 
     @property
@@ -117,7 +115,7 @@ class ScalarField(Noun, ABC):
         """
         if self.edge_mm is None:
             raise DesignError(
-                "the cell has no physical size, so that millimetres mean nothing to it",
+                "the cell has no physical size, so that millimeters mean nothing to it",
                 hint="give the first sampling stage `edge: 7.5 mm`, or lay the cell with a `tile` stage and its `cell`",
             )
         return self.edge_mm

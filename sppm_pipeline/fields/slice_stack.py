@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun
-
-__all__ = ["SliceStack"]
+from sppm_pipeline.data.artifact import Artifact
 
 
-class SliceStack(Noun, ABC):
+class SliceStack(Artifact, ABC):
     """Layers of a part, delivered slab by slab from the bottom, never all in memory.
 
     Layer k is the section at mid-height, ``origin z + (k + 1/2) * layer_mm``; pixel (i, j) is the square around
@@ -57,7 +55,7 @@ class SliceStack(Noun, ABC):
         """
 
     @property
-    def grey(self) -> bool:
+    def gray(self) -> bool:
         """Whether values between 0 and 255 occur."""
         return False
 

@@ -1,4 +1,4 @@
-"""Tile sets: which interiors may meet which face colours."""
+"""Tile sets: which interiors may meet which face colors."""
 
 from __future__ import annotations
 
@@ -8,25 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.fields.microstructure import Microstructure
-
-__all__ = ["TileSet"]
 
 
 @dataclass(frozen=True, eq=False)
-class TileSet(Noun):
-    """A microstructure with many interiors and face colours, and the kind of rule it was drawn for.
+class TileSet(Artifact):
+    """A microstructure with many interiors and face colors, and the kind of rule it was drawn for.
 
     Attributes
     ----------
     micro : Microstructure
     kind : {"wang", "free", "corner"}
-        "wang": interior t belongs to the tile with colours (cx, cy, cz), t = (cx c + cy) c + cz, equal on opposite
-        faces (paper, section 2.2). "free": any interior meets any colour on any side. "corner": face colours stand
-        for the colours of the four corners of the face.
+        "wang": interior t belongs to the tile with colors (cx, cy, cz), t = (cx c + cy) c + cz, equal on opposite
+        faces (paper, section 2.2). "free": any interior meets any color on any side. "corner": face colors stand
+        for the colors of the four corners of the face.
     palette_colors : int
-        c: face colours, or corner colours for "corner".
+        c: face colors, or corner colors for "corner".
     porosity : tuple of float
         Porosity of each interior among copies of itself, as measured when the set was made; empty if not measured.
     """
@@ -37,9 +35,9 @@ class TileSet(Noun):
     porosity: tuple[float, ...] = ()
 
     def combinations(self) -> NDArray[np.int32] | None:
-        """Rows (interior, six face colours) that may occur, or None if any interior meets any colours.
+        """Rows (interior, six face colors) that may occur, or None if any interior meets any colors.
 
-        The colours stand in the order low x, high x, low y, high y, low z, high z.
+        The colors stand in the order low x, high x, low y, high y, low z, high z.
         """
         if self.kind != "wang":
             return None

@@ -18,8 +18,6 @@ from sppm_pipeline.numerics.grid import Grid
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.assembly.patches import PatchBank
 
-__all__ = ["RepeatedField", "Tiling"]
-
 USES_OF_A_PATCH = 4
 """How many cells a tiling needs for each patch before sampling the patches is cheaper than summing kernels."""
 
@@ -38,7 +36,7 @@ class Tiling(ScalarField):
     ----------
     tileset : TileSet
     arrays : TilingArrays
-        Interiors and face colours of the lattice.
+        Interiors and face colors of the lattice.
     edge : float or None
         Cell edge, mm.
     origin : tuple of 3 floats
@@ -117,15 +115,13 @@ class Tiling(ScalarField):
         self, grid: Grid, threads: int, start: int, stop: int, wanted: NDArray[np.int32] | None
     ) -> NDArray[np.float32]:
         """The sum of the kernels themselves."""
-        from sppm_pipeline.numerics.assembly.gather import make_catalogue, sample_exact
+        from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
 
         micro = self.tileset.micro
-        if "catalogue" not in micro.banks:
-            micro.banks["catalogue"] = make_catalogue(micro.pieces, CUTOFF)
-        kept = micro.banks["catalogue"]
-        return sample_exact(
-            micro.pieces, self.arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalogue=kept
-        )
+        if "catalog" not in micro.banks:
+            micro.banks["catalog"] = make_catalog(micro.pieces, CUTOFF)
+        kept = micro.banks["catalog"]
+        return sample_exact(micro.pieces, self.arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=kept)
 
     def _window(
         self, grid: Grid, threads: int

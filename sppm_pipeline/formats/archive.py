@@ -11,8 +11,6 @@ from collections.abc import Iterator
 
 from sppm_pipeline.errors import InputError
 
-__all__ = ["Archive"]
-
 LARGEST_PART = 2**31
 """Bytes of all parts that are read, unpacked."""
 

@@ -8,8 +8,6 @@ from collections.abc import Iterable, Iterator
 
 from sppm_pipeline.errors import DesignError
 
-__all__ = ["Packed", "packed", "zipped"]
-
 Packed = tuple[bytes | memoryview, bytes]
 """A piece of a part, as it is and deflated."""
 

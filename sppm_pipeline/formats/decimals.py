@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.formats.machine_words import leading_zeros, store8, trailing_zeros
 from sppm_pipeline.formats.text import Bytes
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["Words", "decimal_scale", "face_rows", "vertex_rows"]
+from sppm_pipeline.numerics.compiled import jit
 
 _LONGEST_WORD = 16
 _LONGEST_NUMBER = 28  # "-", 19 digits, "e-" and three digits more are the most there are
@@ -77,7 +75,7 @@ def _room(rows: int, words: Words) -> Bytes:
     return np.empty(rows * (int(words.lengths.sum()) + 3 * _LONGEST_NUMBER) + _LONGEST_WORD, np.uint8)
 
 
-@kernel
+@jit
 def _put_vertices(
     out: Bytes,
     points: NDArray[np.float64],
@@ -126,7 +124,7 @@ def _put_vertices(
     return i
 
 
-@kernel
+@jit
 def _put_faces(
     out: Bytes, faces: NDArray[np.int32], base: int, texts: NDArray[np.uint64], lengths: NDArray[np.int64]
 ) -> int:
@@ -150,7 +148,7 @@ def _put_faces(
     return i
 
 
-@kernel
+@jit
 def _eight_digits(value: np.uint64) -> np.uint64:
     """The digits of a number below 10^8, one a byte, the first in the lowest byte."""
     halves = value // np.uint64(10000)
@@ -161,7 +159,7 @@ def _eight_digits(value: np.uint64) -> np.uint64:
     return digits | (quarters - digits * np.uint64(10)) << np.uint64(8)
 
 
-@kernel
+@jit
 def _put_integer(out: Bytes, i: int, value: int) -> int:
     """Write any number >= 0 in decimal digits at out[i:]; returns the end."""
     digits = 1
@@ -176,7 +174,7 @@ def _put_integer(out: Bytes, i: int, value: int) -> int:
     return i + digits
 
 
-@kernel
+@jit
 def _put_scaled(out: Bytes, i: int, value: int, decimals: int) -> int:
     """Write value / 10^decimals >= 0 at out[i:] without zeros at its end, as 12.5 or, for odd sizes, as 125e-40."""
     if value == 0:

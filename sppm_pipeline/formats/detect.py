@@ -13,8 +13,6 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats import glb, obj, off, ply, stl, three_mf
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content
 
-__all__ = ["FORMATS", "MeshFile", "decode_mesh", "decode_mesh_file", "format_of_name", "sniff"]
-
 #: The readers and writers of meshes by extension.
 FORMATS = {"stl": stl, "obj": obj, "ply": ply, "off": off, "glb": glb, "3mf": three_mf}
 
@@ -92,7 +90,7 @@ class MeshFile(NamedTuple):
     unit : str or None
         The unit that the file or its format states; None for the formats that have none.
     mm : float
-        That unit in millimetres; 1 if there is none.
+        That unit in millimeters; 1 if there is none.
     up : str
         The axis that points up by the format's specification, ``y`` for GLB; else ``z``, as in printing.
     """
@@ -110,7 +108,7 @@ def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     Returns
     -------
     vertices : (n, 3) float64
-        In millimetres where the file states a unit (3MF, GLB), else the numbers of the file.
+        In millimeters where the file states a unit (3MF, GLB), else the numbers of the file.
     faces : (m, 3) int64
 
     Raises
@@ -122,7 +120,7 @@ def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     with np.errstate(over="ignore"):
         vertices = mesh.vertices if mesh.mm == 1 else mesh.vertices * mesh.mm
     if not np.isfinite(vertices).all():
-        raise InputError(f"{name}: coordinates of this size, in {mesh.unit}, are beyond all numbers in millimetres")
+        raise InputError(f"{name}: coordinates of this size, in {mesh.unit}, are beyond all numbers in millimeters")
     return vertices, mesh.faces
 
 

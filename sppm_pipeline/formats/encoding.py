@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["Written", "as_written", "in_blocks", "in_order", "largest", "little_endian", "within_float32"]
+from sppm_pipeline.numerics.compiled import jit
 
 ROWS_AT_ONCE = 65536
 """Rows of a block: a few megabytes, which the allocator reuses and a cache partly holds."""
@@ -116,7 +114,7 @@ def largest(values: NDArray[np.floating]) -> float:
     return float(bits.view(values.dtype)[0])
 
 
-@kernel
+@jit
 def _largest_bits(bits: NDArray[np.unsignedinteger], mask: np.unsignedinteger) -> int:
     highest = np.uint64(0)
     for k in range(bits.size):

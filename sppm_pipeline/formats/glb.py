@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.glb_encode import encode
+from sppm_pipeline.formats.glb_encode import encode as encode
 from sppm_pipeline.formats.gltf_accessors import Accessors
 from sppm_pipeline.formats.gltf_json import Entry, read_document
 from sppm_pipeline.formats.merging import merge_equal
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces
 from sppm_pipeline.formats.placing import IDENTITY, MOST_PLACED, Matrix, after, place
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts
-
-__all__ = ["decode", "encode"]
 
 _HEADER, _JSON, _BINARY = 12, 0x4E4F534A, 0x004E4942
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.formats.encoding import as_written, in_blocks, little_endian, within_float32
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["encode"]
+from sppm_pipeline.numerics.compiled import jit
 
 _METRE = 1000.0  # mm
 _FLOAT, _UINT, _ARRAY, _ELEMENTS = 5126, 5125, 34962, 34963  # codes of the specification
@@ -29,7 +27,7 @@ def encode(
     name: str = "mesh",
     offsets: NDArray[np.floating] | None = None,
 ) -> Iterator[bytes | memoryview]:
-    """Write a mesh, (n, 3) in millimetres with z up and (m, 3), piece by piece. Same mesh, same bytes.
+    """Write a mesh, (n, 3) in millimeters with z up and (m, 3), piece by piece. Same mesh, same bytes.
 
     Positions are turned, y up, and stored as float32 metres, as the specification wants it.
 
@@ -122,7 +120,7 @@ def _vertex_normals(points: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
     return normals
 
 
-@kernel
+@jit
 def _sum_normals(points: NDArray[np.float64], faces: NDArray[np.int32], normals: NDArray[np.float64]) -> None:
     for row in range(faces.shape[0]):
         a, b, c = faces[row, 0], faces[row, 1], faces[row, 2]

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.formats.gltf_json import Entry
 
-__all__ = ["Accessors"]
-
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 

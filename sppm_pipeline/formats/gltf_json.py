@@ -8,8 +8,6 @@ from typing import Any, NoReturn
 
 from sppm_pipeline.errors import InputError
 
-__all__ = ["Entry", "read_document"]
-
 _LARGEST, _MOST_VALUES = 2**24, 2**20
 
 

@@ -22,8 +22,6 @@ from sppm_pipeline.formats.voxel_image import VoxelImage, checked_shape
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["decode_pages", "encode_tiff", "read_folder"]
-
 ENDINGS = (".png", ".tif", ".tiff")
 
 MOST_LAYERS = 1 << 16
@@ -35,7 +33,7 @@ def decode_pages(data: bytes, name: str) -> VoxelImage:
     Raises
     ------
     InputError
-        If it is no TIFF file, is cut, in colour, or its pages differ in size.
+        If it is no TIFF file, is cut, in color, or its pages differ in size.
     """
     with _opened(io.BytesIO(data), name) as image:
         try:
@@ -53,7 +51,7 @@ def read_folder(folder: Path) -> VoxelImage:
     Raises
     ------
     InputError
-        If there are none, they have different endings or sizes, or one is no picture in grey.
+        If there are none, they have different endings or sizes, or one is no picture in gray.
     """
     files = [path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.is_file()]
     endings = sorted({path.suffix.lower() for path in files})
@@ -105,7 +103,7 @@ def _pages(image: Image, count: int, name: str) -> Iterator[NDArray[Any]]:
                 image.seek(page)
             if image.mode not in ("1", "L", "I;16", "I;16B", "I", "F"):
                 raise InputError(
-                    f"page {page} of {name} has the mode {image.mode}; a voxel image is black and white or grey"
+                    f"page {page} of {name} has the mode {image.mode}; a voxel image is black and white or gray"
                 )
             yield np.asarray(image)
         except InputError:

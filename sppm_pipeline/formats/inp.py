@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.formats.volume_arrays import as_written, integer_rows, number_rows
 
-__all__ = ["encode"]
-
 _TYPES = {4: "C3D4", 10: "C3D10"}
 _A_LINE = 16
 """Numbers that a line of a set may hold."""

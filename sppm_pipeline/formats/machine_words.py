@@ -13,8 +13,6 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-__all__ = ["leading_zeros", "load4", "store2", "store4", "store8", "trailing_zeros"]
-
 
 def _place(context: Any, builder: Any, array_type: Any, array: Any, index: Any, bits: int) -> Any:
     """Pointer to an integer of `bits` bits, `index` bytes into the array."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["abaqus_card", "abaqus_constants"]
-
 # Abaqus and CalculiX count 11, 22, 33, 12, 13, 23; these are the places in xx, yy, zz, yz, xz, xy
 _ORDER = (0, 1, 2, 5, 4, 3)
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["merge_equal"]
+from sppm_pipeline.numerics.compiled import jit
 
 _RECENT = 2**15
 """Rows that are remembered beside the table, within half a megabyte: most corners were used a moment ago."""
@@ -38,7 +36,7 @@ def merge_equal(rows: NDArray[np.float32] | NDArray[np.int32]) -> tuple[NDArray[
         first = np.concatenate([first, np.empty_like(first)])
 
 
-@kernel
+@jit
 def _merge(
     bits: NDArray[np.uint32],
     row: int,
@@ -78,7 +76,7 @@ def _merge(
     return bits.shape[0], count
 
 
-@kernel
+@jit
 def _enter(bits: NDArray[np.uint32], first: NDArray[np.int64], slots: NDArray[np.int32]) -> None:
     """Enter rows that are known to differ into an empty table."""
     mask = np.int64(slots.size - 1)
@@ -90,7 +88,7 @@ def _enter(bits: NDArray[np.uint32], first: NDArray[np.int64], slots: NDArray[np
         slots[slot] = number
 
 
-@kernel
+@jit
 def _hash(a: np.uint32, b: np.uint32, c: np.uint32) -> np.int64:
     h = np.uint64(a) | np.uint64(b) << np.uint64(32)
     h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 
-__all__ = ["DecodedMesh", "require_content", "require_faces", "require_room"]
-
 DecodedMesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 

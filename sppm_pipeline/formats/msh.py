@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.formats.volume_arrays import as_written, integer_rows, number_rows
 
-__all__ = ["encode"]
-
 _TETRAHEDRA = {4: 4, 10: 11}
 _TRIANGLES = {3: 2, 6: 9}
 _ORDER = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.voxel_image import VoxelImage, checked_shape
 
-__all__ = ["decode", "encode"]
-
 _CHUNK = 1 << 24
 
 

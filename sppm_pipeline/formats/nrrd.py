@@ -16,8 +16,6 @@ import numpy as np
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.voxel_image import VoxelImage, checked_shape, numbers
 
-__all__ = ["decode"]
-
 TYPES = {
     "int8": ("signed char", "int8_t"),
     "uint8": ("uchar", "unsigned char", "uint8_t"),

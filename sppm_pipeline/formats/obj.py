@@ -23,9 +23,7 @@ from sppm_pipeline.formats.text import (
     skip_line,
     skip_token,
 )
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["decode", "encode"]
+from sppm_pipeline.numerics.compiled import jit
 
 _V, _F, _SPACE, _TAB, _NEWLINE, _SLASH, _HASH = 118, 102, 32, 9, 10, 47, 35
 _OK, _SHORT_VERTEX, _SHORT_FACE, _NO_INDEX, _OUT_OF_RANGE = range(5)
@@ -41,7 +39,7 @@ _VERTEX, _FACE = Words.of(b"v ", b" ", b" ", b"\n"), Words.of(b"f ", b" ", b" ",
 def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     """Read a mesh.
 
-    Polygons are cut into fans; relative (negative) vertex numbers, ``a/b/c`` corners, colours behind the coordinates,
+    Polygons are cut into fans; relative (negative) vertex numbers, ``a/b/c`` corners, colors behind the coordinates,
     comments and continued lines are understood. Every face of the file is taken, whatever object or group it is in.
 
     Parameters
@@ -78,7 +76,7 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     return vertices, faces
 
 
-@kernel
+@jit
 def _scan(
     data: Bytes,
     vertices: NDArray[np.float64],

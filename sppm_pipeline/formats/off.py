@@ -1,4 +1,4 @@
-"""OFF, the text form of Geomview's object file format; normals, colours and texture coordinates are skipped."""
+"""OFF, the text form of Geomview's object file format; normals, colors and texture coordinates are skipped."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from sppm_pipeline.formats.encoding import as_written, in_blocks
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
 from sppm_pipeline.formats.rows import read_face_rows, read_vertex_rows
 from sppm_pipeline.formats.text import as_lines, fail_at, shown
-
-__all__ = ["decode", "encode"]
 
 _NEWLINE = 10
 _MAGIC = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"STCNOFF")

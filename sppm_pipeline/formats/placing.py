@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh
 
-__all__ = ["IDENTITY", "MOST_PLACED", "MOST_TRIANGLES", "Matrix", "after", "place", "require_few"]
-
 Matrix = NDArray[np.float64]
 """(3, 4): turn, scale or shear in the first three columns, the shift in the last one."""
 

@@ -14,9 +14,7 @@ from sppm_pipeline.formats.machine_words import store4
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
 from sppm_pipeline.formats.rows import read_face_rows, read_vertex_rows, skip_rows
 from sppm_pipeline.formats.text import Bytes, as_lines
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["decode", "encode"]
+from sppm_pipeline.numerics.compiled import jit
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -289,7 +287,7 @@ def _rows(
     return starts, counts, int(position)
 
 
-@kernel
+@jit
 def _integer(array: Bytes, i: int, size: int, signed: bool, big: bool) -> int:
     value = np.uint64(0)
     for k in range(size):
@@ -301,7 +299,7 @@ def _integer(array: Bytes, i: int, size: int, signed: bool, big: bool) -> int:
     return int(np.int64(value))  # beyond 2^63 it turns negative, which no caller accepts
 
 
-@kernel
+@jit
 def _walk(
     array: Bytes,
     i: int,
@@ -337,7 +335,7 @@ def _walk(
     return i, -1, False
 
 
-@kernel
+@jit
 def _fans(
     array: Bytes,
     starts: NDArray[np.int64],
@@ -388,7 +386,7 @@ def _face_records(faces: NDArray[np.int32]) -> memoryview:
     return out.data
 
 
-@kernel
+@jit
 def _put_faces(out: Bytes, faces: NDArray[np.int32]) -> None:
     for row in range(faces.shape[0]):
         i = 13 * row

@@ -16,10 +16,8 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["encode_layer"]
-
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_GREYSCALE = 0
+_GRAYSCALE = 0
 _FILTER_UP = 2
 _METRE = 1  # the unit of a pHYs chunk
 _LONGEST = 2**31 - 1  # of an integer in a chunk
@@ -31,12 +29,12 @@ def encode_layer(
     level: int = 1,
     pixel_mm: tuple[float, float] | None = None,
 ) -> bytes:
-    """One layer as a greyscale PNG.
+    """One layer as a grayscale PNG.
 
     Parameters
     ----------
     image : (h, w) uint8 or bool
-        Row 0 is the top row. With 8 bits the grey values, 0 black to 255 white (True is white); with 1 bit anything
+        Row 0 is the top row. With 8 bits the gray values, 0 black to 255 white (True is white); with 1 bit anything
         but 0 is white.
     bits : {1, 8}
         Bits a pixel. Some printers want 8 even for binary layers.
@@ -76,7 +74,7 @@ def encode_layer(
     strategy = zlib.Z_RLE if level == 1 else zlib.Z_DEFAULT_STRATEGY
     deflate = zlib.compressobj(level, zlib.DEFLATED, zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, strategy)
     data = deflate.compress(filtered.data) + deflate.flush()
-    parts = [_SIGNATURE, _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, _GREYSCALE, 0, 0, 0))]
+    parts = [_SIGNATURE, _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, _GRAYSCALE, 0, 0, 0))]
     if pixel_mm is not None:
         parts.append(_chunk(b"pHYs", struct.pack(">IIB", *(_per_metre(edge) for edge in pixel_mm), _METRE)))
     parts += [_chunk(b"IDAT", data), _chunk(b"IEND", b"")]

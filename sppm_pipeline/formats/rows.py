@@ -17,9 +17,7 @@ from sppm_pipeline.formats.text import (
     skip_line,
     skip_token,
 )
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["read_face_rows", "read_vertex_rows", "skip_rows"]
+from sppm_pipeline.numerics.compiled import jit
 
 _NEWLINE, _HASH = 10, 35
 _SKIPPED, _LIST = -1, -2
@@ -93,7 +91,7 @@ def skip_rows(data: Bytes, position: int, rows: int, name: str) -> int:
     return int(position)
 
 
-@kernel
+@jit
 def _next_row(data: Bytes, i: int) -> int:
     """First word from i on; empty lines and lines of comment are passed over."""
     i = skip_blanks(data, i)
@@ -102,12 +100,12 @@ def _next_row(data: Bytes, i: int) -> int:
     return i
 
 
-@kernel
+@jit
 def _line_ends(data: Bytes, i: int) -> bool:
     return i >= data.size or data[i] == _NEWLINE or data[i] == _HASH
 
 
-@kernel
+@jit
 def _skip_rows(data: Bytes, i: int, rows: int) -> tuple[int, int]:
     while rows > 0:
         i = _next_row(data, i)
@@ -118,7 +116,7 @@ def _skip_rows(data: Bytes, i: int, rows: int) -> tuple[int, int]:
     return i, rows
 
 
-@kernel
+@jit
 def _vertex_rows(
     data: Bytes, i: int, target: NDArray[np.int64], vertices: NDArray[np.float64], pending: NDArray[np.int64]
 ) -> tuple[int, int, int]:
@@ -152,7 +150,7 @@ def _vertex_rows(
     return _OK, i, p
 
 
-@kernel
+@jit
 def _face_rows(
     data: Bytes, i: int, rows: int, lists: NDArray[np.bool_], n_vertices: int, faces: NDArray[np.int64], fill: bool
 ) -> tuple[int, int, int]:

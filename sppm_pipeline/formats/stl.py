@@ -23,10 +23,8 @@ from sppm_pipeline.formats.text import (
     skip_line,
     skip_token,
 )
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts
-
-__all__ = ["decode", "encode", "is_ascii", "is_binary"]
 
 _HEADER, _RECORD = 84, 50
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -148,7 +146,7 @@ _MESSAGES = {
 }
 
 
-@kernel
+@jit
 def _scan(
     data: Bytes, corners: NDArray[np.float64], pending: NDArray[np.int64], fill: bool
 ) -> tuple[int, int, int, int]:
@@ -238,7 +236,7 @@ def _records(points: NDArray[np.float32], faces: NDArray[np.int32]) -> memoryvie
     return out.data
 
 
-@kernel
+@jit
 def _put_triangles(out: Bytes, points: NDArray[np.float32], bits: NDArray[np.uint32], faces: NDArray[np.int32]) -> None:
     """Records of the normal, the corners and two bytes of nothing; `bits` are those of the points."""
     normal = np.empty(3, np.float32)

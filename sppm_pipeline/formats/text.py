@@ -8,20 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = [
-    "as_lines",
-    "fail_at",
-    "pending_floats",
-    "resolve_floats",
-    "scan_float",
-    "scan_index",
-    "shown",
-    "skip_blanks",
-    "skip_line",
-    "skip_token",
-]
+from sppm_pipeline.numerics.compiled import jit
 
 Bytes = NDArray[np.uint8]
 
@@ -93,7 +80,7 @@ def resolve_floats(data: Bytes, pending: NDArray[np.int64], values: NDArray[np.f
     values[pending[:, 0]] = numbers
 
 
-@kernel
+@jit
 def skip_blanks(data: Bytes, i: int) -> int:
     """First place from i that is no blank within the line; a backslash before the line's end continues the line."""
     while i < data.size:
@@ -109,7 +96,7 @@ def skip_blanks(data: Bytes, i: int) -> int:
     return i
 
 
-@kernel
+@jit
 def skip_token(data: Bytes, i: int) -> int:
     """First place from i that is a blank, a line's end or a comment."""
     while i < data.size and data[i] > _SPACE and data[i] != _HASH:
@@ -117,7 +104,7 @@ def skip_token(data: Bytes, i: int) -> int:
     return i
 
 
-@kernel
+@jit
 def skip_line(data: Bytes, i: int) -> int:
     """Start of the next line."""
     while i < data.size and data[i] != _NEWLINE:
@@ -125,7 +112,7 @@ def skip_line(data: Bytes, i: int) -> int:
     return i + 1
 
 
-@kernel
+@jit
 def scan_float(data: Bytes, i: int) -> tuple[float, int, bool]:
     """Value and end of the number at i, and whether the value is exact; what is not, goes to `resolve_floats`."""
     start = i
@@ -187,7 +174,7 @@ def scan_float(data: Bytes, i: int) -> tuple[float, int, bool]:
     return 0.0, max(skip_token(data, i), start), False
 
 
-@kernel
+@jit
 def _long_quotient(mantissa: np.uint64, divisor: float) -> tuple[float, bool]:
     """Quotient of an integer below 10^19 and a power of ten, and whether it is surely rounded correctly.
 
@@ -208,7 +195,7 @@ def _long_quotient(mantissa: np.uint64, divisor: float) -> tuple[float, bool]:
     return value, value == quotient + rest * (1.0 + _DOUBT)
 
 
-@kernel
+@jit
 def scan_index(data: Bytes, i: int) -> tuple[int, int, bool]:
     """Value and end of the integer at i, and whether there is one of at most 18 digits; it may stop at a slash."""
     negative = i < data.size and data[i] == _MINUS

@@ -11,11 +11,9 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.archive import Archive
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces
 from sppm_pipeline.formats.placing import Matrix, after, place, require_few
-from sppm_pipeline.formats.three_mf_encode import encode
+from sppm_pipeline.formats.three_mf_encode import encode as encode
 from sppm_pipeline.formats.three_mf_model import UNITS_IN_MM, Model, Object, Use, read_model
 from sppm_pipeline.formats.xml_events import XmlReader
-
-__all__ = ["decode", "decode_with_unit", "encode"]
 
 _RELATIONS = "_rels/.rels"
 _USUAL_MODEL = "3D/3dmodel.model"
@@ -50,7 +48,7 @@ def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[D
     unit : str
         ``millimeter``, ``inch``...
     mm : float
-        The unit in millimetres.
+        The unit in millimeters.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""3MF files written: a mesh in millimetres, once, and perhaps many components that place it."""
+"""3MF files written: a mesh in millimeters, once, and perhaps many components that place it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from sppm_pipeline.formats.archive_writing import Packed, packed, zipped
 from sppm_pipeline.formats.decimals import Words, decimal_scale, face_rows, vertex_rows
 from sppm_pipeline.formats.encoding import as_written, in_blocks
 from sppm_pipeline.formats.three_mf_model import CORE
-
-__all__ = ["encode"]
 
 _VERTEX = Words.of(b'<vertex x="', b'" y="', b'" z="', b'"/>\n')
 _TRIANGLE = Words.of(b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n')
@@ -40,7 +38,7 @@ def encode(
     metadata: Mapping[str, str] | None = None,
     offsets: NDArray[np.floating] | None = None,
 ) -> Iterator[bytes | memoryview]:
-    """Write a mesh, (n, 3) in millimetres and (m, 3), piece by piece, as the core specification wants it.
+    """Write a mesh, (n, 3) in millimeters and (m, 3), piece by piece, as the core specification wants it.
 
     Coordinates are rounded to 5e-10 of the power of ten above the largest one. Same mesh, same bytes.
 

@@ -13,8 +13,6 @@ from sppm_pipeline.formats.mesh_arrays import DecodedMesh
 from sppm_pipeline.formats.placing import IDENTITY, MOST_PLACED, MOST_TRIANGLES, Matrix
 from sppm_pipeline.formats.xml_tables import Table, TableReader, real
 
-__all__ = ["CORE", "PRODUCTION", "UNITS_IN_MM", "Model", "Object", "Use", "read_model"]
-
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
 

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["as_written", "integer_rows", "number_rows"]
-
 _CHUNK = 20000
 """Rows that are turned into text together."""
 

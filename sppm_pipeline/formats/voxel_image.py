@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 
-__all__ = ["LARGEST_IMAGE", "VoxelImage", "checked_shape", "numbers"]
-
 LARGEST_IMAGE = 2**33
 """Most bytes of an image in memory; a file that claims more is refused before anything is reserved."""
 

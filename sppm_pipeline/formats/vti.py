@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.voxel_image import VoxelImage, checked_shape, numbers
 
-__all__ = ["decode", "encode"]
-
 TYPES = {f"{kind}{bits}": f"{kind.lower()}{bits}" for kind in ("Int", "UInt") for bits in (8, 16, 32, 64)}
 TYPES |= {"Float32": "float32", "Float64": "float64"}
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.formats.volume_arrays import as_written
 from sppm_pipeline.formats.vtu import VTK_TYPES
 
-__all__ = ["encode"]
-
 
 def encode(nodes: NDArray[np.floating], cells: NDArray[np.integer], materials: NDArray[np.integer]) -> Iterator[bytes]:
     """A legacy VTK file (version 3.0), piece by piece: big-endian, with a cell array ``material``.

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.formats.volume_arrays import as_written
 
-__all__ = ["VTK_TYPES", "encode"]
-
 VTK_TYPES = {4: 10, 10: 24}
 """VTK's number of straight and quadratic tetrahedra, by the nodes of a cell; its order of nodes is ours."""
 

@@ -8,8 +8,6 @@ from xml.parsers import expat
 
 from sppm_pipeline.errors import InputError
 
-__all__ = ["XmlReader"]
-
 DEEPEST = 64
 """Elements inside each other; 3MF needs six."""
 

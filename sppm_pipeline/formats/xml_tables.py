@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.formats.text import Bytes, scan_float, scan_index
 from sppm_pipeline.formats.xml_events import XmlReader
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["Table", "TableReader", "real"]
+from sppm_pipeline.numerics.compiled import jit
 
 _BLANK, _QUOTE, _AMPERSAND, _APOSTROPHE, _SLASH, _LESS, _EQUAL, _GREATER = 32, 34, 38, 39, 47, 60, 61, 62
 _UNQUOTED = bytes.maketrans(b"\"'", b"  ")  # the scanners of numbers want a blank at the end of one
@@ -134,7 +132,7 @@ def real(text: str) -> float:
     return float(text)
 
 
-@kernel
+@jit
 def _attribute(data: Bytes, i: int) -> tuple[int, int]:
     """Start and end of an attribute's name after a blank at i; end 0 if there is none that is followed by a quote."""
     start = i
@@ -149,7 +147,7 @@ def _attribute(data: Bytes, i: int) -> tuple[int, int]:
     return start, end if quoted and start > i and end > start else 0
 
 
-@kernel
+@jit
 def _column(data: Bytes, start: int, end: int, names: NDArray[np.int64]) -> int:
     """Which of the three names stands there; -1 if none."""
     for c in range(3):
@@ -159,7 +157,7 @@ def _column(data: Bytes, start: int, end: int, names: NDArray[np.int64]) -> int:
     return -1
 
 
-@kernel
+@jit
 def _row_begins(data: Bytes, i: int, row: Bytes) -> int:
     """Where the attributes of the next row begin; -1 if there is no row."""
     while i < data.size and data[i] <= _BLANK:
@@ -172,7 +170,7 @@ def _row_begins(data: Bytes, i: int, row: Bytes) -> int:
     return i + row.size
 
 
-@kernel
+@jit
 def _row_ends(data: Bytes, i: int) -> int:
     """Where a row ends, if nothing but its ``/>`` follows; else -1."""
     while i < data.size and data[i] <= _BLANK:
@@ -180,7 +178,7 @@ def _row_ends(data: Bytes, i: int) -> int:
     return i + 2 if i + 1 < data.size and data[i] == _SLASH and data[i + 1] == _GREATER else -1
 
 
-@kernel
+@jit
 def _other_value_ends(data: Bytes, i: int, quote: int) -> int:
     """Where the value of an attribute ends that nobody asks for; -1 if the parser has to look at it."""
     while i < data.size and data[i] != quote:
@@ -190,7 +188,7 @@ def _other_value_ends(data: Bytes, i: int, quote: int) -> int:
     return i if i < data.size else -1
 
 
-@kernel
+@jit
 def _scan_floats(
     data: Bytes,
     unquoted: Bytes,
@@ -236,7 +234,7 @@ def _scan_floats(
     return done, count, p
 
 
-@kernel
+@jit
 def _scan_wholes(
     data: Bytes,
     unquoted: Bytes,

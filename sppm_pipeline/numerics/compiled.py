@@ -36,18 +36,16 @@ _load_numba_without_scipy()
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-__all__ = ["inline_kernel", "kernel"]
 
-
-def kernel(function: F) -> F:
+def jit(function: F) -> F:
     """Compile `function` on first call with strict IEEE arithmetic, no GIL, cached on disk."""
     return _compiled(function, False)
 
 
-def inline_kernel(function: F) -> F:
+def inline_jit(function: F) -> F:
     """Compile `function` with reassociation and contraction allowed, for inner loops over contiguous rows.
 
-    Only the flags that let LLVM vectorise are set: NaN and infinity keep their meaning.
+    Only the flags that let LLVM vectorize are set: NaN and infinity keep their meaning.
     """
     return _compiled(function, {"reassoc", "contract", "arcp", "nsz"})
 

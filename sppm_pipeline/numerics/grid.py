@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Grid", "cell_centres", "cell_nodes"]
-
 
 class Grid(NamedTuple):
     """Sample points ``origin + (i, j, k) * spacing`` for 0 <= (i, j, k) < shape.
@@ -18,7 +16,7 @@ class Grid(NamedTuple):
     origin : tuple of 3 floats
         Position of the first sample (x, y, z).
     spacing : tuple of 3 floats
-        Distance between neighbouring samples along x, y, z; positive.
+        Distance between neighboring samples along x, y, z; positive.
     shape : tuple of 3 ints
         Number of samples along x, y, z.
     """
@@ -37,8 +35,8 @@ class Grid(NamedTuple):
         return Grid((x, y, z + start * self.spacing[2]), self.spacing, (self.shape[0], self.shape[1], stop - start))
 
 
-def cell_centres(n: int, cells: tuple[int, int, int] = (1, 1, 1)) -> Grid:
-    """Voxel centres of `cells` unit cells with n voxels along each cell edge."""
+def cell_centers(n: int, cells: tuple[int, int, int] = (1, 1, 1)) -> Grid:
+    """Voxel centers of `cells` unit cells with n voxels along each cell edge."""
     h = 1.0 / n
     return Grid((h / 2,) * 3, (h,) * 3, (n * cells[0], n * cells[1], n * cells[2]))
 

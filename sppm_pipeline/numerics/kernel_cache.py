@@ -17,8 +17,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["kernel_cache_folder", "kernel_cache_root"]
-
 KEPT_STATES = 4
 """Folders of earlier states of a module that stay, newest first; users may have several environments."""
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-__all__ = ["first_compilation", "on_first_compilation", "waiting"]
-
 waiting: list[Callable[[], None]] = []
 """Callbacks that have not been called."""
 

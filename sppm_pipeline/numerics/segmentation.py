@@ -1,4 +1,4 @@
-"""From grey values to solid and void."""
+"""From gray values to solid and void."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["labels_of", "otsu"]
-
 MOST_LABELS = 64
-"""Different values of an image that may be labels of phases; images with more are grey."""
+"""Different values of an image that may be labels of phases; images with more are gray."""
 
 
 def labels_of(values: NDArray[Any]) -> NDArray[Any] | None:
@@ -24,7 +22,7 @@ def labels_of(values: NDArray[Any]) -> NDArray[Any] | None:
 
 
 def otsu(values: NDArray[Any], bins: int = 1024) -> float:
-    """The threshold that makes the two classes of grey values as different as possible.
+    """The threshold that makes the two classes of gray values as different as possible.
 
     Parameters
     ----------

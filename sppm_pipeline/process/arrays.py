@@ -9,8 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ArraySpec", "read_arrays", "write_arrays"]
-
 
 class ArraySpec(NamedTuple):
     """What an array that the child returns has to be.

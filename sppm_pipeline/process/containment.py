@@ -18,8 +18,6 @@ from typing import Any
 from sppm_pipeline.errors import PluginError, Position, ResourceError, SppmError
 from sppm_pipeline.process import interruption
 
-__all__ = ["GRACE", "STAGE_TIME", "contained", "limited", "stage_seconds"]
-
 STAGE_TIME = "SPPM_STAGE_TIME"
 """Environment variable with the seconds that one stage may take; worker processes of a sweep inherit it."""
 

@@ -10,8 +10,6 @@ from typing import Any, NamedTuple, TypeVar
 from sppm_pipeline import errors
 from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, SppmError
 
-__all__ = ["Ending", "Task", "error_of", "outcome_of"]
-
 E = TypeVar("E", bound=SppmError)
 
 _SHOWN_LINES, _SHOWN_WIDTH = 8, 160

@@ -14,8 +14,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["PREFIX", "private_folder", "remove_leftovers"]
-
 PREFIX = "sppm-native-"
 
 

@@ -19,20 +19,6 @@ from typing import Any, Protocol
 
 from sppm_pipeline.errors import SppmError
 
-__all__ = [
-    "Abandonable",
-    "abandon_all",
-    "check",
-    "die_with_parent",
-    "end_children",
-    "request",
-    "requested",
-    "reset",
-    "running",
-    "stopped_running",
-    "tell_of_runs",
-]
-
 
 class Abandonable(Protocol):
     """Something that leaves traces on disk while it runs."""

@@ -6,8 +6,6 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-__all__ = ["available_memory", "child_environment", "default_memory"]
-
 LEAST_MEMORY = 1 << 30
 """Bytes that a child gets at least: an interpreter with a large library needs a good part of it."""
 

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from sppm_pipeline.errors import ResourceError
 
-__all__ = ["available_memory", "child_memory", "require_memory"]
-
 MEMINFO = Path("/proc/meminfo")
 STATUS = Path("/proc/self/status")
 CGROUP = Path("/sys/fs/cgroup")

@@ -8,8 +8,6 @@ import shutil
 import sys
 from pathlib import Path
 
-__all__ = ["MEMORY", "allowed_memory", "free_disk", "lack", "memory_budget", "wished_memory", "words_for_bytes"]
-
 LACKING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOMEM, errno.EMFILE,
            errno.ENFILE, errno.EAGAIN, errno.EIO, errno.ENAMETOOLONG, errno.EMLINK, errno.ELOOP)  # fmt: skip
 """Errors of the system that mean: something of this machine is missing."""

@@ -24,8 +24,6 @@ from sppm_pipeline.process.folder import private_folder
 from sppm_pipeline.process.limits import child_environment, default_memory
 from sppm_pipeline.process.telling import LONGEST_LINE
 
-__all__ = ["NativeResult", "run_native", "stop_all"]
-
 KEPT_OUTPUT = 16_384
 """Bytes of output that are kept; the rest is read and dropped, so that a talkative child neither waits nor fills us."""
 

@@ -16,8 +16,6 @@ from sppm_pipeline.process.arrays import ArraySpec
 from sppm_pipeline.process.run import NativeResult, run_native
 from sppm_pipeline.process.telling import tell
 
-__all__ = ["Combined", "ManifoldLimits", "combine_in_child", "extract_in_child", "manifold_combine", "manifold_extract"]
-
 LEAST_MEMORY = 400 * 2**20
 """Bytes that the child gets at least: an interpreter with NumPy, Numba and manifold3d, and a small mesh."""
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 
-__all__ = ["LONGEST_LINE", "connect", "tell"]
-
 LONGEST_LINE = 511
 """Bytes of a line; with its end any system writes it to a pipe in one piece."""
 

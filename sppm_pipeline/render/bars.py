@@ -16,8 +16,6 @@ from sppm_pipeline.render.shading import Color
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
-__all__ = ["Panel", "bar_panels"]
-
 _INK: Color = (52, 58, 66)
 _FAINT: Color = (150, 157, 166)
 _BAND: Color = (244, 246, 248)
@@ -63,7 +61,7 @@ def bar_panels(
     title : str
         Text above all panels.
     marked : collection of int
-        Rows that are drawn in another colour.
+        Rows that are drawn in another color.
     bar_length : int
         Pixels that the span of a panel's values takes.
     text_size : int

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 
-__all__ = ["Camera", "Frame", "framed", "projected"]
-
 
 class Camera(NamedTuple):
     """Direction from which a part is seen; z points up in the picture.

@@ -18,8 +18,6 @@ from sppm_pipeline.render.shading import Color
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
-__all__ = ["chart", "nice_ticks"]
-
 _COLORS: tuple[Color, ...] = (
     (46, 98, 158),
     (206, 96, 62),

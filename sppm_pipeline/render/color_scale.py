@@ -1,4 +1,4 @@
-"""Colours for numbers, and the scale that explains them."""
+"""Colors for numbers, and the scale that explains them."""
 
 from __future__ import annotations
 
@@ -8,16 +8,14 @@ from numpy.typing import NDArray
 from sppm_pipeline.render.charts import nice_ticks
 from sppm_pipeline.render.lettering import font, printable
 
-__all__ = ["colors_of", "with_scale"]
-
 _ANCHORS = np.array(
     [[42, 46, 112], [38, 92, 150], [36, 138, 152], [72, 178, 128], [160, 208, 96], [246, 226, 104]], np.float64
 )
-"""From low to high, each lighter than the one before, so that the order survives printing in grey."""
+"""From low to high, each lighter than the one before, so that the order survives printing in gray."""
 
 
 def colors_of(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.uint8]:
-    """Colours (n, 3) of values (n,) between two ends; what lies outside takes the colour of the end."""
+    """Colors (n, 3) of values (n,) between two ends; what lies outside takes the color of the end."""
     span = high - low
     share = np.clip((values - low) / span if span > 0 else np.zeros_like(values), 0, 1) * (len(_ANCHORS) - 1)
     channels = [np.interp(share, np.arange(len(_ANCHORS)), _ANCHORS[:, channel]) for channel in range(3)]
@@ -25,7 +23,7 @@ def colors_of(values: NDArray[np.float64], low: float, high: float) -> NDArray[n
 
 
 def with_scale(picture: NDArray[np.uint8], low: float, high: float, title: str, width: int) -> NDArray[np.uint8]:
-    """The picture (h, w, 3) with a bar of colours of some width to its right."""
+    """The picture (h, w, 3) with a bar of colors of some width to its right."""
     from PIL import Image, ImageDraw
 
     height = len(picture)

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["cut_values"]
-
 BORDER = 0.02
 """How far from the border of the grid, in samples, a surface counts as cut by it."""
 

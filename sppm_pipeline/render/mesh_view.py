@@ -8,21 +8,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.render.camera import Camera, Frame, framed, projected
 from sppm_pipeline.render.shading import BONE, CUT, Color, Seen, empty_seen, shaded
 
-__all__ = ["render_mesh"]
-
-# Corners at which a triangle and the mean of its neighbours differ by more are edges (of a cut, of a box), not noise.
+# Corners at which a triangle and the mean of its neighbors differ by more are edges (of a cut, of a box), not noise.
 _CREASE_COSINE = math.cos(math.radians(38.0))
 
 
-@kernel
+@jit
 def _nearest_triangles(
     places: NDArray[np.float64], faces: NDArray[np.int64], nearness: NDArray[np.float32], owner: NDArray[np.int32]
 ) -> None:
-    """Write the nearest triangle at the centre of each sample; the first of equally near ones stays."""
+    """Write the nearest triangle at the center of each sample; the first of equally near ones stays."""
     height, width = nearness.shape
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -56,12 +54,12 @@ def _nearest_triangles(
                 wc += c_step
 
 
-@kernel
+@jit
 def _vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
     """Unit means of the normals of the triangles at each vertex.
 
     Weighted by the angle at the vertex (Thürmer and Wüthrich 1998, "Computing vertex normals from polygonal facets"),
-    the mean doesn't depend on how a flat face is cut into triangles, so the corners of a box are recognised as such.
+    the mean doesn't depend on how a flat face is cut into triangles, so the corners of a box are recognized as such.
     """
     normals = np.zeros_like(vertices)
     for f in range(faces.shape[0]):
@@ -86,7 +84,7 @@ def _vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> 
     return normals
 
 
-@kernel
+@jit
 def _resolve(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int64],
@@ -106,7 +104,7 @@ def _resolve(
     normal: NDArray[np.float32],
     color: NDArray[np.uint8],
 ) -> None:
-    """Depth, normal and colour of the triangle that owns each sample."""
+    """Depth, normal and color of the triangle that owns each sample."""
     height, width = owner.shape
     flat, mean = np.zeros(3), np.zeros(3)
     for r in range(height):
@@ -227,19 +225,19 @@ def render_mesh(
         Whether normals are interpolated from the vertices; edges sharper than 38 degrees stay sharp. Otherwise every
         triangle is flat.
     color : (r, g, b)
-        Colour of the surface (sRGB).
+        Color of the surface (sRGB).
     face_colors : (m, 3) uint8, optional
-        Colour of each triangle instead.
+        Color of each triangle instead.
     cut : (n,) float, optional
         A value at each vertex; where its interpolation is positive the surface has `cut_color`.
     cut_color : (r, g, b)
-        Colour of cut surfaces (sRGB).
+        Color of cut surfaces (sRGB).
     supersampling : int
         Samples per pixel along each axis, 1..8.
     occlusion : float
         Strength of the darkening of pores and creases; 0 leaves it out.
     background : (r, g, b), optional
-        One colour for the background; a light gradient otherwise.
+        One color for the background; a light gradient otherwise.
     margin : float
         Share of the picture left free on each side.
 

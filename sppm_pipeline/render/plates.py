@@ -12,8 +12,6 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.render.lettering import font, printable, text_width
 from sppm_pipeline.render.shading import Color
 
-__all__ = ["contact_sheet", "layer_sheet"]
-
 _INK: Color = (52, 58, 66)
 _PAPER: Color = (255, 255, 255)
 _SOLID: Color = (64, 74, 88)
@@ -47,7 +45,7 @@ def contact_sheet(
     text_size : int
         Size of the labels in pixels; the title is larger by half.
     background : (r, g, b)
-        Colour of the sheet.
+        Color of the sheet.
 
     Returns
     -------
@@ -121,7 +119,7 @@ def layer_sheet(
     Parameters
     ----------
     layers : sequence of (h, w) bool or uint8
-        Images as they are printed, row 0 on top: true or 255 is solid, grey values are mixed.
+        Images as they are printed, row 0 on top: true or 255 is solid, gray values are mixed.
     labels : sequence of str, optional
         One for each layer.
     columns : int, optional
@@ -132,7 +130,7 @@ def layer_sheet(
         Width of the widest layer on the sheet in pixels. Larger layers are averaged down; smaller ones are enlarged by
         the nearest whole factor, so that every pixel stays a square.
     solid, void : (r, g, b)
-        Colours of material and of nothing.
+        Colors of material and of nothing.
 
     Returns
     -------
@@ -156,14 +154,14 @@ def layer_sheet(
     widest = max((layer.shape[1] for layer in shares), default=1)
     pictures = []
     for layer in shares:
-        grey = layer.astype(np.uint8) * np.uint8(255) if layer.dtype == np.bool_ else layer.astype(np.uint8)
+        gray = layer.astype(np.uint8) * np.uint8(255) if layer.dtype == np.bool_ else layer.astype(np.uint8)
         if widest > width:
             size = (max(1, layer.shape[1] * width // widest), max(1, layer.shape[0] * width // widest))
-            grey = np.asarray(Image.fromarray(grey).resize(size, Image.Resampling.BOX))
+            gray = np.asarray(Image.fromarray(gray).resize(size, Image.Resampling.BOX))
         else:
             factor = round(width / widest)
-            grey = grey.repeat(factor, axis=0).repeat(factor, axis=1)
-        share = grey[..., None] / 255.0
+            gray = gray.repeat(factor, axis=0).repeat(factor, axis=1)
+        share = gray[..., None] / 255.0
         mixed = share * np.array(solid) + (1.0 - share) * np.array(void)
         pictures.append(np.rint(mixed).astype(np.uint8))
     return contact_sheet(pictures, labels, columns=columns, title=title)

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.render.shading import Color
 
-__all__ = ["BoxStatistics", "Boxes", "Line", "Points", "box_statistics"]
-
 
 class Line(NamedTuple):
     """Points joined by a line.
@@ -23,7 +21,7 @@ class Line(NamedTuple):
     label : str
         Entry in the legend; none if empty.
     color : (r, g, b), optional
-        Colour (sRGB); the next one of the palette otherwise.
+        Color (sRGB); the next one of the palette otherwise.
     dashed : bool
         Whether the line is dashed.
     """
@@ -45,7 +43,7 @@ class Points(NamedTuple):
     label : str
         Entry in the legend; none if empty.
     color : (r, g, b), optional
-        Colour (sRGB); the next one of the palette otherwise.
+        Color (sRGB); the next one of the palette otherwise.
     """
 
     x: ArrayLike
@@ -66,7 +64,7 @@ class Boxes(NamedTuple):
     label : str
         Entry in the legend; none if empty.
     color : (r, g, b), optional
-        Colour (sRGB); the next one of the palette otherwise.
+        Color (sRGB); the next one of the palette otherwise.
     """
 
     x: ArrayLike

@@ -1,4 +1,4 @@
-"""From what is seen in each pixel (depth, normal, colour) to a picture: lights, ambient occlusion, antialiasing.
+"""From what is seen in each pixel (depth, normal, color) to a picture: lights, ambient occlusion, antialiasing.
 
 Porous parts are hard to read under plain lights, since every strut looks like every other. What tells a pore from a
 strut is how much of the sky a point sees. Screen-space ambient occlusion estimates it from the depth image: around each
@@ -12,19 +12,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["BONE", "CUT", "Color", "Seen", "empty_seen", "shaded"]
+from sppm_pipeline.numerics.compiled import jit
 
 Color = tuple[int, int, int]
 
-#: Colours of surfaces and of cuts through the material.
+#: Colors of surfaces and of cuts through the material.
 BONE: Color = (226, 214, 192)
 CUT: Color = (212, 124, 88)
 _BACKGROUND_TOP: Color = (250, 251, 252)
 _BACKGROUND_BOTTOM: Color = (222, 227, 233)
 
-_SAMPLES = 16  # per radius and pixel; neighbouring pixels use rotated sets, 16 of them, which a 4 x 4 mean unites
+_SAMPLES = 16  # per radius and pixel; neighboring pixels use rotated sets, 16 of them, which a 4 x 4 mean unites
 _RADII = (0.022, 0.11)  # of the height of the picture: the first for creases and edges, the second for pores
 
 
@@ -38,7 +36,7 @@ class Seen(NamedTuple):
     normal : (h, w, 3) float32
         Unit normal in the frame right, up, towards the viewer.
     color : (h, w, 3) uint8
-        Colour of the surface (sRGB).
+        Color of the surface (sRGB).
     """
 
     depth: NDArray[np.float32]
@@ -56,7 +54,7 @@ def empty_seen(width: int, height: int) -> Seen:
 
 
 def _ball_points() -> NDArray[np.float32]:
-    """Points in the unit ball, denser towards its centre, the same everywhere: a spiral on the sphere."""
+    """Points in the unit ball, denser towards its center, the same everywhere: a spiral on the sphere."""
     n = np.arange(_SAMPLES)
     z = 1.0 - (2.0 * n + 1.0) / _SAMPLES
     angle = n * np.pi * (3.0 - np.sqrt(5.0))
@@ -68,14 +66,14 @@ def _ball_points() -> NDArray[np.float32]:
 
 
 def _rotations() -> NDArray[np.float32]:
-    """Cosine, sine and size of 16 turns in the order of a 4 x 4 ordered dither, so that neighbours differ most."""
+    """Cosine, sine and size of 16 turns in the order of a 4 x 4 ordered dither, so that neighbors differ most."""
     order = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
     angle = order * (2.0 * np.pi / 16.0)
     size = 0.76 + 0.03 * (order * 5 % 16)
     return np.asarray(np.stack([np.cos(angle), np.sin(angle), size], axis=1), np.float32)
 
 
-@kernel
+@jit
 def _occlusion(
     depth: NDArray[np.float32],
     normal: NDArray[np.float32],
@@ -110,7 +108,7 @@ def _occlusion(
                 cc = int(c + x + np.float32(0.5))
                 rr = int(r - y + np.float32(0.5))
                 if 0 <= cc < width and 0 <= rr < height:
-                    # To the centre of the sample that was hit, keeping the height above the tangent plane.
+                    # To the center of the sample that was hit, keeping the height above the tangent plane.
                     z -= ((np.float32(cc - c) - x) * nx + (np.float32(r - rr) - y) * ny) * steep
                     gap = depth[rr, cc] - (here + z)
                     if gap > bias:
@@ -120,7 +118,7 @@ def _occlusion(
             hidden[r, c] = total / np.float32(ball.shape[0])
 
 
-@kernel
+@jit
 def _smoothed(depth: NDArray[np.float32], hidden: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
     """Mean over 4 x 4 samples of like depth."""
     height, width = depth.shape
@@ -141,7 +139,7 @@ def _smoothed(depth: NDArray[np.float32], hidden: NDArray[np.float32], radius: f
     return mean
 
 
-@kernel
+@jit
 def _lit(
     normal: NDArray[np.float32],
     depth: NDArray[np.float32],
@@ -228,7 +226,7 @@ def shaded(
     occlusion : float
         Strength of the ambient occlusion; 0 leaves it out.
     background : (r, g, b), optional
-        One colour for the background; a light vertical gradient otherwise.
+        One color for the background; a light vertical gradient otherwise.
 
     Returns
     -------

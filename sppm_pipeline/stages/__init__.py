@@ -35,7 +35,7 @@ BUILT_IN = {
     "extract.voxels": "ExtractVoxels",
     "mesh.isosurface_stuffing": "IsosurfaceStuffing",
     "mesh.boundary": "Boundary",
-    "homogenize.realisations": "HomogenizeRealisations",
+    "homogenize.realizations": "HomogenizeRealizations",
     "homogenize.tet": "HomogenizeTet",
     "extract.unit_cell": "UnitCell",
     "extract.manifold_sdf": "ManifoldSdf",

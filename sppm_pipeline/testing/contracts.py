@@ -15,18 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.jsonable import json_text, jsonable
 from sppm_pipeline.engine.options import options_of, parse_typed, plain_option
-from sppm_pipeline.engine.outputs import digest_of
 from sppm_pipeline.engine.ports import signature_of
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.plain_context import PlainContext
-
-__all__ = ["SamplerContract", "StageContract"]
 
 
 class StageContract:
@@ -37,11 +35,11 @@ class StageContract:
         """Instances to be tested, with options that differ."""
 
     def inputs(self) -> Mapping[str, Any]:
-        """A noun for each port that the stage needs."""
+        """An artifact for each port that the stage needs."""
         return {}
 
     def palette(self) -> Palette:
-        """How many interiors and colours are asked for."""
+        """How many interiors and colors are asked for."""
         return Palette()
 
     def _run(self, stage: Stage, *, seed: int = 5, threads: int = 1) -> tuple[Any, PlainContext]:
@@ -51,7 +49,7 @@ class StageContract:
 
     def _digest(self, stage: Stage, **how: Any) -> tuple[str | None, str, str]:
         made, context = self._run(stage, **how)
-        own = made.digest() if isinstance(made, Noun) else None
+        own = made.digest() if isinstance(made, Artifact) else None
         return own, digest_of(context.directory), json_text(jsonable(context.reported))
 
     def test_has_a_name_of_family_and_word(self) -> None:
@@ -97,7 +95,7 @@ class StageContract:
             signature = signature_of(type(stage))
             if not signature.as_recipe:
                 assert isinstance(made, signature.makes or type(None))
-            if isinstance(made, Noun):
+            if isinstance(made, Artifact):
                 made.check()
                 json_text(jsonable(made.summary()))
 
@@ -109,9 +107,9 @@ class StageContract:
             assert self._digest(stage, threads=3) == first
 
     def test_leaves_its_inputs_alone(self) -> None:
-        """Nouns are shared between stages."""
+        """Artifacts are shared between stages."""
         for stage in self.stages():
-            inputs = {name: value for name, value in self.inputs().items() if isinstance(value, Noun)}
+            inputs = {name: value for name, value in self.inputs().items() if isinstance(value, Artifact)}
             before = {name: value.digest() for name, value in inputs.items()}
             open_ports = {port.name: None for port in signature_of(type(stage)).ports if port.optional}
             context = PlainContext(5, palette=self.palette())

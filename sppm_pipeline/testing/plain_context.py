@@ -14,15 +14,13 @@ from sppm_pipeline.engine.configuration import StageEntry
 from sppm_pipeline.engine.context import RunContext, StageLog
 from sppm_pipeline.engine.document import Node
 from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.outputs import output_parts
+from sppm_pipeline.engine.names import output_parts
 from sppm_pipeline.engine.plugins import Plugin
 from sppm_pipeline.engine.problems import Problems
 from sppm_pipeline.engine.running import StepRecipe
 from sppm_pipeline.engine.wiring import Draft, wire
 from sppm_pipeline.errors import Position
 from sppm_pipeline.stage import Stage
-
-__all__ = ["PlainContext", "recipe_of"]
 
 
 class _Recorder(Monitor):
@@ -41,7 +39,7 @@ class PlainContext(RunContext):
     seed : int
     threads : int
     palette : Palette, optional
-        One interior and one colour if omitted.
+        One interior and one color if omitted.
     directory : Path, optional
         Where outputs go, at once and without staging; a temporary folder, removed with the context, if omitted.
     stage : str

@@ -1,4 +1,4 @@
-"""Stages and nouns without geometry, for tests of the engine, of executors and of tools around runs.
+"""Stages and artifacts without geometry, for tests of the engine, of executors and of tools around runs.
 
 They register through the hooks like any plugin: ``--plugin`` or `load_plugins(["sppm_pipeline.testing.synthetic"])`.
 """
@@ -12,36 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
 
-__all__ = [
-    "AddNumbers",
-    "Failing",
-    "LimitNumber",
-    "Number",
-    "RandomNumber",
-    "ReadNumber",
-    "Repeat",
-    "ScaleNumber",
-    "Text",
-    "ToText",
-    "Varied",
-    "Whole",
-    "WriteNumber",
-    "WriteTable",
-    "sppm_stages",
-]
-
 N = TypeVar("N", bound="Number")
 
 
 @dataclass(frozen=True)
-class Number(Noun):
+class Number(Artifact):
     """A number. Not a number contradicts itself."""
 
     value: float
@@ -62,7 +44,7 @@ class Whole(Number):
 
 
 @dataclass(frozen=True)
-class Text(Noun):
+class Text(Artifact):
     """A text."""
 
     text: str

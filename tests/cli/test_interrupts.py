@@ -21,11 +21,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.stage import Context, Stage, option
 
 @dataclass(frozen=True)
-class Number(Noun):
+class Number(Artifact):
     """A number."""
     value: float
 

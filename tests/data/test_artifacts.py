@@ -1,4 +1,4 @@
-"""Nouns: read-only, checked, with digests that tell different content apart."""
+"""Artifacts: read-only, checked, with digests that tell different content apart."""
 
 import dataclasses
 
@@ -20,7 +20,7 @@ from sppm_pipeline.testing.plain_context import PlainContext
 def test_arrays_are_frozen_and_those_of_others_left_alone():
     mine = np.zeros((4, 3))
     pores = PoreSet(Cell(), mine, np.zeros(4, np.int32))
-    mine[0] = 1  # a copy or not: the noun must not change with it
+    mine[0] = 1  # a copy or not: the artifact must not change with it
     with pytest.raises(ValueError, match="read-only"):
         pores.centers[0] = 2
     view = np.zeros((5, 3))[1:]
@@ -98,14 +98,14 @@ def test_tables():
 def test_every_noun_has_a_digest_that_follows_its_content(cell, wang, wang_tiling, wedge):
     part = Part(wang_tiling, wedge, 0.2)
     context = PlainContext()
-    nouns = [
+    artifacts = [
         cell, cell.with_level(0.26), cell.graph, cell.graph.pores, cell.cell, wang, wang_tiling, wedge, part,
         dataclasses.replace(part, skin_mm=0.3), Table({"a": (1, None, "x")}),
         CheckConnectivity(resolution=12).run(context, cell.with_level(0.9)),
         SliceField(resolution=8).run(context, wang_tiling), cell.alone(0, (0, 0, 0)),
     ]  # fmt: skip
-    digests = [noun.digest() for noun in nouns]
-    assert len(set(digests)) == len(nouns)
+    digests = [artifact.digest() for artifact in artifacts]
+    assert len(set(digests)) == len(artifacts)
     before = part.digest()
     wang_tiling.sample(SliceField(resolution=8).run(context, wang_tiling).grid)  # fills caches
     assert part.digest() == before

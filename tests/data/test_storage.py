@@ -1,4 +1,4 @@
-"""Nouns written and read again are the same, and no changed byte goes unnoticed."""
+"""Artifacts written and read again are the same, and no changed byte goes unnoticed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.storage import DamagedError, NotStorable, load_value, save_value, stored_bytes
 from sppm_pipeline.data.table import Table
@@ -22,8 +22,8 @@ from sppm_pipeline.numerics.grid import Grid
 
 
 @dataclass(frozen=True, eq=False)
-class Anything(Noun):
-    """Whatever a noun of somebody else may hold."""
+class Anything(Artifact):
+    """Whatever an artifact of somebody else may hold."""
 
     value: Any
     kept: dict[Any, Any] = field(default_factory=dict, compare=False)
@@ -42,12 +42,12 @@ def test_nouns_of_the_program(tmp_path, wang, ball):
     voxels = Voxels(rng.integers(0, 2, (5, 70, 300)).astype(np.uint8), (1.0, 1.0, 1.0), True, (False, True, False))
     volume = VolumeMesh(rng.random((4, 3)), np.array([[0, 1, 2, 3]]), box=np.array([[0.0] * 3, [1.0] * 3]))
     micro = wang.micro
-    nouns = [micro.graph.pores, micro.graph, micro, wang, ball, voxels, volume, Table({"a": (1, None, "x")})]
-    for number, noun in enumerate(nouns):
-        again = there_and_back(noun, tmp_path / str(number))
-        assert type(again) is type(noun)
-        assert again.digest() == noun.digest()
-        assert again.summary() == noun.summary()
+    artifacts = [micro.graph.pores, micro.graph, micro, wang, ball, voxels, volume, Table({"a": (1, None, "x")})]
+    for number, artifact in enumerate(artifacts):
+        again = there_and_back(artifact, tmp_path / str(number))
+        assert type(again) is type(artifact)
+        assert again.digest() == artifact.digest()
+        assert again.summary() == artifact.summary()
         again.check()
     assert there_and_back(voxels, tmp_path / "v").values.flags.f_contiguous
     assert not there_and_back(ball, tmp_path / "b").vertices.flags.writeable
@@ -123,7 +123,7 @@ def test_what_can_not_be_stored_is_refused_before_anything_is_written(tmp_path, 
 
 def test_a_class_inside_of_a_function_is_refused():
     @dataclass(frozen=True)
-    class Local(Noun):
+    class Local(Artifact):
         pass
 
     with pytest.raises(NotStorable):
@@ -131,8 +131,8 @@ def test_a_class_inside_of_a_function_is_refused():
 
 
 def test_every_changed_byte_is_noticed(tmp_path):
-    noun = Anything((np.arange(3), np.zeros(70_000, np.uint8), "text", Cell(2.0)))
-    files = {file.name: file for file in save_value(noun, tmp_path)}
+    artifact = Anything((np.arange(3), np.zeros(70_000, np.uint8), "text", Cell(2.0)))
+    files = {file.name: file for file in save_value(artifact, tmp_path)}
     assert len(files) == 3
     rng = np.random.default_rng(5)
     for name in files:
@@ -148,18 +148,18 @@ def test_every_changed_byte_is_noticed(tmp_path):
             with pytest.raises(DamagedError):
                 load_value(tmp_path, files)
         (tmp_path / name).write_bytes(data)
-    assert same(load_value(tmp_path, files).value, noun.value)
+    assert same(load_value(tmp_path, files).value, artifact.value)
     with pytest.raises(DamagedError, match="not listed"):
         load_value(tmp_path, {name: file for name, file in files.items() if name != "small.npy"})
 
 
 def test_only_classes_of_values_are_built(tmp_path):
-    noun = Anything(Cell(2.0))
+    artifact = Anything(Cell(2.0))
     for cls in ("os:system", "pathlib:Path", "sppm_pipeline.data.length:Cells", "no_such_module:Cell"):
         folder = tmp_path / cls.replace(":", "-")
         folder.mkdir()
         tree = folder / "value.json"
-        (file,) = save_value(noun, folder)
+        (file,) = save_value(artifact, folder)
         data = tree.read_bytes().replace(b"sppm_pipeline.data.length:Cell", cls.encode())
         tree.write_bytes(data)
         forged = file._replace(bytes=len(data), sha256=hashlib.sha256(data).hexdigest())

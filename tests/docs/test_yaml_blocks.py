@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from sppm_pipeline.cli.arguments import BUILTINS
-from sppm_pipeline.engine.session import Order, open_session
+from sppm_pipeline.engine.session import RunRequest, open_session
 from sppm_pipeline.engine.sweep import check_sweep, sweep_rows
 from sppm_pipeline.errors import ConfigError, ConfigErrors, WiringError
 
@@ -22,7 +22,7 @@ PLACEHOLDER = "pipeline:\n  - {stage: read.primitive, shape: box, size: [1, 1, 1
 
 def check(path: Path, plugins: tuple[Path, ...] = ()) -> list[ConfigError]:
     """What ``sppm check`` says against a file; a page that builds an installed plugin again does without them."""
-    order = Order(str(path), BUILTINS, plugins=tuple(str(plugin) for plugin in plugins), distributions=not plugins)
+    order = RunRequest(str(path), BUILTINS, plugins=tuple(str(plugin) for plugin in plugins), distributions=not plugins)
     try:
         session = open_session(order)
         session.plan()

@@ -8,7 +8,7 @@ import pytest
 
 from sppm_pipeline.engine.plan import Plan
 from sppm_pipeline.engine.runner import run_plan
-from sppm_pipeline.engine.session import Order, Session, open_session
+from sppm_pipeline.engine.session import RunRequest, Session, open_session
 from sppm_pipeline.engine.substitution import Overrides
 from sppm_pipeline.errors import ConfigError, ConfigErrors
 
@@ -31,7 +31,7 @@ class Workplace:
     ) -> Session:
         path = self.write(text if text.startswith("sppm:") else f"sppm: 1\n{text}")
         overrides = Overrides(tuple(p), tuple(s), seed)
-        return open_session(Order(str(path), builtins, tuple(map(str, plugins)), distributions, overrides))
+        return open_session(RunRequest(str(path), builtins, tuple(map(str, plugins)), distributions, overrides))
 
     def plan(self, text: str, **how) -> Plan:
         return self.session(text, **how).plan()

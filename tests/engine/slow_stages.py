@@ -11,7 +11,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 SLOW = 0.05
@@ -19,7 +19,7 @@ SLOW = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers(Noun):
+class Numbers(Artifact):
     """Some numbers."""
 
     values: NDArray[np.float64]
@@ -29,8 +29,8 @@ class Numbers(Noun):
 
 
 @dataclass(frozen=True, eq=False)
-class Closed(Noun):
-    """A noun that can't be written."""
+class Closed(Artifact):
+    """An artifact that can't be written."""
 
     function: Any
 
@@ -122,7 +122,7 @@ class Clock(Stage):
 
 @dataclass(frozen=True, kw_only=True)
 class Close(Stage):
-    """Make a noun that can't be kept."""
+    """Make an artifact that can't be kept."""
 
     name: ClassVar[str] = "fill.closed"
 

@@ -67,7 +67,7 @@ def test_data_of_every_stage_is_json(registry):
 def test_the_list_has_a_line_for_every_stage(registry):
     lines = stage_list(registry, list(registry)).splitlines()
     assert [line.split()[0] for line in lines if line.startswith("  ")] == list(registry)
-    assert "read: a file or a primitive becomes a noun" in lines
+    assert "read: a file or a primitive becomes an artifact" in lines
 
 
 def test_a_plan_is_explained_with_options_inputs_and_seeds(work):

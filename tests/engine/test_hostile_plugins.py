@@ -24,7 +24,7 @@ import numpy as np
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.data.length import Cell
-from sppm_pipeline.data.artifact import Noun
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.pores import PoreSet
 
 @hookimpl
@@ -411,9 +411,10 @@ def test_a_broken_entry_point(here, install, capsys):
 
 def test_numbers_of_nouns_of_a_plugin_are_looked_at(here, install, capsys):
     source = STAGE.replace("-> PoreSet", "-> Values").replace("BODY", "        return Values(np.array([1.0, np.nan]))")
-    noun = (
-        "@dataclass(frozen=True, eq=False)\nclass Values(Noun):\n    values: np.ndarray\n\n@dataclass(frozen=True, kw"
+    artifact = (
+        "@dataclass(frozen=True, eq=False)\nclass Values(Artifact):\n    values: np.ndarray\n\n"
+        "@dataclass(frozen=True, kw"
     )
-    install(source.replace("@dataclass(frozen=True, kw", noun))
+    install(source.replace("@dataclass(frozen=True, kw", artifact))
     assert main(["run", "strange.yaml", "-q"]) == 4
     assert "not finite: Values.values[1] is nan (1 of 2" in capsys.readouterr().err

@@ -7,8 +7,9 @@ import os
 
 import pytest
 
+from sppm_pipeline.engine.files import digest_of, write_whole
 from sppm_pipeline.engine.jsonable import json_text
-from sppm_pipeline.engine.outputs import RunFolder, digest_of, write_whole
+from sppm_pipeline.engine.outputs import RunFolder
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
 
 RECORD = {"sppm_run": 1, "config": {}}
@@ -146,7 +147,7 @@ def test_a_run_directory_is_for_one_run_at_a_time(tmp_path):
     folder_in(tmp_path).discard()
 
 
-def test_what_is_there_already_is_recognised_to_the_byte(tmp_path):
+def test_what_is_there_already_is_recognized_to_the_byte(tmp_path):
     folder = folder_in(tmp_path)
     folder.claim("s", "a.txt").write_text("hello")
     folder.claim("s", "slices").mkdir()

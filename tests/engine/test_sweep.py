@@ -136,10 +136,10 @@ def test_a_sweep_can_be_repeated_from_its_record_and_into_its_directory(work):
     (work.folder / "a" / "runs" / "0099").mkdir()
     (work.folder / "a" / "runs" / "0099" / "run.json").write_text((work.folder / "a/runs/0000/run.json").read_text())
     before = (work.folder / "a" / "sweep.csv").read_bytes()
-    from sppm_pipeline.engine.session import Order, open_session
+    from sppm_pipeline.engine.session import RunRequest, open_session
 
     (work.folder / "copy.json").write_text(record)
-    session = open_session(Order(str(work.folder / "copy.json"), work.session(TEXT).order.builtins, (), False))
+    session = open_session(RunRequest(str(work.folder / "copy.json"), work.session(TEXT).order.builtins, (), False))
     run_sweep(session, session.plan(), work.folder / "a", workers=1, executor=None, threads=1)
     assert (work.folder / "a" / "sweep.csv").read_bytes() == before
     assert sorted(path.name for path in (work.folder / "a" / "runs").iterdir()) == [f"{i:04}" for i in range(6)]

@@ -1,4 +1,4 @@
-"""Which stage each port takes its noun from."""
+"""Which stage each port takes its artifact from."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import pytest
 
 from sppm_pipeline.engine.graph import dot_graph, mermaid_graph, wiring_text
-from sppm_pipeline.engine.ports import fits, noun_words, signature_of
+from sppm_pipeline.engine.ports import artifact_words, fits, signature_of
 from sppm_pipeline.errors import ConfigErrors, PluginError, WiringError
 from sppm_pipeline.stage import Context, Recipe, Stage
 from sppm_pipeline.testing.synthetic import Number, Text, Whole
@@ -211,8 +211,8 @@ def unresolved(self, context: Context, number: NotThere) -> Number: ...  # noqa:
         (no_result, "does not say what it makes"),
         (many, "each port needs a name"),
         (anything, "makes Any"),
-        (pairs, "must be annotated with nouns"),
-        (mixed, "either a recipe or nouns"),
+        (pairs, "must be annotated with artifacts"),
+        (mixed, "either a recipe or artifacts"),
         (unresolved, "can't be resolved"),
     ],
 )
@@ -234,4 +234,4 @@ def test_signatures():
     assert fits((Text,), more)
     assert not fits((Text, Number), more)
     assert fits((Text, type(None)), more)
-    assert noun_words(signature.makes) == "Number or nothing"
+    assert artifact_words(signature.makes) == "Number or nothing"

@@ -122,7 +122,7 @@ def test_all_meetings_of_an_open_palette():
 def test_a_rule_and_a_set_of_one_s_own(recipe):
     @dataclass(frozen=True, kw_only=True)
     class Two(TileSetMaker):
-        """Two interiors, one colour."""
+        """Two interiors, one color."""
 
         name: ClassVar[str] = "tileset.two"
         kind: ClassVar[str] = "free"

@@ -8,7 +8,7 @@ from sppm_pipeline.fields import part as part_module
 from sppm_pipeline.fields.part import VOTED_LAYERS, Part
 from sppm_pipeline.numerics.domain import primitive_meshes
 from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
-from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 
 
 def inside_ball(part, grid, radius=5.0):
@@ -17,7 +17,7 @@ def inside_ball(part, grid, radius=5.0):
     return (x - 5) ** 2 + (y - 5) ** 2 + (z - 5) ** 2 < radius**2
 
 
-GRID = cell_centres(12, (4, 3, 3))
+GRID = cell_centers(12, (4, 3, 3))
 
 
 def test_a_part_is_the_field_and_the_domain(wang_tiling, ball):
@@ -43,7 +43,7 @@ def test_the_distance_is_in_cell_edges(wang_tiling, ball):
 @pytest.mark.parametrize("skin", [0.4, 1.0])
 def test_the_skin_is_solid_and_as_thick_as_asked(wang_tiling, ball, skin):
     part, plain = Part(wang_tiling, ball, skin), Part(wang_tiling, ball)
-    grid = cell_centres(24, (3, 3, 3))
+    grid = cell_centers(24, (3, 3, 3))
     solid, inside = part.solid(grid).astype(bool), inside_ball(part, grid, 4.97)
     h = 4 / 24
     shell = inside & ~inside_ball(part, grid, 5 - skin + h)
@@ -120,7 +120,7 @@ def test_distances_of_an_open_part_do_not_depend_on_slabs(wang_tiling, ball, ins
     """Also where the inside ends in a hole, so that the skin goes across it."""
     domain = SurfaceMesh(ball.vertices, ball.faces[(ball.vertices[ball.faces].max(1)[:, 2] < 9.3)])
     assert len(domain.faces) < len(ball.faces)
-    grid = cell_centres(12, (4, 3, 3))
+    grid = cell_centers(12, (4, 3, 3))
     whole = Part(wang_tiling, domain, 0.7, inside=inside).sample_apart(grid)[1]
     lid = whole[:, 15, 15]
     assert (lid < 0).any()

@@ -7,7 +7,7 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.microstructure import CUTOFF
 from sppm_pipeline.fields.tiling import RepeatedField, Tiling
 from sppm_pipeline.numerics.assembly.gather import sample_exact
-from sppm_pipeline.numerics.grid import Grid, cell_centres, cell_nodes
+from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -40,7 +40,7 @@ def test_opposite_faces_of_a_periodic_tiling_are_equal_to_the_last_bit(cell):
 
 def test_one_cell_is_an_assembly_of_itself(cell):
     laid = PeriodicTiling(cells=(2, 1, 3)).run(PlainContext(), cell, None)
-    grid = cell_centres(12)
+    grid = cell_centers(12)
     assert laid.periodic
     for values in (laid.sample(grid), laid.sample(Grid((1 + 1 / 24, 1 / 24, 2 + 1 / 24), grid.spacing, grid.shape))):
         assert np.abs(values - cell.sample(grid)).max() < BOUND
@@ -48,7 +48,7 @@ def test_one_cell_is_an_assembly_of_itself(cell):
 
 def test_a_tile_of_the_set_is_an_assembly_of_itself(wang):
     laid = PeriodicTiling(cells=(2, 2, 2), tile=5).run(PlainContext(), wang, None)
-    grid = cell_centres(12)
+    grid = cell_centers(12)
     assert np.abs(laid.sample(grid) - wang.micro.alone(5, (1, 0, 1)).sample(grid)).max() < BOUND
 
 
@@ -64,7 +64,7 @@ def test_patches_and_exact_kernels_agree_also_across_the_cell_borders(name, requ
 
 @pytest.mark.parametrize("name", ["wang_tiling", "free_tiling"])
 def test_the_field_is_continuous_over_the_cell_borders(name, request):
-    """Just before and just behind each lattice plane it is the same, whatever the neighbours are."""
+    """Just before and just behind each lattice plane it is the same, whatever the neighbors are."""
     tiling = request.getfixturevalue(name)
     eps = 1e-7
     for axis in range(3):
@@ -83,8 +83,8 @@ def test_commensurate_and_other_grids_agree_where_they_share_points(name, reques
     values = field.sample(fine)
     lower_half = Grid((0, 0, 0), (1 / 6, 1 / 12, 1 / 4), (7, 13, 4))
     assert np.abs(field.sample(lower_half) - values[:10:3, :, ::2]).max() < BOUND
-    centres = cell_centres(6)
-    assert np.abs(field.sample(centres) - values[1::2, 1::2, 1::2]).max() < BOUND
+    centers = cell_centers(6)
+    assert np.abs(field.sample(centers) - values[1::2, 1::2, 1::2]).max() < BOUND
 
 
 def cleaned(cell):
@@ -108,7 +108,7 @@ def fields(cell, wang_tiling, free_tiling):
 
 
 GRIDS = [
-    cell_centres(10, (2, 2, 2)),
+    cell_centers(10, (2, 2, 2)),
     cell_nodes(9),
     Grid((0.013, 0.4, 0.27), (0.057, 0.061, 0.037), (20, 17, 23)),
     Grid((0.05, 0.05, 1 / 60), (0.1, 0.1, 1 / 30), (20, 20, 33)),
@@ -145,9 +145,9 @@ def test_a_field_without_a_size_says_so(cell, wang_tiling):
 
 def test_many_interiors_have_to_be_laid_out(wang):
     with pytest.raises(ValueError, match="laid out"):
-        wang.micro.sample(cell_centres(4))
+        wang.micro.sample(cell_centers(4))
 
 
 def test_the_level_moves_the_field_and_not_the_kernels(cell):
-    grid = cell_centres(8)
+    grid = cell_centers(8)
     assert np.abs(cell.with_level(0.5).sample(grid) - (cell.sample(grid) + cell.level - 0.5)).max() < 1e-6

@@ -24,7 +24,7 @@ def read(data):
 
 @settings(deadline=None, derandomize=True)
 @given(hnp.arrays(np.uint8, st.tuples(SIDES, SIDES)), st.integers(0, 9))
-def test_eight_bits_hold_every_grey(image, level):
+def test_eight_bits_hold_every_gray(image, level):
     mode, pixels, _ = read(encode_layer(image, bits=8, level=level))
     assert mode == "L"
     np.testing.assert_array_equal(pixels, image)

@@ -33,7 +33,7 @@ def error_allowed(name: str, vertices: np.ndarray) -> float:
 
 
 def read_back(data: bytes, name: str) -> Mesh:
-    """In millimetres, z up, as they were written."""
+    """In millimeters, z up, as they were written."""
     file = decode_mesh_file(data, f"mesh.{name}")
     return rotated(file.vertices * file.mm, upright(file.up)), file.faces
 

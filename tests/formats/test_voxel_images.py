@@ -18,7 +18,7 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats import image_stack, npy, nrrd, vti
 
 IMAGE = np.random.default_rng(0).integers(0, 3, (3, 4, 5)).astype(np.uint8)
-GREY = np.random.default_rng(1).random((4, 3, 2)).astype(np.float32)
+GRAY = np.random.default_rng(1).random((4, 3, 2)).astype(np.float32)
 
 
 def nrrd_of(values, encoding="raw", **changed):
@@ -77,7 +77,7 @@ def vti_of(values, how, compressed=False, header="UInt32", points=False):
     )
 
 
-@pytest.mark.parametrize("values", [IMAGE, GREY, IMAGE > 1], ids=["phases", "grey", "bool"])
+@pytest.mark.parametrize("values", [IMAGE, GRAY, IMAGE > 1], ids=["phases", "gray", "bool"])
 def test_npy_round_trip_and_numpy_reads_it(values):
     data = b"".join(npy.encode(np.asfortranarray(values)))
     assert (np.load(io.BytesIO(data)) == values).all()
@@ -100,8 +100,8 @@ def test_nrrd(encoding):
 
 def test_nrrd_of_a_scanner():
     directions = {"space": "left-posterior-superior", "space_directions": "(0.3,0.4,0) (0,2,0) (0,0,1)"}
-    found = nrrd.decode(nrrd_of(GREY.astype(">f4"), type="float", endian="big", **directions), "a.nrrd")
-    assert (found.values == GREY).all()
+    found = nrrd.decode(nrrd_of(GRAY.astype(">f4"), type="float", endian="big", **directions), "a.nrrd")
+    assert (found.values == GRAY).all()
     assert found.spacing == pytest.approx((0.5, 2, 1))
 
 
@@ -115,7 +115,7 @@ def test_vti(how, compressed, header, points):
     assert found.spacing == (0.5, 0.25, 2.0)
 
 
-@pytest.mark.parametrize("values", [IMAGE, GREY])
+@pytest.mark.parametrize("values", [IMAGE, GRAY])
 def test_vti_round_trip(values):
     data = b"".join(vti.encode(np.asfortranarray(values), (1, 2, 3), (0, 0, 0), "phase"))
     found = vti.decode(data, "a.vti")
@@ -124,7 +124,7 @@ def test_vti_round_trip(values):
     assert vti.decode(data, "a.vti", "phase").values.shape == values.shape
 
 
-@pytest.mark.parametrize("values", [IMAGE, GREY, IMAGE > 1])
+@pytest.mark.parametrize("values", [IMAGE, GRAY, IMAGE > 1])
 def test_tiff_round_trip_and_another_reader(values):
     data = image_stack.encode_tiff(values)
     assert data == image_stack.encode_tiff(values)
@@ -218,7 +218,7 @@ def test_what_lies_is_refused_with_a_reason(case):
     assert "scan.x" in caught.value.message
 
 
-def test_a_colour_picture_is_refused(tmp_path):
+def test_a_color_picture_is_refused(tmp_path):
     Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(tmp_path / "0.png")
     with pytest.raises(InputError, match="RGB"):
         image_stack.read_folder(tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -145,7 +146,7 @@ def test_unknown_functions_and_distributions(call):
         {"arrays": {"a": np.array(["text"])}},
         {"arrays": {"../a": np.zeros(3)}},
     ],
-    ids=str,
+    ids=lambda change: re.sub(r" at 0x\w+", "", str(change)),
 )
 def test_calls_that_make_no_sense(change, temporary):
     call = {"function": "json:dumps", "arrays": {}, "options": {}, "returns": {}, "distribution": "numpy", "seconds": 5}

@@ -13,7 +13,7 @@ NAMES = ["one", "two", "three", "four"]
 
 
 def lengths(picture, color=BAR):
-    """Pixels of a colour in each row of bars; an edge that was averaged with its surroundings does not count."""
+    """Pixels of a color in each row of bars; an edge that was averaged with its surroundings does not count."""
     hit = (np.abs(picture.astype(int) - color) <= 2).all(axis=2).sum(axis=1)
     starts = np.flatnonzero(np.diff(np.concatenate([[0], (hit > 0).astype(int)])) == 1)
     return [int(hit[start + 2]) for start in starts]
@@ -48,7 +48,7 @@ def test_what_is_not_there_is_no_bar_but_a_dash():
     assert lengths(bar_panels(NAMES, [Panel("a", [0.0] * 4)])) == []
 
 
-def test_marked_rows_have_another_colour():
+def test_marked_rows_have_another_color():
     picture = bar_panels(NAMES, [Panel("a", [4.0, 2.0, 1.0, 3.0])], bar_length=200, marked=[1])
     assert len(lengths(picture)) == 3
     assert lengths(picture, MARKED)[-1] == pytest.approx(100, abs=2)

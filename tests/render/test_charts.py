@@ -1,4 +1,4 @@
-"""Charts: statistics by known numbers, drawings by where the colours are."""
+"""Charts: statistics by known numbers, drawings by where the colors are."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_boxes_reach_from_quartile_to_quartile():
     assert abs(rows - (upper + lower) / 2).min() <= 1.5
 
 
-def test_series_get_different_colours_and_a_legend():
+def test_series_get_different_colors_and_a_legend():
     x = np.arange(5.0)
     bare, named = (chart([Line(x, x, a), Line(x, 4 - x, b)]) for a, b in (("", ""), ("one", "two")))
     assert (bare != named).any()
@@ -101,11 +101,11 @@ def test_series_get_different_colours_and_a_legend():
 
 
 def test_labels_take_room():
-    plain, labelled = (
+    plain, labeled = (
         chart([Points([0.5], [0.5], color=GREEN)], x_range=(0, 1), y_range=(0, 1), x_label=a, y_label=a, title=a)
         for a in ("", "porosity")
     )
-    assert np.nonzero(painted(labelled))[1].mean() > np.nonzero(painted(plain))[1].mean() + 5
+    assert np.nonzero(painted(labeled))[1].mean() > np.nonzero(painted(plain))[1].mean() + 5
 
 
 def test_same_series_same_bytes():

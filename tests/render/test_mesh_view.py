@@ -48,7 +48,7 @@ def square(y, half=1.0, x=0.0):
 @pytest.mark.parametrize("camera", [Camera(), Camera(20, -70), Camera(-60, 25, 30)])
 def test_silhouette_of_a_ball(camera):
     picture = render_mesh(*ball(), camera=camera, **(PLAIN | {"size": (300, 300)}))
-    # In perspective, too, the picture of a centred ball is a disc that fills the picture up to the margin.
+    # In perspective, too, the picture of a centered ball is a disc that fills the picture up to the margin.
     assert covered(picture).sum() == pytest.approx(np.pi * 120**2, rel=0.01)
     rows, columns = np.nonzero(covered(picture))
     assert (rows.mean(), columns.mean()) == pytest.approx((149.5, 149.5), abs=0.3)

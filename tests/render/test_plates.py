@@ -49,7 +49,7 @@ def test_sheets_are_about_square_without_a_number_of_columns():
     assert 0.5 < height / width < 2.0
 
 
-def test_layers_are_coloured_and_enlarged_by_whole_factors():
+def test_layers_are_colored_and_enlarged_by_whole_factors():
     layer = np.zeros((3, 5), bool)
     layer[0, 1] = True
     sheet = layer_sheet([layer], width=52, solid=(1, 2, 3), void=(250, 251, 252))

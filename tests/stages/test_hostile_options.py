@@ -19,7 +19,7 @@ import pytest
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.engine.options import options_of, parse_typed
 from sppm_pipeline.engine.runner import run_plan
-from sppm_pipeline.engine.session import Order, open_session
+from sppm_pipeline.engine.session import RunRequest, open_session
 from sppm_pipeline.errors import ConfigError, ConfigErrors, SppmError
 from sppm_pipeline.stages import BUILT_IN, sppm_stages
 
@@ -83,7 +83,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "homogenize.voxel": (REPEATED, "resolution: 6", []),
     "homogenize.conductivity": (REPEATED, "resolution: 6", []),
     "homogenize.tet": (VOLUME, "", []),
-    "homogenize.realisations": ([], "recipe: cell, samples: 2, resolution: 6", []),
+    "homogenize.realizations": ([], "recipe: cell, samples: 2, resolution: 6", []),
     "check.mesh": ([BOX], "", []),
     "check.sizes": (TILED, "resolution: 8", []),
     "check.volume_mesh": (VOLUME, "", []),
@@ -176,7 +176,7 @@ def _split(given: str) -> list[str]:
 
 
 def plan_of(path: Path):
-    return open_session(Order(str(path), BUILTINS, (), False)).plan()
+    return open_session(RunRequest(str(path), BUILTINS, (), False)).plan()
 
 
 @pytest.mark.parametrize("name", PLACES)

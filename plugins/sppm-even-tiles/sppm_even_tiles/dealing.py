@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Alike", "alike_pairs", "deal"]
-
 # what it costs that two cells carry the same interior, by how they touch
 FACE, EDGE, CORNER = 100, 10, 1
 _COST = {1: FACE, 2: EDGE, 3: CORNER}
@@ -40,7 +38,7 @@ def alike_pairs(interior: NDArray[np.int32]) -> Alike:
             continue  # the other direction counts the same pairs
         here, there = (
             tuple(slice(max(0, sign * s), min(0, sign * s) or None) for s in step) for sign in (-1, 1)
-        )  # the cells that have a neighbour at this step, and those neighbours
+        )  # the cells that have a neighbor at this step, and those neighbors
         same = (interior[here] == interior[there]) & (interior[here] >= 0)
         counts[sum(map(abs, step))] += int(same.sum())
     return Alike(counts[1], counts[2], counts[3])
@@ -50,7 +48,7 @@ def deal(rng: np.random.Generator, mask: NDArray[np.bool_], interiors: int) -> N
     """Deal shuffled decks of all interiors to the cells in raster order, then swap where equal cells touch.
 
     Each deck is dealt to its end before the next one is shuffled, so that no interior is used more than once more
-    often than another. Of the cards left in the deck a cell takes the first that none of its neighbours has, or the
+    often than another. Of the cards left in the deck a cell takes the first that none of its neighbors has, or the
     one that costs least. Swaps keep the numbers and are made only if they lower the cost, so the search ends.
 
     Parameters
@@ -66,7 +64,7 @@ def deal(rng: np.random.Generator, mask: NDArray[np.bool_], interiors: int) -> N
     (nx, ny, nz) int32
         0..K-1, and -1 where `mask` is False.
     """
-    # one empty layer all around, so that neighbours are fixed steps in the flat list
+    # one empty layer all around, so that neighbors are fixed steps in the flat list
     padded = np.pad(np.asarray(mask, np.bool_), 1)
     offsets = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
     steps = np.array(offsets) @ np.array(padded.strides)
@@ -119,7 +117,7 @@ def _cost(
     steps: NDArray[np.int64],
     prices: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """What `cards` would cost at `places`, among the neighbours that are there; (n,) int64."""
+    """What `cards` would cost at `places`, among the neighbors that are there; (n,) int64."""
     total = np.zeros(len(places), np.int64)
     for step, price in zip(steps, prices, strict=True):
         total += price * (cells[places + step] == cards)
@@ -137,7 +135,7 @@ def _swap(
     """Swap the card at `place` with the one that lowers the cost most, if there is one."""
     mine = cells[place]
     others = places if len(places) <= _MOST_TRIES else rng.choice(places, _MOST_TRIES, replace=False)
-    # a swap with a neighbour would change the very cells that its cost is counted from
+    # a swap with a neighbor would change the very cells that its cost is counted from
     others = others[(cells[others] != mine) & ~np.isin(others, place + steps)]
     theirs = cells[others]
     if not len(others):

@@ -22,8 +22,8 @@ class EvenInteriors(Tiler):
 
     Cells with the same interior do not touch across a face, an edge or a corner; if there are too few interiors for
     that, they touch across corners rather than edges, and edges rather than faces, and the run record tells how often.
-    From 27 interiors on such a layout exists for parts of any shape, as a cell has 26 neighbours (Hajnal and
-    Szemeredi 1970). Face colours are drawn as by the built-in rule for the kind of tile set.
+    From 27 interiors on such a layout exists for parts of any shape, as a cell has 26 neighbors (Hajnal and
+    Szemeredi 1970). Face colors are drawn as by the built-in rule for the kind of tile set.
     """
 
     name: ClassVar[str] = "tile.even_interiors"
@@ -32,7 +32,7 @@ class EvenInteriors(Tiler):
     def lay(
         self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
     ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
-        """Deal the interiors; any face colours go with them."""
+        """Deal the interiors; any face colors go with them."""
         from sppm_pipeline.numerics.tiling.corners import tile_corners
         from sppm_pipeline.numerics.tiling.hashed import tile_hashed
 

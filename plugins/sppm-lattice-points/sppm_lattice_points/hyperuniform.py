@@ -33,7 +33,7 @@ class Hyperuniform(MeasuredSampler):
     count: int = option(help="pores of one interior", minimum=4, maximum=2000)
     stealth: float = option(
         0.4,
-        help="degrees of freedom bound by the waves, as a share of all; above 0.5 pores would crystallise",
+        help="degrees of freedom bound by the waves, as a share of all; above 0.5 pores would crystallize",
         minimum=0.05,
         maximum=0.5,
     )

@@ -20,15 +20,15 @@ BASES = {
     "face_centered": _FACES,
     "diamond": _FACES + [[x + 1, y + 1, z + 1] for x, y, z in _FACES],
 }
-# distance of nearest neighbours, in edges of the cube
+# distance of nearest neighbors, in edges of the cube
 NEAREST = {"simple": 1.0, "body_centered": 3**0.5 / 2, "face_centered": 2**0.5 / 2, "diamond": 3**0.5 / 4}
 
 
 @dataclass(frozen=True, kw_only=True)
 class LatticePoints(MeasuredSampler):
-    """Put pores on a simple, body-centred, face-centred or diamond lattice and move each by a random vector.
+    """Put pores on a simple, body-centered, face-centered or diamond lattice and move each by a random vector.
 
-    No pore moves further than the share `jitter` of the distance of nearest neighbours, so that none come closer than
+    No pore moves further than the share `jitter` of the distance of nearest neighbors, so that none come closer than
     ``1 - 2 jitter`` of it. Without jitter this is a crystal, and every interior of a tile set is the same.
     """
 
@@ -37,7 +37,7 @@ class LatticePoints(MeasuredSampler):
     lattice: str = option("face_centered", help="arrangement of the pores", choices=tuple(BASES))
     repeat: int = option(2, help="cubes of the lattice along an edge of the cell", minimum=1, maximum=32)
     jitter: float = option(
-        0.2, help="longest move of a pore, as a share of the distance of nearest neighbours", minimum=0, maximum=0.5
+        0.2, help="longest move of a pore, as a share of the distance of nearest neighbors", minimum=0, maximum=0.5
     )
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:

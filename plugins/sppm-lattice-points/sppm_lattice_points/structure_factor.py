@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 
-__all__ = ["stealthy", "structure_factor", "wave_vectors"]
-
 
 def wave_vectors(count: int, share: float) -> NDArray[np.float64]:
     """The longest waves that fit the periodic unit cube, in complete shells of equal wave length.

@@ -55,10 +55,10 @@ def test_the_number_of_pores_in_large_balls_varies_less_than_for_independent_por
     waves = wave_vectors(150, 0.45)
     evened = stealthy(rng.random((150, 3)), waves, tolerance=TOLERANCE, steps=20_000)
     independent = rng.random((150, 3))
-    centres = rng.random((400, 3))
+    centers = rng.random((400, 3))
 
     def variance(points: np.ndarray) -> float:
-        d = points[None] - centres[:, None]
+        d = points[None] - centers[:, None]
         return float((np.linalg.norm(d - np.round(d), axis=-1) < 0.3).sum(1).var())
 
     assert variance(evened) < 0.35 * variance(independent)

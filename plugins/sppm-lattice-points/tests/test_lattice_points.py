@@ -16,7 +16,7 @@ from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.contracts import SamplerContract
 from sppm_pipeline.testing.plain_context import PlainContext
 
-NEIGHBOURS = {"simple": 6, "body_centered": 8, "face_centered": 12, "diamond": 4}
+NEIGHBORS = {"simple": 6, "body_centered": 8, "face_centered": 12, "diamond": 4}
 
 
 class TestLatticePoints(SamplerContract):
@@ -41,14 +41,14 @@ def periodic_distances(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("lattice", BASES)
 @pytest.mark.parametrize("repeat", [1, 2, 3])
-def test_every_pore_of_a_crystal_has_the_neighbours_of_its_lattice(lattice: str, repeat: int) -> None:
+def test_every_pore_of_a_crystal_has_the_neighbors_of_its_lattice(lattice: str, repeat: int) -> None:
     context = PlainContext()
     pores = LatticePoints(lattice=lattice, repeat=repeat, jitter=0.0).run(context, None)
     assert len(pores.centers) == len(BASES[lattice]) * repeat**3
     distances = periodic_distances(pores.centers)
     nearest = NEAREST[lattice] / repeat
     np.testing.assert_allclose(distances.min(axis=1), nearest)
-    assert (np.isclose(distances, nearest).sum(axis=1) == NEIGHBOURS[lattice]).all()
+    assert (np.isclose(distances, nearest).sum(axis=1) == NEIGHBORS[lattice]).all()
     assert context.reported["smallest_distance"] == pytest.approx(nearest)
 
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.process import tell
 
-__all__ = ["apply", "count_self_intersections"]
-
 Arrays = Mapping[str, NDArray[Any]]
 Options = Mapping[str, Any]
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pymeshlab.winding import spread_points, winding_change, winding_numbers
 
-__all__ = ["Judge"]
-
 
 class Judge:
     """Sample points in the box of a mesh, and what they say of it.

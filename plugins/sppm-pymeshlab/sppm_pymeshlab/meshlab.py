@@ -11,8 +11,6 @@ from sppm_pipeline.errors import DesignError, InputError
 from sppm_pipeline.process import ArraySpec, run_native
 from sppm_pipeline.stage import Context
 
-__all__ = ["LARGEST", "Refused", "compared", "filtered", "self_intersections", "worked"]
-
 LARGEST = 20_000_000
 """Triangles; MeshLab needs about 1 kB for each."""
 

@@ -1,4 +1,4 @@
-"""Which way is out: pieces of a surface whose neighbours already agree are turned as a whole."""
+"""Which way is out: pieces of a surface whose neighbors already agree are turned as a whole."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.meshcheck.measures import components, edge_counts, volume
 from sppm_pymeshlab.winding import winding_numbers
-
-__all__ = ["turned_outward"]
 
 
 def turned_outward(

@@ -25,7 +25,7 @@ class RepairMesh(Stage):
     """Repair a mesh until it bounds a solid, and say of each step what it has changed.
 
     ``clean`` removes duplicate and degenerate triangles and unused vertices, ``merge`` joins vertices that are close,
-    ``split`` cuts where three or more triangles meet in an edge, ``orient`` winds neighbours alike and outwards,
+    ``split`` cuts where three or more triangles meet in an edge, ``orient`` winds neighbors alike and outwards,
     ``close`` fills holes, ``unite`` resolves self-intersections exactly (the union of the mesh with itself), ``wrap``
     shrinks a new surface around whatever there is (alpha wrap, Portaneri et al. 2022). With ``auto`` only the steps
     that something calls for are tried, and a step is undone if it changes what is inside: sample points are asked by

@@ -22,7 +22,7 @@ class SmoothMesh(Stage):
 
     iterations: int = option(10, help="rounds", minimum=1, maximum=10_000)
     shrink: float = option(
-        0.5, help="share of the way to the mean of its neighbours that a vertex moves", above=0, maximum=1
+        0.5, help="share of the way to the mean of its neighbors that a vertex moves", above=0, maximum=1
     )
     inflate: float = option(0.53, help="share of the way that it moves back; a little more than `shrink`", above=0)
     time_limit: float = option(600.0, help="the child process is ended after this time", unit="s", above=0)

@@ -13,9 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["spread_points", "winding_change", "winding_numbers"]
+from sppm_pipeline.numerics.compiled import jit
 
 SMALL = 0.02
 """Tangent up to which three terms of its series give an angle to 2e-13, at a fifth of the time."""
@@ -104,7 +102,7 @@ def _corner_rows(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDA
     return np.asarray(corners[rows[:, None], (first[:, None] + np.arange(3)) % 3].reshape(-1, 9), np.float64)
 
 
-@kernel
+@jit
 def _solid_angles(
     points: NDArray[np.float64],
     vertices: NDArray[np.float64],

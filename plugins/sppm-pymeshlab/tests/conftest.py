@@ -17,12 +17,12 @@ def ball() -> SurfaceMesh:
 
 @pytest.fixture(scope="session")
 def boxes():
-    """Make one mesh of several boxes, each a (centre, size, inside out)."""
+    """Make one mesh of several boxes, each a (center, size, inside out)."""
 
     def make(*parts: tuple[tuple[float, ...], tuple[float, ...], bool]) -> SurfaceMesh:
         vertices, faces, count = [], [], 0
-        for centre, size, turned in parts:
-            v, f = box_mesh(centre, size)
+        for center, size, turned in parts:
+            v, f = box_mesh(center, size)
             vertices.append(v)
             faces.append((f[:, ::-1] if turned else f) + count)
             count += len(v)

@@ -19,8 +19,6 @@ from sppm_pipeline.families import lattice_for
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["Brick", "BrickField", "Kept", "region_of"]
-
 Brick = tuple[int, int, int]
 """A cell of the lattice by its indices; they may be negative."""
 

@@ -14,8 +14,6 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["CellField", "in_cell_edges"]
-
 BLOCK = 1 << 18
 """Samples evaluated together: few enough that the intermediate results stay in the processor's cache."""
 

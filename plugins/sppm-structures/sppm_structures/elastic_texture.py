@@ -24,7 +24,7 @@ class ElasticTexture(Stage):
     """A truss given by a graph in one tetrahedron, mirrored by the 48 symmetries of the cube.
 
     After Panetta et al. 2015, "Elastic textures for additive fabrication". The tetrahedron has its corners at the
-    cube's centre c, a face's centre f, an edge's middle e and a corner v of the cube. Nodes are named by the corners
+    cube's center c, a face's center f, an edge's middle e and a corner v of the cube. Nodes are named by the corners
     that they lie between: c, cf, cfe, cfev and so on, 15 kinds. A pattern lists edges: ``c-ev ev-f``. Their place
     between the corners is given by barycentric weights, ``ev=1:2``; struts are cones with a radius for each node,
     ``ev=1.5`` times `radius`; joints are blended as in `field.struts`. The publication numbers its patterns; ours are

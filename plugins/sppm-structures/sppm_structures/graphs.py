@@ -10,19 +10,17 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 
-__all__ = ["LATTICES", "StrutGraph", "images", "strut_graph"]
-
 _SAME = 1e-9
 """Positions nearer than this, in cell edges, are one node."""
 
 
 class StrutGraph(NamedTuple):
-    """Struts of one cell; what the neighbours' struts are follows by repetition.
+    """Struts of one cell; what the neighbors' struts are follows by repetition.
 
     Attributes
     ----------
     starts, ends : (m, 3) float64
-        Cell edges; the start lies in [0, 1)^3, the end may lie in a neighbouring cell.
+        Cell edges; the start lies in [0, 1)^3, the end may lie in a neighboring cell.
     start_radii, end_radii : (m,) float64
         Radii at the ends over the mean; 1 for cylinders.
     """
@@ -71,7 +69,7 @@ def strut_graph(
 
 
 def images(graph: StrutGraph, reach: float) -> StrutGraph:
-    """The struts of the cell and of its neighbours that come nearer than `reach` to it."""
+    """The struts of the cell and of its neighbors that come nearer than `reach` to it."""
     parts: list[list[NDArray[np.float64]]] = [[], [], [], []]
     low, high = np.minimum(graph.starts, graph.ends), np.maximum(graph.starts, graph.ends)
     span = int(np.ceil(2 + reach))
@@ -84,7 +82,7 @@ def images(graph: StrutGraph, reach: float) -> StrutGraph:
     return StrutGraph(*(np.concatenate(part) for part in parts))
 
 
-def _neighbours(points: NDArray[np.float64], distance: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _neighbors(points: NDArray[np.float64], distance: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Struts between all periodic points at some distance."""
     starts, ends = [], []
     for a in points:
@@ -96,15 +94,15 @@ def _neighbours(points: NDArray[np.float64], distance: float) -> tuple[NDArray[n
     return np.array(starts), np.array(ends)
 
 
-def _face_centred() -> NDArray[np.float64]:
+def _face_centered() -> NDArray[np.float64]:
     return np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]])
 
 
 def _simple_cubic() -> StrutGraph:
-    return strut_graph(*_neighbours(np.zeros((1, 3)), 1.0))
+    return strut_graph(*_neighbors(np.zeros((1, 3)), 1.0))
 
 
-def _body_centred() -> StrutGraph:
+def _body_centered() -> StrutGraph:
     corners = np.array(list(product((0.0, 1.0), repeat=3)))
     return strut_graph(np.full_like(corners, 0.5), corners)
 
@@ -112,26 +110,26 @@ def _body_centred() -> StrutGraph:
 def _corners_to_faces() -> StrutGraph:
     """Face diagonals only: what is usually called the FCC lattice of struts."""
     starts, ends = [], []
-    for centre in _face_centred()[1:]:
+    for center in _face_centered()[1:]:
         for shift in product((0.0, 1.0), repeat=3):
-            if abs(np.linalg.norm(np.array(shift) - centre) - 0.5**0.5) < 1e-9:
-                starts.append(centre)
+            if abs(np.linalg.norm(np.array(shift) - center) - 0.5**0.5) < 1e-9:
+                starts.append(center)
                 ends.append(shift)
     return strut_graph(np.array(starts), np.array(ends))
 
 
 def _octet() -> StrutGraph:
-    return strut_graph(*_neighbours(_face_centred(), 0.5**0.5))
+    return strut_graph(*_neighbors(_face_centered(), 0.5**0.5))
 
 
 def _kelvin() -> StrutGraph:
     points = {tuple(p) for quarter in (0.25, 0.75) for p in permutations((0.0, quarter, 0.5))}
-    return strut_graph(*_neighbours(np.array(sorted(points)), 0.125**0.5))
+    return strut_graph(*_neighbors(np.array(sorted(points)), 0.125**0.5))
 
 
 def _diamond() -> StrutGraph:
-    points = np.concatenate([_face_centred(), _face_centred() + 0.25])
-    return strut_graph(*_neighbours(points, 0.1875**0.5))
+    points = np.concatenate([_face_centered(), _face_centered() + 0.25])
+    return strut_graph(*_neighbors(points, 0.1875**0.5))
 
 
 def _re_entrant() -> StrutGraph:
@@ -156,7 +154,7 @@ def _re_entrant() -> StrutGraph:
 
 LATTICES = {
     "simple_cubic": _simple_cubic,
-    "bcc": _body_centred,
+    "bcc": _body_centered,
     "fcc": _corners_to_faces,
     "octet": _octet,
     "kelvin": _kelvin,

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SURFACES", "Nodal"]
-
 Factor = tuple[str, int] | None
 """Sine or cosine of a multiple of the phase along one axis; None for 1."""
 

@@ -40,7 +40,7 @@ class OrganicField(ScalarField):
     origin : tuple of 3 floats
         World position of the low corner, mm.
     pores : (n, 3) float64
-        Centres from the low corner, cell edges.
+        Centers from the low corner, cell edges.
     tunnels : (m, 2) int64
         Pores that are joined.
     omega, mu : float
@@ -82,13 +82,13 @@ class OrganicField(ScalarField):
         return self.sample_layers(grid, 0, grid.shape[2], threads)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        from sppm_pipeline.numerics.assembly.gather import make_catalogue, sample_exact
+        from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
 
         if "pieces" not in self.kept:
             pieces, arrays = self._sorted_by_cell()
-            self.kept["pieces"] = pieces, arrays, make_catalogue(pieces, CUTOFF)
-        pieces, arrays, catalogue = self.kept["pieces"]
-        values = sample_exact(pieces, arrays, grid, CUTOFF, threads, start, stop, catalogue=catalogue)
+            self.kept["pieces"] = pieces, arrays, make_catalog(pieces, CUTOFF)
+        pieces, arrays, catalog = self.kept["pieces"]
+        values = sample_exact(pieces, arrays, grid, CUTOFF, threads, start, stop, catalog=catalog)
         values -= np.float32(self.level)
         return values
 
@@ -143,7 +143,7 @@ class Organic(Stage):
 
     After Tian et al. 2020, "Organic open-cell porous structure modeling", whose design space is the whole part. Darts
     are thrown into the part's box until nothing fits; two pores are joined unless a third is nearer to both than they
-    are to each other (relative neighbourhood graph, Toussaint 1980), which holds the minimum spanning tree, so all
+    are to each other (relative neighborhood graph, Toussaint 1980), which holds the minimum spanning tree, so all
     pores are connected. Field and kernels are those of `field.gaussian`: ``sum exp(-omega r^2) + sum exp(-mu d)``,
     solid below the level, which ``tune.porosity`` changes.
 
@@ -213,7 +213,7 @@ class Organic(Stage):
 
 
 def near_pairs(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
-    """Relative neighbourhood graph: pairs (m, 2) with no third point nearer to both than they are to each other.
+    """Relative neighborhood graph: pairs (m, 2) with no third point nearer to both than they are to each other.
 
     Pairs further apart than `reach` are not looked at. Where no ball of half that radius is empty there are none.
     """

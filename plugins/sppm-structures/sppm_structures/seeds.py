@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from sppm_structures.brick_field import Brick
 
-__all__ = ["MOST_SEEDS", "HashedSeeds", "blue_noise", "images_near"]
-
 MOST_SEEDS = 5000
 """Seeds of one cell."""
 

@@ -7,20 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_structures.graphs import StrutGraph, images
-
-__all__ = [
-    "BUCKETS",
-    "LEVELS",
-    "REACH",
-    "StrutTable",
-    "evaluate_struts",
-    "longer",
-    "place_of",
-    "strut_table",
-    "table_of_struts",
-]
 
 LEVELS = 4
 BUCKETS = 1 << LEVELS
@@ -53,7 +41,7 @@ class StrutTable(NamedTuple):
 
 
 def strut_table(graph: StrutGraph, radius: float, blend: float) -> StrutTable:
-    """Sort struts of some mean radius, and those of the neighbouring cells, into buckets, for a blend length.
+    """Sort struts of some mean radius, and those of the neighboring cells, into buckets, for a blend length.
 
     All in cell edges.
     """
@@ -64,7 +52,7 @@ def strut_table(graph: StrutGraph, radius: float, blend: float) -> StrutTable:
 
 
 def table_of_struts(struts: NDArray[np.float64], blend: float) -> StrutTable:
-    """Sort struts into buckets: (m, 8) as in `StrutTable`, those of the neighbouring cells included.
+    """Sort struts into buckets: (m, 8) as in `StrutTable`, those of the neighboring cells included.
 
     A list holds every strut that can matter to any point of its bucket, so that the value at a point does not depend on
     the grid that it belongs to.
@@ -91,7 +79,7 @@ def evaluate_struts(
     return values
 
 
-@kernel
+@jit
 def _distance(struts: NDArray[np.float64], s: int, x: float, y: float, z: float) -> float:
     """From the surface of a round cone, measured across its axis."""
     dx, dy, dz = struts[s, 3] - struts[s, 0], struts[s, 4] - struts[s, 1], struts[s, 5] - struts[s, 2]
@@ -103,7 +91,7 @@ def _distance(struts: NDArray[np.float64], s: int, x: float, y: float, z: float)
     return distance
 
 
-@kernel
+@jit
 def place_of(morton: int, level: int) -> tuple[int, int, int]:
     """Indices of a bucket from the interleaved bits of its number, or of the block of 2^level buckets that it is in."""
     i, j, k = 0, 0, 0
@@ -114,7 +102,7 @@ def place_of(morton: int, level: int) -> tuple[int, int, int]:
     return i, j, k
 
 
-@kernel
+@jit
 def longer(listed: NDArray[np.int32], wanted: int) -> NDArray[np.int32]:
     """The same list with room for `wanted` entries and more."""
     copy = np.empty(2 * wanted, np.int32)
@@ -123,7 +111,7 @@ def longer(listed: NDArray[np.int32], wanted: int) -> NDArray[np.int32]:
     return copy
 
 
-@kernel
+@jit
 def _list(struts: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
     """The struts of each bucket: where its list begins and ends.
 
@@ -175,7 +163,7 @@ def _list(struts: NDArray[np.float64], margin: float) -> tuple[NDArray[np.int64]
     return begin, end, listed[:total].copy()
 
 
-@kernel
+@jit
 def _evaluate(
     struts: NDArray[np.float64],
     begin: NDArray[np.int64],
@@ -228,7 +216,7 @@ def _evaluate(
                 i = stop
 
 
-@kernel
+@jit
 def _distances(
     struts: NDArray[np.float64],
     s: int,
@@ -258,7 +246,7 @@ def _distances(
         nearest[n] = distance if distance < nearest[n] else nearest[n]
 
 
-@kernel
+@jit
 def _add_shares(
     distances: NDArray[np.float64],
     at: int,

@@ -85,7 +85,7 @@ class Struts(Stage):
 
     A graph of one's own is a JSON file ``{"nodes": [[x, y, z], ...], "edges": [[i, j], ...], "radii": [...]}`` with
     positions in cell edges and, if wanted, a radius for each node over the option `radius`; or a CSV file with a strut
-    in each row: x1, y1, z1, x2, y2, z2. Ends may lie in neighbouring cells; copies are counted once.
+    in each row: x1, y1, z1, x2, y2, z2. Ends may lie in neighboring cells; copies are counted once.
     """
 
     name: ClassVar[str] = "field.struts"

@@ -1,6 +1,6 @@
 """Trusses of cubic symmetry from a graph in one of the 48 tetrahedra that mirror planes cut the cube into.
 
-The tetrahedron's corners are the cube's centre ``c``, the centre ``f`` of a face, the middle ``e`` of an edge of that
+The tetrahedron's corners are the cube's center ``c``, the center ``f`` of a face, the middle ``e`` of an edge of that
 face, and an end ``v`` of that edge. A node lies at a corner, on an edge, on a face or inside, 15 kinds in all; its name
 is made of the letters of the corners that it lies between: ``c``, ``cf``, ``cfe``, ``cfev``. Source: Panetta et al.
 2015, "Elastic textures for additive fabrication", section 4.
@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_structures.graphs import StrutGraph, strut_graph
-
-__all__ = ["KINDS", "TEXTURES", "Texture", "read_pattern", "read_weights", "texture_graph"]
 
 CORNERS = {"c": (0.5, 0.5, 0.5), "f": (0.5, 0.5, 0.0), "e": (0.5, 0.0, 0.0), "v": (0.0, 0.0, 0.0)}
 
@@ -104,7 +102,7 @@ def texture_graph(texture: Texture) -> StrutGraph:
     Raises
     ------
     DesignError
-        If the struts of neighbouring cells do not all hang together.
+        If the struts of neighboring cells do not all hang together.
     """
     starts, ends, radii = [], [], []
     for a, b in texture.edges:

@@ -1,6 +1,6 @@
 """Voronoi cells of a few seeds: their edges, and the distance from their walls.
 
-An edge is found as the line on which two neighbours are as far away as the seed itself, clipped by the bisector planes
+An edge is found as the line on which two neighbors are as far away as the seed itself, clipped by the bisector planes
 of all others that are near. Only seeds nearer than twice the distance of its furthest corner can cut a Voronoi cell, so
 the edges are those of the whole, however many seeds there are further away.
 """
@@ -12,10 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_structures.strut_kernels import BUCKETS, LEVELS, longer, place_of
-
-__all__ = ["WallTable", "evaluate_walls", "voronoi_edges", "wall_table"]
 
 _SAME = 1e-9
 """Lengths below this, in cell edges, are none."""
@@ -27,7 +25,7 @@ class WallTable(NamedTuple):
     Attributes
     ----------
     seeds : (n, 3) float64
-        Those of the cell and of its neighbours.
+        Those of the cell and of its neighbors.
     begin, end : (BUCKETS^3,) int64
         Where the list of each bucket begins and ends.
     listed : (m,) int32
@@ -82,7 +80,7 @@ def evaluate_walls(
     return values
 
 
-@kernel
+@jit
 def _before(x: float, y: float, z: float) -> bool:
     """Whether a seed at this place relative to another comes first."""
     if abs(x) > _SAME:
@@ -92,7 +90,7 @@ def _before(x: float, y: float, z: float) -> bool:
     return z < 0.0
 
 
-@kernel
+@jit
 def _edges_of_one(
     near: NDArray[np.float64], half: NDArray[np.float64], limit: float, found: NDArray[np.float64]
 ) -> tuple[int, float]:
@@ -163,7 +161,7 @@ def _edges_of_one(
     return count, np.sqrt(furthest)
 
 
-@kernel
+@jit
 def _edges(seeds: NDArray[np.float64], own: int, radius: float, most: float) -> NDArray[np.float64]:
     found = np.empty((4096, 6))
     kept = np.empty((own * 32 + 64, 6))
@@ -213,7 +211,7 @@ def _edges(seeds: NDArray[np.float64], own: int, radius: float, most: float) -> 
     return kept[:total].copy()
 
 
-@kernel
+@jit
 def _limit(
     seeds: NDArray[np.float64],
     near: NDArray[np.int64],
@@ -245,11 +243,11 @@ def _limit(
     return limit
 
 
-@kernel
+@jit
 def _list(seeds: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
     """The seeds of each bucket: where its list begins and ends; octants first, as for struts.
 
-    The distance W from the walls changes by no more than the distance moved. With h from the centre c of a bucket to
+    The distance W from the walls changes by no more than the distance moved. With h from the center c of a bucket to
     its corners, W < W(c) + h in it; and a seed b can bound the cell of a seed a at p nearer than W only if it is nearer
     than ``|p - a| + 2 W``.
     """
@@ -289,7 +287,7 @@ def _list(seeds: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int
     return begin, end, listed[:total].copy()
 
 
-@kernel
+@jit
 def _evaluate(
     seeds: NDArray[np.float64],
     begin: NDArray[np.int64],

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["add_waves"]
+from sppm_pipeline.numerics.compiled import jit
 
 
-@kernel
+@jit
 def add_waves(
     vectors: NDArray[np.int64],
     real: NDArray[np.float64],

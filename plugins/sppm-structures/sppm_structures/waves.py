@@ -12,8 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Waves", "half_space", "sum_of_waves", "waves_of"]
-
 
 class Waves(NamedTuple):
     """Waves sorted by wave vector, kx first.

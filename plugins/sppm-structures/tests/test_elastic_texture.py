@@ -10,7 +10,7 @@ from sppm_structures.textures import KINDS, TEXTURES, read_pattern, texture_grap
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.numerics.grid import Grid, cell_centres, cell_nodes
+from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling
@@ -36,7 +36,7 @@ def test_kinds_of_nodes():
     assert read_pattern("ve-fc, cfev-v") == (("ev", "cf"), ("cfev", "v"))
 
 
-# lattices that are textures: centre, face, edge, corner
+# lattices that are textures: center, face, edge, corner
 @pytest.mark.parametrize(
     ("pattern", "lattice"),
     [("e-v", "simple_cubic"), ("c-v", "bcc"), ("f-v", "fcc"), ("cf-e", "re_entrant")],
@@ -67,7 +67,7 @@ def test_every_kind_of_node_has_all_its_mirror_images(kind):
 
 @pytest.mark.parametrize("preset", TEXTURES)
 def test_fields_have_the_symmetry_of_the_cube(preset):
-    values = made(preset=preset).sample(cell_centres(14))
+    values = made(preset=preset).sample(cell_centers(14))
     for order in permutations(range(3)):
         assert values.transpose(order) == pytest.approx(values, abs=1e-6)
     for axis in range(3):

@@ -15,7 +15,7 @@ from sppm_structures.tpms import Tpms
 
 from sppm_pipeline.cli.main import main
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.engine.session import Order, open_session
+from sppm_pipeline.engine.session import RunRequest, open_session
 from sppm_pipeline.errors import ConfigErrors
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
 from sppm_pipeline.stages.tune.porosity import TunePorosity
@@ -156,14 +156,14 @@ def test_compare_structures(tmp_path):
 
 
 def test_all_structures_are_compared():
-    session = open_session(Order(str(ROOT / "configs" / "compare_structures.yaml"), ("sppm_pipeline.stages",), ()))
+    session = open_session(RunRequest(str(ROOT / "configs" / "compare_structures.yaml"), ("sppm_pipeline.stages",), ()))
     listed = [node.value for node in session.configuration.sweep.value["structure"].node.value]
     assert listed == list(session.configuration.recipes) == STRUCTURES
 
 
 @pytest.mark.parametrize("name", ["compare_structures.yaml", "published_curves.yaml"])
 def test_without_this_plugin_the_missing_stages_are_named(name):
-    order = Order(str(ROOT / "configs" / name), ("sppm_pipeline.stages",), (), False)
+    order = RunRequest(str(ROOT / "configs" / name), ("sppm_pipeline.stages",), (), False)
     with pytest.raises(ConfigErrors, match=r"there is no stage 'field\.(tpms|struts)'"):
         open_session(order).plan()
     assert "pip install ./plugins/sppm-structures" in (ROOT / "configs" / name).read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ from sppm_structures.tpms import Tpms
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.numerics.grid import Grid, cell_centres, cell_nodes
+from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
 from sppm_pipeline.stages.check.sizes import CheckSizes
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling
@@ -21,7 +21,7 @@ def made(**options):
 
 
 def porosity(field, n=48):
-    return float((field.sample(cell_centres(n)) >= 0).mean())
+    return float((field.sample(cell_centers(n)) >= 0).mean())
 
 
 class TestContract(StageContract):

@@ -123,7 +123,7 @@ def test_edges_of_any_pores_are_those_of_qhull(seed, count):
     assert np.linalg.norm(edges[:, 3:] - edges[:, :3], axis=1).sum() == pytest.approx(total, rel=1e-6)
 
 
-def test_pores_of_a_body_centred_lattice_give_kelvin_cells():
+def test_pores_of_a_body_centerd_lattice_give_kelvin_cells():
     """24 edges of length sqrt(2)/4 for each pair of truncated octahedra, though many corners are shared."""
     field = made(pores_at([[0.1, 0.2, 0.3], [0.6, 0.7, 0.8]]))
     edges = field.edges_of((0, 0, 0))
@@ -131,7 +131,7 @@ def test_pores_of_a_body_centred_lattice_give_kelvin_cells():
     assert np.linalg.norm(edges[:, 3:] - edges[:, :3], axis=1) == pytest.approx(2**0.5 / 4)
 
 
-def test_pores_of_a_face_centred_lattice_give_rhombic_dodecahedra():
+def test_pores_of_a_face_centerd_lattice_give_rhombic_dodecahedra():
     """24 edges of length sqrt(3)/4, each of three cells; eight edges end in some corners."""
     points = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]])
     edges = made(pores_at(points)).edges_of((0, 0, 0))

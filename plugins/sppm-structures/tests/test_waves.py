@@ -11,7 +11,7 @@ from sppm_structures.waves import half_space, sum_of_waves, waves_of
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.numerics.grid import Grid, cell_centres, cell_nodes
+from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling
@@ -70,7 +70,7 @@ def test_wave_vectors_lie_in_the_shell_and_the_cones():
 
 def test_the_field_has_variance_one_and_the_expected_density():
     field = made(Spinodoid(wavenumber=8.0, density=0.3))
-    values = field.sample(cell_centres(48))
+    values = field.sample(cell_centers(48))
     assert values.std() == pytest.approx(1, abs=1e-3)  # waves are orthogonal on the grid
     assert (values < 0).mean() == pytest.approx(0.3, abs=0.02)
 
@@ -79,7 +79,7 @@ def test_cones_make_layers_and_columns():
     """Mean squared slope along each axis: waves run across layers."""
 
     def slopes(cones):
-        values = made(Spinodoid(cones=cones)).sample(cell_centres(40))
+        values = made(Spinodoid(cones=cones)).sample(cell_centers(40))
         return [float(((np.roll(values, 1, axis) - values) ** 2).mean()) for axis in (2, 1, 0)]
 
     x, y, z = slopes((30.0, 0.0, 0.0))
@@ -93,13 +93,13 @@ def test_cones_make_layers_and_columns():
 def test_a_gyroid_without_randomness_is_the_gyroid():
     plain = made(StochasticGyroid(bend=0.0, uneven=0.0, closed=0.0, repeat=2, half_width=0.3))
     other = made(Tpms(form="sheet", half_width=0.3, repeat=2))
-    assert plain.sample(cell_centres(20)) == pytest.approx(other.sample(cell_centres(20)), abs=1e-6)
+    assert plain.sample(cell_centers(20)) == pytest.approx(other.sample(cell_centers(20)), abs=1e-6)
 
 
 def test_lids_close_the_share_asked_for():
     """Where a lid is high enough one labyrinth is solid; elsewhere nothing changes."""
     open_field, closed = (made(StochasticGyroid(closed=share)) for share in (0.0, 0.2))
-    before, after = (field.sample(cell_centres(48)) for field in (open_field, closed))
+    before, after = (field.sample(cell_centers(48)) for field in (open_field, closed))
     assert (after <= before).all()
     assert (after < before).mean() == pytest.approx(0.1, abs=0.05)  # of a fifth of the volume one side
     assert (after < 0).mean() > (before < 0).mean() + 0.02
@@ -107,7 +107,7 @@ def test_lids_close_the_share_asked_for():
 
 def test_random_functions_have_the_deviation_asked_for():
     field = made(StochasticGyroid(bend=0.1, uneven=0.3, half_width=0.5))
-    x, y, z = (cell_centres(24).axis(a) for a in range(3))
+    x, y, z = (cell_centers(24).axis(a) for a in range(3))
     for bend in field.bends:
         assert sum_of_waves(bend, x, y, z).std() == pytest.approx(0.1 * 2 * np.pi)
     assert sum_of_waves(field.walls, x, y, z).std() == pytest.approx(0.15)

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.process import tell
 from sppm_tetwild.random_device import SeededDevice
 
-__all__ = ["tetrahedra"]
-
 
 def tetrahedra(
     arrays: Mapping[str, NDArray[Any]], options: Mapping[str, Any]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["aspect_ratios", "cell_volumes", "crowded_faces", "dihedral_angles"]
-
 Nodes = NDArray[np.float64]
 Cells = NDArray[np.int32]
 

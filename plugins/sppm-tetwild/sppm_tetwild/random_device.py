@@ -19,8 +19,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-__all__ = ["SeededDevice"]
-
 _DRAW = b"_ZNSt13random_device9_M_getvalEv"
 """``unsigned int std::random_device::_M_getval()`` as the linker knows it."""
 

@@ -13,8 +13,6 @@ from sppm_pipeline.data.storage import DamagedError
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.locks import FolderLock
 
-__all__ = ["account", "contents", "damaged_entries", "parse_size", "prune"]
-
 AFTER_PRUNING = 0.8
 """Share of the cap that is left after entries were removed, so that not every run has to remove some."""
 

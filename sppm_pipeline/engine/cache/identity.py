@@ -17,8 +17,6 @@ from sppm_pipeline.engine.distributions import installed_version, requirements_o
 from sppm_pipeline.engine.plugins import Plugin
 from sppm_pipeline.stage import Stage
 
-__all__ = ["code_of", "environment", "program_digest"]
-
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")
 _PACKAGE = "sppm_pipeline"
 _WITHOUT_RESULTS = {"cli", "testing"}

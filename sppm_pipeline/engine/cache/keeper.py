@@ -17,8 +17,6 @@ from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.outputs import RunFolder
 from sppm_pipeline.engine.wiring import Step
 
-__all__ = ["Keeper", "recent_name"]
-
 STORE_RATE = 4e8
 """Bytes a second that are written and hashed, at least."""
 
@@ -41,7 +39,7 @@ DURABLE = 1.0
 """Seconds; what took longer is kept so that it survives a power cut."""
 
 
-class Keeper:
+class CacheSession:
     """Finds and keeps the results of one run.
 
     Parameters
@@ -130,7 +128,7 @@ class Keeper:
             self.store.remove(entry.key)
 
     def load(self, id_: str) -> Any:
-        """The noun of a kept step, or None if it has to be made again."""
+        """The artifact of a kept step, or None if it has to be made again."""
         entry = self._entries.get(id_)
         if entry is None or not entry.has_value:
             return None
@@ -143,7 +141,7 @@ class Keeper:
         return None
 
     def same_as(self, id_: str) -> str | None:
-        """The port whose noun a kept step has passed on."""
+        """The port whose artifact a kept step has passed on."""
         entry = self._entries.get(id_)
         port: str | None = entry.manifest["same_as"] if entry is not None else None
         return port
@@ -179,15 +177,15 @@ class Keeper:
         seconds: float,
         drew: bool,
     ) -> None:
-        """Keep what a step made: always the facts, and the noun and the files if that is cheap against making them.
+        """Keep what a step made: always the facts, and the artifact and the files if that is cheap against making them.
 
         Parameters
         ----------
         step : Step
         facts : mapping
             What the run record says.
-        made : noun or None
-        inputs : mapping of port to noun
+        made : artifact or None
+        inputs : mapping of port to artifact
         outputs : sequence of (name, path)
         seconds : float
             What it cost.
@@ -209,7 +207,7 @@ class Keeper:
                 "seconds": round(seconds, 6),
                 "random": drew,
                 "facts": dict(facts),
-                "same_as": next((port for port, noun in inputs.items() if made is not None and noun is made), None),
+                "same_as": next((port for port, given in inputs.items() if made is not None and given is made), None),
             }
             value = None if made is None or manifest["same_as"] else made
             worth = seconds >= WORTH
@@ -255,7 +253,7 @@ class Keeper:
         )
 
     def keep_again(self, step: Step, made: Any, inputs: Mapping[str, Any], seconds: float) -> None:
-        """Keep the noun of a step of which only the facts were kept, if that is worth it now."""
+        """Keep the artifact of a step of which only the facts were kept, if that is worth it now."""
         entry = self._entries.get(step.id)
         if entry is not None and not entry.has_outputs:
             self.keep(step, entry.facts, made, inputs, outputs=(), seconds=seconds, drew=entry.manifest["random"])

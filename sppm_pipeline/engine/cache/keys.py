@@ -15,8 +15,6 @@ from sppm_pipeline.engine.plan import Plan, step_options
 from sppm_pipeline.engine.plugins import Plugin
 from sppm_pipeline.engine.wiring import Step
 
-__all__ = ["KEY_FORMAT", "InputFiles", "ingredients_of", "key_of", "run_key"]
-
 KEY_FORMAT = 1
 """Raised when the same ingredients come to mean something else."""
 
@@ -106,7 +104,7 @@ def _described(
             digest = files.digest(file)
             if digest is None:
                 return None
-            # the name counts as well: stages put it into messages and nouns
+            # the name counts as well: stages put it into messages and artifacts
             contents.setdefault(name, []).append([os.path.abspath(file), digest])
     handed: dict[str, Any] = {}
     for port, recipe in step.recipes.items():

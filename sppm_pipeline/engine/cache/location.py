@@ -11,8 +11,6 @@ from sppm_pipeline.engine.cache.housekeeping import parse_size
 from sppm_pipeline.engine.cache.store import CAP, Store
 from sppm_pipeline.errors import ConfigError
 
-__all__ = ["cache_cap", "cache_folder", "open_store"]
-
 FOLDER, SIZE = "SPPM_CACHE", "SPPM_CACHE_CAP"
 """Environment variables for the folder, or ``off``, and for the cap."""
 

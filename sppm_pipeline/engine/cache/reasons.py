@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from sppm_pipeline.engine.cache.keeper import Keeper, recent_name
+from sppm_pipeline.engine.cache.keeper import CacheSession, recent_name
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.monitor import Monitor
 from sppm_pipeline.engine.plan import Plan
-
-__all__ = ["differences", "reasons_of"]
 
 
 def reasons_of(plan: Plan, store: Store, about: str) -> dict[str, tuple[bool, str]]:
@@ -21,9 +19,9 @@ def reasons_of(plan: Plan, store: Store, about: str) -> dict[str, tuple[bool, st
     plan : Plan
     store : Store
     about : str
-        Name under which the last run was remembered; see `Keeper`.
+        Name under which the last run was remembered; see `CacheSession`.
     """
-    keeper = Keeper(store, Monitor(), seed=plan.seed, recipes=plan.recipes)
+    keeper = CacheSession(store, Monitor(), seed=plan.seed, recipes=plan.recipes)
     recent = store.read_text(recent_name(about)) or {}
     before: Mapping[str, Any] = recent.get("stages", {})
     found: dict[str, tuple[bool, str]] = {}

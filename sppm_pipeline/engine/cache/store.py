@@ -31,8 +31,6 @@ from sppm_pipeline.engine.jsonable import json_text
 from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.sealing import BrokenSealError, read_sealed, sealed
 
-__all__ = ["CAP", "FORMAT", "Entry", "Store"]
-
 FORMAT = 1
 
 CAP = 5 * 10**9
@@ -68,7 +66,7 @@ class Entry:
 
     @property
     def has_value(self) -> bool:
-        """Whether the noun that the stage made can be loaded."""
+        """Whether the artifact that the stage made can be loaded."""
         return self.manifest.get("value") is not None
 
     @property
@@ -136,7 +134,7 @@ class Store:
         return Entry(key, folder, manifest)
 
     def load(self, entry: Entry) -> Any:
-        """The noun of an entry.
+        """The artifact of an entry.
 
         Raises
         ------
@@ -195,7 +193,7 @@ class Store:
         key : str
         manifest : mapping
             JSON-ready; `key`, `format`, `value` and `outputs` are added.
-        value : noun, optional
+        value : artifact, optional
         outputs : sequence of (name, path)
             Finished files and folders.
         durable : bool

@@ -15,8 +15,6 @@ from sppm_pipeline.numerics.assembly.pieces import Pieces
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 
-__all__ = ["PIECES_A_SITE", "PieceNumbers", "Sites", "number_pieces", "site_pieces", "sites_between"]
-
 #: An interior, three faces, six connectors.
 PIECES_A_SITE = 10
 
@@ -31,9 +29,9 @@ class PieceNumbers(NamedTuple):
     interior : (K + 1,) int32
         Number of interior t; the last entry, reached by t = -1, is -1 (none).
     face : (3, c + 1) int32
-        Number of the face of an axis and a colour; colour -1 gives -1.
+        Number of the face of an axis and a color; color -1 gives -1.
     connector : (K + 1, 3, 2, c + 1) int32
-        Number of the connectors of interior, axis, side, colour; -1 = none.
+        Number of the connectors of interior, axis, side, color; -1 = none.
     """
 
     kernels: list[Kernels]
@@ -52,7 +50,7 @@ class Sites(NamedTuple):
     interior : (sz, sy, sx) int32
         Interior of the cell, -1 = no cell.
     low, high : (3, sz, sy, sx) int32
-        Colours of the low and high face of each axis, -1 = none; `high` is -1 where there is no cell.
+        Colors of the low and high face of each axis, -1 = none; `high` is -1 where there is no cell.
     """
 
     first: NDArray[np.int64]
@@ -63,16 +61,16 @@ class Sites(NamedTuple):
 
 
 def number_pieces(pieces: Pieces) -> PieceNumbers:
-    """Number the pieces: interiors, then faces by axis and colour, then connectors by their key."""
-    interiors, colours = len(pieces.interiors), pieces.colours
+    """Number the pieces: interiors, then faces by axis and color, then connectors by their key."""
+    interiors, colors = len(pieces.interiors), pieces.colors
     kernels = list(pieces.interiors)
     interior = np.full(interiors + 1, -1, dtype=np.int32)
     interior[:interiors] = np.arange(interiors)
-    face = np.full((3, colours + 1), -1, dtype=np.int32)
+    face = np.full((3, colors + 1), -1, dtype=np.int32)
     for axis in range(3):
-        face[axis, :colours] = len(kernels) + np.arange(colours)
+        face[axis, :colors] = len(kernels) + np.arange(colors)
         kernels.extend(pieces.faces[axis])
-    connector = np.full((interiors + 1, 3, 2, colours + 1), -1, dtype=np.int32)
+    connector = np.full((interiors + 1, 3, 2, colors + 1), -1, dtype=np.int32)
     for key in sorted(pieces.connectors):
         connector[key] = len(kernels)
         kernels.append(pieces.connectors[key])

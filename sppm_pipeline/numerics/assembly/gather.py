@@ -21,15 +21,13 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_
 from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, reach_boxes
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
-__all__ = ["Catalogue", "kernels_in_box", "make_catalogue", "sample_exact"]
-
 # Sites whose kernels are gathered at a time: some 10^5 kernels, 50 MB with all temporary arrays.
 # Samples that count as a small grid.
 _SMALL = 2**20
 _SITES = 600
 
 
-class Catalogue(NamedTuple):
+class Catalog(NamedTuple):
     """All kernels of all pieces in one set, where each piece begins, and how far each kernel and piece reaches."""
 
     numbers: PieceNumbers
@@ -64,7 +62,7 @@ def kernels_in_box(
         In a fixed order: by lattice site (z, y, x), interior, faces, connectors, place in the piece. The order of two
         kernels does not depend on the box.
     """
-    return _gather(make_catalogue(pieces, cutoff), tiling, np.asarray(lower, float), np.asarray(upper, float))
+    return _gather(make_catalog(pieces, cutoff), tiling, np.asarray(lower, float), np.asarray(upper, float))
 
 
 def sample_exact(
@@ -77,7 +75,7 @@ def sample_exact(
     layer_stop: int | None = None,
     *,
     wanted: NDArray[np.int32] | None = None,
-    catalogue: Catalogue | None = None,
+    catalog: Catalog | None = None,
 ) -> NDArray[np.float32]:
     """The field of a tiling on any grid, kernel by kernel.
 
@@ -97,7 +95,7 @@ def sample_exact(
         Layers of the grid to sample, all by default; a layer's values do not depend on the choice.
     wanted : (layer_stop - layer_start, ny, 2) int32, optional
         Parts of the rows that matter, see `add_kernels`.
-    catalogue : Catalogue, optional
+    catalog : Catalog, optional
         That of the pieces and the cut-off, if the caller kept it.
 
     Returns
@@ -109,7 +107,7 @@ def sample_exact(
     layer_stop = nz if layer_stop is None else layer_stop
     if not 0 <= layer_start <= layer_stop <= nz:
         raise ValueError(f"layers {layer_start} to {layer_stop} are not all in a grid of {nz} layers")
-    catalogue = catalogue or make_catalogue(pieces, cutoff)
+    catalog = catalog or make_catalog(pieces, cutoff)
     out = np.zeros((layer_stop - layer_start, ny, nx), dtype=np.float32)
     # Some layers, and bands of rows, that depend on the grid alone: the sums are always the same. Half a cell of layers
     # keeps the list of kernels short; small grids take more at a time, as each list has its price.
@@ -125,7 +123,7 @@ def sample_exact(
             span = part.layers(start, stop)
             lower = np.array(span.origin)
             upper = lower + np.array(span.spacing) * (np.array(span.shape) - 1)
-            kernels = _gather(catalogue, tiling, lower, upper)
+            kernels = _gather(catalog, tiling, lower, upper)
             block = out[start - layer_start : stop - layer_start]
             target = block if band == ny else np.zeros((stop - start, band, nx), dtype=np.float32)
             asked = None
@@ -140,7 +138,7 @@ def sample_exact(
     return out
 
 
-def make_catalogue(pieces: Pieces, cutoff: float) -> Catalogue:
+def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
     """All kernels of a tile set with their boxes of reach, piece by piece; worth keeping between calls."""
     numbers = number_pieces(pieces)
     kernels = [k._replace(squared=pieces.squared) if len(k.starts) == 0 else k for k in numbers.kernels]
@@ -153,31 +151,29 @@ def make_catalogue(pieces: Pieces, cutoff: float) -> Catalogue:
         pores, tunnels = slice(*first_pore[i : i + 2]), slice(*first_tunnel[i : i + 2])
         lower[i] = np.concatenate([pore_lower[pores], tunnel_lower[tunnels], lower[i : i + 1]]).min(axis=0)
         upper[i] = np.concatenate([pore_upper[pores], tunnel_upper[tunnels], upper[i : i + 1]]).max(axis=0)
-    return Catalogue(
+    return Catalog(
         numbers, every, first_pore, first_tunnel, (pore_lower, pore_upper), (tunnel_lower, tunnel_upper), lower, upper
     )
 
 
-def _gather(
-    catalogue: Catalogue, tiling: TilingArrays, lower: NDArray[np.float64], upper: NDArray[np.float64]
-) -> Kernels:
-    reaching = np.isfinite(catalogue.lower).all(axis=1)
+def _gather(catalog: Catalog, tiling: TilingArrays, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> Kernels:
+    reaching = np.isfinite(catalog.lower).all(axis=1)
     if not reaching.any():
-        return empty_kernels(catalogue.kernels.squared)
+        return empty_kernels(catalog.kernels.squared)
     # Site s is near if the box of reach of a piece, moved by s, meets the box.
-    first = np.ceil(lower - catalogue.upper[reaching].max(axis=0)).astype(np.int64)
-    stop = np.floor(upper - catalogue.lower[reaching].min(axis=0)).astype(np.int64) + 1
+    first = np.ceil(lower - catalog.upper[reaching].max(axis=0)).astype(np.int64)
+    stop = np.floor(upper - catalog.lower[reaching].min(axis=0)).astype(np.int64) + 1
     sites = sites_between(tiling, first, stop)
-    numbers = site_pieces(catalogue.numbers, sites).reshape(-1, PIECES_A_SITE)
+    numbers = site_pieces(catalog.numbers, sites).reshape(-1, PIECES_A_SITE)
     site, slot = np.nonzero(numbers >= 0)
     number = numbers[site, slot]
     z, y, x = np.unravel_index(site, sites.interior.shape)
     place = (sites.first + np.stack([x, y, z], axis=-1)).astype(np.float64)
-    near = ((catalogue.lower[number] + place <= upper) & (catalogue.upper[number] + place >= lower)).all(axis=1)
+    near = ((catalog.lower[number] + place <= upper) & (catalog.upper[number] + place >= lower)).all(axis=1)
     number, place = number[near], place[near]
-    pore, shift = _expanded(catalogue.first_pore, number, place, catalogue.pore_boxes, lower, upper)
-    tunnel, tunnel_shift = _expanded(catalogue.first_tunnel, number, place, catalogue.tunnel_boxes, lower, upper)
-    every = catalogue.kernels
+    pore, shift = _expanded(catalog.first_pore, number, place, catalog.pore_boxes, lower, upper)
+    tunnel, tunnel_shift = _expanded(catalog.first_tunnel, number, place, catalog.tunnel_boxes, lower, upper)
+    every = catalog.kernels
     return Kernels(
         every.centers[pore] + shift,
         every.omega[pore],

@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.assembly.patches import FULL, PatchBank, patches_at
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
-from sppm_pipeline.numerics.compiled import inline_kernel, kernel
-
-__all__ = ["assemble", "assemble_solid"]
+from sppm_pipeline.numerics.compiled import inline_jit, jit
 
 # Samples that are summed at a time: 512 kB of float32 stay in the second level cache beside the patches.
 _BLOCK_SAMPLES = 1 << 17
@@ -190,7 +188,7 @@ def _run(
         work(range(blocks))
 
 
-@inline_kernel
+@inline_jit
 def _add_rows(
     rows: NDArray,
     target: int,
@@ -213,13 +211,13 @@ def _add_rows(
             rows[to + k] += data[source + k]
 
 
-@inline_kernel
+@inline_jit
 def _copy_row(source: NDArray, start: np.uint64, target: NDArray[np.float32], to: np.uint64, count: np.uint64) -> None:
     for i in range(count):
         target[to + i] = source[start + i]
 
 
-@inline_kernel
+@inline_jit
 def _threshold_row(
     source: NDArray,
     start: np.uint64,
@@ -232,7 +230,7 @@ def _threshold_row(
         target[to + i] = np.uint8(source[start + i] < level)
 
 
-@kernel
+@jit
 def _assemble_blocks(
     first_block: int,
     stop_block: int,

@@ -1,7 +1,7 @@
-"""Sampled pieces: each piece of a tile set once, with the margin it reaches into its neighbours.
+"""Sampled pieces: each piece of a tile set once, with the margin it reaches into its neighbors.
 
 A patch keeps, row by row, the samples between the first and the last that lie above the cut-off, in blocks of sixteen.
-If only few combinations of an interior and its six face colours occur, an interior, its connectors and its three low
+If only few combinations of an interior and its six face colors occur, an interior, its connectors and its three low
 faces are merged into one patch, which costs about a third of the additions.
 
 A bank that only has to tell solid from void at one level keeps its samples in sixteen bits, cut off at the level: half
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.assembly.contents import PieceNumbers, Sites, number_pieces, site_pieces, sites_between
 from sppm_pipeline.numerics.assembly.pieces import Pieces
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
 from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, check_cutoff, reach_boxes
@@ -30,8 +30,6 @@ from sppm_pipeline.numerics.kernels.rows import LANES
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
 _T = TypeVar("_T")
-
-__all__ = ["FULL", "PatchBank", "build_bank", "patches_at", "predicted_bytes", "used_combinations"]
 
 #: The level in units of an int16 bank. One patch at the level makes a voxel void, so nothing above it is kept.
 FULL = 32767
@@ -45,7 +43,7 @@ class PatchBank(NamedTuple):
     n : int
         Voxels along a cell edge.
     offset : float
-        0.5 for voxel centres, 0 for voxel corners.
+        0.5 for voxel centers, 0 for voxel corners.
     cutoff : float
         Cut-off of the kernels, and below it samples are trimmed from the ends of the rows.
     numbers : PieceNumbers
@@ -89,12 +87,12 @@ class PatchBank(NamedTuple):
 
 
 def used_combinations(tiling: TilingArrays) -> NDArray[np.int32]:
-    """The combinations of interior and face colours that occur in a tiling.
+    """The combinations of interior and face colors that occur in a tiling.
 
     Returns
     -------
     (m, 7) int32
-        Interior, then the colours of the low and high faces of x, of y, of z; sorted, each once; cells that are
+        Interior, then the colors of the low and high faces of x, of y, of z; sorted, each once; cells that are
         not there are left out.
     """
     columns = [tiling.interior.ravel()]
@@ -114,9 +112,9 @@ def used_combinations(tiling: TilingArrays) -> NDArray[np.int32]:
 
 
 def _encode(rows: NDArray[np.int64], base: int) -> NDArray[np.int64]:
-    """One number for an interior and six colours -1 <= colour < base - 1; sorts as the rows do."""
+    """One number for an interior and six colors -1 <= color < base - 1; sorts as the rows do."""
     if (float(rows[..., 0].max(initial=0)) + 2.0) * float(base) ** 6 > 2.0**62:
-        raise ValueError(f"{base - 1} colours are too many for their combinations to be told apart in one number")
+        raise ValueError(f"{base - 1} colors are too many for their combinations to be told apart in one number")
     code = rows[..., 0] + 1
     for column in range(1, 7):
         code = code * base + rows[..., column] + 1
@@ -133,10 +131,10 @@ def _parts(pieces: Pieces, combinations: NDArray[np.int32] | None) -> tuple[Piec
     if combinations is None:
         return numbers, list(range(len(numbers.kernels))), []
     merged = []
-    for interior, *colours in np.asarray(combinations, dtype=np.int64):
+    for interior, *colors in np.asarray(combinations, dtype=np.int64):
         members = [numbers.interior[interior]]
         for axis in range(3):
-            low, high = colours[2 * axis : 2 * axis + 2]
+            low, high = colors[2 * axis : 2 * axis + 2]
             members += [numbers.face[axis, low], numbers.connector[interior, axis, 0, low]]
             members += [numbers.connector[interior, axis, 1, high]]
         merged.append(_joined([numbers.kernels[i] for i in members if i >= 0], pieces.squared))
@@ -205,10 +203,10 @@ def build_bank(
     n : int
         Voxels along a cell edge.
     combinations : (m, 7) int32, optional
-        Combinations of an interior and six colours to merge, see `used_combinations`. The bank then serves tilings with
+        Combinations of an interior and six colors to merge, see `used_combinations`. The bank then serves tilings with
         these combinations only. Without it every piece has a patch of its own, and the bank serves any tiling.
     offset : float
-        0.5 samples voxel centres, 0 voxel corners.
+        0.5 samples voxel centers, 0 voxel corners.
     cutoff : float
         A kernel is dropped below it, and a patch is trimmed where the sum of its kernels lies below it: with p patches
         over a voxel, trimming changes the sum by less than p times the cut-off.
@@ -305,7 +303,7 @@ def _in_threads(function: Callable[[int], _T], count: int, threads: int) -> Iter
             yield result
 
 
-@kernel
+@jit
 def _pack(
     dense: NDArray,
     threshold: np.float32,
@@ -369,7 +367,7 @@ def patches_at(
         found[known] = -1
         found[known, 0] = bank.merged[place[known]]
     if (found == -2).any():
-        raise ValueError("the tiling holds a combination of interior and colours for which the bank has no patches")
+        raise ValueError("the tiling holds a combination of interior and colors for which the bank has no patches")
     flat = found.reshape(-1, found.shape[-1])
     keep = flat >= 0
     begin = np.concatenate([[0], np.cumsum(keep.sum(axis=1))]).astype(np.int64)

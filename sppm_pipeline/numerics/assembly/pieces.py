@@ -1,4 +1,4 @@
-"""What cells are put together from: interiors, coloured faces, and connectors between the two."""
+"""What cells are put together from: interiors, colored faces, and connectors between the two."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from sppm_pipeline.numerics.kernels.kernels import Kernels
-
-__all__ = ["Pieces"]
 
 
 class Pieces(NamedTuple):
@@ -18,10 +16,10 @@ class Pieces(NamedTuple):
     interiors : tuple of K Kernels
         Pores and tunnels inside a cell, relative to its low corner.
     faces : tuple of 3 tuples of c Kernels
-        ``faces[axis][colour]``: pores and tunnels in the plane ``coordinate[axis] = 0``, relative to the low corner of
+        ``faces[axis][color]``: pores and tunnels in the plane ``coordinate[axis] = 0``, relative to the low corner of
         the cell on the high side of the plane.
-    connectors : mapping of (interior, axis, side, colour) to Kernels
-        Tunnels that join interior `interior` to the face of that colour on its low (side 0) or high (side 1) side,
+    connectors : mapping of (interior, axis, side, color) to Kernels
+        Tunnels that join interior `interior` to the face of that color on its low (side 0) or high (side 1) side,
         relative to the low corner of the cell; those of side 1 end in the plane ``coordinate[axis] = 1``. Absent means
         none.
     """
@@ -31,8 +29,8 @@ class Pieces(NamedTuple):
     connectors: Mapping[tuple[int, int, int, int], Kernels]
 
     @property
-    def colours(self) -> int:
-        """Number of face colours, c."""
+    def colors(self) -> int:
+        """Number of face colors, c."""
         return len(self.faces[0])
 
     @property

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.assembly.pieces import Pieces
 
-__all__ = ["TilingArrays", "check_tiling", "lone_periodic_cell"]
-
 
 class TilingArrays(NamedTuple):
     """Content of a box of nx x ny x nz cells; cell (i, j, k) fills [i, i+1] x [j, j+1] x [k, k+1].
@@ -20,7 +18,7 @@ class TilingArrays(NamedTuple):
     interior : (nx, ny, nz) int32
         Interior of each cell, -1 = no cell.
     faces : tuple of 3 int32 arrays
-        ``faces[axis]`` has the shape of `interior`, but one more along `axis`: the colour of the face in lattice
+        ``faces[axis]`` has the shape of `interior`, but one more along `axis`: the color of the face in lattice
         plane i of that axis, which is the low side of cell i; -1 = no face.
     periodic : bool
         Everything repeats for ever, and the last plane of faces is the first one.
@@ -37,18 +35,18 @@ class TilingArrays(NamedTuple):
         return nx, ny, nz
 
 
-def lone_periodic_cell(interior: int = 0, colours: tuple[int, int, int] = (0, 0, 0)) -> TilingArrays:
+def lone_periodic_cell(interior: int = 0, colors: tuple[int, int, int] = (0, 0, 0)) -> TilingArrays:
     """One cell whose opposite faces are the same: a periodic tiling of 1 x 1 x 1 cells."""
     faces = []
     for axis in range(3):
         shape = [1, 1, 1]
         shape[axis] = 2
-        faces.append(np.full(shape, colours[axis], dtype=np.int32))
+        faces.append(np.full(shape, colors[axis], dtype=np.int32))
     return TilingArrays(np.full((1, 1, 1), interior, dtype=np.int32), (faces[0], faces[1], faces[2]), True)
 
 
 def check_tiling(tiling: TilingArrays, pieces: Pieces | None = None) -> None:
-    """Check shapes, and with `pieces` that every interior and colour exists.
+    """Check shapes, and with `pieces` that every interior and color exists.
 
     Raises
     ------
@@ -64,6 +62,6 @@ def check_tiling(tiling: TilingArrays, pieces: Pieces | None = None) -> None:
         if tiling.periodic and (np.take(faces, 0, axis) != np.take(faces, -1, axis)).any():
             raise ValueError(f"the tiling is periodic, but the first and last faces of axis {axis} differ")
         if pieces is not None and faces.max(initial=-1) >= len(pieces.faces[axis]):
-            raise ValueError(f"a face of axis {axis} has colour {faces.max()}, of {len(pieces.faces[axis])} colours")
+            raise ValueError(f"a face of axis {axis} has color {faces.max()}, of {len(pieces.faces[axis])} colors")
     if pieces is not None and tiling.interior.max(initial=-1) >= len(pieces.interiors):
         raise ValueError(f"a cell has interior {tiling.interior.max()}, of {len(pieces.interiors)} interiors")

@@ -12,8 +12,6 @@ from sppm_pipeline.numerics.connecting.degrees import feasible_degrees
 from sppm_pipeline.numerics.connecting.greedy import greedy_subgraph
 from sppm_pipeline.numerics.connecting.images import as_points, images_per_pair, periodic_axes
 
-__all__ = ["MODES", "spanning_subgraph"]
-
 MODES = ("exact", "lp_fix", "greedy")
 
 
@@ -36,7 +34,7 @@ def spanning_subgraph(
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centres; the unit is the cell edge if an axis is periodic.
+        Pore centers; the unit is the cell edge if an axis is periodic.
     degree : (int, int)
         Bounds A and B. See `feasible_degrees`, and `clamped_degrees` for faces with few pores.
     mode : {"exact", "lp_fix", "greedy"}
@@ -47,7 +45,7 @@ def spanning_subgraph(
         Whether the axes repeat with period 1. Two pores may then share tunnels to several images; a pore is never
         joined to its own image.
     k : int
-        Candidate neighbours of each pore. The number grows by itself if the bounds can't be met with it.
+        Candidate neighbors of each pore. The number grows by itself if the bounds can't be met with it.
     two_edge_connected : bool
         Whether every tunnel must lie on a loop, so that no single lost tunnel cuts the graph. Every degree then is at
         least 2.

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["bridge_mask", "mark_bridges"]
+from sppm_pipeline.numerics.compiled import jit
 
 
 def bridge_mask(n: int, edges: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -24,7 +22,7 @@ def bridge_mask(n: int, edges: NDArray[np.int64]) -> NDArray[np.bool_]:
     return mask
 
 
-@kernel
+@jit
 def mark_bridges(
     edges: NDArray[np.int64], node: NDArray[np.int64], slots: int, mask: NDArray[np.bool_]
 ) -> tuple[int, bool]:

@@ -1,4 +1,4 @@
-"""The candidate graph: each pore and its k nearest neighbours, made connected by the shortest bridging edges."""
+"""The candidate graph: each pore and its k nearest neighbors, made connected by the shortest bridging edges."""
 
 from __future__ import annotations
 
@@ -7,30 +7,28 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connecting.images import as_points, canonical_edges, periodic_axes, wrapped
 from sppm_pipeline.numerics.connecting.trees import component_labels, find_root, nearest_shifts, squared_distance
-
-__all__ = ["candidate_graph"]
 
 
 def candidate_graph(
     points: ArrayLike, k: int = 10, *, periodic: bool | Sequence[bool] = False
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Edges from each pore to its k nearest neighbours, in both senses, plus the shortest edges that connect them.
+    """Edges from each pore to its k nearest neighbors, in both senses, plus the shortest edges that connect them.
 
-    On periodic axes (period 1) every image of a pore counts as a neighbour of its own, as long as the edge is not
+    On periodic axes (period 1) every image of a pore counts as a neighbor of its own, as long as the edge is not
     longer than the cell along that axis; so two pores may be joined several times when there are few of them. A pore
-    is never joined to an image of itself. Equally near neighbours are taken by index, then by shift. If the graph
+    is never joined to an image of itself. Equally near neighbors are taken by index, then by shift. If the graph
     falls apart, its components are joined as in Boruvka's algorithm, twice: the second time by edges that avoid the
     ends of the first, so that a bounded degree or a second path is not ruled out.
 
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centres; the unit is the cell edge if an axis is periodic.
+        Pore centers; the unit is the cell edge if an axis is periodic.
     k : int
-        Neighbours of each pore.
+        Neighbors of each pore.
     periodic : bool or 3 bools
         Whether the axes repeat with period 1.
 
@@ -49,13 +47,13 @@ def candidate_graph(
     if n < 2:
         return np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
     inside, cells = wrapped(points, axes)
-    # at most 27 images of each other pore can be a neighbour; more slots would only stay empty
+    # at most 27 images of each other pore can be a neighbor; more slots would only stay empty
     slots = min(k, (n - 1) * 27)
-    # sweeping along the widest axis visits the fewest pores that are not neighbours
+    # sweeping along the widest axis visits the fewest pores that are not neighbors
     axis = int(np.argmax(np.ptp(inside, axis=0)))
     order = np.argsort(inside[:, axis], kind="stable")
-    neighbours, codes = _nearest(inside, axes, order, axis, slots)
-    keys = np.unique(neighbours.ravel()[neighbours.ravel() >= 0] * 27 + codes.ravel()[neighbours.ravel() >= 0])
+    neighbors, codes = _nearest(inside, axes, order, axis, slots)
+    keys = np.unique(neighbors.ravel()[neighbors.ravel() >= 0] * 27 + codes.ravel()[neighbors.ravel() >= 0])
     pairs, image = np.divmod(keys, 27)
     edges = np.stack(np.divmod(pairs, n), axis=1)
     shifts = np.stack([image // 9 - 1, image // 3 % 3 - 1, image % 3 - 1], axis=1)
@@ -75,7 +73,7 @@ def candidate_graph(
     )
 
 
-@kernel
+@jit
 def _nearest(
     inside: NDArray[np.float64], axes: NDArray[np.bool_], order: NDArray[np.int64], axis: int, k: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -153,11 +151,11 @@ def _nearest(
     return pairs, codes
 
 
-@kernel
+@jit
 def _bridging(
     inside: NDArray[np.float64], axes: NDArray[np.bool_], labels: NDArray[np.int64], skipped: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
-    """The shortest edges (to nearest images) that join the labelled components into one, avoiding skipped vertices."""
+    """The shortest edges (to nearest images) that join the labeled components into one, avoiding skipped vertices."""
     n = inside.shape[0]
     count = labels.max() + 1
     parent = np.arange(count)

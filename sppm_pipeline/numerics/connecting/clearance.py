@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connecting.images import periodic_axes, segments, wrapped
-
-__all__ = ["close_pairs", "segment_distance"]
 
 
 def close_pairs(
@@ -29,7 +27,7 @@ def close_pairs(
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centres.
+        Pore centers.
     edges, shifts : (m, 2), (m, 3) int64
         Tunnels from ``points[i]`` to ``points[j] + shift``.
     clearance : float
@@ -58,7 +56,7 @@ def close_pairs(
         room = count
 
 
-@kernel
+@jit
 def segment_distance(
     a: NDArray[np.float64],
     b: NDArray[np.float64],
@@ -96,7 +94,7 @@ def segment_distance(
     return float(np.sqrt(total))
 
 
-@kernel
+@jit
 def _close_pairs(
     starts: NDArray[np.float64],
     ends: NDArray[np.float64],
@@ -153,7 +151,7 @@ def _close_pairs(
     return count
 
 
-@kernel
+@jit
 def _share_end(edges: NDArray[np.int64], turns: NDArray[np.int64], e: int, f: int, moved: NDArray[np.float64]) -> bool:
     """Whether e and the moved f end in the same image of a pore, or are the same tunnel."""
     for p in range(2):

@@ -6,11 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connecting.clearance import segment_distance
 from sppm_pipeline.numerics.connecting.images import as_points
-
-__all__ = ["nearest_connectors"]
 
 
 def nearest_connectors(face_points: ArrayLike, interior_points: ArrayLike, *, clearance: float) -> NDArray[np.int64]:
@@ -49,7 +47,7 @@ def nearest_connectors(face_points: ArrayLike, interior_points: ArrayLike, *, cl
     return np.asarray(_connect(face, interior, float(clearance)), dtype=np.int64)
 
 
-@kernel
+@jit
 def _connect(face: NDArray[np.float64], interior: NDArray[np.float64], clearance: float) -> NDArray[np.int64]:
     f, n = face.shape[0], interior.shape[0]
     joined = np.empty(f, np.int64)

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 
-__all__ = ["clamped_degrees", "feasible_degrees", "harary_edges"]
-
 
 def feasible_degrees(n: int, lower: int, upper: int, *, images: int = 1, two_edge_connected: bool = False) -> None:
     """Check that a connected graph on n pores with all degrees in [lower, upper] exists.

@@ -15,8 +15,6 @@ from sppm_pipeline.numerics.connecting.greedy import Edges, all_images, greedy_s
 from sppm_pipeline.numerics.connecting.images import edge_lengths
 from sppm_pipeline.numerics.connecting.trees import component_labels, kruskal, minimum_spanning_tree
 
-__all__ = ["exact_subgraph"]
-
 # a relaxed variable this near to 0 or 1 counts as decided
 _DECIDED = 1e-6
 
@@ -226,7 +224,7 @@ class _Program:
             found = parts > 1
         hit = chosen[self.clashes].all(axis=1)
         if hit.any():
-            # all that excludes a tunnel in such a pair: its next best neighbour would often clash as well
+            # all that excludes a tunnel in such a pair: its next best neighbor would often clash as well
             involved = np.zeros(len(chosen), np.bool_)
             involved[self.clashes[hit]] = True
             fresh = involved[self.clashes].any(axis=1) & ~self.clash_added

@@ -20,11 +20,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connecting.bridges import mark_bridges
 from sppm_pipeline.numerics.connecting.trees import find_root
-
-__all__ = ["CHOSEN", "connect_and_fill", "edge_table", "improve", "insert", "make_loops", "node_table"]
 
 CHOSEN, CLASH_FROM, CLASH_TO = 2, 3, 4
 DEGREE, FROM, TO, SEEN, QUEUE, SLOTS = 0, 1, 2, 3, 4, 5
@@ -64,7 +62,7 @@ def node_table(n: int, edges: NDArray[np.int64], upper: int) -> NDArray[np.int64
     return node
 
 
-@kernel
+@jit
 def insert(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
     """Choose edge e."""
     edge[e, CHOSEN] = 1
@@ -74,7 +72,7 @@ def insert(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
         node[v, DEGREE] += 1
 
 
-@kernel
+@jit
 def _remove(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
     edge[e, CHOSEN] = 0
     for p in range(2):
@@ -87,7 +85,7 @@ def _remove(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
                 break
 
 
-@kernel
+@jit
 def _apply(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: int, in1: int, in2: int) -> None:
     """Take the edges out and put the others in; -1 stands for none."""
     for e in (out1, out2):
@@ -98,7 +96,7 @@ def _apply(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: in
             insert(edge, node, e)
 
 
-@kernel
+@jit
 def _clear(edge: NDArray[np.int64], clash: NDArray[np.int64], e: int, out1: int, out2: int, beside: int) -> bool:
     """Whether e clashes neither with itself or a chosen edge (but out1, out2) nor with the edge `beside`."""
     for s in range(edge[e, CLASH_FROM], edge[e, CLASH_TO]):
@@ -108,11 +106,11 @@ def _clear(edge: NDArray[np.int64], clash: NDArray[np.int64], e: int, out1: int,
     return True
 
 
-@kernel
+@jit
 def _joined(
     edge: NDArray[np.int64], node: NDArray[np.int64], start: int, goal: int, out1: int, out2: int, in1: int, in2: int
 ) -> bool:
-    """Whether a path leads from start to goal once the move is made (breadth first; neighbours are met soon)."""
+    """Whether a path leads from start to goal once the move is made (breadth first; neighbors are met soon)."""
     n = node.shape[0] - 1
     node[n, SEEN] += 1
     stamp = node[n, SEEN]
@@ -142,7 +140,7 @@ def _joined(
     return False
 
 
-@kernel
+@jit
 def _allowed(
     edge: NDArray[np.int64],
     node: NDArray[np.int64],
@@ -168,7 +166,7 @@ def _allowed(
     return True
 
 
-@kernel
+@jit
 def connect_and_fill(
     edge: NDArray[np.int64],
     node: NDArray[np.int64],
@@ -206,7 +204,7 @@ def connect_and_fill(
     return True
 
 
-@kernel
+@jit
 def _raise_degree(
     edge: NDArray[np.int64],
     node: NDArray[np.int64],
@@ -255,7 +253,7 @@ def _raise_degree(
     return True
 
 
-@kernel
+@jit
 def make_loops(
     edge: NDArray[np.int64],
     node: NDArray[np.int64],
@@ -329,7 +327,7 @@ def make_loops(
         _apply(edge, node, out1, out2, in1, in2)
 
 
-@kernel
+@jit
 def improve(
     edge: NDArray[np.int64],
     node: NDArray[np.int64],
@@ -365,7 +363,7 @@ def improve(
         v = v + 1 if v + 1 < n else 0
 
 
-@kernel
+@jit
 def _shorter(
     edge: NDArray[np.int64],
     node: NDArray[np.int64],

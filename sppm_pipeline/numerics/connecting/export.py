@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.connecting.images import as_points, edge_lengths
 
-__all__ = ["networkx_graph"]
-
 
 def networkx_graph(
     points: ArrayLike,
@@ -26,7 +24,7 @@ def networkx_graph(
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centres: node attributes ``x``, ``y``, ``z``.
+        Pore centers: node attributes ``x``, ``y``, ``z``.
     edges, shifts : (m, 2), (m, 3) int64
         Tunnels from ``points[i]`` to ``points[j] + shift`` with i < j: edge attributes ``length`` and ``shift``, the
         latter as three integers in a string ("0 0 -1").

@@ -21,11 +21,9 @@ from sppm_pipeline.numerics.connecting.exchange import (
 from sppm_pipeline.numerics.connecting.images import canonical_edges, edge_lengths
 from sppm_pipeline.numerics.connecting.trees import minimum_spanning_tree
 
-__all__ = ["Edges", "all_images", "greedy_subgraph", "merged_edges"]
-
 Edges = tuple[NDArray[np.int64], NDArray[np.int64]]
 
-# beyond this many neighbours per pore a graph that can't be completed is replaced by a ring graph
+# beyond this many neighbors per pore a graph that can't be completed is replaced by a ring graph
 _WIDEST = 40
 
 
@@ -84,7 +82,7 @@ def greedy_subgraph(
 
 
 def all_images(n: int, axes: NDArray[np.bool_]) -> int:
-    """More neighbours than a pore among n can have: every image of every other pore."""
+    """More neighbors than a pore among n can have: every image of every other pore."""
     return max((n - 1) * int(3 ** int(axes.sum())), 1)
 
 
@@ -146,7 +144,7 @@ def _ring_graph(points: NDArray[np.float64], axes: NDArray[np.bool_], degree: in
 
 
 def _walk(n: int, tree: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The vertices of a tree in depth-first order: neighbours on the walk are near each other."""
+    """The vertices of a tree in depth-first order: neighbors on the walk are near each other."""
     around: list[list[int]] = [[] for _ in range(n)]
     for i, j in tree.tolist():
         around[i].append(j)

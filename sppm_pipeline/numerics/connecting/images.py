@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["as_points", "canonical_edges", "edge_lengths", "images_per_pair", "periodic_axes", "segments", "wrapped"]
-
 
 def as_points(points: ArrayLike) -> NDArray[np.float64]:
     """The points as a C-contiguous (n, 3) float64 array.

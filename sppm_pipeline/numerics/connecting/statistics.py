@@ -7,12 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connecting.bridges import bridge_mask
 from sppm_pipeline.numerics.connecting.images import as_points, edge_lengths
 from sppm_pipeline.numerics.connecting.trees import component_labels
-
-__all__ = ["GraphStatistics", "graph_statistics", "wraps"]
 
 
 class GraphStatistics(NamedTuple):
@@ -57,7 +55,7 @@ def graph_statistics(points: ArrayLike, edges: NDArray[np.int64], shifts: NDArra
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centres.
+        Pore centers.
     edges, shifts : (m, 2), (m, 3) int64
         Tunnels.
     """
@@ -92,7 +90,7 @@ def wraps(n: int, edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[
     return x, y, z
 
 
-@kernel
+@jit
 def _wraps(n: int, edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> NDArray[np.bool_]:
     parent = np.arange(n)
     # cell of the root's image minus the cell of the vertex, along the way to the parent

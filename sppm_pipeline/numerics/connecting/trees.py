@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connecting.images import as_points, canonical_edges, periodic_axes, wrapped
-
-__all__ = ["component_labels", "find_root", "kruskal", "minimum_spanning_tree"]
 
 
 def minimum_spanning_tree(
@@ -18,13 +16,13 @@ def minimum_spanning_tree(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The exact Euclidean minimum spanning tree, with every pore at its nearest image on the periodic axes.
 
-    Prim's algorithm over all pairs, O(n^2) time and O(n) memory: a nearest-neighbour graph may miss an edge of the
+    Prim's algorithm over all pairs, O(n^2) time and O(n) memory: a nearest-neighbor graph may miss an edge of the
     tree, all pairs can't. Of equally short edges the one to the lower index is taken.
 
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centres; the unit is the cell edge if an axis is periodic.
+        Pore centers; the unit is the cell edge if an axis is periodic.
     periodic : bool or 3 bools
         Whether the axes repeat with period 1.
 
@@ -53,7 +51,7 @@ def nearest_shifts(
     return nearest + cells[i] - cells[j]
 
 
-@kernel
+@jit
 def squared_distance(inside: NDArray[np.float64], axes: NDArray[np.bool_], i: int, j: int) -> float:
     """Squared distance of i from the nearest image of j."""
     total = 0.0
@@ -65,7 +63,7 @@ def squared_distance(inside: NDArray[np.float64], axes: NDArray[np.bool_], i: in
     return total
 
 
-@kernel
+@jit
 def _prim(inside: NDArray[np.float64], axes: NDArray[np.bool_]) -> NDArray[np.int64]:
     n = inside.shape[0]
     best = np.full(n, np.inf)
@@ -91,7 +89,7 @@ def _prim(inside: NDArray[np.float64], axes: NDArray[np.bool_]) -> NDArray[np.in
     return edges
 
 
-@kernel
+@jit
 def find_root(parent: NDArray[np.int64], i: int) -> int:
     """Root of i in a union-find forest; halves the path on its way."""
     while parent[i] != i:
@@ -100,7 +98,7 @@ def find_root(parent: NDArray[np.int64], i: int) -> int:
     return i
 
 
-@kernel
+@jit
 def kruskal(n: int, edges: NDArray[np.int64], order: NDArray[np.int64]) -> NDArray[np.int64]:
     """Indices of the edges that join two components when the edges are taken in the given order, in that order."""
     parent = np.arange(n)
@@ -116,7 +114,7 @@ def kruskal(n: int, edges: NDArray[np.int64], order: NDArray[np.int64]) -> NDArr
     return taken[:count]
 
 
-@kernel
+@jit
 def component_labels(n: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
     """Component of every vertex, (n,) int64, numbered 0, 1, ... in the order of their lowest vertex."""
     parent = np.arange(n)

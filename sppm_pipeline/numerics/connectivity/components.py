@@ -12,10 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_runs, join_rows, neighbour_reach
-
-__all__ = ["Components", "components_of_runs", "find_components", "paint_runs"]
+from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_runs, join_rows, neighbor_reach
 
 
 class Components(NamedTuple):
@@ -57,7 +55,7 @@ def find_components(
     periodic : 3 bools
         Whether opposite faces are merged, along x, y, z.
     connectivity : {6, 26}
-        Voxels are neighbours across faces, or across faces, edges and corners.
+        Voxels are neighbors across faces, or across faces, edges and corners.
     zeros : bool
         Take the voxels that are 0 as the phase.
 
@@ -72,7 +70,7 @@ def components_of_runs(
     runs: Runs, periodic: tuple[bool, bool, bool] = (False, False, False), connectivity: int = 6
 ) -> Components:
     """`find_components` of a mask that is there only as its runs."""
-    reach = neighbour_reach(connectivity)
+    reach = neighbor_reach(connectivity)
     nz, ny, nx = runs.shape
     # the component of a run inside the box, its size in voxels and the faces it touches as bits
     in_box, sizes, faces = _box_components(runs.rows, runs.bounds, nz, ny, nx, reach)
@@ -96,7 +94,7 @@ def components_of_runs(
     return Components(runs, number[group][in_box], sizes[order], wraps[order], touched)
 
 
-@kernel
+@jit
 def _box_components(
     rows: NDArray[np.int64], bounds: NDArray[np.int32], nz: int, ny: int, nx: int, reach: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.uint8]]:
@@ -137,7 +135,7 @@ def _box_components(
     return parent, sizes, faces
 
 
-@kernel
+@jit
 def _lift(parent: NDArray[np.int32], offset: NDArray[np.int32], c: int) -> tuple[int, int, int, int]:
     """Root of c, and the shift (in cells along x, y, z) of c against its root."""
     x, y, z = 0, 0, 0
@@ -154,7 +152,7 @@ def _lift(parent: NDArray[np.int32], offset: NDArray[np.int32], c: int) -> tuple
     return c, x, y, z
 
 
-@kernel
+@jit
 def _unite(
     parent: NDArray[np.int32],
     offset: NDArray[np.int32],
@@ -185,7 +183,7 @@ def _unite(
         wraps[root_a, axis] |= wraps[root_b, axis]
 
 
-@kernel
+@jit
 def _cross_seams(
     rows: NDArray[np.int64],
     bounds: NDArray[np.int32],
@@ -206,7 +204,7 @@ def _cross_seams(
             a_first, a_stop = rows[z * ny + y], rows[z * ny + y + 1]
             if a_first == a_stop:
                 continue
-            # of each pair of opposite neighbours, the one that comes later in the order; only across a seam
+            # of each pair of opposite neighbors, the one that comes later in the order; only across a seam
             for step in range(14, 27):
                 dz, dy, sx = step // 9 - 1, step // 3 % 3 - 1, step % 3 - 1
                 if reach == 0 and abs(dz) + abs(dy) + abs(sx) > 1:
@@ -241,7 +239,7 @@ def _cross_seams(
     return parent, wraps
 
 
-@kernel
+@jit
 def paint_runs(
     rows: NDArray[np.int64],
     bounds: NDArray[np.int32],

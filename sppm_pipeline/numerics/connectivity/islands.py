@@ -7,10 +7,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connectivity.components import find_components
-
-__all__ = ["LooseParts", "clear_runs", "keep_largest", "loose_parts", "negate_runs"]
 
 Mask = TypeVar("Mask", NDArray[np.bool_], NDArray[np.uint8])
 
@@ -45,7 +43,7 @@ def keep_largest(mask: Mask, periodic: tuple[bool, bool, bool] = (True, True, Tr
     periodic : 3 bools
         Whether opposite faces are merged, along x, y, z.
     connectivity : {6, 26}
-        Neighbours across faces, or across faces, edges and corners.
+        Neighbors across faces, or across faces, edges and corners.
 
     Returns
     -------
@@ -62,14 +60,14 @@ def loose_parts(mask: NDArray[np.bool_] | NDArray[np.uint8], connectivity: int =
     """The components besides the largest, with labels that do not wrap: what the paper's rejection looks at.
 
     A cell is rejected if a loose part lies at its surface (`at_boundary` > 0): inside the cell it can be removed
-    without a trace, at the surface that would break the match with the neighbouring cell.
+    without a trace, at the surface that would break the match with the neighboring cell.
 
     Parameters
     ----------
     mask : (nz, ny, nx) bool or uint8
         The phase; anything but 0 belongs to it.
     connectivity : {6, 26}
-        Neighbours across faces, or across faces, edges and corners.
+        Neighbors across faces, or across faces, edges and corners.
 
     Returns
     -------
@@ -82,7 +80,7 @@ def loose_parts(mask: NDArray[np.bool_] | NDArray[np.uint8], connectivity: int =
     return LooseParts(int(loose.size), int(np.count_nonzero(found.faces[1:].any(axis=1))), share)
 
 
-@kernel
+@jit
 def clear_runs(
     rows: NDArray[np.int64],
     bounds: NDArray[np.int32],
@@ -99,7 +97,7 @@ def clear_runs(
                     row[bounds[2 * r] : bounds[2 * r + 1]] = 0
 
 
-@kernel
+@jit
 def negate_runs(
     rows: NDArray[np.int64],
     bounds: NDArray[np.int32],

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.connectivity.components import find_components
 
-__all__ = ["PhaseReport", "phase_report"]
-
 
 class PhaseReport(NamedTuple):
     """Connectivity of one phase.
@@ -54,7 +52,7 @@ def phase_report(
     periodic : 3 bools
         Whether opposite faces are merged, along x, y, z.
     connectivity : {6, 26}
-        Neighbours across faces, or across faces, edges and corners.
+        Neighbors across faces, or across faces, edges and corners.
     zeros : bool
         Report the other phase, the voxels that are 0, without a copy of the mask.
 

@@ -13,9 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["Runs", "as_bytes", "find_root", "find_runs", "join_rows", "neighbour_reach", "stack_runs"]
+from sppm_pipeline.numerics.compiled import jit
 
 _ONE = np.uint64(1)
 # byte i of a word of zeros and ones lands in bit 56 + i; the partial products never meet, so nothing is carried
@@ -70,8 +68,8 @@ def as_bytes(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(mask).view(np.uint8)
 
 
-def neighbour_reach(connectivity: int) -> int:
-    """How far a neighbouring row is looked past a run: 0 for 6-connectivity (faces), 1 for 26 (edges, corners).
+def neighbor_reach(connectivity: int) -> int:
+    """How far a neighboring row is looked past a run: 0 for 6-connectivity (faces), 1 for 26 (edges, corners).
 
     Raises
     ------
@@ -110,7 +108,7 @@ def stack_runs(slabs: Sequence[Runs]) -> Runs:
     return Runs((sum(slab.shape[0] for slab in slabs), ny, nx), np.concatenate([*rows, starts[-1:]]), bounds)
 
 
-@kernel
+@jit
 def _find_runs(mask: NDArray[np.uint8], flip: np.uint8) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     nz, ny, nx = mask.shape
     rows = np.empty(nz * ny + 1, np.int64)
@@ -150,7 +148,7 @@ def _find_runs(mask: NDArray[np.uint8], flip: np.uint8) -> tuple[NDArray[np.int6
     return rows, bounds[:n]
 
 
-@kernel
+@jit
 def find_root(parent: NDArray[np.int32], i: int) -> int:
     """Root of `i` in a union-find forest whose parents never have a larger index; halves the path on its way."""
     while parent[i] != i:
@@ -159,11 +157,11 @@ def find_root(parent: NDArray[np.int32], i: int) -> int:
     return i
 
 
-@kernel
+@jit
 def join_rows(
     bounds: NDArray[np.int32], a: int, a_stop: int, b: int, b_stop: int, reach: int, parent: NDArray[np.int32]
 ) -> None:
-    """Unite the touching runs of two neighbouring rows, a <= r < a_stop and b <= r < b_stop."""
+    """Unite the touching runs of two neighboring rows, a <= r < a_stop and b <= r < b_stop."""
     while a < a_stop and b < b_stop:
         if bounds[2 * a + 1] + reach <= bounds[2 * b]:
             a += 1

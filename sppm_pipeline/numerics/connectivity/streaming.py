@@ -1,6 +1,6 @@
 """Floating islands of a part whose layers come slab by slab and are never all in memory.
 
-Islands have to be removed on the assembly, never per tile: what floats in a tile may be held by its neighbour. So the
+Islands have to be removed on the assembly, never per tile: what floats in a tile may be held by its neighbor. So the
 part is gone through twice. The first pass gives every two-dimensional component of a layer an *id*: the smallest id
 that it touches in the layer below, or a new one. Ids that turn out to be one component are united, and voxels are
 counted per id. The second pass meets the same layers, derives the same ids in the same way, without any union, and
@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connectivity.islands import clear_runs
-from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_root, find_runs, join_rows, neighbour_reach
-
-__all__ = ["IslandFilter", "IslandStatistics"]
+from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_root, find_runs, join_rows, neighbor_reach
 
 
 class IslandStatistics(NamedTuple):
@@ -59,19 +57,19 @@ class IslandFilter:
     """Remove floating islands in two passes over the same slabs.
 
     Call `observe` for every slab in the order of z, `finish` once, then `clear` for every slab in the same order (the
-    slabs may be cut differently). The result is that of labelling all layers at once.
+    slabs may be cut differently). The result is that of labeling all layers at once.
 
     Parameters
     ----------
     ny, nx : int
         Size of a layer.
     connectivity : {6, 26}
-        Neighbours across faces, or across faces, edges and corners.
+        Neighbors across faces, or across faces, edges and corners.
     """
 
     def __init__(self, ny: int, nx: int, connectivity: int = 6) -> None:
         self._shape = (ny, nx)
-        self._reach = neighbour_reach(connectivity)
+        self._reach = neighbor_reach(connectivity)
         self._layers = 0
         self._parent = np.zeros(1024, dtype=np.int32)
         self._voxels = np.zeros(1024, dtype=np.int64)
@@ -236,7 +234,7 @@ class IslandFilter:
         return out
 
 
-@kernel
+@jit
 def _layer_ids(
     rows: NDArray[np.int64],
     bounds: NDArray[np.int32],
@@ -301,7 +299,7 @@ def _layer_ids(
     return n_ids
 
 
-@kernel
+@jit
 def _count_runs(
     rows: NDArray[np.int64],
     bounds: NDArray[np.int32],
@@ -331,7 +329,7 @@ def _count_runs(
             box[5] = z
 
 
-@kernel
+@jit
 def _resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
     """Point every id at its root and gather counts and bounding boxes there."""
     for i in range(parent.size):

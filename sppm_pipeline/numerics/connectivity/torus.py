@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.connectivity.components import find_components, paint_runs
 
-__all__ = ["label"]
-
 
 def label(
     mask: NDArray[np.bool_] | NDArray[np.uint8],
@@ -18,7 +16,7 @@ def label(
     """Number the connected components of a phase.
 
     Labels on the torus are the ones to use for a periodic cell: what looks like an island in the box may be held by
-    the neighbouring cell, and labels that do not wrap would reject nearly every cell of high porosity.
+    the neighboring cell, and labels that do not wrap would reject nearly every cell of high porosity.
 
     Parameters
     ----------
@@ -27,7 +25,7 @@ def label(
     periodic : 3 bools
         Whether opposite faces are merged, along x, y, z.
     connectivity : {6, 26}
-        Neighbours across faces (for the solid), or across faces, edges and corners.
+        Neighbors across faces (for the solid), or across faces, edges and corners.
 
     Returns
     -------

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside, way_for
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.orientation import orient
-
-__all__ = ["cells_touched"]
 
 
 def cells_touched(
@@ -44,7 +42,7 @@ def cells_touched(
     points = np.ascontiguousarray(vertices, np.float64)
     if not closed:
         faces = orient(points, np.asarray(faces, np.int32)).faces
-    # a cell that no triangle touches lies wholly inside or outside, so its centre decides; but where a mesh is open,
+    # a cell that no triangle touches lies wholly inside or outside, so its center decides; but where a mesh is open,
     # the border of the inside runs through cells without a triangle
     n = 1 if closed else 4
     (nx, ny, nz), h = (n * s for s in shape), edge / n
@@ -58,7 +56,7 @@ def cells_touched(
     return touched
 
 
-@kernel
+@jit
 def _touch(
     triangles: NDArray[np.float64], origin: NDArray[np.float64], edge: float, touched: NDArray[np.bool_]
 ) -> None:

@@ -1,17 +1,15 @@
-"""Grey pixels: the share of a pixel's subsamples that are inside."""
+"""Gray pixels: the share of a pixel's subsamples that are inside."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["grey_by_coverage"]
+from sppm_pipeline.numerics.compiled import jit
 
 
-def grey_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tuple[int, int]) -> NDArray[np.uint8]:
-    """One grey layer from a finer occupancy.
+def gray_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tuple[int, int]) -> NDArray[np.uint8]:
+    """One gray layer from a finer occupancy.
 
     Parameters
     ----------
@@ -38,25 +36,25 @@ def grey_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tup
         raise ValueError(f"an occupancy is uint8 or bool, not {sheets.dtype}")
     if sheets.shape[0] * fy > 65535:
         raise ValueError("more than 65535 subsamples along y and z in one pixel")
-    grey = np.empty((sheets.shape[1] // fy, sheets.shape[2] // fx), dtype=np.uint8)
-    _grey(np.ascontiguousarray(sheets).view(np.uint8), fx, fy, grey)
-    return grey
+    gray = np.empty((sheets.shape[1] // fy, sheets.shape[2] // fx), dtype=np.uint8)
+    _gray(np.ascontiguousarray(sheets).view(np.uint8), fx, fy, gray)
+    return gray
 
 
-@kernel
-def _grey(samples: NDArray[np.uint8], fx: int, fy: int, grey: NDArray[np.uint8]) -> None:
+@jit
+def _gray(samples: NDArray[np.uint8], fx: int, fy: int, gray: NDArray[np.uint8]) -> None:
     sheets = samples.shape[0]
     per_pixel = sheets * fy * fx
     columns = np.empty(samples.shape[2], np.uint16)
-    for y in range(grey.shape[0]):
+    for y in range(gray.shape[0]):
         columns[:] = 0
         for s in range(sheets):
             for i in range(fy):
                 row = samples[s, y * fy + i]
                 for x in range(row.size):
                     columns[x] += np.uint16(row[x] != 0)
-        for x in range(grey.shape[1]):
+        for x in range(gray.shape[1]):
             count = 0
             for i in range(fx):
                 count += columns[x * fx + i]
-            grey[y, x] = (510 * count + per_pixel) // (2 * per_pixel)
+            gray[y, x] = (510 * count + per_pixel) // (2 * per_pixel)

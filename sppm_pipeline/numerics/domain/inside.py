@@ -14,8 +14,6 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.measures import bounds, edge_counts
 from sppm_pipeline.numerics.meshcheck.orientation import orient
 
-__all__ = ["Judgement", "Method", "inside_layers", "judge", "prepare_inside", "way_for"]
-
 Method = Literal["scanline", "winding", "vote"]
 """How it is decided what is inside: rays along x, the generalized winding number, or rays along all three axes."""
 

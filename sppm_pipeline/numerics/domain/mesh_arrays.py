@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import InputError
 
-__all__ = ["as_mesh"]
-
 
 def as_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """A mesh in the types that the kernels are compiled for.

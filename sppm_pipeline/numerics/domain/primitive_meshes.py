@@ -7,8 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ball_mesh", "box_mesh", "cylinder_mesh", "torus_knot_curve", "torus_knot_mesh", "torus_mesh"]
-
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 Point = tuple[float, float, float]
 
@@ -19,12 +17,12 @@ def _at_least(least: int, **counts: int) -> None:
             raise ValueError(f"{name} is at least {least}, not {value}")
 
 
-def box_mesh(centre: Point, size: Point) -> Mesh:
+def box_mesh(center: Point, size: Point) -> Mesh:
     """An axis-aligned box: 8 vertices, 12 triangles.
 
     Parameters
     ----------
-    centre : 3 floats
+    center : 3 floats
     size : 3 floats
         Edge lengths.
 
@@ -35,7 +33,7 @@ def box_mesh(centre: Point, size: Point) -> Mesh:
     """
     corners = np.array([(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
     quads = np.array([(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)])
-    return corners * np.asarray(size) + np.asarray(centre), _split(quads)
+    return corners * np.asarray(size) + np.asarray(center), _split(quads)
 
 
 def _split(quads: NDArray[np.integer]) -> NDArray[np.int32]:
@@ -49,12 +47,12 @@ def _wrap(rows: int, columns: int) -> NDArray[np.int32]:
     return _split(np.stack([i * columns + j, i * columns + right, up * columns + right, up * columns + j], axis=1))
 
 
-def ball_mesh(centre: Point, radius: float, subdivisions: int = 3) -> Mesh:
+def ball_mesh(center: Point, radius: float, subdivisions: int = 3) -> Mesh:
     """A ball: an icosahedron whose triangles are split in four `subdivisions` times; 20 * 4^s triangles.
 
     Parameters
     ----------
-    centre : 3 floats
+    center : 3 floats
     radius : float
     subdivisions : int
 
@@ -87,16 +85,16 @@ def ball_mesh(centre: Point, radius: float, subdivisions: int = 3) -> Mesh:
         a, b, c = faces.T
         points = np.concatenate([points, points[edges].mean(axis=1)])
         faces = np.concatenate([np.stack(f, axis=1) for f in [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]])
-    points = points * (radius / np.linalg.norm(points, axis=1, keepdims=True)) + np.asarray(centre)
+    points = points * (radius / np.linalg.norm(points, axis=1, keepdims=True)) + np.asarray(center)
     return points, faces.astype(np.int32)
 
 
-def cylinder_mesh(centre: Point, radius: float, height: float, segments: int = 64) -> Mesh:
-    """An upright prism with `segments` sides, inscribed in a cylinder along z; `centre` is its middle.
+def cylinder_mesh(center: Point, radius: float, height: float, segments: int = 64) -> Mesh:
+    """An upright prism with `segments` sides, inscribed in a cylinder along z; `center` is its middle.
 
     Parameters
     ----------
-    centre : 3 floats
+    center : 3 floats
     radius, height : float
     segments : int
 
@@ -109,7 +107,7 @@ def cylinder_mesh(centre: Point, radius: float, height: float, segments: int = 6
     angle = np.arange(segments) * (2 * np.pi / segments)
     circle = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     rings = [np.column_stack([circle, np.full(segments, z)]) for z in (-height / 2, height / 2)]
-    vertices = np.concatenate([*rings, [(0, 0, -height / 2), (0, 0, height / 2)]]) + np.asarray(centre)
+    vertices = np.concatenate([*rings, [(0, 0, -height / 2), (0, 0, height / 2)]]) + np.asarray(center)
     i = np.arange(segments)
     j = (i + 1) % segments
     side = _split(np.stack([i, j, j + segments, i + segments], axis=1))
@@ -118,14 +116,14 @@ def cylinder_mesh(centre: Point, radius: float, height: float, segments: int = 6
     return vertices, np.concatenate([side, floor, ceiling]).astype(np.int32)
 
 
-def torus_mesh(centre: Point, radius: float, tube: float, segments: int = 96, sides: int = 48) -> Mesh:
+def torus_mesh(center: Point, radius: float, tube: float, segments: int = 96, sides: int = 48) -> Mesh:
     """A torus around the z axis, `segments` along the ring and `sides` around the tube.
 
     Parameters
     ----------
-    centre : 3 floats
+    center : 3 floats
     radius : float
-        From the centre to the middle of the tube.
+        From the center to the middle of the tube.
     tube : float
         Radius of the tube; smaller than `radius`, or the mesh meets itself.
     segments, sides : int
@@ -141,7 +139,7 @@ def torus_mesh(centre: Point, radius: float, tube: float, segments: int = 96, si
     r = radius + tube * np.cos(across)
     height = np.broadcast_to(tube * np.sin(across), (segments, sides))
     points = np.stack([r * np.cos(around), r * np.sin(around), height], axis=2)
-    return points.reshape(-1, 3) + np.asarray(centre), _wrap(segments, sides)[:, ::-1].copy()
+    return points.reshape(-1, 3) + np.asarray(center), _wrap(segments, sides)[:, ::-1].copy()
 
 
 def torus_knot_curve(turns: tuple[int, int], radius: float, swing: float, points: int) -> NDArray[np.float64]:
@@ -180,7 +178,7 @@ def torus_knot_curve(turns: tuple[int, int], radius: float, swing: float, points
 
 
 def torus_knot_mesh(
-    centre: Point,
+    center: Point,
     turns: tuple[int, int] = (2, 3),
     radius: float = 1.0,
     swing: float = 0.4,
@@ -192,7 +190,7 @@ def torus_knot_mesh(
 
     Parameters
     ----------
-    centre : 3 floats
+    center : 3 floats
     turns, radius, swing
         The curve, see `torus_knot_curve`.
     tube : float
@@ -219,4 +217,4 @@ def torus_knot_mesh(
     angle = np.arange(sides) * (2 * np.pi / sides)
     rim = np.cos(angle)[None, :, None] * outwards[:, None] + np.sin(angle)[None, :, None] * sidewards[:, None]
     points = curve[:, None] + tube * rim
-    return points.reshape(-1, 3) + np.asarray(centre), _wrap(segments, sides)
+    return points.reshape(-1, 3) + np.asarray(center), _wrap(segments, sides)

@@ -17,11 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.domain.mesh_arrays import as_mesh
 from sppm_pipeline.numerics.grid import Grid
-
-__all__ = ["Occupancy", "Scan", "count_inside", "prepare_scan", "scan_layers"]
 
 _CHUNK = 16  # layers that share one list of triangles
 
@@ -83,7 +81,7 @@ def prepare_scan(vertices: ArrayLike, faces: ArrayLike, grid: Grid, axis: int = 
     faces : (m, 3) integers
         Wound outwards.
     grid : Grid
-        The samples (voxel centres) of the whole part.
+        The samples (voxel centers) of the whole part.
     axis : {0, 1, 2}
         Direction of the rays. Rays along x make whole layers from contiguous rows.
 
@@ -180,7 +178,7 @@ def count_inside(
     return crossed, opened
 
 
-@kernel
+@jit
 def _first_at(origin: float, spacing: float, start: int, stop: int, value: float) -> int:
     """The first sample start <= i < stop that is not below a value; `stop` if there is none."""
     guess = np.ceil((value - origin) / spacing)
@@ -193,7 +191,7 @@ def _first_at(origin: float, spacing: float, start: int, stop: int, value: float
     return i
 
 
-@kernel
+@jit
 def _list_by_chunks(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], origin: float, spacing: float, n_layer: int, chunk: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
@@ -219,7 +217,7 @@ def _list_by_chunks(
     return starts, listed
 
 
-@kernel
+@jit
 def _sort_short(values: NDArray[np.int64], start: int, stop: int) -> None:
     """Shell sort: rows have few crossings, and a part that is itself porous some hundreds."""
     n = stop - start
@@ -237,7 +235,7 @@ def _sort_short(values: NDArray[np.int64], start: int, stop: int) -> None:
         gap //= 3
 
 
-@kernel
+@jit
 def _crossings(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
@@ -316,7 +314,7 @@ def _crossings(
     return starts, keys
 
 
-@kernel
+@jit
 def _fill(
     starts: NDArray[np.int64],
     keys: NDArray[np.int64],

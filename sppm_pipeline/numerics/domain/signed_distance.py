@@ -3,7 +3,7 @@
 Every triangle writes its exact distance to the samples within two spacings of it; from there the nearest triangle is
 handed from sample to sample in eight sweeps, and each sample keeps the exact distance to the best triangle it was
 offered (closest-point propagation, as in Bridson 2015, "Fluid Simulation for Computer Graphics", chapter 4). Beyond the
-band a sample may miss its nearest triangle by a neighbouring one, which errs by a small fraction of the spacing. The
+band a sample may miss its nearest triangle by a neighboring one, which errs by a small fraction of the spacing. The
 sign is that of the voxels of layers, from the same function; where shells overlap they count once.
 """
 
@@ -14,12 +14,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.domain.inside import Method, inside_layers, prepare_inside
 from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
 from sppm_pipeline.numerics.grid import Grid
-
-__all__ = ["distance_layers", "reach_bare_borders", "signed_distance"]
 
 
 def signed_distance(
@@ -121,7 +119,7 @@ def reach_bare_borders(
             distance[bare] = other[bare] - min(spacing) / 2
 
 
-@kernel
+@jit
 def _near_band(
     triangles: NDArray[np.float64],
     origin: NDArray[np.float64],
@@ -150,7 +148,7 @@ def _near_band(
                         nearest[k, j, i] = f
 
 
-@kernel
+@jit
 def _sweep(
     triangles: NDArray[np.float64],
     origin: NDArray[np.float64],
@@ -158,7 +156,7 @@ def _sweep(
     squared: NDArray[np.float32],
     nearest: NDArray[np.int32],
 ) -> None:
-    """Offer each sample the triangles of its neighbours behind it, in all eight directions of travel."""
+    """Offer each sample the triangles of its neighbors behind it, in all eight directions of travel."""
     nz, ny, nx = squared.shape
     for way in range(8):
         dk, dj, di = 1 - 2 * (way >> 2 & 1), 1 - 2 * (way >> 1 & 1), 1 - 2 * (way & 1)

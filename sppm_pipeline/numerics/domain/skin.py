@@ -13,9 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["halo_layers", "skin_layers"]
+from sppm_pipeline.numerics.compiled import jit
 
 # a distance that equals the thickness up to rounding counts as within
 _SLACK = 1.0 + 1e-6
@@ -36,7 +34,7 @@ def skin_layers(
     below: int,
     above: int,
 ) -> NDArray[np.uint8]:
-    """The skin of some layers: voxels inside whose centre is within the thickness of the centre of one outside.
+    """The skin of some layers: voxels inside whose center is within the thickness of the center of one outside.
 
     Parameters
     ----------
@@ -73,7 +71,7 @@ def skin_layers(
     return skin
 
 
-@kernel
+@jit
 def _row_distances(inside: NDArray[np.uint8], h: np.float32, reach: int, out: NDArray[np.float32]) -> None:
     """Squared distance to the nearest voxel outside in the same row; far where it is beyond reach."""
     n = inside.size
@@ -92,15 +90,15 @@ def _row_distances(inside: NDArray[np.uint8], h: np.float32, reach: int, out: ND
             out[i] = h * np.float32(d * d) if d <= reach else _FAR
 
 
-@kernel
+@jit
 def _lower(least: NDArray[np.float32], other: NDArray[np.float32], add: np.float32) -> None:
     for x in range(least.size):
         least[x] = min(least[x], other[x] + add)
 
 
-@kernel
+@jit
 def _state(block: NDArray[np.float32]) -> int:
-    # counted, because sums of integers are vectorised under strict arithmetic and extrema of floats are not
+    # counted, because sums of integers are vectorized under strict arithmetic and extrema of floats are not
     outside = np.int32(0)
     deep = np.int32(0)
     for x in range(block.size):
@@ -111,7 +109,7 @@ def _state(block: NDArray[np.float32]) -> int:
     return _DEEP if deep == block.size else _MIXED
 
 
-@kernel
+@jit
 def _skin(
     occupancy: NDArray[np.uint8],
     below: int,

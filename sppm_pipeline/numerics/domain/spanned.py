@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.domain.mesh_arrays import as_mesh
 from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, prepare_scan, scan_layers
 from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
@@ -22,8 +22,6 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.box_tree import DEPTH, box_tree
 from sppm_pipeline.numerics.meshcheck.measures import components
 from sppm_pipeline.numerics.meshcheck.winding_number import FAR, Dipoles, dipoles, winding_at
-
-__all__ = ["UNDECIDED", "SpannedScan", "prepare_spanned", "spanned_layers", "spanning_triangles"]
 
 UNDECIDED = 0.25
 """A voxel is undecided if its winding number is nearer than this to one half."""
@@ -140,7 +138,7 @@ def spanned_layers(scan: SpannedScan, start: int, stop: int) -> Occupancy:
     return found._replace(undecided=int(undecided))
 
 
-@kernel
+@jit
 def _node_areas(triangles: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
     leaves = starts.size - 1
     areas = np.zeros(2 * leaves - 1)
@@ -157,7 +155,7 @@ def _node_areas(triangles: NDArray[np.float64], starts: NDArray[np.int64]) -> ND
     return areas
 
 
-@kernel
+@jit
 def _seen_under(
     boxes: NDArray[np.float64],
     areas: NDArray[np.float64],
@@ -191,7 +189,7 @@ def _seen_under(
     return bound
 
 
-@kernel
+@jit
 def _within(
     triangles: NDArray[np.float64],
     boxes: NDArray[np.float64],
@@ -223,7 +221,7 @@ def _within(
     return False
 
 
-@kernel
+@jit
 def _range(
     triangles: NDArray[np.float64],
     starts: NDArray[np.int64],
@@ -247,7 +245,7 @@ def _range(
     return least, most, middle
 
 
-@kernel
+@jit
 def _correct(
     triangles: NDArray[np.float64],
     mesh_boxes: NDArray[np.float64],
@@ -269,7 +267,7 @@ def _correct(
     """
     nz, ny, nx = mask.shape
     waiting = np.empty(DEPTH, np.int64)
-    low, high, centre = np.empty(3), np.empty(3), np.empty(3)
+    low, high, center = np.empty(3), np.empty(3), np.empty(3)
     blocks = np.empty((8 * 4, 4), np.int64)  # an edge is halved three times
     first = start // _LARGE * _LARGE
     undecided = 0
@@ -295,9 +293,9 @@ def _correct(
             size = 0.0
             for a in range(3):
                 size += (high[a] - low[a]) ** 2
-                centre[a] = (low[a] + high[a]) / 2
+                center[a] = (low[a] + high[a]) / 2
             # a diagonal off from the middle is half a diagonal off from all the block
-            if not _within(spans, span_boxes, span_starts, waiting, centre, size):
+            if not _within(spans, span_boxes, span_starts, waiting, center, size):
                 least, most, middle = _range(spans, span_starts, span_poles, waiting, low, high)
                 if max(most, -least) + (most - least) / 2 < _CLEAR:
                     if abs(middle) > UNDECIDED:
@@ -306,7 +304,7 @@ def _correct(
                                 for i in range(i0, i1):
                                     undecided += (mask[k - start, j, i] > 0) == (middle > 0.0)
                     continue
-            if not _within(triangles, mesh_boxes, starts, waiting, centre, size):
+            if not _within(triangles, mesh_boxes, starts, waiting, center, size):
                 least, most, middle = _range(triangles, starts, poles, waiting, low, high)
                 reach = (most - least) / 2
                 if least - reach > 1 - _CLEAR or most + reach < _CLEAR:

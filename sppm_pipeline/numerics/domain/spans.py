@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["row_spans"]
+from sppm_pipeline.numerics.compiled import jit
 
 
 def row_spans(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
@@ -26,7 +24,7 @@ def row_spans(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
     return spans
 
 
-@kernel
+@jit
 def _spans(mask: NDArray[np.uint8], spans: NDArray[np.int32]) -> None:
     nz, ny, nx = mask.shape
     for z in range(nz):

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike
 from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, count_inside, prepare_scan
 from sppm_pipeline.numerics.grid import Grid
 
-__all__ = ["ThreeAxisScan", "prepare_three_axis", "vote_layers"]
-
 
 class ThreeAxisScan(NamedTuple):
     """A mesh made ready for rays along each axis."""

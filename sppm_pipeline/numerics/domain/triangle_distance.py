@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["squared_to_triangle"]
+from sppm_pipeline.numerics.compiled import jit
 
 
-@kernel
+@jit
 def squared_to_triangle(t: NDArray[np.float64], x: float, y: float, z: float) -> float:
     """Squared distance of a point from triangle (3, 3): the foot lies inside, on an edge or at a corner."""
     ax, ay, az = t[0, 0], t[0, 1], t[0, 2]

@@ -8,23 +8,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = [
-    "BOOLEAN_BYTES",
-    "CHILD_BYTES",
-    "LAYER_BYTES",
-    "PICTURE_BYTES",
-    "SLAB_VOXELS",
-    "body_triangles",
-    "boolean_seconds",
-    "field_seconds",
-    "layer_bytes",
-    "patch_bytes",
-    "picture_memory",
-    "picture_seconds",
-    "surface_triangles",
-    "tetrahedra",
-]
-
 TRIANGLES = 2.6
 """Triangles of marching cubes for a surface of one squared voxel edge, at random orientation."""
 
@@ -83,7 +66,7 @@ def tetrahedra(
 ) -> tuple[float, float, float]:
     """Tetrahedra, their nodes, and boundary triangles of isosurface stuffing.
 
-    A cube of the body-centred lattice is worth twelve tetrahedra; the numbers for the surface were fitted. The nodes of
+    A cube of the body-centered lattice is worth twelve tetrahedra; the numbers of the surface were fitted. Nodes of
     quadratic tetrahedra follow from Euler's formula, as there is one on each edge.
     """
     cubes, crossed = volume * (1 - porosity) * voxels_along**3, surface * volume * voxels_along**2

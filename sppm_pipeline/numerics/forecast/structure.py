@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-__all__ = ["Structure", "kernels_at_a_point", "structure_of", "tunnel_length"]
-
 WIDENED = 1.75
 """V of the sum over V of its parts: 66 pores and 158 tunnels of the paper's size give 0.69 and 0.40."""
 
@@ -28,7 +26,7 @@ class Structure(NamedTuple):
 
 
 def tunnel_length(pores: float) -> float:
-    """Mean length of tunnels between neighbours, cell edges."""
+    """Mean length of tunnels between neighbors, cell edges."""
     length: float = 0.85 * max(pores, 1.0) ** (-1 / 3)
     return length
 

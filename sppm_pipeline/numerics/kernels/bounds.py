@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, pore_reach, tunnel_reach
 
-__all__ = ["cutoff_bound"]
-
 # Pairs of block and kernel of one chunk.
 _PAIRS = 1 << 20
 
@@ -46,7 +44,7 @@ def cutoff_bound(
     size = (upper - lower) / blocks
     half = float(np.linalg.norm(size)) / 2.0
     index = np.stack(np.meshgrid(*[np.arange(blocks)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    centres = lower + (index + 0.5) * size
+    centers = lower + (index + 0.5) * size
 
     pores = pore_reach(kernels.omega, cutoff)
     tunnels = tunnel_reach(kernels.mu, cutoff, kernels.squared)
@@ -62,8 +60,8 @@ def cutoff_bound(
 
     worst = 0.0
     step = max(1, _PAIRS // max(1, len(pores) + len(tunnels)))
-    for first in range(0, len(centres), step):
-        chunk = centres[first : first + step, None, :]
+    for first in range(0, len(centers), step):
+        chunk = centers[first : first + step, None, :]
         distance = np.linalg.norm(chunk - kernels.centers, axis=2)
         peak = np.exp(-kernels.omega * np.maximum(distance - half, 0.0) ** 2)
         lost = _lost(peak, distance + half > pores, cutoff)

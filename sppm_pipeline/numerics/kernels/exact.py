@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 
-__all__ = ["exact_sum"]
-
 # Points times kernels of one chunk: 2^20 pairs keep the temporary arrays near 50 MB.
 _PAIRS = 1 << 20
 
@@ -36,8 +34,8 @@ def exact_sum(kernels: Kernels, points: NDArray[np.float64]) -> NDArray[np.float
     inverse = np.divide(1.0, squared_length, out=np.zeros_like(squared_length), where=squared_length > 0.0)
     for first in range(0, len(points), step):
         chunk = points[first : first + step, None, :]
-        from_centre = chunk - kernels.centers
-        total = np.exp(-kernels.omega * np.einsum("ijk,ijk->ij", from_centre, from_centre)).sum(axis=1)
+        from_center = chunk - kernels.centers
+        total = np.exp(-kernels.omega * np.einsum("ijk,ijk->ij", from_center, from_center)).sum(axis=1)
         from_start = chunk - kernels.starts
         share = np.clip(np.einsum("ijk,jk->ij", from_start, along) * inverse, 0.0, 1.0)
         nearest = from_start - share[..., None] * along

@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Kernels", "concatenated", "empty_kernels"]
-
 
 class Kernels(NamedTuple):
     """Point kernels ``exp(-omega |p - c|^2)`` and segment kernels ``exp(-mu d)`` or ``exp(-mu d^2)`` (paper, eq. 1-2).
@@ -19,7 +17,7 @@ class Kernels(NamedTuple):
     Attributes
     ----------
     centers : (n, 3) float64
-        Pore centres.
+        Pore centers.
     omega : (n,) float64
         Pore size parameter, 1 / length^2.
     starts, ends : (m, 3) float64

@@ -14,20 +14,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 
-__all__ = [
-    "DEFAULT_CUTOFF",
-    "check_cutoff",
-    "mu_from_radius",
-    "mu_in_cell_units",
-    "omega_from_radius",
-    "omega_in_cell_units",
-    "pore_radius",
-    "pore_reach",
-    "reach_boxes",
-    "tunnel_radius",
-    "tunnel_reach",
-]
-
 #: Kernel values below this share of their maximum are dropped: 2 voxels in 100 000 change sides, against 2 in
 #: 100 at a cut-off of 1e-2.
 DEFAULT_CUTOFF = 1e-5
@@ -38,7 +24,7 @@ def _log_of_level(level: float) -> float:
     if not 0.0 < level < 1.0:
         raise DesignError(
             f"the level is {level!r}, but a level between 0 and 1 (both excluded) is needed",
-            hint="a single pore has the value 1 in its centre and falls to 0; the paper uses the level 0.25",
+            hint="a single pore has the value 1 in its center and falls to 0; the paper uses the level 0.25",
         )
     return math.log(1.0 / level)
 

@@ -12,8 +12,6 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, reach_boxes
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
-__all__ = ["periodic_images", "sample_periodic"]
-
 
 def periodic_images(
     kernels: Kernels,
@@ -75,7 +73,7 @@ def _shifts(
 def sample_periodic(
     kernels: Kernels,
     n: int,
-    at: Literal["centres", "nodes"] = "centres",
+    at: Literal["centers", "nodes"] = "centers",
     cutoff: float = DEFAULT_CUTOFF,
     threads: int = 1,
 ) -> NDArray[np.float32]:
@@ -87,8 +85,8 @@ def sample_periodic(
         The kernels of one cell in cell units; each pore and tunnel once.
     n : int
         Voxels along a cell edge.
-    at : {"centres", "nodes"}
-        Sample the voxel centres, or the voxel corners including both ends: the last plane of corners is a copy of
+    at : {"centers", "nodes"}
+        Sample the voxel centers, or the voxel corners including both ends: the last plane of corners is a copy of
         the first one.
     cutoff : float
         See `add_kernels`.
@@ -98,16 +96,16 @@ def sample_periodic(
     Returns
     -------
     (m, m, m) float32
-        Index order z, y, x; m = n for centres, n + 1 for nodes.
+        Index order z, y, x; m = n for centers, n + 1 for nodes.
     """
     if n < 1:
         raise ValueError(f"a cell needs at least one voxel along its edge, not {n}")
-    if at not in ("centres", "nodes"):
-        raise ValueError(f"samples lie at 'centres' or 'nodes', not {at!r}")
-    start = 0.5 / n if at == "centres" else 0.0
+    if at not in ("centers", "nodes"):
+        raise ValueError(f"samples lie at 'centers' or 'nodes', not {at!r}")
+    start = 0.5 / n if at == "centers" else 0.0
     grid = Grid((start,) * 3, (1.0 / n,) * 3, (n, n, n))
     lower, upper = np.full(3, start), np.full(3, start + (n - 1) / n)
-    m = n if at == "centres" else n + 1
+    m = n if at == "centers" else n + 1
     field = np.zeros((m, m, m), dtype=np.float32)
     torus = np.zeros((n, n, n), dtype=np.float32) if m > n else field
     add_kernels(torus, grid, periodic_images(kernels, lower, upper, cutoff), cutoff, threads)

@@ -15,19 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel
-
-__all__ = [
-    "LANES",
-    "TABLE",
-    "add_gauss_rows",
-    "add_squared_tunnel_rows",
-    "add_tunnel_rows",
-    "fill_gauss",
-    "point_rows",
-    "tunnel_rows",
-    "want_rows",
-]
+from sppm_pipeline.numerics.compiled import inline_jit
 
 #: Samples of one block, rows of one group.
 LANES = 16
@@ -59,7 +47,7 @@ _ONE = np.float32(1.0)
 _FAR = np.float32(1e12)
 
 
-@inline_kernel
+@inline_jit
 def _exp2_minus(r: np.float32) -> np.float32:
     """2^-r for r >= 0, relative error below 3e-7; the exponent is subtracted from the bits of the mantissa."""
     r = min(r, _LAST)
@@ -69,7 +57,7 @@ def _exp2_minus(r: np.float32) -> np.float32:
     return np.int32(np.float32(p).view(np.int32) - np.int32(whole << np.int32(23))).view(np.float32)
 
 
-@inline_kernel
+@inline_jit
 def fill_gauss(row: NDArray[np.float32], blocks: int, first: np.float32, step: np.float32) -> None:
     """row[i] = 2^-((first + i step)^2) for the first `blocks` blocks of the row."""
     for i in range(np.uint64(blocks) << _SHIFT):
@@ -77,7 +65,7 @@ def fill_gauss(row: NDArray[np.float32], blocks: int, first: np.float32, step: n
         row[i] = _exp2_minus(x * x)
 
 
-@inline_kernel
+@inline_jit
 def _clip_rows(table: NDArray[np.float32], low: np.float32, high: np.float32, nx: np.float32, i: int) -> None:
     """Write first sample and number of blocks of row i; the row covers at least low <= x <= high where it is wanted."""
     first = max(np.float32(np.ceil(low)), table[_WANTED_FROM + i])
@@ -89,7 +77,7 @@ def _clip_rows(table: NDArray[np.float32], low: np.float32, high: np.float32, nx
     table[_BLOCKS + i] = blocks
 
 
-@inline_kernel
+@inline_jit
 def want_rows(table: NDArray[np.float32], wanted: NDArray[np.int32], first: int, rows: int, nx: int) -> None:
     """Write which samples of the sixteen rows are wanted, from the first to the last; all if `wanted` is empty.
 
@@ -105,20 +93,20 @@ def want_rows(table: NDArray[np.float32], wanted: NDArray[np.int32], first: int,
             table[_WANTED_TO + i] = np.float32(wanted[row, 1] - 1)
 
 
-@inline_kernel
+@inline_jit
 def point_rows(
     table: NDArray[np.float32],
     reach: np.float32,
     dy: np.float32,
     step: np.float32,
     dz: np.float32,
-    centre: np.float32,
+    center: np.float32,
     inverse: np.float32,
     nx: np.float32,
 ) -> None:
     """Prepare sixteen rows through the ball of a pore.
 
-    Row i passes the centre at ``dy + i step``, `dz`; the centre lies at `centre` samples; `inverse` turns scaled
+    Row i passes the center at ``dy + i step``, `dz`; the center lies at `center` samples; `inverse` turns scaled
     lengths into samples.
     """
     for i in range(_LANES):
@@ -126,11 +114,11 @@ def point_rows(
         aside2 = y * y + dz * dz
         chord2 = reach * reach - aside2
         chord = np.float32(math.sqrt(max(chord2, _ZERO))) * inverse
-        _clip_rows(table, centre - chord, centre + chord if chord2 >= _ZERO else -_FAR, nx, i)
+        _clip_rows(table, center - chord, center + chord if chord2 >= _ZERO else -_FAR, nx, i)
         table[_FACTOR + i] = _exp2_minus(aside2)
 
 
-@inline_kernel
+@inline_jit
 def add_gauss_rows(
     out: NDArray[np.float32],
     start: int,
@@ -153,7 +141,7 @@ def add_gauss_rows(
             out[target + i] += factor * values[source + i]
 
 
-@inline_kernel
+@inline_jit
 def tunnel_rows(
     table: NDArray[np.float32],
     reach: np.float32,
@@ -223,7 +211,7 @@ def tunnel_rows(
         table[_REST + i] = rest
 
 
-@inline_kernel
+@inline_jit
 def add_tunnel_rows(
     out: NDArray[np.float32],
     start: int,
@@ -253,7 +241,7 @@ def add_tunnel_rows(
             out[target + i] += _exp2_minus(np.float32(math.sqrt(v * v + rest + beyond * beyond)))
 
 
-@inline_kernel
+@inline_jit
 def add_squared_tunnel_rows(
     out: NDArray[np.float32],
     start: int,

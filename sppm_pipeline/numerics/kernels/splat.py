@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, check_cutoff, reach_boxes
@@ -28,8 +28,6 @@ from sppm_pipeline.numerics.kernels.rows import (
     tunnel_rows,
     want_rows,
 )
-
-__all__ = ["add_kernels"]
 
 # Samples of one block of layers: 1 MB of float32 stays in the second level cache while kernels are added to it.
 _BLOCK_SAMPLES = 1 << 18
@@ -150,7 +148,7 @@ def _reaching(
     )
 
 
-@kernel
+@jit
 def _add_points(
     out: NDArray[np.float32],
     shape: tuple[int, int, int],
@@ -174,11 +172,11 @@ def _add_points(
         y1 = min(math.floor((points[p, 1] + radius - origin[1]) / spacing[1]), ny - 1)
         if z0 > z1 or y0 > y1:
             continue
-        # Coordinates count from the sample beside the centre, so that float32 keeps their digits on large grids.
+        # Coordinates count from the sample beside the center, so that float32 keeps their digits on large grids.
         start = math.floor((points[p, 0] - origin[0]) / spacing[0])
         rest_x = scale * (origin[0] + start * spacing[0] - points[p, 0])
         step_x = scale * spacing[0]
-        centre = np.float32(start - rest_x / step_x)
+        center = np.float32(start - rest_x / step_x)
         # Blocks overrun the reach by up to 15 samples on one side.
         half = int(radius / spacing[0]) + 2 * LANES
         blocks = (2 * half) // LANES
@@ -195,7 +193,7 @@ def _add_points(
                     np.float32(dy + (y - y0) * step_y),
                     np.float32(step_y),
                     dz,
-                    centre,
+                    center,
                     np.float32(1.0 / step_x),
                     np.float32(nx),
                 )
@@ -203,7 +201,7 @@ def _add_points(
                 add_gauss_rows(out, offset, nx, min(LANES, y1 + 1 - y), table, along_x, half - start)
 
 
-@kernel
+@jit
 def _add_tunnels(
     out: NDArray[np.float32],
     shape: tuple[int, int, int],

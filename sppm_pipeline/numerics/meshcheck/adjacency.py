@@ -12,9 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["CROWDED", "RIM", "Adjacency", "Rims", "adjacency", "rims"]
+from sppm_pipeline.numerics.compiled import jit
 
 RIM = -1
 """Mate of a half-edge whose edge no other triangle shares."""
@@ -103,7 +101,7 @@ def rims(vertices: NDArray[np.float64], faces: NDArray[np.integer], found: Adjac
     return Rims(edges[longest], lengths[longest], np.linalg.norm(high - low, axis=1)[longest])
 
 
-@kernel
+@jit
 def _mates(keys: NDArray[np.int64], order: NDArray[np.int64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
     mates = np.full(keys.size, -1, np.int64)
     i = 0
@@ -123,7 +121,7 @@ def _mates(keys: NDArray[np.int64], order: NDArray[np.int64], faces: NDArray[np.
     return mates
 
 
-@kernel
+@jit
 def _root(parent: NDArray[np.int64], a: int) -> int:
     while parent[a] != a:
         parent[a] = parent[parent[a]]
@@ -131,7 +129,7 @@ def _root(parent: NDArray[np.int64], a: int) -> int:
     return a
 
 
-@kernel
+@jit
 def _join(parent: NDArray[np.int64], a: int, b: int) -> None:
     """The smaller root wins, so that the numbering does not depend on how it went."""
     a, b = _root(parent, a), _root(parent, b)
@@ -141,7 +139,7 @@ def _join(parent: NDArray[np.int64], a: int, b: int) -> None:
         parent[a] = b
 
 
-@kernel
+@jit
 def _number(parent: NDArray[np.int64]) -> int:
     """Replace each parent by the number of its set; a root is the smallest member, so it is met first."""
     count = 0
@@ -154,7 +152,7 @@ def _number(parent: NDArray[np.int64]) -> int:
     return count
 
 
-@kernel
+@jit
 def _fans(faces: NDArray[np.int64], mates: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], int, int]:
     parent = np.arange(mates.size)
     for h in range(mates.size):
@@ -182,7 +180,7 @@ def _fans(faces: NDArray[np.int64], mates: NDArray[np.int64], n: int) -> tuple[N
     return parent, count, split.sum()
 
 
-@kernel
+@jit
 def _surfaces(mates: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
     parent = np.arange(mates.size // 3)
     for h in range(mates.size):
@@ -193,7 +191,7 @@ def _surfaces(mates: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
     return parent, _number(parent)
 
 
-@kernel
+@jit
 def _rims(half_edges: NDArray[np.int64], fans: NDArray[np.int64], fan_count: int) -> tuple[NDArray[np.int64], int]:
     """The rim of each half-edge; the rim of an open fan goes on where it ends."""
     last = np.full(fan_count, -1, np.int64)

@@ -7,11 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.measures import components
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
-
-__all__ = ["Shells", "find_shells", "largest_body", "used_vertices"]
 
 
 class Shells(NamedTuple):
@@ -83,7 +81,7 @@ def used_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Me
     return vertices[used], number[faces]
 
 
-@kernel
+@jit
 def _volumes(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
@@ -105,7 +103,7 @@ def _volumes(
     return volumes
 
 
-@kernel
+@jit
 def _winding(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], which: NDArray[np.int64], at: NDArray[np.float64]
 ) -> float:

@@ -12,9 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["DEPTH", "BoxTree", "box_tree"]
+from sppm_pipeline.numerics.compiled import jit
 
 DEPTH = 64
 """Room for the nodes that a walk has still to visit: one a level, and two on the last."""
@@ -66,7 +64,7 @@ def box_tree(triangles: NDArray[np.float64]) -> BoxTree:
     return BoxTree(order, ordered, _boxes(ordered, starts), starts)
 
 
-@kernel
+@jit
 def _morton(points: NDArray[np.float64], low: NDArray[np.float64], extent: float) -> NDArray[np.uint64]:
     """The bits of the three coordinates, 21 each, one after the other."""
     codes = np.zeros(points.shape[0], np.uint64)
@@ -80,7 +78,7 @@ def _morton(points: NDArray[np.float64], low: NDArray[np.float64], extent: float
     return codes
 
 
-@kernel
+@jit
 def _boxes(triangles: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
     leaves = starts.size - 1
     boxes = np.empty((2 * leaves - 1, 6))

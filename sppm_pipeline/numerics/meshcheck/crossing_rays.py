@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.box_tree import DEPTH, BoxTree
 from sppm_pipeline.numerics.meshcheck.exact_side import side_of_line, side_of_plane
-
-__all__ = ["exits_along", "layers_around"]
 
 
 def layers_around(
@@ -70,7 +68,7 @@ def exits_along(
     )
 
 
-@kernel
+@jit
 def _layers(
     triangles: NDArray[np.float64],
     boxes: NDArray[np.float64],
@@ -117,7 +115,7 @@ def _layers(
     return layers
 
 
-@kernel
+@jit
 def _hit(t: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64], both: bool) -> float:
     """Distance along a ray to a triangle (Möller and Trumbore 1997); infinity if it is not hit."""
     ux, uy, uz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
@@ -138,7 +136,7 @@ def _hit(t: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64],
     return far if far >= 0.0 else np.inf
 
 
-@kernel
+@jit
 def _enters(box: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.float64], best: float) -> bool:
     """Whether a ray meets a box nearer than the best hit."""
     near, far = 0.0, best
@@ -153,7 +151,7 @@ def _enters(box: NDArray[np.float64], p: NDArray[np.float64], d: NDArray[np.floa
     return near <= far
 
 
-@kernel
+@jit
 def _exits(
     triangles: NDArray[np.float64],
     boxes: NDArray[np.float64],

@@ -10,9 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["side_of_line", "side_of_plane"]
+from sppm_pipeline.numerics.compiled import jit
 
 # bounds of the error over the sum of the terms' sizes, from the same paper
 _PLANE = (7.0 + 56.0 * 2.0**-53) * 2.0**-53
@@ -20,7 +18,7 @@ _LINE = (3.0 + 16.0 * 2.0**-53) * 2.0**-53
 _SPLIT = 134217729.0  # 2^27 + 1
 
 
-@kernel
+@jit
 def side_of_plane(
     a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], p: NDArray[np.float64]
 ) -> int:
@@ -38,7 +36,7 @@ def side_of_plane(
     return _exact_side(a, b, c, p)
 
 
-@kernel
+@jit
 def side_of_line(ax: float, ay: float, bx: float, by: float, px: float, py: float) -> int:
     """Sign of the determinant of (a - p, b - p): 1 if p lies to the left of the way from a to b, 0 on the line."""
     one, other = (ax - px) * (by - py), (ay - py) * (bx - px)
@@ -56,7 +54,7 @@ def side_of_line(ax: float, ay: float, bx: float, by: float, px: float, py: floa
     return _exact_side(a, b, c, p)
 
 
-@kernel
+@jit
 def _add(total: NDArray[np.float64], n: int, value: float) -> int:
     """Add a double to a sum of n doubles that do not overlap, smallest first; the new n."""
     kept = 0
@@ -74,7 +72,7 @@ def _add(total: NDArray[np.float64], n: int, value: float) -> int:
     return kept
 
 
-@kernel
+@jit
 def _split(value: float) -> tuple[float, float]:
     """Upper and lower half of the digits."""
     far = _SPLIT * value
@@ -82,7 +80,7 @@ def _split(value: float) -> tuple[float, float]:
     return high, value - high
 
 
-@kernel
+@jit
 def _product(x: float, y: float) -> tuple[float, float]:
     """The product as two doubles, the rounded one and what rounding lost."""
     rounded = x * y
@@ -91,7 +89,7 @@ def _product(x: float, y: float) -> tuple[float, float]:
     return rounded, xl * yl - (((rounded - xh * yh) - xl * yh) - xh * yl)
 
 
-@kernel
+@jit
 def _exact_side(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], p: NDArray[np.float64]) -> int:
     # the differences, as two doubles each
     parts = np.empty((3, 3, 2))

@@ -10,10 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["kissing_vertices", "parted_vertices"]
-
 STEP = 2.0**-8
-"""How far a vertex is moved, as a share of the way to the middle of its neighbours."""
+"""How far a vertex is moved, as a share of the way to the middle of its neighbors."""
 
 
 def kissing_vertices(vertices: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -28,7 +26,7 @@ def parted_vertices(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The vertices, those that kiss drawn back a little towards their own neighbours.
+    """The vertices, those that kiss drawn back a little towards their own neighbors.
 
     A tip of solid is thereby drawn back into the solid and a tip of void into the void, so that nothing overlaps.
 

@@ -7,22 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = [
-    "EdgeCounts",
-    "SurfaceMeasures",
-    "balanced_edges",
-    "bounds",
-    "components",
-    "degenerate_faces",
-    "edge_counts",
-    "euler_number",
-    "genus",
-    "measure_surface",
-    "surface_area",
-    "volume",
-]
+from sppm_pipeline.numerics.compiled import jit
 
 #: A triangle counts as degenerate if its height over the longest edge is at most this share of that edge.
 FLAT = 1e-12
@@ -58,7 +43,7 @@ class EdgeCounts(NamedTuple):
 
     @property
     def consistent(self) -> bool:
-        """Whether neighbours turn the same way wherever two triangles meet (rims of holes are allowed)."""
+        """Whether neighbors turn the same way wherever two triangles meet (rims of holes are allowed)."""
         return self.non_manifold == 0 and self.unbalanced == self.boundary
 
     @property
@@ -224,7 +209,7 @@ def _volume_and_area(vertices: NDArray[np.floating], faces: NDArray[np.integer])
     return float(inside), float(area), int(flat)
 
 
-@kernel
+@jit
 def _edge_keys(faces: NDArray[np.int64], n: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
     """Smaller and larger vertex of each edge in one number, with the direction in the lowest bit.
 
@@ -247,7 +232,7 @@ def _edge_keys(faces: NDArray[np.int64], n: int) -> tuple[NDArray[np.uint64], ND
     return keys, starts
 
 
-@kernel
+@jit
 def _edge_balance(faces: NDArray[np.int32]) -> np.uint64:
     total = np.uint64(0)
     for i in range(faces.shape[0]):
@@ -263,7 +248,7 @@ def _edge_balance(faces: NDArray[np.int32]) -> np.uint64:
     return total
 
 
-@kernel
+@jit
 def _insertion_sort(keys: NDArray[np.uint64]) -> None:
     for i in range(1, keys.size):
         key = keys[i]
@@ -274,7 +259,7 @@ def _insertion_sort(keys: NDArray[np.uint64]) -> None:
         keys[j] = key
 
 
-@kernel
+@jit
 def _count_runs(keys: NDArray[np.uint64]) -> tuple[int, int, int, int]:
     edges, boundary, several, unbalanced = 0, 0, 0, 0
     i = 0
@@ -292,7 +277,7 @@ def _count_runs(keys: NDArray[np.uint64]) -> tuple[int, int, int, int]:
     return edges, boundary, several, unbalanced
 
 
-@kernel
+@jit
 def _components(faces: NDArray[np.int64], n: int) -> tuple[int, NDArray[np.int32]]:
     """Union-find over the vertices; the smaller root wins, so that the labels do not depend on how it went."""
     parent = np.arange(n)
@@ -325,7 +310,7 @@ def _components(faces: NDArray[np.int64], n: int) -> tuple[int, NDArray[np.int32
     return count, labels
 
 
-@kernel
+@jit
 def _sums(
     points: NDArray[np.float64], faces: NDArray[np.int64], middle: NDArray[np.float64]
 ) -> tuple[float, float, int]:

@@ -1,4 +1,4 @@
-"""Winding: neighbours made to agree, and pieces turned so that their normals point out of the solid.
+"""Winding: neighbors made to agree, and pieces turned so that their normals point out of the solid.
 
 Triangles agree if they run against each other along the edge they share. Where an edge belongs to just two triangles,
 agreement spreads from one to the next, so that a *patch* of such triangles can only be right or wrong as a whole. Which
@@ -13,13 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.adjacency import adjacency
 from sppm_pipeline.numerics.meshcheck.box_tree import BoxTree, box_tree
 from sppm_pipeline.numerics.meshcheck.crossing_rays import exits_along, layers_around
 from sppm_pipeline.numerics.meshcheck.measures import components, edge_counts, volume
-
-__all__ = ["Orientation", "Shells", "orient", "shells"]
 
 RAYS = 256
 """Rays sent from each side of an open patch."""
@@ -108,7 +106,7 @@ def orient(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Orientati
     """Wind the triangles of any mesh outwards.
 
     A closed mesh is left alone but for its pieces that are inside out, or all of it if its volume is negative.
-    Otherwise neighbours are made to agree, most of a patch's area deciding for the rest; then each patch is turned as a
+    Otherwise neighbors are made to agree, most of a patch's area deciding for the rest; then each patch is turned as a
     whole if that is clearly right.
 
     Parameters
@@ -214,7 +212,7 @@ def _around(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     return ways
 
 
-@kernel
+@jit
 def _agree(faces: NDArray[np.int64], mates: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.int32], int, int]:
     """Which triangles to turn so that all agree with the first of their patch; patches; and how many are one-sided."""
     flips = np.zeros(faces.shape[0], np.bool_)

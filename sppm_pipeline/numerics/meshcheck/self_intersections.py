@@ -7,11 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.box_tree import DEPTH, BoxTree
 from sppm_pipeline.numerics.meshcheck.triangle_pair import is_flat, triangles_meet
-
-__all__ = ["SelfIntersections", "self_intersections"]
 
 MOST_PAIRS = 200_000_000
 """Pairs with overlapping boxes that are looked at; then the search is given up, for it would not end in time."""
@@ -64,7 +62,7 @@ def self_intersections(tree: BoxTree, most_pairs: int = MOST_PAIRS) -> SelfInter
     return SelfIntersections(faces, pairs, tried < most_pairs)
 
 
-@kernel
+@jit
 def _flat(triangles: NDArray[np.float64]) -> NDArray[np.bool_]:
     flat = np.empty(triangles.shape[0], np.bool_)
     for i in range(triangles.shape[0]):
@@ -72,7 +70,7 @@ def _flat(triangles: NDArray[np.float64]) -> NDArray[np.bool_]:
     return flat
 
 
-@kernel
+@jit
 def _apart(triangles: NDArray[np.float64], i: int, j: int) -> bool:
     """Whether the boxes of two triangles do not even touch."""
     t, s = triangles[i], triangles[j]
@@ -84,7 +82,7 @@ def _apart(triangles: NDArray[np.float64], i: int, j: int) -> bool:
     return False
 
 
-@kernel
+@jit
 def _pairs(
     triangles: NDArray[np.float64],
     boxes: NDArray[np.float64],

@@ -16,8 +16,6 @@ from sppm_pipeline.errors import DesignError, InputError
 from sppm_pipeline.numerics.meshcheck.measures import balanced_edges, edge_counts, volume
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
 
-__all__ = ["OPERATIONS", "BooleanOutcome", "boolean", "check_solid", "run_boolean"]
-
 OPERATIONS = {"union": "Add", "difference": "Subtract", "intersection": "Intersect"}
 """Name of each operation here and in manifold3d."""
 

@@ -14,8 +14,6 @@ from sppm_pipeline.numerics.meshcheck.orientation import Orientation, Shells, or
 from sppm_pipeline.numerics.meshcheck.self_intersections import SelfIntersections, self_intersections
 from sppm_pipeline.numerics.meshcheck.thickness import WallThickness, wall_thickness
 
-__all__ = ["Survey", "survey"]
-
 
 class Survey(NamedTuple):
     """What `survey` finds; lengths in the unit of the vertices.

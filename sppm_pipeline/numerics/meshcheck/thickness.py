@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.meshcheck.box_tree import BoxTree
 from sppm_pipeline.numerics.meshcheck.crossing_rays import exits_along
 
-__all__ = ["WallThickness", "wall_thickness"]
-
 SAMPLES = 100_000
 """Points of the surface from which the thickness is taken."""
 

@@ -10,19 +10,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.exact_side import side_of_line, side_of_plane
 
-__all__ = ["is_flat", "triangles_meet"]
 
-
-@kernel
+@jit
 def is_flat(t: NDArray[np.float64]) -> bool:
     """Whether the corners of a triangle (3, 3) lie on one line, exactly."""
     return _projection(t) < 0
 
 
-@kernel
+@jit
 def _projection(t: NDArray[np.float64]) -> int:
     """The axis along which the triangle is seen as an area; -1 if it has none."""
     for axis in range(3):
@@ -32,7 +30,7 @@ def _projection(t: NDArray[np.float64]) -> int:
     return -1
 
 
-@kernel
+@jit
 def _meets_in_plane(p: NDArray[np.float64], q: NDArray[np.float64], t: NDArray[np.float64]) -> bool:
     """Whether segment pq, in the plane of triangle t, meets it."""
     axis = _projection(t)
@@ -44,7 +42,7 @@ def _meets_in_plane(p: NDArray[np.float64], q: NDArray[np.float64], t: NDArray[n
         of_q = side_of_line(a[i], a[j], b[i], b[j], q[i], q[j])
         p_low, p_high = min(p_low, of_p), max(p_high, of_p)
         q_low, q_high = min(q_low, of_q), max(q_high, of_q)
-        # an edge on one line with pq needs no care: then pq meets its neighbours too, or ends in the triangle
+        # an edge on one line with pq needs no care: then pq meets its neighbors too, or ends in the triangle
         if of_p * of_q <= 0 and (of_p != 0 or of_q != 0):
             of_a = side_of_line(p[i], p[j], q[i], q[j], a[i], a[j])
             of_b = side_of_line(p[i], p[j], q[i], q[j], b[i], b[j])
@@ -53,7 +51,7 @@ def _meets_in_plane(p: NDArray[np.float64], q: NDArray[np.float64], t: NDArray[n
     return p_low >= 0 or p_high <= 0 or q_low >= 0 or q_high <= 0
 
 
-@kernel
+@jit
 def _segment_meets(
     p: NDArray[np.float64], q: NDArray[np.float64], of_p: int, of_q: int, t: NDArray[np.float64]
 ) -> bool:
@@ -71,7 +69,7 @@ def _segment_meets(
     return True
 
 
-@kernel
+@jit
 def triangles_meet(t: NDArray[np.float64], s: NDArray[np.float64]) -> bool:
     """Whether two triangles (3, 3), neither of them flat, meet beyond the corners they share.
 

@@ -12,10 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.box_tree import DEPTH, BoxTree
-
-__all__ = ["FAR", "Dipoles", "dipoles", "winding_at", "winding_numbers"]
 
 FAR = 3.0
 """A node is a dipole for points further off than this many of its radii; numbers are then right to 0.02."""
@@ -48,7 +46,7 @@ def winding_numbers(tree: Dipoles, points: NDArray[np.float64]) -> NDArray[np.fl
     return _numbers(tree.triangles, tree.starts, tree.poles, np.ascontiguousarray(points, np.float64), FAR)
 
 
-@kernel
+@jit
 def _poles(
     triangles: NDArray[np.float64], boxes: NDArray[np.float64], starts: NDArray[np.int64]
 ) -> NDArray[np.float64]:
@@ -87,7 +85,7 @@ def _poles(
     return poles
 
 
-@kernel
+@jit
 def _solid_angle(t: NDArray[np.float64], x: float, y: float, z: float) -> float:
     """Half the solid angle of a triangle (van Oosterom and Strackee 1983), positive seen from behind."""
     ax, ay, az = t[0, 0] - x, t[0, 1] - y, t[0, 2] - z
@@ -102,7 +100,7 @@ def _solid_angle(t: NDArray[np.float64], x: float, y: float, z: float) -> float:
     return float(np.arctan2(volume, across))
 
 
-@kernel
+@jit
 def winding_at(
     triangles: NDArray[np.float64],
     starts: NDArray[np.int64],
@@ -137,7 +135,7 @@ def winding_at(
     return near / (2 * np.pi) + far / (4 * np.pi)
 
 
-@kernel
+@jit
 def _numbers(
     triangles: NDArray[np.float64],
     starts: NDArray[np.int64],

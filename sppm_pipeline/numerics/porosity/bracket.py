@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-__all__ = ["SearchResult", "search_monotone"]
-
 
 class SearchResult(NamedTuple):
     """The best that was found.
@@ -97,7 +95,7 @@ def search_monotone(
         if x_b - x_a > widths[1] / 2 or not x_a < x < x_b:
             x = x_a + (x_b - x_a) / 2
             if not x_a < x < x_b:
-                break  # the ends are neighbouring numbers
+                break  # the ends are neighboring numbers
         widths = [x_b - x_a, widths[0]]
         excess = function(x) - target
         evaluations += 1

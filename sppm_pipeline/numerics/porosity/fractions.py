@@ -8,23 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel, kernel
+from sppm_pipeline.numerics.compiled import inline_jit, jit
 from sppm_pipeline.numerics.grid import Grid
-
-__all__ = ["below_plane", "solid_fractions"]
 
 _LAYERS = 16
 """Layers of voxels sampled in one go, to bound memory."""
 
 
-@inline_kernel
+@inline_jit
 def _cube(value: float) -> float:
     return value * value * value if value > 0.0 else 0.0
 
 
-@inline_kernel
+@inline_jit
 def below_plane(value: float, a: float, b: float, c: float) -> float:
-    """Share of a unit cube in which ``value + (a, b, c) · x`` is negative, x being measured from its centre.
+    """Share of a unit cube in which ``value + (a, b, c) · x`` is negative, x being measured from its center.
 
     Exact for a plane: inclusion and exclusion of the corners that the plane cuts off.
     """
@@ -43,7 +41,7 @@ def below_plane(value: float, a: float, b: float, c: float) -> float:
     return min(1.0, max(0.0, total / (6.0 * a * b * c)))
 
 
-@kernel
+@jit
 def _add_fractions(samples: NDArray[np.float32], k: Any, out: NDArray[np.float32]) -> None:
     """Mean share of the k^3 parts of each voxel; `samples` has one part more on each side."""
     nz, ny, nx = out.shape
@@ -71,7 +69,7 @@ def solid_fractions(
     """Share of each voxel in which a periodic field is negative, (nz, ny, nx) float32.
 
     Each voxel is cut into ``parts^3``; in each part the field is taken for a plane, with its mean and slope from the
-    samples at the centre and its six neighbours. That is exact for flat walls and of second order for curved ones;
+    samples at the center and its six neighbors. That is exact for flat walls and of second order for curved ones;
     with two parts the share of a voxel on a sphere with a radius of four voxels is right within 0.02, the volume within
     0.1 %.
 

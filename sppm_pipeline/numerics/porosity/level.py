@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 
-__all__ = ["LevelFit", "cut_for_porosity", "level_for_porosity", "radius_scale"]
-
 
 class LevelFit(NamedTuple):
     """A level and what it gives.
@@ -39,14 +37,14 @@ def level_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], targe
     Parameters
     ----------
     samples : array of any shape, float32 or float64
-        The kernel sum G (not G - C) at points of equal weight, such as the voxel centres of a periodic cell.
+        The kernel sum G (not G - C) at points of equal weight, such as the voxel centers of a periodic cell.
     target : float
         Wished porosity, between 0 and 1, both excluded.
 
     Returns
     -------
     LevelFit
-        The level lies halfway between two neighbouring sample values, so that rounding does not flip a voxel.
+        The level lies halfway between two neighboring sample values, so that rounding does not flip a voxel.
 
     Raises
     ------
@@ -80,7 +78,7 @@ def cut_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target:
         flat.partition((solid - 1, solid))
         low, high = flat[solid - 1], flat[solid]
     level = low + (high - low) / 2
-    if level <= low:  # neighbouring numbers, or equal ones
+    if level <= low:  # neighboring numbers, or equal ones
         level = high
     return LevelFit(float(level), np.count_nonzero(flat >= level) / flat.size)
 

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike
 
 from sppm_pipeline.errors import DesignError
 
-__all__ = ["PorosityLine", "count_for_porosity", "fit_line", "predict_porosity"]
-
 
 class PorosityLine(NamedTuple):
     """A fitted line; plain numbers, so that `PorosityLine(*values)` and `_asdict` carry it to a file and back.

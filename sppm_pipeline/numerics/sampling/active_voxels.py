@@ -11,11 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.sampling.cell_list import CellList, add_point, is_free
 from sppm_pipeline.numerics.sampling.stream import next_uniform
-
-__all__ = ["fill_active_voxels", "throw_darts"]
 
 _SPOT = (0.0, 0.0, 0.0)
 # Voxels below this share of the spacing can't be told from round-off: what is left of them counts as covered.
@@ -24,7 +22,7 @@ _FINEST = 1e-9
 _DARTS_PER_VOXEL = 1.0
 
 
-@kernel
+@jit
 def _throw_one(
     cells: CellList,
     stream: NDArray[np.uint64],
@@ -53,7 +51,7 @@ def _throw_one(
     return True
 
 
-@kernel
+@jit
 def throw_darts(
     cells: CellList,
     stream: NDArray[np.uint64],
@@ -90,7 +88,7 @@ def throw_darts(
     return placed
 
 
-@kernel
+@jit
 def _split(
     cells: CellList,
     voxels: NDArray[np.int64],
@@ -133,7 +131,7 @@ def _split(
     return kept, n
 
 
-@kernel
+@jit
 def fill_active_voxels(
     cells: CellList,
     stream: NDArray[np.uint64],

@@ -2,7 +2,7 @@
 
 Balls of diameter l thrown at random fill .3841 of space, discs .5470 of the plane, rods .7476 of the line (the jamming
 limits of random sequential addition; Torquato, Uche and Stillinger 2006; Renyi 1958), which makes .7336, .6966 and
-.7476 centres per l^d. A box that is not periodic holds more centres than its volume says, because no centres outside
+.7476 centers per l^d. A box that is not periodic holds more centers than its volume says, because no centers outside
 press on those inside: each edge counts as longer by .64 l. Against measured saturation the formulas are within 5 % for
 boxes of 1.5 spacings and more (within 1 % from 4 on); a torus needs 2.5 spacings, below which the count jumps.
 
@@ -16,14 +16,6 @@ import math
 from collections.abc import Sequence
 
 from sppm_pipeline.errors import DesignError
-
-__all__ = [
-    "box_capacity",
-    "check_capacity",
-    "face_capacity",
-    "largest_spacing",
-    "square_capacity",
-]
 
 _JAMMED = {0: 1.0, 1: 0.7476, 2: 0.6966, 3: 0.7336}
 _EDGE = 0.64
@@ -60,9 +52,9 @@ def box_capacity(side: float | Sequence[float], spacing: float, periodic: bool |
     Parameters
     ----------
     side : float or 3 floats
-        Edges a_i of the box in which the centres lie, in cell edges; zero edges make it a plane or a line.
+        Edges a_i of the box in which the centers lie, in cell edges; zero edges make it a plane or a line.
     spacing : float
-        Smallest distance l of two centres; 0 gives infinity.
+        Smallest distance l of two centers; 0 gives infinity.
     periodic : bool or 3 bools
         Axes of period 1: their factor is min(a_i + .64 l, 1) / l.
 
@@ -89,7 +81,7 @@ def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) 
     """Mean number of pores of one face pattern when the mirrored patterns of all three axes are saturated together.
 
     A fit, .6966 ((1 - e l) / l)^2, to measured saturation of patterns thrown in turn (`mirrored_faces`): within 6 %
-    for spacings up to 1/3. The loss e grows from .46 (one colour, no margin) to .60, .62, .66 (2, 3, 8 colours, margin
+    for spacings up to 1/3. The loss e grows from .46 (one color, no margin) to .60, .62, .66 (2, 3, 8 colors, margin
     l/2), because the faces around a cell edge press on each other; past a margin of .71 l they no longer do.
 
     Parameters
@@ -97,9 +89,9 @@ def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) 
     spacing : float
         Smallest distance l of two pores, cell edges; positive.
     colors : int
-        Number of face colours.
+        Number of face colors.
     margin : float, optional
-        Distance kept from the border of the face; default 0 for one colour, otherwise half the spacing.
+        Distance kept from the border of the face; default 0 for one color, otherwise half the spacing.
     """
     if spacing <= 0.0 or colors < 1:
         raise ValueError(f"spacing and colors must be positive, got {spacing}, {colors}")

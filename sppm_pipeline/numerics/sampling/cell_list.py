@@ -1,10 +1,10 @@
 """A bucket grid (cell list) over points: "is this spot free?" at a cost that does not grow with the number of points.
 
-Each bucket is at least one spacing wide, so that only a bucket and its neighbours have to be searched. A periodic axis
+Each bucket is at least one spacing wide, so that only a bucket and its neighbors have to be searched. A periodic axis
 has period 1, and distances along it are measured to the nearest image; with fewer than three buckets along an axis
 all of them are searched.
 
-Points carry a family and a member. Two points of one family but different members never meet (two colours of the same
+Points carry a family and a member. Two points of one family but different members never meet (two colors of the same
 face), so they ignore each other; every other pair keeps the spacing.
 """
 
@@ -17,9 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["CellList", "add_point", "add_points", "bucket_of", "empty_cell_list", "is_free", "search_range", "wrapped"]
+from sppm_pipeline.numerics.compiled import jit
 
 # Distances are sums of a few rounded coordinates below 2; this much is added to the spacing that is asked for, so that
 # no later measurement, in whatever order it subtracts, finds less than the spacing.
@@ -85,7 +83,7 @@ def empty_cell_list(
     )
 
 
-@kernel
+@jit
 def bucket_along(value: float, origin: float, width: float, count: int, wraps: bool) -> int:
     """Index of the bucket of a coordinate along one axis; outside the grid the outermost bucket."""
     offset = value - origin
@@ -94,7 +92,7 @@ def bucket_along(value: float, origin: float, width: float, count: int, wraps: b
     return max(0, min(count - 1, int(offset / width)))
 
 
-@kernel
+@jit
 def bucket_of(cells: CellList, x: float, y: float, z: float) -> tuple[int, int, int]:
     """Indices of the bucket of a position, in the order x, y, z."""
     nz, ny, nx = cells.first.shape
@@ -104,7 +102,7 @@ def bucket_of(cells: CellList, x: float, y: float, z: float) -> tuple[int, int, 
     return i, j, k
 
 
-@kernel
+@jit
 def add_point(cells: CellList, x: float, y: float, z: float, family: int, member: int) -> None:
     """Add one point without looking at the spacing."""
     row = cells.used[0]
@@ -119,21 +117,21 @@ def add_point(cells: CellList, x: float, y: float, z: float, family: int, member
     cells.first[k, j, i] = row
 
 
-@kernel
+@jit
 def add_points(cells: CellList, points: NDArray[np.float64], family: int, member: int) -> None:
     """Add the points (n, 3) without looking at the spacing."""
     for row in range(points.shape[0]):
         add_point(cells, points[row, 0], points[row, 1], points[row, 2], family, member)
 
 
-@kernel
+@jit
 def _gap(a: float, b: float, period: float) -> float:
     """Distance of two coordinates that differ by at most one period."""
     gap = abs(a - b)
     return min(gap, abs(period - gap))
 
 
-@kernel
+@jit
 def _free_of_bucket(
     row: int,
     cells: CellList,
@@ -154,7 +152,7 @@ def _free_of_bucket(
     return True
 
 
-@kernel
+@jit
 def search_range(index: int, count: int, wraps: bool) -> tuple[int, int]:
     """First bucket and number of buckets to search along an axis; the range may pass either end (`wrapped`)."""
     if count < 3:
@@ -165,7 +163,7 @@ def search_range(index: int, count: int, wraps: bool) -> tuple[int, int]:
     return start, min(index + 1, count - 1) - start + 1
 
 
-@kernel
+@jit
 def wrapped(index: int, count: int) -> int:
     """An index that is at most `count` beyond either end, brought back into 0 <= index < count."""
     if index < 0:
@@ -175,7 +173,7 @@ def wrapped(index: int, count: int) -> int:
     return index
 
 
-@kernel
+@jit
 def is_free(
     cells: CellList,
     spot: tuple[float, float, float],
@@ -183,7 +181,7 @@ def is_free(
     family: int,
     member: int,
 ) -> bool:
-    """Whether no point covers the whole voxel centred at `spot` with half edges `half` (zeros: whether a spot is free).
+    """Whether no point covers the whole voxel centered at `spot` with half edges `half` (zeros: is the spot free).
 
     A point covers a voxel when all of the voxel lies closer to it than the spacing.
     """

@@ -20,8 +20,6 @@ from sppm_pipeline.numerics.sampling.capacity import box_capacity, check_capacit
 from sppm_pipeline.numerics.sampling.cell_list import add_points, empty_cell_list
 from sppm_pipeline.numerics.sampling.stream import new_stream
 
-__all__ = ["throw"]
-
 # Share of the capacity up to which plain darts are cheaper than keeping a list of voxels (some 20 darts a pore).
 NAIVE_SHARE = 0.75
 # Darts a pore after which the plain way is left even below that share: obstacles have taken the room.
@@ -55,14 +53,14 @@ def throw(
     spacing : float
         Smallest distance of two pores, cell edges. 0 throws independent points.
     lower, upper : (3,)
-        Corners of the box of centres, cell edges. Equal coordinates along an axis give points in a plane (or line).
+        Corners of the box of centers, cell edges. Equal coordinates along an axis give points in a plane (or line).
     periodic : 3 bools
         Axes along which everything, obstacles included, repeats with period 1; the box is at most 1 long there.
     obstacles : (k, 3), optional
         Points to keep `spacing` from. They need not keep it among themselves.
     obstacle_images : bool
         Whether the obstacles repeat with period 1 along the axes that are not periodic, too: True for mirrored face
-        pores listed once, False when the list is complete as it stands (opposite faces of different colours).
+        pores listed once, False when the list is complete as it stands (opposite faces of different colors).
     share : float, optional
         With ``count=None``: the packing share in (0, 1]. Below 1 the count is the share of the capacity of the empty
         box, rounded down; 1 fills until no free spot is left.
@@ -130,7 +128,7 @@ def _wanted(
     capacity: float,
 ) -> tuple[int, int]:
     """Number of pores to throw and the number of rows that certainly holds them."""
-    # No packing of equal balls is denser than pi / sqrt(18), which bounds any set of centres with this spacing.
+    # No packing of equal balls is denser than pi / sqrt(18), which bounds any set of centers with this spacing.
     bound = math.inf if spacing == 0.0 else 1 + math.sqrt(2.0) * math.prod((side / spacing + 1.0).tolist())
     if count is not None:
         if count < 0:

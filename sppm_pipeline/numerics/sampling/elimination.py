@@ -1,7 +1,7 @@
 """Sample elimination: exactly n well-spread points, without a spacing to be wished for.
 
 Yuksel 2015, "Sample elimination for generating Poisson disk sample sets" (Computer Graphics Forum 34): start from many
-random points and take away, one by one, the point most crowded by its neighbours, until n are left.
+random points and take away, one by one, the point most crowded by its neighbors, until n are left.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.sampling.cell_list import (
     CellList,
     add_points,
@@ -23,14 +23,12 @@ from sppm_pipeline.numerics.sampling.cell_list import (
     wrapped,
 )
 
-__all__ = ["eliminate", "elimination_order"]
-
-# The constants of the paper: the weight's exponent is 8 (three squarings below); neighbours nearer than a share
+# The constants of the paper: the weight's exponent is 8 (three squarings below); neighbors nearer than a share
 # BETA (1 - (n / m)^GAMMA) of the ideal distance weigh no more than at that distance.
 _BETA, _GAMMA = 0.65, 1.5
 
 
-@kernel
+@jit
 def _sift(
     heap: NDArray[np.int64], place: NDArray[np.int64], weight: NDArray[np.float64], size: int | np.int64, slot: int
 ) -> None:
@@ -56,7 +54,7 @@ def _sift(
     place[row] = slot
 
 
-@kernel
+@jit
 def _spread(
     cells: CellList,
     row: int,
@@ -66,7 +64,7 @@ def _spread(
     place: NDArray[np.int64],
     size: int | np.int64,
 ) -> None:
-    """Pass over the neighbours of a point: sum their weights into it (size 0), or take its weight from them.
+    """Pass over the neighbors of a point: sum their weights into it (size 0), or take its weight from them.
 
     In the second case `size` is that of the heap, whose order is kept; points out of the heap have place -1.
     """
@@ -101,7 +99,7 @@ def _spread(
             other = cells.following[other]
 
 
-@kernel
+@jit
 def _eliminate(cells: CellList, count: int, nearest: float) -> NDArray[np.int64]:
     """Rows of all points: the `count` that are left, then those taken away, the last one first."""
     size = cells.used[0]

@@ -1,9 +1,9 @@
-"""Face patterns: pores in the faces of a cell, the same on opposite faces, for one or more face colours (section 2.1).
+"""Face patterns: pores in the faces of a cell, the same on opposite faces, for one or more face colors (section 2.1).
 
-Each axis a and colour k has one pattern in the plane where the coordinate a is 0; the opposite face at 1 carries the
+Each axis a and color k has one pattern in the plane where the coordinate a is 0; the opposite face at 1 carries the
 same one. A pattern keeps the spacing against itself, periodically in its plane, and against the patterns of the two
-other axes in every colour and every image, because any of them may be a neighbour at a cell edge. Two colours of one
-axis never lie on the same face, so they ignore each other; they may be neighbours across an edge of the face, which a
+other axes in every color and every image, because any of them may be a neighbor at a cell edge. Two colors of one
+axis never lie on the same face, so they ignore each other; they may be neighbors across an edge of the face, which a
 margin of half a spacing along the border makes safe.
 
 The patterns are thrown in turn: in each round every pattern gets one pore, in an order drawn afresh. Thrown one after
@@ -20,13 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.sampling.active_voxels import fill_active_voxels, throw_darts
 from sppm_pipeline.numerics.sampling.capacity import check_capacity
 from sppm_pipeline.numerics.sampling.cell_list import CellList, empty_cell_list
 from sppm_pipeline.numerics.sampling.stream import new_stream, next_uniform
-
-__all__ = ["face_counts", "mirrored_faces"]
 
 # Darts a pore before a list of active voxels is made for it; both ways are exact, this only balances their cost.
 _DARTS = 150
@@ -35,8 +33,8 @@ _DARTS = 150
 def face_counts(total: int, colors: int) -> NDArray[np.int64]:
     """Pores of each pattern, (3, colors), when the three faces of a cell share `total` pores as evenly as possible.
 
-    Where the total is no multiple of three, the axes that get one pore more rotate with the colour. A cell whose faces
-    have one colour holds exactly `total`; with mixed colours it may hold up to two pores more or fewer.
+    Where the total is no multiple of three, the axes that get one pore more rotate with the color. A cell whose faces
+    have one color holds exactly `total`; with mixed colors it may hold up to two pores more or fewer.
     """
     if total < 0 or colors < 1:
         raise ValueError(f"total must be >= 0 and colors >= 1, got {total}, {colors}")
@@ -44,7 +42,7 @@ def face_counts(total: int, colors: int) -> NDArray[np.int64]:
     return (total // 3 + ((axis - color) % 3 < total % 3)).astype(np.int64)
 
 
-@kernel
+@jit
 def _throw_in_turn(
     cells: CellList,
     stream: NDArray[np.uint64],
@@ -99,7 +97,7 @@ def mirrored_faces(
     total: int | None = None,
     attempts: int = 20,
 ) -> list[list[NDArray[np.float64]]]:
-    """Throw the pore patterns of the faces of a cell, or of a set of cells with coloured faces.
+    """Throw the pore patterns of the faces of a cell, or of a set of cells with colored faces.
 
     Parameters
     ----------
@@ -110,10 +108,10 @@ def mirrored_faces(
     spacing : float
         Smallest distance of two pores, cell edges; in (0, 1].
     colors : int
-        Number of face colours.
+        Number of face colors.
     margin : float, optional
-        Distance kept from the border of the face square, cell edges, below 1/2. Default 0 for one colour, where the
-        pattern repeats in its plane, and half the spacing for several, the least that keeps faces of different colours
+        Distance kept from the border of the face square, cell edges, below 1/2. Default 0 for one color, where the
+        pattern repeats in its plane, and half the spacing for several, the least that keeps faces of different colors
         apart.
     total : int, optional
         Pores of the three faces of a cell together, spread by `face_counts`.
@@ -122,7 +120,7 @@ def mirrored_faces(
 
     Returns
     -------
-    list over axis (3) of list over colour of (count, 3) float64
+    list over axis (3) of list over color of (count, 3) float64
         Positions in cell edges; the coordinate along the pattern's axis is 0.
 
     Raises
@@ -131,7 +129,7 @@ def mirrored_faces(
         When the counts exceed the capacity of a face, or were reached in none of the attempts; the best total and
         a realistic spacing are named.
     ValueError
-        For a margin below half the spacing with several colours, or outside [0, 1/2).
+        For a margin below half the spacing with several colors, or outside [0, 1/2).
     """
     if (count_per_face is None) == (total is None):
         raise ValueError("give either count_per_face or total")
@@ -143,14 +141,14 @@ def mirrored_faces(
     if not 0.0 <= border < 0.5:
         if margin is None:
             raise DesignError(
-                f"with {colors} face colours the face pores keep {border:.4g} from the border, which leaves no face",
+                f"with {colors} face colors the face pores keep {border:.4g} from the border, which leaves no face",
                 hint="choose a spacing below 1 cell edge",
             )
         raise ValueError(f"margin must lie in [0, 0.5), got {margin}")
     if colors > 1 and border < spacing / 2.0:
         raise ValueError(
-            f"with {colors} colours the margin must be at least half the spacing ({spacing / 2.0:.6g}), got {margin}: "
-            "faces of different colours meet at the edges"
+            f"with {colors} colors the margin must be at least half the spacing ({spacing / 2.0:.6g}), got {margin}: "
+            "faces of different colors meet at the edges"
         )
     if count_per_face is not None:
         wanted = np.full((3, colors), count_per_face, dtype=np.int64)
@@ -189,7 +187,7 @@ def _thrown(
             break
     per_face = best / wanted.size
     raise DesignError(
-        f"only {best} of {rows} face pores fit with a spacing of {spacing:.6g} ({wanted.shape[1]} colours, "
+        f"only {best} of {rows} face pores fit with a spacing of {spacing:.6g} ({wanted.shape[1]} colors, "
         f"{throws} throws, each until no free spot was left): about {per_face:.1f} on each face",
         hint=f"ask for at most {math.floor(0.95 * per_face)} pores a face, or for a spacing of about "
         f"{0.97 * spacing * math.sqrt(best / rows):.4g} (cell edges)",

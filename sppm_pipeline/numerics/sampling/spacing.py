@@ -1,4 +1,4 @@
-"""Distances between pores, measured: nearest neighbours, smallest spacing, pair correlation."""
+"""Distances between pores, measured: nearest neighbors, smallest spacing, pair correlation."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["min_spacing", "nearest_distances", "pair_correlation"]
+from sppm_pipeline.numerics.compiled import jit
 
 
-@kernel
+@jit
 def _image_distance2(points: NDArray[np.float64], i: int, j: int, period: NDArray[np.float64]) -> float:
     total = 0.0
     for axis in range(3):
@@ -23,9 +21,9 @@ def _image_distance2(points: NDArray[np.float64], i: int, j: int, period: NDArra
     return total
 
 
-@kernel
+@jit
 def _nearest(points: NDArray[np.float64], period: NDArray[np.float64], start: float) -> NDArray[np.float64]:
-    """Squared distance of each point to its nearest neighbour; `points` (n, 3) sorted along the first column."""
+    """Squared distance of each point to its nearest neighbor; `points` (n, 3) sorted along the first column."""
     n = points.shape[0]
     nearest = np.empty(n)
     wraps = period[0] == 1.0
@@ -48,7 +46,7 @@ def _nearest(points: NDArray[np.float64], period: NDArray[np.float64], start: fl
     return nearest
 
 
-@kernel
+@jit
 def _pair_histogram(points: NDArray[np.float64], period: NDArray[np.float64], reach: float, bins: int) -> NDArray:
     counts = np.zeros(bins, dtype=np.int64)
     n = points.shape[0]
@@ -69,14 +67,14 @@ def _folded(points: ArrayLike, wraps: Sequence[bool]) -> NDArray[np.float64]:
 
 
 def nearest_distances(points: ArrayLike, periodic: Sequence[bool] = (True, True, True)) -> NDArray[np.float64]:
-    """Distance of each point to its nearest neighbour, images included.
+    """Distance of each point to its nearest neighbor, images included.
 
     Parameters
     ----------
     points : (n, 3)
         Positions, cell edges.
     periodic : 3 bools
-        Axes of period 1; a point's own images, at distance 1, are neighbours, too.
+        Axes of period 1; a point's own images, at distance 1, are neighbors, too.
 
     Returns
     -------
@@ -87,7 +85,7 @@ def nearest_distances(points: ArrayLike, periodic: Sequence[bool] = (True, True,
     if len(folded) == 0:
         return np.empty(0)
     period = np.where(np.asarray(periodic, dtype=np.bool_), 1.0, np.inf)
-    # Neighbours are sought along the axis on which the points are spread widest, outwards until they are too far.
+    # Neighbors are sought along the axis on which the points are spread widest, outwards until they are too far.
     first = int(np.argmax(np.ptp(folded, axis=0)))
     axes = [first, (first + 1) % 3, (first + 2) % 3]
     order = np.argsort(folded[:, first], kind="stable")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.sampling.capacity import box_capacity, face_capacity
 
-__all__ = ["split_between_faces_and_interior"]
-
 FILLED = 0.95
 """Pores of a cell filled up from its faces inward, as a share of those of a torus without faces (measured: .92-.97)."""
 
@@ -30,7 +28,7 @@ def split_between_faces_and_interior(
     share : float or None
         Pores as a share of the packing limit.
     colors : int
-        Number of face colours.
+        Number of face colors.
 
     Returns
     -------

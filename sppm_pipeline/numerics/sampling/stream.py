@@ -9,9 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["new_stream", "next_uniform"]
+from sppm_pipeline.numerics.compiled import jit
 
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
@@ -24,7 +22,7 @@ def new_stream(rng: np.random.Generator) -> NDArray[np.uint64]:
     return rng.integers(0, 2**64, size=1, dtype=np.uint64)
 
 
-@kernel
+@jit
 def next_uniform(stream: NDArray[np.uint64]) -> float:
     """Advance `stream` and return a number in [0, 1) with 53 random bits."""
     stream[0] += _STEP

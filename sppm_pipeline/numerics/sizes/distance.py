@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["FAR", "squared_distance"]
+from sppm_pipeline.numerics.compiled import jit
 
 FAR = np.int32(2**30)
 """Stands for no voxel of the other phase at all."""
@@ -16,14 +14,14 @@ FAR = np.int32(2**30)
 def squared_distance(
     phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool] = (True, True, True)
 ) -> NDArray[np.int32]:
-    """For each voxel of a phase the squared distance to the nearest voxel outside of it, in voxels, centre to centre.
+    """For each voxel of a phase the squared distance to the nearest voxel outside of it, in voxels, center to center.
 
     Parameters
     ----------
     phase : (nz, ny, nx) uint8
         1 in the phase.
     periodic : tuple of 3 bools
-        Whether opposite sides along x, y, z are neighbours; otherwise nothing is known to lie beyond a side.
+        Whether opposite sides along x, y, z are neighbors; otherwise nothing is known to lie beyond a side.
 
     Returns
     -------
@@ -39,7 +37,7 @@ def squared_distance(
     return squared
 
 
-@kernel
+@jit
 def _along_rows(lines: NDArray[np.int32], wraps: bool) -> None:
     """Lower envelope of parabolas along the last axis: each sample looks outward until nothing nearer can come."""
     nz, ny, n = lines.shape

@@ -7,10 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.sizes.distance import FAR, squared_distance
-
-__all__ = ["SizeDistribution", "local_thickness", "size_distribution"]
 
 
 class SizeDistribution(NamedTuple):
@@ -35,7 +33,7 @@ def local_thickness(
 ) -> NDArray[np.float32]:
     """Diameter of the largest ball inside the phase that covers each voxel, in voxels.
 
-    Balls have their centres at voxel centres and reach to half way between the last voxel of the phase and the first
+    Balls have their centers at voxel centers and reach to half way between the last voxel of the phase and the first
     one outside; so a plate of w voxels has the thickness w where w is odd, w - 1 where it is even.
 
     Parameters
@@ -57,11 +55,11 @@ def local_thickness(
     squared = squared_distance(phase, periodic)
     if squared.size and squared.max() >= FAR:
         return np.full(phase.shape, min(phase.shape), np.float32)
-    centres = np.flatnonzero(_ridge(squared, np.array(periodic[::-1], np.uint8)))
+    centers = np.flatnonzero(_ridge(squared, np.array(periodic[::-1], np.uint8)))
     # the largest balls first, equal ones in the order of their voxels: each voxel is painted once
-    order = np.argsort(-squared.reshape(-1)[centres], kind="stable")
+    order = np.argsort(-squared.reshape(-1)[centers], kind="stable")
     painted = np.zeros(phase.shape, np.float32)
-    _paint(squared, centres[order], np.array(periodic[::-1], np.uint8), painted)
+    _paint(squared, centers[order], np.array(periodic[::-1], np.uint8), painted)
     return painted
 
 
@@ -84,9 +82,9 @@ def size_distribution(thickness: NDArray[np.float32], spacing: float) -> SizeDis
     )
 
 
-@kernel
+@jit
 def _ridge(squared: NDArray[np.int32], wraps: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """1 at voxels whose ball is not inside that of a neighbour: only those can be the largest somewhere."""
+    """1 at voxels whose ball is not inside that of a neighbor: only those can be the largest somewhere."""
     nz, ny, nx = squared.shape
     ridge = np.zeros((nz, ny, nx), np.uint8)
     for k in range(nz):
@@ -125,14 +123,14 @@ def _ridge(squared: NDArray[np.int32], wraps: NDArray[np.uint8]) -> NDArray[np.u
     return ridge
 
 
-@kernel
+@jit
 def _paint(
-    squared: NDArray[np.int32], centres: NDArray[np.int64], wraps: NDArray[np.uint8], painted: NDArray[np.float32]
+    squared: NDArray[np.int32], centers: NDArray[np.int64], wraps: NDArray[np.uint8], painted: NDArray[np.float32]
 ) -> None:
     """Give each voxel the diameter of the first ball that covers it."""
     nz, ny, nx = squared.shape
-    for centre in centres:
-        k, j, i = centre // (ny * nx), centre // nx % ny, centre % nx
+    for center in centers:
+        k, j, i = center // (ny * nx), center // nx % ny, center % nx
         reach = squared[k, j, i]
         diameter = np.float32(2.0 * np.sqrt(np.float64(reach)) - 1.0)
         radius = int(np.sqrt(np.float64(reach)))

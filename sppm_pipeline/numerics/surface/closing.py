@@ -20,11 +20,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.surface.joining import joined_mesh
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN, Mesh, marching_cubes_slabs
-
-__all__ = ["capped_marching_cubes", "capped_marching_cubes_slabs", "wrapped"]
 
 Border = Literal["samples", "voxels"]
 Axes = tuple[bool, bool, bool]
@@ -62,7 +60,7 @@ def capped_marching_cubes(
         See `marching_cubes`.
     border : {"samples", "voxels"}
         Where the box ends: at the outermost samples (a grid of nodes), or half a spacing further out (a grid of voxel
-        centres, whose outermost values then hold up to the border).
+        centers, whose outermost values then hold up to the border).
     axes : 3 bools, x, y, z
         Along which axes to cap; along the others the surface stays open and ends at the outermost samples.
 
@@ -190,7 +188,7 @@ def _void_around(
     return padded
 
 
-@kernel
+@jit
 def _move_to_border(
     vertices: NDArray[np.float64],
     capped: NDArray[np.bool_],

@@ -11,11 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
-
-__all__ = ["on_both_fields"]
 
 
 def on_both_fields(
@@ -58,7 +56,7 @@ def on_both_fields(
     return moved
 
 
-@kernel
+@jit
 def _leaves(solid: float, void: float) -> float:
     """Where, as a share of the way, a field leaves its solid: -1 if it never is in it, 2 if it does not leave."""
     if not solid < 0.0:
@@ -68,7 +66,7 @@ def _leaves(solid: float, void: float) -> float:
     return solid / (solid - void)
 
 
-@kernel
+@jit
 def _move(
     vertices: NDArray[np.float64],
     first: NDArray[np.float32],

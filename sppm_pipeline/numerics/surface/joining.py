@@ -8,8 +8,6 @@ import numpy as np
 
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
 
-__all__ = ["joined_mesh"]
-
 
 def joined_mesh(pieces: Iterable[Mesh], expected: Callable[[], tuple[int, int]] = lambda: (0, 0)) -> Mesh:
     """The mesh whose vertices and faces come in pieces; the faces name vertices by their number in the whole mesh.

@@ -1,8 +1,8 @@
-"""manifold3d's own extractor: marching tetrahedra on a body-centred cubic lattice, fed from samples of ours.
+"""manifold3d's own extractor: marching tetrahedra on a body-centered cubic lattice, fed from samples of ours.
 
 manifold3d asks for values one by one through Python, and that is what it costs: 0.2 microseconds a value for the call
 itself. So the field is sampled beforehand, by the kernels that do that a hundred times faster, on the cubic grid of
-half the spacing, of which the body-centred lattice is a part. What is called is one compiled function with the samples
+half the spacing, of which the body-centered lattice is a part. What is called is one compiled function with the samples
 bound to it: it finds the value at a lattice point exactly, and between samples by trilinear interpolation. (Timed per
 value, the calls of the extractor included: a look-up written in Python 0.8 microseconds, a C function pointer
 through ctypes 0.6, this function 0.5.)
@@ -15,12 +15,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.kissing import parted_vertices
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
-
-__all__ = ["lattice_bytes", "lattice_samples", "run_level_set"]
 
 
 def run_level_set(
@@ -85,7 +83,7 @@ def lattice_bytes(grid: Grid) -> int:
     return 8 * (nx + 3) * padded
 
 
-@kernel
+@jit
 def _minus_value_at(
     values: NDArray[np.float32], x0: float, y0: float, z0: float, scale: float, x: float, y: float, z: float
 ) -> float:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.surface.marching_tables import case_tables
 from sppm_pipeline.numerics.surface.sign_words import (
     ONE,
@@ -37,15 +37,13 @@ from sppm_pipeline.numerics.surface.sign_words import (
     slab_counts,
 )
 
-__all__ = ["EDGE_MARGIN", "Mesh", "marching_cubes", "marching_cubes_slabs"]
-
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 #: Least distance of a vertex from the ends of its grid edge, as a share of that edge.
 EDGE_MARGIN = 2.0**-10
 
 
-@kernel
+@jit
 def _share(a: float, b: float, level: float) -> float:
     """Where the level lies between two samples, kept off both ends; NaN (an infinite sample) falls to the first."""
     t = (level - np.float64(a)) / (np.float64(b) - np.float64(a))
@@ -54,7 +52,7 @@ def _share(a: float, b: float, level: float) -> float:
     return min(t, 1.0 - EDGE_MARGIN)
 
 
-@kernel
+@jit
 def _emit_plane(
     plane: NDArray[np.float32],
     words: NDArray[np.uint64],
@@ -96,7 +94,7 @@ def _emit_plane(
     return n
 
 
-@kernel
+@jit
 def _emit_pillars(
     low: NDArray[np.float32],
     high: NDArray[np.float32],
@@ -126,7 +124,7 @@ def _emit_pillars(
     return n
 
 
-@kernel
+@jit
 def _emit_faces(
     low: NDArray[np.uint64],
     high: NDArray[np.uint64],
@@ -185,7 +183,7 @@ def _emit_faces(
     return m
 
 
-@kernel
+@jit
 def _emit(
     carry: NDArray[np.float32],
     slab: NDArray[np.float32],

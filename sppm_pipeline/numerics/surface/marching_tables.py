@@ -7,9 +7,9 @@ corner. The edges along x are numbered 0-3 by ``y + 2 z``, those along y 4-7 by 
 How a case is built: on each face of the cube, seen from outside, the surface runs from every edge where the walk
 around the face enters the solid to the edge where it next leaves the solid. An ambiguous face (solid on one diagonal,
 void on the other) therefore always separates the solid corners; the rule sees nothing but the four signs of the face,
-so that two neighbouring cubes always agree and the surface has no hole. The segments of the six faces close up to
+so that two neighboring cubes always agree and the surface has no hole. The segments of the six faces close up to
 loops, and each loop is cut into triangles without a diagonal that lies in a face of the cube: such a diagonal could be
-drawn by the neighbour as well, and that edge would then belong to four triangles.
+drawn by the neighbor as well, and that edge would then belong to four triangles.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-__all__ = ["CaseTables", "case_tables"]
 
 # Corners of each face, counter-clockwise for a viewer outside the cube.
 _FACES = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6))

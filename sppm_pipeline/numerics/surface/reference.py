@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
 
-__all__ = ["marching_cubes_reference"]
-
 
 def marching_cubes_reference(
     field: NDArray[np.float32],

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["rotated", "rotation", "upright"]
-
 
 def rotation(degrees: tuple[float, float, float]) -> NDArray[np.float64]:
     """The matrix (3, 3) of right-handed turns about x, then y, then z, degrees; quarter turns are exact."""

@@ -9,9 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel, kernel
-
-__all__ = ["ONE", "cells_mask", "lowest", "mixed_cells", "ones", "pack_signs", "shifted_word", "slab_counts"]
+from sppm_pipeline.numerics.compiled import inline_jit, jit
 
 ONE = np.uint64(1)
 _LAST = np.uint64(63)
@@ -19,13 +17,13 @@ _GATHER = np.uint64(0x0102040810204080)  # the product moves the lowest bits of 
 _TOP_BYTE = np.uint64(56)
 
 
-@inline_kernel
+@inline_jit
 def _below(row: NDArray[np.float32], level: np.float32, flags: NDArray[np.uint8]) -> None:
     for i in range(row.size):
         flags[i] = row[i] < level
 
 
-@kernel
+@jit
 def pack_signs(slab: NDArray[np.float32], level: np.float32, words: NDArray[np.uint64]) -> None:
     """Fill the words (nz, ny, ceil(nx / 64)) of a slab (nz, ny, nx)."""
     n_words = words.shape[2]
@@ -41,7 +39,7 @@ def pack_signs(slab: NDArray[np.float32], level: np.float32, words: NDArray[np.u
                 words[k, j, w] = word
 
 
-@kernel
+@jit
 def ones(word: np.uint64) -> int:
     """Number of set bits; compilers know this pattern and put one instruction for it."""
     word = word - ((word >> ONE) & np.uint64(0x5555555555555555))
@@ -50,13 +48,13 @@ def ones(word: np.uint64) -> int:
     return int(np.int64((word * np.uint64(0x0101010101010101)) >> _TOP_BYTE))
 
 
-@kernel
+@jit
 def lowest(word: np.uint64) -> int:
     """Number of the lowest set bit."""
     return ones((word & (~word + ONE)) - ONE)
 
 
-@kernel
+@jit
 def shifted_word(words: NDArray[np.uint64], j: int, w: int) -> np.uint64:
     """Word w of row j moved down by one: bit i holds sample i + 1."""
     word: np.uint64 = words[j, w] >> ONE
@@ -65,7 +63,7 @@ def shifted_word(words: NDArray[np.uint64], j: int, w: int) -> np.uint64:
     return word
 
 
-@kernel
+@jit
 def cells_mask(w: int, nx: int) -> np.uint64:
     """Bits of word w that belong to one of the nx - 1 cubes of a row."""
     left = nx - 1 - 64 * w
@@ -74,7 +72,7 @@ def cells_mask(w: int, nx: int) -> np.uint64:
     return (ONE << np.uint64(left)) - ONE
 
 
-@kernel
+@jit
 def _plane_crossings(words: NDArray[np.uint64], nx: int) -> int:
     """Number of edges along x and y within one plane of samples that the surface crosses."""
     ny, n_words = words.shape
@@ -87,7 +85,7 @@ def _plane_crossings(words: NDArray[np.uint64], nx: int) -> int:
     return n
 
 
-@kernel
+@jit
 def mixed_cells(low: NDArray[np.uint64], high: NDArray[np.uint64], j: int, w: int, nx: int) -> np.uint64:
     """The cubes between rows j and j + 1 of two planes whose corners are not all alike."""
     s0, s1, s2, s3 = low[j, w], low[j + 1, w], high[j, w], high[j + 1, w]
@@ -102,7 +100,7 @@ def mixed_cells(low: NDArray[np.uint64], high: NDArray[np.uint64], j: int, w: in
     return some & ~every & cells_mask(w, nx)
 
 
-@kernel
+@jit
 def _layer_counts(low: NDArray[np.uint64], high: NDArray[np.uint64], nx: int) -> tuple[int, int]:
     """Number of crossed edges along z, and of cubes with the surface in them, between two planes."""
     ny, n_words = low.shape
@@ -116,7 +114,7 @@ def _layer_counts(low: NDArray[np.uint64], high: NDArray[np.uint64], nx: int) ->
     return edges, cubes
 
 
-@kernel
+@jit
 def slab_counts(words: NDArray[np.uint64], nx: int, first: bool) -> tuple[int, int]:
     """Number of vertices, and a bound on the number of triangles, that `_emit` will make.
 

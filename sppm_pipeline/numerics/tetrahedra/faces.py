@@ -1,24 +1,22 @@
-"""The faces of tetrahedra: neighbours, boundary, components."""
+"""The faces of tetrahedra: neighbors, boundary, components."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["BOUNDARY", "CROWDED", "FACES", "boundary_triangles", "components", "face_neighbours"]
+from sppm_pipeline.numerics.compiled import jit
 
 BOUNDARY, CROWDED = -1, -2
 
 FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)], np.int64)
-"""Corners of the face opposite of each corner, anticlockwise for a viewer outside."""
+"""Corners of the face opposite of each corner, counterclockwise for a viewer outside."""
 
 _LONG = 64
 """Lists of faces longer than this are not left to the insertion sort."""
 
 
-def face_neighbours(tets: NDArray[np.integer]) -> NDArray[np.int32]:
+def face_neighbors(tets: NDArray[np.integer]) -> NDArray[np.int32]:
     """The tetrahedron behind each face.
 
     Parameters
@@ -39,18 +37,18 @@ def face_neighbours(tets: NDArray[np.integer]) -> NDArray[np.int32]:
         part = slice(starts[node], starts[node + 1])
         order = np.argsort(keys[part], kind="stable")
         keys[part], faces[part] = keys[part][order], faces[part][order]
-    neighbours = np.full((len(corners), 4), BOUNDARY, np.int32)
-    _match(keys, faces, starts, neighbours.reshape(-1))
-    return neighbours
+    neighbors = np.full((len(corners), 4), BOUNDARY, np.int32)
+    _match(keys, faces, starts, neighbors.reshape(-1))
+    return neighbors
 
 
-def boundary_triangles(tets: NDArray[np.integer], neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
+def boundary_triangles(tets: NDArray[np.integer], neighbors: NDArray[np.int32]) -> NDArray[np.int32]:
     """The faces with no tetrahedron behind them, (k, 3) int32, their normals pointing outward."""
-    cell, corner = np.nonzero(neighbours == BOUNDARY)
+    cell, corner = np.nonzero(neighbors == BOUNDARY)
     return np.ascontiguousarray(_corners(tets)[cell[:, None], FACES[corner]])
 
 
-def components(neighbours: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
+def components(neighbors: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
     """Parts of a mesh that hang together by faces.
 
     Returns
@@ -59,7 +57,7 @@ def components(neighbours: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
     labels : (m,) int32
         The part of each tetrahedron, numbered in the order of their first tetrahedra.
     """
-    count, labels = _components(np.ascontiguousarray(neighbours, np.int32))
+    count, labels = _components(np.ascontiguousarray(neighbors, np.int32))
     return int(count), labels
 
 
@@ -70,7 +68,7 @@ def _corners(tets: NDArray[np.integer]) -> NDArray[np.int32]:
     return corners
 
 
-@kernel
+@jit
 def _face_keys(tets: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], NDArray[np.int64], NDArray[np.int64]]:
     """For each face, by its smallest node, the other two in one number, and 4 m + i for face i of tetrahedron m.
 
@@ -106,9 +104,9 @@ def _face_keys(tets: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], NDA
     return keys, faces, starts
 
 
-@kernel
+@jit
 def _match(
-    keys: NDArray[np.uint64], faces: NDArray[np.int64], starts: NDArray[np.int64], neighbours: NDArray[np.int32]
+    keys: NDArray[np.uint64], faces: NDArray[np.int64], starts: NDArray[np.int64], neighbors: NDArray[np.int32]
 ) -> None:
     for a in range(starts.size - 1):
         p = starts[a]
@@ -117,19 +115,19 @@ def _match(
             while q < starts[a + 1] and keys[q] == keys[p]:
                 q += 1
             if q - p == 2:
-                neighbours[faces[p]], neighbours[faces[p + 1]] = faces[p + 1] // 4, faces[p] // 4
+                neighbors[faces[p]], neighbors[faces[p + 1]] = faces[p + 1] // 4, faces[p] // 4
             elif q - p > 2:
                 for r in range(p, q):
-                    neighbours[faces[r]] = CROWDED
+                    neighbors[faces[r]] = CROWDED
             p = q
 
 
-@kernel
-def _components(neighbours: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
-    labels = np.full(neighbours.shape[0], -1, np.int32)
-    waiting = np.empty(neighbours.shape[0], np.int32)
+@jit
+def _components(neighbors: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
+    labels = np.full(neighbors.shape[0], -1, np.int32)
+    waiting = np.empty(neighbors.shape[0], np.int32)
     count = 0
-    for m in range(neighbours.shape[0]):
+    for m in range(neighbors.shape[0]):
         if labels[m] >= 0:
             continue
         labels[m] = count
@@ -139,7 +137,7 @@ def _components(neighbours: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
             n -= 1
             t = waiting[n]
             for i in range(4):
-                s = neighbours[t, i]
+                s = neighbors[t, i]
                 if s >= 0 and labels[s] < 0:
                     labels[s] = count
                     waiting[n] = s

@@ -1,12 +1,12 @@
-"""The lattice that isosurface stuffing cuts: body-centred cubic inside a box, closed by the faces of the box.
+"""The lattice that isosurface stuffing cuts: body-centered cubic inside a box, closed by the faces of the box.
 
-Corners of the cubes of a grid and their centres form a body-centred cubic lattice. Its tetrahedra have an edge of a
-cube and the two centres on either side of a face as corners, so those at the border stick halfway out of the box. There
-the edge between the centres is cut at the centre of the cube's face: the box is filled exactly, by halves of
+Corners of the cubes of a grid and their centers form a body-centered cubic lattice. Its tetrahedra have an edge of a
+cube and the two centers on either side of a face as corners, so those at the border stick halfway out of the box. There
+the edge between the centers is cut at the center of the cube's face: the box is filled exactly, by halves of
 tetrahedra at its border.
 
 All points have whole coordinates in a grid of half the spacing (the *doubled grid*): corners are even in x, y and z,
-centres odd, centres of faces even along the normal of the face and odd in its plane.
+centers odd, centers of faces even along the normal of the face and odd in its plane.
 """
 
 from __future__ import annotations
@@ -16,12 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["Crossings", "doubled_grid", "find_crossings"]
+from sppm_pipeline.numerics.compiled import jit
 
 CORNERS_OF_CUBE = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], np.int64)
-"""From the centre of a cube to its corners, x, y, z."""
+"""From the center of a cube to its corners, x, y, z."""
 
 
 class Crossings(NamedTuple):
@@ -56,7 +54,7 @@ class Crossings(NamedTuple):
 
 def doubled_grid(
     corners: NDArray[np.float32],
-    centres: NDArray[np.float32],
+    centers: NDArray[np.float32],
     faces: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
     periodic: bool,
 ) -> NDArray[np.float32]:
@@ -66,10 +64,10 @@ def doubled_grid(
     ----------
     corners : (nz + 1, ny + 1, nx + 1) float32
         The field at the corners of the cubes.
-    centres : (nz, ny, nx) float32
-        At their centres.
+    centers : (nz, ny, nx) float32
+        At their centers.
     faces : (nz, ny, 2), (nz, 2, nx), (2, ny, nx) float32
-        At the centres of the squares in the low and the high face of the box, across x, y, z.
+        At the centers of the squares in the low and the high face of the box, across x, y, z.
     periodic : bool
         Whether the box repeats: samples in the high faces are then replaced by those in the low ones.
 
@@ -78,10 +76,10 @@ def doubled_grid(
     (2 nz + 1, 2 ny + 1, 2 nx + 1) float32
         1 where there is no point of the lattice. NaN counts as void.
     """
-    nz, ny, nx = centres.shape
+    nz, ny, nx = centers.shape
     grid = np.ones((2 * nz + 1, 2 * ny + 1, 2 * nx + 1), np.float32)
     grid[::2, ::2, ::2] = corners
-    grid[1::2, 1::2, 1::2] = centres
+    grid[1::2, 1::2, 1::2] = centers
     across_x, across_y, across_z = faces
     for side, last in ((0, 0), (1, -1)):
         grid[1::2, 1::2, last] = across_x[:, :, side]
@@ -128,7 +126,7 @@ def find_crossings(values: NDArray[np.float32], periodic: bool) -> Crossings:
     )
 
 
-@kernel
+@jit
 def _crossing_edges(values: NDArray[np.float32], periodic: bool, ends: NDArray[np.int32], fill: bool) -> int:
     """Count the edges between samples of opposite sign, or write them down; each once."""
     top = np.empty(3, np.int64)
@@ -149,8 +147,8 @@ def _crossing_edges(values: NDArray[np.float32], periodic: bool, ends: NDArray[n
                     normal = 0 if x & 1 == 0 else (1 if y & 1 == 0 else 2)
                     if at[normal] != 0 and (at[normal] != top[normal] or periodic):
                         continue
-                # 0-7: centre to corners, or centre of a face to the corners of its square;
-                # 8-10: to the next point along an axis; 11-13: from a centre to the low face of the box
+                # 0-7: center to corners, or center of a face to the corners of its square;
+                # 8-10: to the next point along an axis; 11-13: from a center to the low face of the box
                 for way in range(14):
                     for axis in range(3):
                         to[axis] = at[axis]

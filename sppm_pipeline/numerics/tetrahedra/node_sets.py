@@ -7,11 +7,9 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.tetrahedra.faces import BOUNDARY, FACES, face_neighbours
+from sppm_pipeline.numerics.tetrahedra.faces import BOUNDARY, FACES, face_neighbors
 from sppm_pipeline.numerics.tetrahedra.periodic import on_faces
 from sppm_pipeline.numerics.tetrahedra.quadratic import EDGES
-
-__all__ = ["SIDES", "boundary_surfaces", "box_copies", "box_node_sets"]
 
 SIDES = ("XMIN", "XMAX", "YMIN", "YMAX", "ZMIN", "ZMAX")
 
@@ -49,9 +47,9 @@ def boundary_surfaces(
     Returns
     -------
     dict of name to (k, 3) integers, or (k, 6) for quadratic cells
-        Corners anticlockwise for a viewer outside, then the nodes on the edges 01, 12, 20.
+        Corners counterclockwise for a viewer outside, then the nodes on the edges 01, 12, 20.
     """
-    cell, corner = np.nonzero(face_neighbours(cells) == BOUNDARY)
+    cell, corner = np.nonzero(face_neighbors(cells) == BOUNDARY)
     columns = [list(face) for face in FACES.tolist()]
     if cells.shape[1] == 10:
         columns = [[*f, *(_MID_NODE[frozenset((f[i], f[(i + 1) % 3]))] for i in range(3))] for f in columns]

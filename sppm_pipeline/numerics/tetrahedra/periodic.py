@@ -7,9 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.tetrahedra.faces import boundary_triangles, face_neighbours
-
-__all__ = ["FaceMatch", "face_match", "matched_nodes", "on_faces"]
+from sppm_pipeline.numerics.tetrahedra.faces import boundary_triangles, face_neighbors
 
 TOLERANCE = 1e-6
 """Share of the shortest edge of the box by which copies may miss each other."""
@@ -116,7 +114,7 @@ def face_match(
 
     reach = 2 * tolerance * float(np.min(box[1] - box[0]))
     points = np.asarray(nodes, np.float64)
-    triangles = boundary_triangles(tets, face_neighbours(tets))
+    triangles = boundary_triangles(tets, face_neighbors(tets))
     low, high = on_faces(points, box, tolerance)
     area, counts = np.zeros(3), np.zeros((3, 3), np.int64)
     for axis in range(3):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["EDGES", "least_jacobian", "with_mid_nodes"]
-
 EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], np.int64)
 """Corners at the ends of the edges, in the order of their nodes."""
 

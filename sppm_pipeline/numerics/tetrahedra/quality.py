@@ -7,9 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["Quality", "dihedral_extremes", "dihedral_histogram", "quality", "volumes"]
+from sppm_pipeline.numerics.compiled import jit
 
 _FIFTHS = 900
 """Bins of the histogram, a fifth of a degree each."""
@@ -98,7 +96,7 @@ def _prepared(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> tuple[N
     return points, corners
 
 
-@kernel
+@jit
 def _shape(
     points: NDArray[np.float64], corners: NDArray[np.int32], m: int, p: NDArray[np.float64],
     normals: NDArray[np.float64], out: NDArray[np.float64],
@@ -152,7 +150,7 @@ def _shape(
     out[8], out[9] = shortest, longest
 
 
-@kernel
+@jit
 def _worst(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray[np.float64]:
     p, normals, out = np.empty((4, 3)), np.empty((4, 3)), np.empty(10)
     worst = np.array([-1.0, 1.0, 0.0, 0.0, 0.0, np.inf, -np.inf, 0.0])
@@ -171,7 +169,7 @@ def _worst(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray[n
     return worst
 
 
-@kernel
+@jit
 def _cosines(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray[np.float64]:
     p, normals, out = np.empty((4, 3)), np.empty((4, 3)), np.empty(10)
     found = np.empty((corners.shape[0], 2))
@@ -186,7 +184,7 @@ def _cosines(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray
     return found
 
 
-@kernel
+@jit
 def _count_angles(points: NDArray[np.float64], corners: NDArray[np.int32]) -> NDArray[np.int64]:
     p, normals, out = np.empty((4, 3)), np.empty((4, 3)), np.empty(10)
     counts = np.zeros(_FIFTHS, np.int64)

@@ -12,9 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["cut_tetrahedra"]
+from sppm_pipeline.numerics.compiled import jit
 
 
 def cut_tetrahedra(
@@ -47,7 +45,7 @@ def cut_tetrahedra(
     return tets
 
 
-@kernel
+@jit
 def _cut_point(
     u: NDArray[np.int64],
     v: NDArray[np.int64],
@@ -79,7 +77,7 @@ def _cut_point(
     return found
 
 
-@kernel
+@jit
 def _ends_at(third: NDArray[np.int64], p: NDArray[np.int64], q: NDArray[np.int64]) -> bool:
     """Whether the diagonal of the quadrilateral below `third` ends at the cut point from p, not at that from q."""
     longer, parity = int(np.int64(0)), int(np.int64(0))
@@ -89,13 +87,13 @@ def _ends_at(third: NDArray[np.int64], p: NDArray[np.int64], q: NDArray[np.int64
     return longer > 0 or (longer == 0 and parity % 2 == 0)
 
 
-@kernel
+@jit
 def _emit(tets: NDArray[np.int64], n: int, flip: bool, a: int, b: int, c: int, d: int) -> None:
     tets[n, 0], tets[n, 1] = a, b
     tets[n, 2], tets[n, 3] = (d, c) if flip else (c, d)
 
 
-@kernel
+@jit
 def _sort_by_sign(at: NDArray[np.int64], sign: NDArray[np.int64]) -> bool:
     """Corners in the solid first, those in the void last; returns whether that mirrors the tetrahedron."""
     flip = False
@@ -109,7 +107,7 @@ def _sort_by_sign(at: NDArray[np.int64], sign: NDArray[np.int64]) -> bool:
     return flip
 
 
-@kernel
+@jit
 def _pillars(
     at: NDArray[np.int64],
     solid: int,
@@ -147,7 +145,7 @@ def _pillars(
             wins[i if _ends_at(at[3], at[i], at[j]) else j] += 1
 
 
-@kernel
+@jit
 def _cut_one(
     at: NDArray[np.int64],
     signs: NDArray[np.int8],
@@ -205,7 +203,7 @@ def _cut_one(
     return n + pieces
 
 
-@kernel
+@jit
 def _cut(
     signs: NDArray[np.int8],
     slot_of: NDArray[np.int32],
@@ -217,7 +215,7 @@ def _cut(
     fill: bool,
 ) -> int:
     """Count the pieces of all tetrahedra of the lattice, or write them down."""
-    top, centre = np.empty(3, np.int64), np.empty(3, np.int64)
+    top, center = np.empty(3, np.int64), np.empty(3, np.int64)
     for axis in range(3):
         top[axis] = signs.shape[2 - axis] - 1
     at = np.empty((4, 3), np.int64)
@@ -227,21 +225,21 @@ def _cut(
     for z in range(1, top[2], 2):
         for y in range(1, top[1], 2):
             for x in range(1, top[0], 2):
-                centre[0], centre[1], centre[2] = x, y, z
+                center[0], center[1], center[2] = x, y, z
                 # faces of the cube: those on the high side, and those in a low face of the box
                 for side in range(6):
                     a = side % 3
-                    if side >= 3 and centre[a] != 1:
+                    if side >= 3 and center[a] != 1:
                         continue
                     b, c = (a + 1) % 3, (a + 2) % 3
-                    face = centre[a] + (1 if side < 3 else -1)
-                    before = face if side >= 3 else centre[a]
-                    after = centre[a] if side >= 3 else min(centre[a] + 2, top[a])
+                    face = center[a] + (1 if side < 3 else -1)
+                    before = face if side >= 3 else center[a]
+                    after = center[a] if side >= 3 else min(center[a] + 2, top[a])
                     for quarter in range(4):
                         for i in range(4):
                             for axis in range(3):
-                                at[i, axis] = centre[axis]
-                        # two corners of the square, anticlockwise seen from high a
+                                at[i, axis] = center[axis]
+                        # two corners of the square, counterclockwise seen from high a
                         for i in range(2):
                             q = (quarter + i) % 4
                             at[i, a] = face

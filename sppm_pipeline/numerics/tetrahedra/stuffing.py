@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.numerics.tetrahedra.faces import components, face_neighbours
+from sppm_pipeline.numerics.tetrahedra.faces import components, face_neighbors
 from sppm_pipeline.numerics.tetrahedra.lattice import Crossings, find_crossings, repeat_low_faces
 from sppm_pipeline.numerics.tetrahedra.quality import dihedral_extremes, volumes
 from sppm_pipeline.numerics.tetrahedra.stencils import cut_tetrahedra
 from sppm_pipeline.numerics.tetrahedra.warping import warp
-
-__all__ = ["ANGLES", "Stuffed", "require_room", "stuff", "without_islands"]
 
 ANGLES = (10.7, 164.8)
 """Degrees; the paper's bounds of the dihedral angles, which halves of tetrahedra in the box are held to as well."""
@@ -74,7 +72,7 @@ def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.
     if periodic and min(nx, ny, nz) < 4:
         raise ValueError(f"a periodic box needs 4 cubes along each axis, not {nx} x {ny} x {nz}")
     require_room(nx, ny, nz)
-    # twelve for each cube, which has a corner and a centre to itself
+    # twelve for each cube, which has a corner and a center to itself
     expected = 6 * int(np.count_nonzero(values < 0))
     if expected > MOST_TETRAHEDRA:
         raise ResourceError(
@@ -216,7 +214,7 @@ def without_islands(mesh: Stuffed) -> tuple[Stuffed, float]:
     removed : float
         Share of the volume that went.
     """
-    count, labels = components(face_neighbours(mesh.twins[mesh.tets]))
+    count, labels = components(face_neighbors(mesh.twins[mesh.tets]))
     if count <= 1:
         return mesh, 0.0
     each = np.bincount(labels, volumes(mesh.nodes, mesh.tets), count)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.tetrahedra.lattice import Crossings
-
-__all__ = ["TOO_CLOSE", "warp"]
 
 TOO_CLOSE = np.array([np.nan, 0.45, 0.45, 0.41189, 0.24999])
 """Share of an edge below which the surface counts as too close to its end, by the squared length of the edge in the
 doubled grid: 4 and 3 for the long and short edges of the lattice, with the paper's values; 2 and 1 for the half
-diagonals of squares in the faces of the box and for the edges from their centres into the box."""
+diagonals of squares in the faces of the box and for the edges from their centers into the box."""
 
 REACH_IN_FACE = 0.45
 """Share of an edge up to which a point in a face of the box is moved, if an edge leaving the face asks for it."""
@@ -59,7 +57,7 @@ def warp(
     return on_surface, moved
 
 
-@kernel
+@jit
 def _warp(
     order: NDArray[np.int64],
     starts: NDArray[np.int64],

@@ -1,7 +1,7 @@
-"""Corner colours: lattice corners are coloured, and what lies between them follows.
+"""Corner colors: lattice corners are colored, and what lies between them follows.
 
 A face is named by its four corners and an interior by its eight, so the four cells around a lattice edge always agree
-about that edge, which face colours alone can't promise (Lagae and Dutre 2006, "An alternative for Wang tiles: colored
+about that edge, which face colors alone can't promise (Lagae and Dutre 2006, "An alternative for Wang tiles: colored
 edges versus colored corners"). Corners are drawn freely by a hash of their place, so nothing can get stuck.
 """
 
@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.numerics.tiling.hashing import CORNER, INTERIOR, hash_places
 from sppm_pipeline.numerics.tiling.lattice import Faces, check_count, checked_mask, face_presence
 
-__all__ = ["corner_colors_at", "corners_of_ids", "tile_corners"]
-
 _MOST_COLORS_OF_FACES = 215  # 215^4 < 2^31
 _MOST_COLORS_OF_CELLS = 14  # 14^8 < 2^31
 
@@ -22,7 +20,7 @@ _MOST_COLORS_OF_CELLS = 14  # 14^8 < 2^31
 def corner_colors_at(
     seed: int, corners: ArrayLike, colors: int, period: tuple[int, int, int] | None = None
 ) -> NDArray[np.int32]:
-    """Colour of any lattice corner.
+    """Color of any lattice corner.
 
     Parameters
     ----------
@@ -31,21 +29,21 @@ def corner_colors_at(
     corners : (..., 3) int
         Corner (i, j, k) is the low corner of cell (i, j, k).
     colors : int
-        Number of corner colours c.
+        Number of corner colors c.
     period : (nx, ny, nz), optional
         Number of cells after which the assembly repeats.
 
     Returns
     -------
     (...) int32
-        Colours 0..c-1.
+        Colors 0..c-1.
 
     Raises
     ------
     DesignError
         If c is below 1.
     """
-    check_count("corner colours", colors)
+    check_count("corner colors", colors)
     places = np.asarray(corners, np.int64)
     if period is not None:
         places = places % np.asarray(period, np.int64)
@@ -54,14 +52,14 @@ def corner_colors_at(
 
 
 def corners_of_ids(ids: ArrayLike, colors: int, corners: int) -> NDArray[np.int32]:
-    """Colours of the corners that a face (4 corners) or an interior (8 corners) is named by.
+    """Colors of the corners that a face (4 corners) or an interior (8 corners) is named by.
 
     Parameters
     ----------
     ids : (...) int
         Numbers of faces, 0..c^4-1, or of interiors, 0..c^8-1.
     colors : int
-        Number of corner colours c.
+        Number of corner colors c.
     corners : int
         4 for faces, 8 for interiors.
 
@@ -89,7 +87,7 @@ def _combined(corners: NDArray[np.int32], colors: int, axes: tuple[int, ...]) ->
 def tile_corners(
     mask: ArrayLike, seed: int, colors: int, interiors: int | None = None, *, periodic: bool = False
 ) -> tuple[NDArray[np.int32], Faces]:
-    """Fill cells by colouring the corners of the lattice.
+    """Fill cells by coloring the corners of the lattice.
 
     Parameters
     ----------
@@ -98,7 +96,7 @@ def tile_corners(
     seed : int
         Same seed, same tiling.
     colors : int
-        Number of corner colours c.
+        Number of corner colors c.
     interiors : int, optional
         Number of interiors, drawn for each cell. Without it the eight corners name the interior (c^8 interiors).
     periodic : bool
@@ -115,10 +113,10 @@ def tile_corners(
     Raises
     ------
     DesignError
-        If there are too many colours to number the interiors (more than 14, without `interiors`) or the faces (more
-        than 215), or fewer than one colour or interior.
+        If there are too many colors to number the interiors (more than 14, without `interiors`) or the faces (more
+        than 215), or fewer than one color or interior.
     """
-    check_count("corner colours", colors, _MOST_COLORS_OF_FACES if interiors is not None else _MOST_COLORS_OF_CELLS)
+    check_count("corner colors", colors, _MOST_COLORS_OF_FACES if interiors is not None else _MOST_COLORS_OF_CELLS)
     cells = checked_mask(mask)
     nx, ny, nz = cells.shape
     i, j, k = np.ogrid[: nx + 1, : ny + 1, : nz + 1]

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.tiling.lattice import Faces, checked_mask, face_presence
 
-__all__ = ["tile_fresh"]
-
 
 def _numbered(there: NDArray[np.bool_]) -> NDArray[np.int32]:
     numbers = np.full(there.shape[::-1], -1, np.int32)

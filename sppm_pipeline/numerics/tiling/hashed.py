@@ -1,7 +1,7 @@
-"""Free face colours: every face and every interior is drawn on its own by a hash of its place.
+"""Free face colors: every face and every interior is drawn on its own by a hash of its place.
 
-With contents factorised into interiors, faces and connectors, opposite faces of a cell may differ at no cost, so any
-assignment of colours is a valid tiling: K interiors and c colours combine to K c^6 cells. The hash gives any cell of
+With contents factorized into interiors, faces and connectors, opposite faces of a cell may differ at no cost, so any
+assignment of colors is a valid tiling: K interiors and c colors combine to K c^6 cells. The hash gives any cell of
 an assembly of any size without looking at the others.
 """
 
@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.tiling.hashing import FACE, INTERIOR, hash_places
 from sppm_pipeline.numerics.tiling.lattice import Faces, check_count, checked_mask, face_presence
-
-__all__ = ["face_at", "interior_at", "tile_hashed"]
 
 
 def interior_at(seed: int, cells: ArrayLike, interiors: int) -> NDArray[np.int32]:
@@ -47,7 +45,7 @@ def interior_at(seed: int, cells: ArrayLike, interiors: int) -> NDArray[np.int32
 def face_at(
     seed: int, axis: int, faces: ArrayLike, colors: int, period: tuple[int, int, int] | None = None
 ) -> NDArray[np.int32]:
-    """Colour of any face.
+    """Color of any face.
 
     Parameters
     ----------
@@ -58,21 +56,21 @@ def face_at(
     faces : (..., 3) int
         Face (i, j, k) is the low side of cell (i, j, k) along `axis`; its high side is the low side of the next cell.
     colors : int
-        Number of colours c.
+        Number of colors c.
     period : (nx, ny, nz), optional
         Number of cells after which the assembly repeats.
 
     Returns
     -------
     (...) int32
-        Colours 0..c-1.
+        Colors 0..c-1.
 
     Raises
     ------
     DesignError
         If c is below 1.
     """
-    check_count("face colours", colors)
+    check_count("face colors", colors)
     places = np.asarray(faces, np.int64)
     if period is not None:
         places = places % np.asarray(period, np.int64)
@@ -83,7 +81,7 @@ def face_at(
 def tile_hashed(
     mask: ArrayLike, seed: int, interiors: int, colors: int, *, periodic: bool = False
 ) -> tuple[NDArray[np.int32], Faces]:
-    """Fill cells with interiors and face colours that are drawn independently of each other.
+    """Fill cells with interiors and face colors that are drawn independently of each other.
 
     Parameters
     ----------
@@ -92,7 +90,7 @@ def tile_hashed(
     seed : int
         Same seed, same tiling.
     interiors, colors : int
-        Number of interiors K and of colours c of each axis.
+        Number of interiors K and of colors c of each axis.
     periodic : bool
         Whether the last plane of faces of each axis is the first one again.
 
@@ -109,7 +107,7 @@ def tile_hashed(
         If `interiors` or `colors` is below 1.
     """
     check_count("interiors", interiors)
-    check_count("face colours", colors)
+    check_count("face colors", colors)
     cells = checked_mask(mask)
     nx, ny, nz = cells.shape
     i, j, k = np.ogrid[:nx, :ny, :nz]

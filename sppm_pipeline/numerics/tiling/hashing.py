@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["CORNER", "FACE", "INTERIOR", "TIE", "hash_places"]
-
 #: Streams keep draws made for different purposes at the same place independent. FACE + axis is used for axis 0, 1, 2.
 INTERIOR, FACE, CORNER, TIE = 1, 2, 5, 6
 
-# 2^64 / golden ratio, and the two multipliers of variant 13 of D. Stafford's 64-bit finalisers, as in SplitMix64
+# 2^64 / golden ratio, and the two multipliers of variant 13 of D. Stafford's 64-bit finalizers, as in SplitMix64
 # (Steele, Lea and Flood 2014, "Fast splittable pseudorandom number generators").
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)

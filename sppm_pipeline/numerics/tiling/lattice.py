@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
 
-__all__ = ["Faces", "check_count", "checked_mask", "face_presence", "faces_of_cells"]
-
 Faces = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
 
 
@@ -27,7 +25,7 @@ def checked_mask(mask: ArrayLike) -> NDArray[np.bool_]:
 
 
 def check_count(what: str, count: int, largest: int = 2**31 - 1) -> None:
-    """Check the number of colours or interiors that a user asked for.
+    """Check the number of colors or interiors that a user asked for.
 
     Raises
     ------
@@ -72,12 +70,12 @@ def face_presence(mask: NDArray[np.bool_], periodic: bool = False) -> tuple[NDAr
 
 
 def faces_of_cells(colors: Faces, mask: NDArray[np.bool_], periodic: bool = False) -> Faces:
-    """Faces of cells whose two opposite faces carry one colour.
+    """Faces of cells whose two opposite faces carry one color.
 
     Parameters
     ----------
     colors : three (nx, ny, nz) int32
-        Colour that each cell shows along x, y, z. Where two cells meet they must agree; the lower one is read.
+        Color that each cell shows along x, y, z. Where two cells meet they must agree; the lower one is read.
     mask : (nx, ny, nz) bool
         Which cells are filled.
     periodic : bool

@@ -6,8 +6,6 @@ import math
 
 from sppm_pipeline.numerics.tiling.lattice import check_count
 
-__all__ = ["RULES", "entropy_per_cell", "layout_count_log"]
-
 #: Rules that `layout_count_log` knows.
 RULES = ("opposite_equal", "free_faces", "corners")
 
@@ -17,10 +15,10 @@ def layout_count_log(
 ) -> float:
     """Natural logarithm of the number of layouts of a full box of cells.
 
-    * ``opposite_equal``: the paper's tile set under Rule 1. Every row of cells along an axis has one colour, so a box
-      has ``c^(ny nz + nz nx + nx ny)`` layouts, ``3^(3 N^2)`` for N^3 cells and three colours: the exponent grows with
+    * ``opposite_equal``: the paper's tile set under Rule 1. Every row of cells along an axis has one color, so a box
+      has ``c^(ny nz + nz nx + nx ny)`` layouts, ``3^(3 N^2)`` for N^3 cells and three colors: the exponent grows with
       the surface, and the entropy of a cell falls to zero as 1 / N. Rule 2 chooses among these layouts, it adds none.
-    * ``free_faces``: every lattice face has a colour of its own.
+    * ``free_faces``: every lattice face has a color of its own.
     * ``corners``: every lattice corner has one.
 
     Each cell also has one of `interiors` interiors, independent of its borders.
@@ -32,9 +30,9 @@ def layout_count_log(
     rule : str
         One of `RULES`.
     colors : int
-        Number of face or corner colours c.
+        Number of face or corner colors c.
     interiors : int
-        Number of interiors K that a cell may have for given colours.
+        Number of interiors K that a cell may have for given colors.
     periodic : bool
         Whether opposite ends of the box are the same planes.
 
@@ -50,19 +48,19 @@ def layout_count_log(
     ValueError
         If the rule is unknown.
     """
-    check_count("colours", colors)
+    check_count("colors", colors)
     check_count("interiors", interiors)
     nx, ny, nz = cells
     end = 0 if periodic else 1
     if rule == "opposite_equal":
-        coloured = ny * nz + nz * nx + nx * ny
+        colored = ny * nz + nz * nx + nx * ny
     elif rule == "free_faces":
-        coloured = (nx + end) * ny * nz + nx * (ny + end) * nz + nx * ny * (nz + end)
+        colored = (nx + end) * ny * nz + nx * (ny + end) * nz + nx * ny * (nz + end)
     elif rule == "corners":
-        coloured = (nx + end) * (ny + end) * (nz + end)
+        colored = (nx + end) * (ny + end) * (nz + end)
     else:
         raise ValueError(f"unknown rule {rule!r}, known are {', '.join(RULES)}")
-    return coloured * math.log(colors) + nx * ny * nz * math.log(interiors)
+    return colored * math.log(colors) + nx * ny * nz * math.log(interiors)
 
 
 def entropy_per_cell(

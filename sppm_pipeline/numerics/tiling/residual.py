@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["AxisCorrelation", "axis_correlation", "bragg_share", "mean_cell"]
-
 
 class AxisCorrelation(NamedTuple):
     """Mean correlation coefficient of a cell and the next one.
@@ -16,7 +14,7 @@ class AxisCorrelation(NamedTuple):
     Attributes
     ----------
     x, y, z : float
-        Mean over all pairs of neighbours along the axis, -1..1; NaN where there is no pair of cells with contrast.
+        Mean over all pairs of neighbors along the axis, -1..1; NaN where there is no pair of cells with contrast.
     mean : float
         Mean over the axes that have pairs; NaN if none has.
     """
@@ -123,7 +121,7 @@ def bragg_share(image: ArrayLike, cells: tuple[int, int, int], *, corrected: boo
 
 
 def axis_correlation(image: ArrayLike, cells: tuple[int, int, int]) -> AxisCorrelation:
-    """Mean correlation coefficient between a cell and its neighbour one cell further along x, y and z.
+    """Mean correlation coefficient between a cell and its neighbor one cell further along x, y and z.
 
     Parameters
     ----------

@@ -7,13 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.tiling.lattice import Faces, face_presence
 
-__all__ = ["face_violations", "rule1_violations"]
-
 
 def _checked_tiles(tiles: ArrayLike, tile_faces: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     placed, colors = np.asarray(tiles, np.int64), np.asarray(tile_faces, np.int64)
     if colors.ndim != 2 or colors.shape[1] not in (3, 6):
-        raise ValueError(f"face colours of tiles must have shape (n, 3) or (n, 6), got {colors.shape}")
+        raise ValueError(f"face colors of tiles must have shape (n, 3) or (n, 6), got {colors.shape}")
     if placed.max(initial=-1) >= len(colors) or placed.min(initial=0) < -1:
         raise ValueError(f"tiles must be within -1..{len(colors) - 1}")
     if colors.shape[1] == 3:
@@ -22,14 +20,14 @@ def _checked_tiles(tiles: ArrayLike, tile_faces: ArrayLike) -> tuple[NDArray[np.
 
 
 def rule1_violations(tiles: ArrayLike, tile_faces: ArrayLike, *, periodic: bool = False) -> NDArray[np.int64]:
-    """Count neighbours whose touching faces show different colours (Rule 1 of the paper).
+    """Count neighbors whose touching faces show different colors (Rule 1 of the paper).
 
     Parameters
     ----------
     tiles : (nx, ny, nz) int
         Tile of each cell, -1 where there is none.
     tile_faces : (n, 3) or (n, 6) int
-        Colours of each tile: across x, y, z if opposite faces are equal, else low x, high x, low y, high y, low z,
+        Colors of each tile: across x, y, z if opposite faces are equal, else low x, high x, low y, high y, low z,
         high z.
     periodic : bool
         Whether the assembly repeats.
@@ -59,7 +57,7 @@ def face_violations(
 ) -> NDArray[np.int64]:
     """Count faces that don't fit the cells.
 
-    A face is broken if it lies at a cell and has no colour, has a colour and lies at no cell, shows another colour
+    A face is broken if it lies at a cell and has no color, has a color and lies at no cell, shows another color
     than a tile beside it (once for each such tile), or differs from the face at the opposite end of a periodic
     assembly.
 
@@ -70,7 +68,7 @@ def face_violations(
     faces : three int arrays
         Shape n_a + 1 along axis a, -1 where there is no face.
     tile_faces : (n, 3) or (n, 6) int, optional
-        Colours of each tile as for `rule1_violations`, where `interior` numbers tiles whose faces are fixed.
+        Colors of each tile as for `rule1_violations`, where `interior` numbers tiles whose faces are fixed.
     periodic : bool
         Whether the assembly repeats.
 

@@ -1,24 +1,24 @@
 """The paper's tile set and its two rules (paper, section "Overall Stochasticity").
 
-A tile is named by three colours (cx, cy, cz): both of its faces across x show cx, both across y show cy, both across z
-show cz. With c colours there are c^3 tiles, 27 for the paper's three; (cx, cy, cz) is tile ``(cx c + cy) c + cz``.
+A tile is named by three colors (cx, cy, cz): both of its faces across x show cx, both across y show cy, both across z
+show cz. With c colors there are c^3 tiles, 27 for the paper's three; (cx, cy, cz) is tile ``(cx c + cy) c + cz``.
 
-* Rule 1: two faces that touch show the same colour.
-* Rule 2: among the tiles that Rule 1 allows, the one with the highest score is placed. A neighbour that has been
+* Rule 1: two faces that touch show the same color.
+* Rule 2: among the tiles that Rule 1 allows, the one with the highest score is placed. A neighbor that has been
   placed already and is *another tile* adds 3 across a face, 2 across an edge, 1 across a corner.
 
-The paper writes that a neighbour counts if it has "surfaces with different codes"; its worked example (scores 10, 8 and
-11) fixes the meaning: a neighbour counts when it is a different tile.
+The paper writes that a neighbor counts if it has "surfaces with different codes"; its worked example (scores 10, 8 and
+11) fixes the meaning: a neighbor counts when it is a different tile.
 
 Why no order of choices can get stuck
 -------------------------------------
 Opposite faces of a tile are equal, so Rule 1 says no more than this: all cells of a *run*, an unbroken row of filled
-cells along an axis (around the end, too, if the assembly is periodic), show one colour along that axis. A cell lies on
-three runs, one along each axis, and every combination of three colours exists as a tile. Therefore a cell whose runs
-have colours takes these, a run met for the first time may take any colour, and no choice restricts a run elsewhere:
-cells may be filled in any mask. (A filler that looks at the six neighbours only must go in raster order: in another
-order two parts of one run can be given different colours before the cell between them is reached.) Raster order is
-used here, x fastest, so that a run is known from the low neighbour, and in a periodic assembly from the cell at its
+cells along an axis (around the end, too, if the assembly is periodic), show one color along that axis. A cell lies on
+three runs, one along each axis, and every combination of three colors exists as a tile. Therefore a cell whose runs
+have colors takes these, a run met for the first time may take any color, and no choice restricts a run elsewhere:
+cells may be filled in any mask. (A filler that looks at the six neighbors only must go in raster order: in another
+order two parts of one run can be given different colors before the cell between them is reached.) Raster order is
+used here, x fastest, so that a run is known from the low neighbor, and in a periodic assembly from the cell at its
 low end.
 
 The price is that a box of nx * ny * nz cells has only nx ny + ny nz + nz nx runs; see `layouts`.
@@ -29,16 +29,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.tiling.hashing import TIE, hash_places
 from sppm_pipeline.numerics.tiling.lattice import Faces, check_count, checked_mask, faces_of_cells
-
-__all__ = ["rule2_scores", "tile_colors", "tile_wang"]
 
 _MOST_COLORS = 1290  # 1290^3 is the largest cube below 2^31
 
 
-@kernel
+@jit
 def _run_mate(
     mask: NDArray[np.bool_], tiles: NDArray[np.int32], place: int, index: int, count: int, stride: int, periodic: bool
 ) -> int:
@@ -56,9 +54,9 @@ def _run_mate(
     return -1
 
 
-@kernel
+@jit
 def _add_sameness(tiles: NDArray[np.int32], k: int, j: int, i: int, periodic: bool, sameness: NDArray[np.int64]) -> int:
-    """Add to ``sameness[T]`` the weights of placed neighbours that are tile T; return the weight of all of them."""
+    """Add to ``sameness[T]`` the weights of placed neighbors that are tile T; return the weight of all of them."""
     nz, ny, nx = tiles.shape
     total = 0
     for dk in range(-1, 2):
@@ -76,7 +74,7 @@ def _add_sameness(tiles: NDArray[np.int32], k: int, j: int, i: int, periodic: bo
     return total
 
 
-@kernel
+@jit
 def _fill(
     mask: NDArray[np.bool_],
     colors: int,
@@ -106,7 +104,7 @@ def _fill(
                     flat_tiles[place] = (x0 * colors + y0) * colors + z0
                     continue
                 if scored:
-                    # The highest score is the least weight of neighbours that are the same tile.
+                    # The highest score is the least weight of neighbors that are the same tile.
                     sameness[:] = 0
                     _add_sameness(tiles, k, j, i, periodic, sameness)
                 least, ties = 1 << 30, 0
@@ -129,24 +127,24 @@ def _fill(
 
 
 def tile_colors(colors: int = 3) -> NDArray[np.int32]:
-    """Face colours of all tiles of the set.
+    """Face colors of all tiles of the set.
 
     Parameters
     ----------
     colors : int
-        Number of face colours c.
+        Number of face colors c.
 
     Returns
     -------
     (c^3, 3) int32
-        Colour of the faces across x, y, z; the row is the number of the tile.
+        Color of the faces across x, y, z; the row is the number of the tile.
 
     Raises
     ------
     DesignError
         If c isn't within 1..1290.
     """
-    check_count("face colours", colors, _MOST_COLORS)
+    check_count("face colors", colors, _MOST_COLORS)
     tile = np.arange(colors**3, dtype=np.int32)
     return np.stack([tile // colors**2, tile // colors % colors, tile % colors], axis=1)
 
@@ -165,25 +163,25 @@ def tile_wang(
     seed : int
         Same seed, same tiling.
     colors : int
-        Number of face colours c.
+        Number of face colors c.
     scored : bool
         False leaves out Rule 2: any tile that Rule 1 allows is as good as another.
     periodic : bool
-        Whether the assembly repeats, so that its opposite ends are neighbours for both rules.
+        Whether the assembly repeats, so that its opposite ends are neighbors for both rules.
 
     Returns
     -------
     interior : (nx, ny, nz) int32
         Number of the tile, 0..c^3-1; -1 where there is no cell.
     faces : three int32 arrays
-        Face colours 0..c-1; shape n_a + 1 along axis a; -1 where there is no cell on either side.
+        Face colors 0..c-1; shape n_a + 1 along axis a; -1 where there is no cell on either side.
 
     Raises
     ------
     DesignError
         If `colors` isn't within 1..1290.
     """
-    check_count("face colours", colors, _MOST_COLORS)
+    check_count("face colors", colors, _MOST_COLORS)
     cells = checked_mask(mask)
     nx, ny, nz = cells.shape
     stored = np.ascontiguousarray(cells.transpose(2, 1, 0))
@@ -207,7 +205,7 @@ def rule2_scores(
     cell : (i, j, k)
         The cell to be filled.
     colors : int
-        Number of face colours c.
+        Number of face colors c.
     periodic : bool
         Whether the assembly repeats.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.fields.cleaned import CleanedField
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 
@@ -19,7 +19,7 @@ from sppm_pipeline.stage import Context, Rejected, Stage, option
 class CheckConnectivity(Stage):
     """Report, for solid and void, the components, whether the largest runs through in x, y and z, and the rest.
 
-    A periodic cell is labelled on the torus, where opposite faces are one; so removing everything but the largest
+    A periodic cell is labeled on the torus, where opposite faces are one; so removing everything but the largest
     component keeps it periodic. The paper labels without wrapping and calls a cell erroneous if a component that had
     to be removed touches its surface; that is ``islands: reject``, to be used inside ``tune.retry``.
     """
@@ -51,7 +51,7 @@ class CheckConnectivity(Stage):
         from sppm_pipeline.numerics.connectivity.percolation import phase_report
 
         n = self.resolution
-        solid = field.solid(cell_centres(n, field.cells), context.threads)
+        solid = field.solid(cell_centers(n, field.cells), context.threads)
         periodic = (field.periodic,) * 3
         through = True
         for phase, zeros in (("solid", False), ("void", True)):

@@ -25,7 +25,7 @@ class CheckMesh(Stage):
     """Report how well a mesh bounds a solid; the mesh is passed on as it is.
 
     Watertight: no edge is left over when triangles are paired across edges. Manifold: no edge has more than two
-    triangles, no vertex touches two surfaces. Wound outwards: neighbours agree, and normals point out of the solid.
+    triangles, no vertex touches two surfaces. Wound outwards: neighbors agree, and normals point out of the solid.
     Triangles intersect themselves if they cross, touch or overlap another one beyond shared corners and edges.
     The thickness is measured straight inwards from 100,000 points of the surface. To look at a broken file, read it
     with `accept: any`.
@@ -145,8 +145,8 @@ class CheckMesh(Stage):
         return problems
 
 
-def _count(n: int, noun: str) -> str:
-    return f"{n:,} {noun}{'' if n == 1 else 's'}"
+def _count(n: int, artifact: str) -> str:
+    return f"{n:,} {artifact}{'' if n == 1 else 's'}"
 
 
 def _numbers(found: Survey, thin: float | None) -> dict[str, Any]:

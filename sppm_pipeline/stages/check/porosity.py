@@ -13,7 +13,7 @@ from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 @dataclass(frozen=True, kw_only=True)
 class CheckPorosity(Stage):
-    """Measure the porosity of a field on a grid of voxel centres; reject it outside of given bounds."""
+    """Measure the porosity of a field on a grid of voxel centers; reject it outside of given bounds."""
 
     name: ClassVar[str] = "check.porosity"
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.tiling import RepeatedField, Tiling
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -17,7 +17,7 @@ class CheckResidualPeriodicity(Stage):
     """Report the Bragg share and the axis correlation of an assembly, so that one sees what a tile rule buys.
 
     The Bragg share is the part of the variance that repeats from cell to cell: 1 for one repeated cell, 0 for an
-    assembly without memory of its lattice. The axis correlation compares each cell with its neighbours.
+    assembly without memory of its lattice. The axis correlation compares each cell with its neighbors.
     """
 
     name: ClassVar[str] = "check.residual_periodicity"
@@ -46,6 +46,6 @@ class CheckResidualPeriodicity(Stage):
             )
         if max(tiling.cells) < 2:
             raise DesignError("residual periodicity needs at least two cells along some axis")
-        solid = tiling.solid(cell_centres(self.resolution, tiling.cells), context.threads).transpose(2, 1, 0)
+        solid = tiling.solid(cell_centers(self.resolution, tiling.cells), context.threads).transpose(2, 1, 0)
         correlation = axis_correlation(solid, tiling.cells)
         context.report(bragg_share=bragg_share(solid, tiling.cells), axis_correlation=correlation.mean)

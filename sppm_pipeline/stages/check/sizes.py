@@ -12,7 +12,7 @@ from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, ResourceError
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Stage, option
 
 LARGEST = 512**3
@@ -25,7 +25,7 @@ class CheckSizes(Stage):
 
     The local thickness at a point is the diameter of the largest ball that fits into the phase and covers the point
     (Hildebrand and Rüegsegger 1997); its distribution is weighted by volume. As balls sit
-    on voxel centres, sizes come out too small, by three voxels at most. They are millimetres where the cell has a
+    on voxel centers, sizes come out too small, by three voxels at most. They are millimeters where the cell has a
     physical size, else cell edges.
 
     The specific surface is the area of the isosurface, per volume of the cell; that of an image of voxels, which has
@@ -89,7 +89,7 @@ def _solid_and_area(field: ScalarField, n: int, threads: int) -> tuple[NDArray[n
     from sppm_pipeline.numerics.surface.closing import wrapped
     from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes
 
-    values = field.sample(cell_centres(n, field.cells), threads)
+    values = field.sample(cell_centers(n, field.cells), threads)
     solid = (values < 0).view(np.uint8)
     # the samples of a periodic field go once around, so that the surface across the seam counts too
     vertices, faces = marching_cubes(wrapped(values) if field.periodic else values)[:2]

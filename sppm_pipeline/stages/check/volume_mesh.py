@@ -68,9 +68,9 @@ class CheckVolumeMesh(Stage):
             context.report(folded=folded)
             if folded and not shape.inverted:
                 faults.append(f"{folded} quadratic cells have no positive Jacobian at one of their nodes")
-        neighbours = faces.face_neighbours(mesh.cells)
-        crowded = int((neighbours == faces.CROWDED).sum())
-        edges = edge_counts(faces.boundary_triangles(mesh.cells, neighbours))
+        neighbors = faces.face_neighbors(mesh.cells)
+        crowded = int((neighbors == faces.CROWDED).sum())
+        edges = edge_counts(faces.boundary_triangles(mesh.cells, neighbors))
         unused = len(mesh.nodes) - len(np.unique(mesh.cells))
         context.report(
             crowded_faces=crowded, boundary_closed=edges.bounds_solid, pinched_edges=edges.non_manifold, unused=unused
@@ -93,7 +93,7 @@ class CheckVolumeMesh(Stage):
                 )
             else:
                 joined = periodic.matched_nodes(mesh.nodes, mesh.box)[joined]
-        parts = faces.components(faces.face_neighbours(joined))[0]
+        parts = faces.components(faces.face_neighbors(joined))[0]
         context.report(components=parts)
         if self.one_piece and parts > 1:
             faults.append(f"the mesh falls into {parts} parts")

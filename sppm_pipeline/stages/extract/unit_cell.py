@@ -64,7 +64,7 @@ def _unit_and_cells(field: ScalarField) -> tuple[ScalarField, NDArray[np.int64]]
         interior = field.arrays.interior
         cells = np.argwhere(interior >= 0)
         kinds = np.unique(interior[interior >= 0])
-        # of each axis, the colours on both sides of the cells that are there
+        # of each axis, the colors on both sides of the cells that are there
         colors = [
             np.unique(np.concatenate([plane[tuple(cells.T)], plane[tuple((cells + np.eye(3, dtype=int)[axis]).T)]]))
             for axis, plane in enumerate(field.arrays.faces)

@@ -13,13 +13,13 @@ from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Stage, option
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExtractVoxels(Stage):
-    """Sample a field at voxel centres: 1 where it is solid, 0 elsewhere, over all its cells."""
+    """Sample a field at voxel centers: 1 where it is solid, 0 elsewhere, over all its cells."""
 
     name: ClassVar[str] = "extract.voxels"
 
@@ -50,7 +50,7 @@ class ExtractVoxels(Stage):
     def run(self, context: Context, field: ScalarField) -> Voxels:
         """Sample, one layer of cells after the other."""
         n, cells = self.resolution, field.cells
-        grid = cell_centres(n, cells)
+        grid = cell_centers(n, cells)
         if np.prod(grid.shape, dtype=float) > LARGEST_IMAGE:
             raise ResourceError(
                 f"the image would have {' x '.join(map(str, grid.shape))} voxels; the limit is {LARGEST_IMAGE}",

@@ -1,4 +1,4 @@
-"""``homogenize.realisations``: mean and spread of stiffness over draws and sizes of assemblies."""
+"""``homogenize.realizations``: mean and spread of stiffness over draws and sizes of assemblies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NUMBERS = ("porosity", "E_x", "E_y", "E_z", "E_fit", "nu_xy", "nu_fit", "xi", "x
 
 
 @dataclass(frozen=True, kw_only=True)
-class HomogenizeRealisations(ElasticHomogenizer):
+class HomogenizeRealizations(ElasticHomogenizer):
     """Homogenize many draws of a recipe, and assemblies of several sizes (paper, Fig. "different sizes").
 
     Each draw has random numbers of its own. For an assembly of k x k x k cells the tile stage of the recipe lays
@@ -28,7 +28,7 @@ class HomogenizeRealisations(ElasticHomogenizer):
     an assembly grows into a representative volume element.
     """
 
-    name: ClassVar[str] = "homogenize.realisations"
+    name: ClassVar[str] = "homogenize.realizations"
 
     samples: int = option(10, help="draws for each size", minimum=1, maximum=100_000)
     assemblies: tuple[int, ...] = option((1,), help="cells along the edge of each assembly", minimum=1, maximum=64)
@@ -68,7 +68,7 @@ class HomogenizeRealisations(ElasticHomogenizer):
                     raise ConfigError(f"the recipe {recipe.name!r} makes a {type(made).__name__}, no field")
                 summary = self.stiffness_of(context, made).summary()
                 rows.append({"cells": size, "sample": sample, **_numbers(summary)})
-                context.progress(len(rows), total, "realisations")
+                context.progress(len(rows), total, "realizations")
         sizes = {str(size): _statistics([row for row in rows if row["cells"] == size]) for size in self.assemblies}
         context.report(samples=self.samples, sizes=sizes)
         return Table({name: tuple(row[name] for row in rows) for name in rows[0]})

@@ -36,9 +36,9 @@ class Boundary(Stage):
         import numpy as np
 
         from sppm_pipeline.numerics.meshcheck.measures import edge_counts
-        from sppm_pipeline.numerics.tetrahedra.faces import boundary_triangles, face_neighbours
+        from sppm_pipeline.numerics.tetrahedra.faces import boundary_triangles, face_neighbors
 
-        triangles = boundary_triangles(mesh.cells, face_neighbours(mesh.cells))
+        triangles = boundary_triangles(mesh.cells, face_neighbors(mesh.cells))
         used, corners = np.unique(triangles, return_inverse=True)
         faces = corners.reshape(-1, 3).astype(np.int32)
         counts = edge_counts(faces)

@@ -113,7 +113,7 @@ class IsosurfaceStuffing(Stage):
 def _sampled(
     field: ScalarField, low: NDArray[np.int64], shape: tuple[int, int, int], h: float, threads: int
 ) -> list[tuple[Sampled, Sampled, tuple[Sampled, Sampled, Sampled]]]:
-    """The field, or both fields of a part, at the corners and centres of cubes, and at centres of squares in faces."""
+    """The field, or both fields of a part, at the corners and centers of cubes, and at centers of squares in faces."""
     cells = np.array(shape)
     apart = field.sample_apart if isinstance(field, Part) else lambda grid, threads: (field.sample(grid, threads),)
 
@@ -122,7 +122,7 @@ def _sampled(
         nx, ny, nz = count.tolist()
         return apart(Grid((x, y, z), (h, h, h), (nx, ny, nz)), threads)
 
-    corners, centres = at(np.zeros(3), cells + 1), at(np.full(3, 0.5), cells)
+    corners, centers = at(np.zeros(3), cells + 1), at(np.full(3, 0.5), cells)
     faces: list[list[Sampled]] = [[] for _ in corners]
     for axis in range(3):
         sides = []
@@ -134,4 +134,4 @@ def _sampled(
             sides.append(void if isinstance(field, Part) else at(offset, count))
         for one, low_side, high_side in zip(faces, *sides, strict=True):
             one.append(np.concatenate([low_side, high_side], axis=2 - axis))
-    return [(c, m, (f[0], f[1], f[2])) for c, m, f in zip(corners, centres, faces, strict=True)]
+    return [(c, m, (f[0], f[1], f[2])) for c, m, f in zip(corners, centers, faces, strict=True)]

@@ -1,1 +1,1 @@
-"""Files and primitives become nouns."""
+"""Files and primitives become artifacts."""

@@ -59,7 +59,7 @@ class ReadMesh(Stage):
     )
     place: str = option(
         "keep",
-        help="where the part goes: as in the file, low corner at the origin, or standing centred on the origin",
+        help="where the part goes: as in the file, low corner at the origin, or standing centered on the origin",
         choices=("keep", "corner", "center"),
     )
     accept: str = option(

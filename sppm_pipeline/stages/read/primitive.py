@@ -16,7 +16,7 @@ SHAPES = ("box", "ball", "cylinder", "torus", "torus_knot")
 
 @dataclass(frozen=True, kw_only=True)
 class ReadPrimitive(Stage):
-    """Make a watertight mesh of a simple body standing on the build plate, centred on the z axis."""
+    """Make a watertight mesh of a simple body standing on the build plate, centered on the z axis."""
 
     name: ClassVar[str] = "read.primitive"
 

@@ -23,7 +23,7 @@ class ReadVoxels(Stage):
     """Read a voxel image: .npy, a TIFF file of many pages, a folder of PNG or TIFF files, .vti or .nrrd.
 
     The image becomes phases (0 is void) or solid fractions. An image of two values is void and solid; one with the
-    values 0, 1, 2 ... holds phases; a grey one needs a threshold, or to be told that its values are fractions.
+    values 0, 1, 2 ... holds phases; a gray one needs a threshold, or to be told that its values are fractions.
     """
 
     name: ClassVar[str] = "read.voxels"
@@ -31,12 +31,12 @@ class ReadVoxels(Stage):
     path: Path = option(help="file to read, or folder of pictures")
     values: str = option(
         "auto",
-        help="what the values are: auto tells images of two values and of phases; threshold and otsu cut grey ones; "
+        help="what the values are: auto tells images of two values and of phases; threshold and otsu cut gray ones; "
         "fractions are solid shares, 0 to 1 or over the full range of an integer type",
         choices=("auto", "phases", "fractions", "threshold", "otsu"),
     )
     threshold: float | None = option(
-        None, help="grey value from which on a voxel is solid", minimum=-1e15, maximum=1e15
+        None, help="gray value from which on a voxel is solid", minimum=-1e15, maximum=1e15
     )
     invert: bool = option(False, help="solid is where the values are low")
     axes: str = option("xyz", help="what the axes of a .npy array are, in order", choices=("xyz", "zyx"))
@@ -48,7 +48,7 @@ class ReadVoxels(Stage):
         above=0,
         maximum=1e6,
     )
-    periodic: bool = option(False, help="the image is one cell that repeats: opposite sides are neighbours")
+    periodic: bool = option(False, help="the image is one cell that repeats: opposite sides are neighbors")
 
     def check_options(self) -> None:
         if (self.threshold is not None) != (self.values == "threshold"):
@@ -131,7 +131,7 @@ class ReadVoxels(Stage):
         if self.values == "auto" and labels is not None and len(labels) <= 2:
             solid = values == labels[-1] if len(labels) == 2 or labels[0] > 0 else values != values
             return (~solid if self.invert else solid).astype(np.uint8)
-        kind = "phases are whole numbers from 0 to 63" if self.values == "phases" else "it is a grey image"
+        kind = "phases are whole numbers from 0 to 63" if self.values == "phases" else "it is a gray image"
         count = "many" if labels is None else str(len(labels))
         raise InputError(
             f"{name} has {count} different values from {values.min():g} to {values.max():g}: {kind}",

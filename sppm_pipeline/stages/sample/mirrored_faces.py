@@ -16,7 +16,7 @@ from sppm_pipeline.families import start_of
 from sppm_pipeline.stage import Context, Stage, option
 
 MOST_TOGETHER = 16
-"""Colours thrown against each other; more patterns keep a margin that makes them independent."""
+"""Colors thrown against each other; more patterns keep a margin that makes them independent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,8 +24,8 @@ class MirroredFaces(Stage):
     """Throw pores on the faces of the cell; opposite faces carry the same pattern (paper, "Boundary Periodicity").
 
     Each pattern keeps the spacing to itself, repeated in its plane, and to the patterns of the perpendicular faces of
-    every colour. With several colours pores also keep a margin from the border of the face, so that four cells of any
-    colours may meet at an edge.
+    every color. With several colors pores also keep a margin from the border of the face, so that four cells of any
+    colors may meet at an edge.
     """
 
     name: ClassVar[str] = "sample.mirrored_faces"
@@ -47,7 +47,7 @@ class MirroredFaces(Stage):
     )
     margin: Length | None = option(
         None,
-        help="distance of face pores from the border of the face; with several colours at least half the spacing",
+        help="distance of face pores from the border of the face; with several colors at least half the spacing",
         unit="cell lengths",
         minimum=0,
         maximum=1e6,
@@ -100,7 +100,7 @@ class MirroredFaces(Stage):
         return Estimate(makes=makes, keeps=40 * thrown, memory=20e3 * thrown, seconds=2e-5 * thrown + 1e-7 * thrown**2)
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
-        """Throw the patterns of all colours."""
+        """Throw the patterns of all colors."""
         from sppm_pipeline.numerics.sampling.faces import mirrored_faces
         from sppm_pipeline.numerics.sampling.split import split_between_faces_and_interior
 
@@ -119,7 +119,7 @@ class MirroredFaces(Stage):
         if margin is not None and not (spacing / 2 if max(colors) > 1 else 0) <= margin < 0.5:
             raise ConfigError(
                 f"the margin is {margin:g} cell edges, allowed is less than 0.5"
-                + (f" and, with several face colours, at least half the spacing of {spacing:.4g}" * (max(colors) > 1)),
+                + (f" and, with several face colors, at least half the spacing of {spacing:.4g}" * (max(colors) > 1)),
                 hint="leave `margin` out for the least that works",
             )
         if max(colors) <= MOST_TOGETHER and len(set(colors)) == 1:

@@ -39,8 +39,8 @@ class SliceField(Stage):
         help="what becomes of solid that hangs on nothing; a part decides for itself",
         choices=("remove", "keep"),
     )
-    grey: int = option(
-        1, help="samples along a pixel's edge for grey by area coverage; 1 for black and white", minimum=1, maximum=16
+    gray: int = option(
+        1, help="samples along a pixel's edge for gray by area coverage; 1 for black and white", minimum=1, maximum=16
     )
 
     def check_options(self) -> None:
@@ -64,7 +64,7 @@ class SliceField(Stage):
                 "inside": facts["volume"] * (edge / pixel) ** 2 * edge / layer,
                 "along": edge / pixel,
                 "commensurate": abs(edge / pixel - round(edge / pixel)) < 1e-6 and layer == pixel,
-                "grey": self.grey,
+                "gray": self.gray,
                 "two_passes": self.islands == "remove",
                 "field": facts,
             },
@@ -92,4 +92,4 @@ class SliceField(Stage):
             context.warn(coarse)
         islands = field.islands if isinstance(field, Part) else self.islands
         grid = Grid((x, y, z), pitch, (nx, ny, nz))
-        return FieldSlices(field, grid, pixel, layer, (ox, oy, oz), islands, self.grey)
+        return FieldSlices(field, grid, pixel, layer, (ox, oy, oz), islands, self.gray)

@@ -39,8 +39,8 @@ class SliceMesh(Stage):
         "so that several parts share one grid",
         choices=("part", "origin"),
     )
-    grey: int = option(
-        1, help="samples along a pixel's edge for grey by area coverage; 1 for black and white", minimum=1, maximum=16
+    gray: int = option(
+        1, help="samples along a pixel's edge for gray by area coverage; 1 for black and white", minimum=1, maximum=16
     )
     inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
 
@@ -59,9 +59,9 @@ class SliceMesh(Stage):
                 "inside": nx * ny * nz,
                 "along": 1 / pixel,
                 "commensurate": False,
-                "grey": self.grey,
+                "gray": self.gray,
                 "two_passes": False,
-                # to the writer of layers, a body of one cell of a millimetre that fills its box evenly
+                # to the writer of layers, a body of one cell of a millimeter that fills its box evenly
                 "field": {"surface": facts["area_mm2"] / box, "kernels": 0.0, "reach": 0.0},
             },
             memory=60 * facts["triangles"],
@@ -80,10 +80,10 @@ class SliceMesh(Stage):
         first = [math.floor((v - s) / h + 1e-6) for v, s, h in zip(mesh.lower, start, pitch, strict=True)]
         last = [math.ceil((v - s) / h - 1e-6) for v, s, h in zip(mesh.upper, start, pitch, strict=True)]
         nx, ny, nz = (max(1, b - a) for a, b in zip(first, last, strict=True))
-        if nx * ny * self.grey**2 > MOST_PIXELS:
+        if nx * ny * self.gray**2 > MOST_PIXELS:
             raise DesignError(
-                f"a layer would have {nx} x {ny} pixels of {pixel:g} mm, {self.grey} x {self.grey} samples each",
+                f"a layer would have {nx} x {ny} pixels of {pixel:g} mm, {self.gray} x {self.gray} samples each",
                 hint="take a larger `pixel`, or check the unit of the mesh",
             )
         x, y, z = (s + a * h for s, a, h in zip(start, first, pitch, strict=True))
-        return MeshSlices(mesh, pixel, layer, (x, y, z), (nx, ny, nz), method, self.grey)
+        return MeshSlices(mesh, pixel, layer, (x, y, z), (nx, ny, nz), method, self.gray)

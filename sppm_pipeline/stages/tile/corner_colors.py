@@ -1,4 +1,4 @@
-"""``tile.corner_colors``: corner colours by a hash of the place."""
+"""``tile.corner_colors``: corner colors by a hash of the place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sppm_pipeline.fields.tileset import TileSet
 
 @dataclass(frozen=True, kw_only=True)
 class CornerColorsTiling(Tiler):
-    """Draw the colour of every lattice corner by a hash of its place; faces follow from their four corners."""
+    """Draw the color of every lattice corner by a hash of its place; faces follow from their four corners."""
 
     name: ClassVar[str] = "tile.corner_colors"
     kinds: ClassVar[tuple[str, ...]] = ("corner",)

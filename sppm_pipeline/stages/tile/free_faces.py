@@ -1,4 +1,4 @@
-"""``tile.free_faces``: colours and interiors by a hash of the place."""
+"""``tile.free_faces``: colors and interiors by a hash of the place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sppm_pipeline.fields.tileset import TileSet
 
 @dataclass(frozen=True, kw_only=True)
 class FreeFacesTiling(Tiler):
-    """Draw every interior and every face colour by a fixed integer hash of its place: any cell is known at once."""
+    """Draw every interior and every face color by a fixed integer hash of its place: any cell is known at once."""
 
     name: ClassVar[str] = "tile.free_faces"
     kinds: ClassVar[tuple[str, ...]] = ("free",)

@@ -40,7 +40,7 @@ class FreshTiling(Stage):
         None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
     )
     periodic: bool = option(
-        False, help="the box of `cells` repeats for ever, as homogenization needs it: its opposite ends are neighbours"
+        False, help="the box of `cells` repeats for ever, as homogenization needs it: its opposite ends are neighbors"
     )
     porosity: float | None = option(
         None, help="porosity of the assembly, reached by the level; the recipe's own level if omitted", above=0, below=1

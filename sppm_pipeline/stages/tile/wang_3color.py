@@ -15,7 +15,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class WangTiling(Tiler):
-    """Lay tiles so that touching faces agree (Rule 1) and neighbours differ as much as they can (Rule 2).
+    """Lay tiles so that touching faces agree (Rule 1) and neighbors differ as much as they can (Rule 2).
 
     Cells are filled in raster order. Ties of Rule 2 are broken at random, from the run's seed.
     """
@@ -23,7 +23,7 @@ class WangTiling(Tiler):
     name: ClassVar[str] = "tile.wang_3color"
     kinds: ClassVar[tuple[str, ...]] = ("wang",)
 
-    rule2: bool = option(True, help="prefer tiles that differ from their neighbours; otherwise any tile that fits")
+    rule2: bool = option(True, help="prefer tiles that differ from their neighbors; otherwise any tile that fits")
 
     def lay(
         self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet

@@ -1,1 +1,1 @@
-"""A recipe is drawn for many interiors and face colours."""
+"""A recipe is drawn for many interiors and face colors."""

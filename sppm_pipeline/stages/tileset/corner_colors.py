@@ -1,4 +1,4 @@
-"""``tileset.corner_colors``: face patterns named by the colours of their corners."""
+"""``tileset.corner_colors``: face patterns named by the colors of their corners."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class CornerColorsTileSet(TileSetMaker):
-    """Corner cubes (Lagae and Dutre 2006): each lattice corner has one of c colours, each face one of c^4 patterns.
+    """Corner cubes (Lagae and Dutre 2006): each lattice corner has one of c colors, each face one of c^4 patterns.
 
-    Neighbours that only touch at an edge or corner are thereby constrained, too, and far more patterns occur than
-    with coloured faces. An extension of the paper.
+    Neighbors that only touch at an edge or corner are thereby constrained, too, and far more patterns occur than
+    with colored faces. An extension of the paper.
     """
 
     name: ClassVar[str] = "tileset.corner_colors"
     kind: ClassVar[str] = "corner"
 
-    colors: int = option(2, help="number of corner colours c", minimum=1, maximum=3)
+    colors: int = option(2, help="number of corner colors c", minimum=1, maximum=3)
     interiors: int = option(64, help="number of interiors K", minimum=1, maximum=1024)
 
     def palette_size(self) -> int:

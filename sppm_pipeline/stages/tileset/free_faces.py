@@ -1,4 +1,4 @@
-"""``tileset.free_faces``: K interiors and c colours that all combine."""
+"""``tileset.free_faces``: K interiors and c colors that all combine."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class FreeFacesTileSet(TileSetMaker):
-    """Interiors, face patterns and connectors kept apart, so that K interiors and c colours serve K c^6 tiles.
+    """Interiors, face patterns and connectors kept apart, so that K interiors and c colors serve K c^6 tiles.
 
     Opposite faces of a cell may differ, which the paper's set does not allow; this is an extension of the paper.
     """
@@ -23,7 +23,7 @@ class FreeFacesTileSet(TileSetMaker):
     name: ClassVar[str] = "tileset.free_faces"
     kind: ClassVar[str] = "free"
 
-    colors: int = option(3, help="number of face colours c for each axis", minimum=1, maximum=64)
+    colors: int = option(3, help="number of face colors c for each axis", minimum=1, maximum=64)
     interiors: int = option(27, help="number of interiors K", minimum=1, maximum=1024)
 
     def palette_size(self) -> int:

@@ -15,7 +15,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class WangTileSet(TileSetMaker):
-    """The c^3 tiles with equal colours on opposite faces, 27 for three colours (paper, "Overall Stochasticity").
+    """The c^3 tiles with equal colors on opposite faces, 27 for three colors (paper, "Overall Stochasticity").
 
     Every tile has an interior of its own. A tile may be used alone as a periodic cell.
     """
@@ -23,7 +23,7 @@ class WangTileSet(TileSetMaker):
     name: ClassVar[str] = "tileset.wang_3color"
     kind: ClassVar[str] = "wang"
 
-    colors: int = option(3, help="number of face colours c", minimum=1, maximum=8)
+    colors: int = option(3, help="number of face colors c", minimum=1, maximum=8)
 
     def palette_size(self) -> int:
         return self.colors

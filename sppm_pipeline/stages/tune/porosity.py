@@ -14,7 +14,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 Options = dict[str, dict[str, Any]]
@@ -219,11 +219,11 @@ def _points(field: ScalarField, n: int) -> Grid:
     """
     nx, ny, nz = field.cells
     n = max(4, min(n, round((LARGEST / (nx * ny * nz)) ** (1 / 3))))
-    centres = cell_centres(n, field.cells)
+    centers = cell_centers(n, field.cells)
     if not field.periodic:
-        return centres
+        return centers
     x, y, z = (share / n for share in OFF_SYMMETRY)
-    return Grid((x, y, z), centres.spacing, centres.shape)
+    return Grid((x, y, z), centers.spacing, centers.shape)
 
 
 def _widest_gap(count: int, spacing: float) -> float:

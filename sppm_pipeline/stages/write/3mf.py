@@ -20,7 +20,7 @@ from sppm_pipeline.stage import Context, Stage, option
 
 @dataclass(frozen=True, kw_only=True)
 class WriteThreeMf(Stage):
-    """Write a triangle mesh as 3MF, the format of 3D printing programs; its unit is the millimetre.
+    """Write a triangle mesh as 3MF, the format of 3D printing programs; its unit is the millimeter.
 
     What `extract.unit_cell` makes is written once and placed by a component for each cell. Slicing programs unite
     solids that touch.
@@ -44,11 +44,11 @@ class WriteThreeMf(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
         """Write the file."""
-        from sppm_pipeline.formats import three_mf
+        from sppm_pipeline.formats.three_mf_encode import encode
 
         once = mesh.mesh if isinstance(mesh, RepeatedMesh) else mesh
         name = "".join(c if c.isprintable() else "?" for c in once.name)
         about = {"Title": self.title or name, "Application": f"sppm_pipeline {sppm_pipeline.__version__}"}
         if self.description:
             about["Description"] = self.description
-        write_mesh(context, self.path, mesh, three_mf.encode, name=name, metadata=about)
+        write_mesh(context, self.path, mesh, encode, name=name, metadata=about)

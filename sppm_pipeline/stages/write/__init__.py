@@ -1,1 +1,1 @@
-"""Nouns become files."""
+"""Artifacts become files."""

@@ -30,7 +30,7 @@ class WriteBars(Stage):
     headings: tuple[str, ...] = option((), help="texts above the columns; their names if omitted")
     sort: str = option("", help="column by which rows are sorted; as they stand if empty")
     descending: bool = option(False, help="sort from large to small")
-    mark: tuple[str, ...] = option((), help="names of rows that are drawn in another colour")
+    mark: tuple[str, ...] = option((), help="names of rows that are drawn in another color")
     title: str = option("", help="text above the picture")
 
     def check_options(self) -> None:

@@ -27,7 +27,7 @@ class WriteChart(Stage):
     x: str = option(help="column along the axis")
     y: str = option(help="column upward")
     kind: str = option("points", help="how the values are shown", choices=("points", "boxes"))
-    group: str = option("", help="column whose values are told apart by colour; none if empty")
+    group: str = option("", help="column whose values are told apart by color; none if empty")
     line: bool = option(False, help="draw the least-squares line through all points and report it")
     log_x: bool = option(False, help="logarithmic axis of x; what is not positive is left out")
     log_y: bool = option(False, help="logarithmic axis of y; what is not positive is left out")

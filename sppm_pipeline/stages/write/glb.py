@@ -34,6 +34,6 @@ class WriteGlb(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
         """Write the file."""
-        from sppm_pipeline.formats import glb
+        from sppm_pipeline.formats.glb_encode import encode
 
-        write_mesh(context, self.path, mesh, glb.encode, normals=self.normals)
+        write_mesh(context, self.path, mesh, encode, normals=self.normals)

@@ -24,7 +24,7 @@ class WriteInp(VolumeMeshWriter):
     """Write a volume mesh as input for Abaqus or CalculiX: elements C3D4 or C3D10, sets of elements and of nodes.
 
     There are sets of the nodes in the six faces of the box (of the bounding box, for a mesh that is no cell), on its
-    edges and at its corners. Materials, loads and steps are yours. Coordinates are millimetres.
+    edges and at its corners. Materials, loads and steps are yours. Coordinates are millimeters.
     """
 
     name: ClassVar[str] = "write.inp"

@@ -13,7 +13,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class WriteMsh(VolumeMeshWriter):
-    """Write a volume mesh as Gmsh's MSH 4.1 (text), with physical groups. Coordinates are millimetres.
+    """Write a volume mesh as Gmsh's MSH 4.1 (text), with physical groups. Coordinates are millimeters.
 
     The groups are ``material1``, ... and the triangles ``XMIN`` ... ``ZMAX`` in the faces of the box (of the bounding
     box, for a mesh that is no cell) and ``SURFACE``. Of a matched periodic cell the copies of nodes are listed as well.

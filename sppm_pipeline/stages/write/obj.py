@@ -13,7 +13,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class WriteObj(MeshWriter):
-    """Write a triangle mesh as Wavefront OBJ, a text that every program reads. Coordinates are millimetres."""
+    """Write a triangle mesh as Wavefront OBJ, a text that every program reads. Coordinates are millimeters."""
 
     name: ClassVar[str] = "write.obj"
 

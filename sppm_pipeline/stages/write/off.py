@@ -13,7 +13,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class WriteOff(MeshWriter):
-    """Write a triangle mesh as OFF, the plain text of computational geometry. Coordinates are millimetres."""
+    """Write a triangle mesh as OFF, the plain text of computational geometry. Coordinates are millimeters."""
 
     name: ClassVar[str] = "write.off"
 

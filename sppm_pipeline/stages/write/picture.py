@@ -119,7 +119,7 @@ class WritePicture(Stage):
     def _surface(
         self, inner: NDArray[np.float32], outer: NDArray[np.float32] | None, grid: Grid, size: tuple[int, int]
     ) -> NDArray[np.uint8]:
-        """The surface of the solid, cut faces in a colour of their own."""
+        """The surface of the solid, cut faces in a color of their own."""
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
         from sppm_pipeline.numerics.surface.intersection import on_both_fields
         from sppm_pipeline.render.cut_faces import cut_values

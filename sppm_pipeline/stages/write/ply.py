@@ -13,7 +13,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class WritePly(MeshWriter):
-    """Write a triangle mesh as binary PLY, small and exact. Coordinates are millimetres."""
+    """Write a triangle mesh as binary PLY, small and exact. Coordinates are millimeters."""
 
     name: ClassVar[str] = "write.ply"
 

@@ -31,7 +31,7 @@ class WritePng(Stage):
     path: str = option("slices", help="folder to write", output=True)
     bits: int | None = option(
         None,
-        help="bits of a pixel: 1 for black and white, 8 for grey; what the layers need if omitted",
+        help="bits of a pixel: 1 for black and white, 8 for gray; what the layers need if omitted",
         minimum=1,
         maximum=8,
     )
@@ -47,16 +47,16 @@ class WritePng(Stage):
         from sppm_pipeline.numerics.forecast import costs
 
         stack = given["stack"]
-        field, grey = stack["field"], stack["grey"]
+        field, gray = stack["field"], stack["gray"]
         nx, ny, layers = stack["shape"]
-        voxels, inside = nx * ny * layers * grey**2, stack["inside"] * grey**2
-        patches = costs.patch_bytes(field.get("pieces", 1), field["reach"], stack["along"] * grey)
+        voxels, inside = nx * ny * layers * gray**2, stack["inside"] * gray**2
+        patches = costs.patch_bytes(field.get("pieces", 1), field["reach"], stack["along"] * gray)
         kept = voxels / 8 if stack["two_passes"] and voxels <= 2**30 else 0
         passes = 2 if stack["two_passes"] and not kept else 1
         patched = stack["commensurate"] and field.get("cells", 1) > 4 * field.get("pieces", 1) and patches < 96 * 2**20
-        slab = min(voxels, max(costs.SLAB_VOXELS, nx * ny * grey**2))
+        slab = min(voxels, max(costs.SLAB_VOXELS, nx * ny * gray**2))
         black_and_white = costs.layer_bytes(stack["inside"], field["surface"], stack["along"])
-        size = black_and_white * (6 if grey > 1 else 1) + costs.LAYER_BYTES * layers
+        size = black_and_white * (6 if gray > 1 else 1) + costs.LAYER_BYTES * layers
         seconds = costs.field_seconds(inside, field["kernels"], patched=patched) * passes
         return Estimate(
             disk=size + 600 + (10e3 * self.sheet if self.sheet else 0),
@@ -69,10 +69,10 @@ class WritePng(Stage):
 
     def run(self, context: Context, stack: SliceStack) -> None:
         """Write layer after layer; encoding runs beside the evaluation of the next slab."""
-        bits = self.bits or (8 if stack.grey else 1)
-        if stack.grey and bits == 1:
+        bits = self.bits or (8 if stack.gray else 1)
+        if stack.gray and bits == 1:
             raise ConfigError(
-                "one bit cannot hold the grey of these layers", hint="leave out `bits`, or slice with `grey: 1`"
+                "one bit cannot hold the gray of these layers", hint="leave out `bits`, or slice with `gray: 1`"
             )
         folder = context.output(self.path)
         folder.mkdir(parents=True)

@@ -22,7 +22,7 @@ class WriteStiffness(Stage):
 
     ``stiffness.json`` holds the matrix, moduli, isotropy and bounds; ``material.inp`` is a material card that Abaqus
     and CalculiX read; ``young.png`` shows Young's modulus over all directions, as a surface whose distance from the
-    centre and colour are the modulus; ``young.ply`` is that surface, one unit of length for the largest modulus.
+    center and color are the modulus; ``young.ply`` is that surface, one unit of length for the largest modulus.
     """
 
     name: ClassVar[str] = "write.stiffness"
@@ -85,7 +85,7 @@ def young_picture(
     unit: str | None,
     size: tuple[int, int],
 ) -> NDArray[np.uint8]:
-    """The surface of moduli in colour, with a scale beside it."""
+    """The surface of moduli in color, with a scale beside it."""
     from sppm_pipeline.render.color_scale import colors_of, with_scale
     from sppm_pipeline.render.mesh_view import render_mesh
 

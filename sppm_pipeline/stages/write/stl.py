@@ -13,7 +13,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class WriteStl(MeshWriter):
-    """Write a triangle mesh as binary STL, the format that slicers read. Coordinates are millimetres."""
+    """Write a triangle mesh as binary STL, the format that slicers read. Coordinates are millimeters."""
 
     name: ClassVar[str] = "write.stl"
 

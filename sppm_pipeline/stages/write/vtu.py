@@ -15,7 +15,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class WriteVtu(VolumeMeshWriter):
-    """Write a volume mesh as binary VTU, or as a legacy VTK file if the name ends so. Coordinates are millimetres."""
+    """Write a volume mesh as binary VTU, or as a legacy VTK file if the name ends so. Coordinates are millimeters."""
 
     name: ClassVar[str] = "write.vtu"
 

@@ -14,7 +14,7 @@ class Sets:
     """Makers of pieces and tilings, and the obvious list of all kernels of a tiling."""
 
     @staticmethod
-    def pieces(seed: int, interiors: int = 3, colours: int = 2, squared: bool = False, share: float = 0.7) -> Pieces:
+    def pieces(seed: int, interiors: int = 3, colors: int = 2, squared: bool = False, share: float = 0.7) -> Pieces:
         """Random pieces; about `share` of the connectors are there."""
         rng = np.random.default_rng(seed)
 
@@ -29,7 +29,7 @@ class Sets:
         faces: list[tuple[Kernels, ...]] = []
         for axis in range(3):
             row = []
-            for _ in range(colours):
+            for _ in range(colors):
                 points = 0.1 + 0.8 * rng.random((4, 3))
                 points[:, axis] = 0.0
                 row.append(kernels(points, points[:2], points[2:]))
@@ -38,18 +38,18 @@ class Sets:
         for t in range(interiors):
             for axis in range(3):
                 for side in range(2):
-                    for colour in range(colours):
+                    for color in range(colors):
                         if rng.random() < share:
-                            ends = faces[axis][colour].centers[:2].copy()
+                            ends = faces[axis][color].centers[:2].copy()
                             ends[:, axis] = side
-                            connectors[t, axis, side, colour] = kernels(np.zeros((0, 3)), inside[t].centers[:2], ends)
+                            connectors[t, axis, side, color] = kernels(np.zeros((0, 3)), inside[t].centers[:2], ends)
         return Pieces(tuple(inside), (faces[0], faces[1], faces[2]), connectors)
 
     @staticmethod
     def tiling(
         seed: int, shape: tuple[int, int, int], pieces: Pieces, periodic: bool = False, holes: float = 0.25
     ) -> TilingArrays:
-        """Random colours and interiors; about `holes` of the cells and faces are missing."""
+        """Random colors and interiors; about `holes` of the cells and faces are missing."""
         rng = np.random.default_rng(seed)
 
         def draw(count: int, size: tuple[int, ...]) -> np.ndarray:
@@ -57,7 +57,7 @@ class Sets:
 
         faces = []
         for axis in range(3):
-            planes = draw(pieces.colours, tuple(s + (a == axis) for a, s in enumerate(shape)))
+            planes = draw(pieces.colors, tuple(s + (a == axis) for a, s in enumerate(shape)))
             if periodic:
                 planes = np.concatenate([np.delete(planes, -1, axis), np.take(planes, [0], axis)], axis)
             faces.append(planes)
@@ -75,9 +75,9 @@ class Sets:
                 limit = [nx - 1, ny - 1, nz - 1]
                 limit[axis] = last
                 if i <= limit[0] and j <= limit[1] and k <= limit[2]:
-                    colour = tiling.faces[axis][i, j, k]
-                    if colour >= 0:
-                        found.append(pieces.faces[axis][colour].shifted(place))
+                    color = tiling.faces[axis][i, j, k]
+                    if color >= 0:
+                        found.append(pieces.faces[axis][color].shifted(place))
             if i == nx or j == ny or k == nz or tiling.interior[i, j, k] < 0:
                 continue
             t = int(tiling.interior[i, j, k])

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from sppm_pipeline.numerics.assembly.gather import kernels_in_box, sample_exact
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
-from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.kernels.bounds import cutoff_bound
 from sppm_pipeline.numerics.kernels.exact import exact_sum
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
@@ -108,7 +108,7 @@ def test_a_lone_cell_is_the_periodic_cell(sets) -> None:
     tiling = lone_periodic_cell(1, (0, 1, 1))
     members = [pieces.interiors[1], *(pieces.faces[a][c] for a, c in enumerate((0, 1, 1)))]
     members += [pieces.connectors[1, a, s, c] for a, c in enumerate((0, 1, 1)) for s in (0, 1)]
-    field = sample_exact(pieces, tiling, cell_centres(20))
+    field = sample_exact(pieces, tiling, cell_centers(20))
     assert field == pytest.approx(sample_periodic(concatenated(members), 20), abs=2e-4)
 
 
@@ -116,8 +116,8 @@ def test_nothing_anywhere(sets) -> None:
     pieces = sets.pieces(0)
     tiling = sets.tiling(0, (2, 2, 2), pieces, holes=1.0)
     assert len(kernels_in_box(pieces, tiling, (0, 0, 0), (2, 2, 2)).centers) == 0
-    assert not sample_exact(pieces, tiling, cell_centres(4, (2, 2, 2))).any()
+    assert not sample_exact(pieces, tiling, cell_centers(4, (2, 2, 2))).any()
     bare = pieces._replace(
         interiors=(empty_kernels(),), faces=((empty_kernels(),), (empty_kernels(),), (empty_kernels(),)), connectors={}
     )
-    assert not sample_exact(bare, lone_periodic_cell(), cell_centres(4)).any()
+    assert not sample_exact(bare, lone_periodic_cell(), cell_centers(4)).any()

@@ -25,7 +25,7 @@ def samples(low: tuple[int, int, int], high: tuple[int, int, int], n: int, offse
     seed=st.integers(0, 2**32),
     shape=st.tuples(*[st.integers(1, 3)] * 3),
     interiors=st.integers(1, 4),
-    colours=st.integers(1, 3),
+    colors=st.integers(1, 3),
     periodic=st.booleans(),
     squared=st.booleans(),
     merged=st.booleans(),
@@ -35,9 +35,9 @@ def samples(low: tuple[int, int, int], high: tuple[int, int, int], n: int, offse
     size=st.tuples(*[st.integers(1, 9)] * 3),
 )
 def test_random_tilings_within_the_bound(
-    sets, seed, shape, interiors, colours, periodic, squared, merged, n, offset, corner, size
+    sets, seed, shape, interiors, colors, periodic, squared, merged, n, offset, corner, size
 ) -> None:
-    pieces = sets.pieces(seed, interiors, colours, squared)
+    pieces = sets.pieces(seed, interiors, colors, squared)
     tiling = sets.tiling(seed, shape, pieces, periodic)
     bank = build_bank(pieces, n, used_combinations(tiling) if merged else None, offset=offset)
     stop = tuple(c + s for c, s in zip(corner, size, strict=True))
@@ -70,7 +70,7 @@ def test_a_lone_cell_is_an_assembly_of_itself(sets, offset: float) -> None:
     bank = build_bank(pieces, 24, used_combinations(tiling), offset=offset)
     m = 24 if offset else 25
     field = assemble(bank, tiling, 0, m, 0, m, 0, m)
-    exact = sample_periodic(concatenated(members), 24, "centres" if offset else "nodes")
+    exact = sample_periodic(concatenated(members), 24, "centers" if offset else "nodes")
     assert field == pytest.approx(exact, abs=3e-4)
 
 

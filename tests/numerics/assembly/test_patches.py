@@ -12,8 +12,8 @@ def test_used_combinations_are_what_a_loop_finds(sets) -> None:
     for i, j, k in np.ndindex(4, 3, 5):
         if tiling.interior[i, j, k] >= 0:
             x, y, z = tiling.faces
-            colours = x[i, j, k], x[i + 1, j, k], y[i, j, k], y[i, j + 1, k], z[i, j, k], z[i, j, k + 1]
-            expected.add((int(tiling.interior[i, j, k]), *map(int, colours)))
+            colors = x[i, j, k], x[i + 1, j, k], y[i, j, k], y[i, j + 1, k], z[i, j, k], z[i, j, k + 1]
+            expected.add((int(tiling.interior[i, j, k]), *map(int, colors)))
     found = used_combinations(tiling)
     assert [tuple(row) for row in found.tolist()] == sorted(expected)
     assert used_combinations(lone_periodic_cell(2, (0, 1, 0))).tolist() == [[2, 0, 0, 1, 1, 0, 0]]

@@ -21,5 +21,5 @@ def test_bad_tilings(sets) -> None:
     with pytest.raises(ValueError, match="interior 7, of 3"):
         check_tiling(tiling._replace(interior=np.full_like(tiling.interior, 7)), pieces)
     faces = (tiling.faces[0], np.full_like(tiling.faces[1], 5), tiling.faces[2])
-    with pytest.raises(ValueError, match="colour 5, of 2"):
+    with pytest.raises(ValueError, match="color 5, of 2"):
         check_tiling(tiling._replace(faces=faces), pieces)

@@ -158,14 +158,14 @@ def test_loops_are_made_where_the_shortest_graph_has_a_bridge():
         assert ((edges < 8).sum(axis=1) == 1).sum() == 2
 
 
-def test_clusters_beyond_the_nearest_neighbours_are_joined():
+def test_clusters_beyond_the_nearest_neighbors_are_joined():
     rng = np.random.default_rng(4)
     points = np.concatenate([0.05 * rng.random((40, 3)) + corner for corner in ([0, 0, 0], [0.9, 0, 0], [0, 0.9, 0.9])])
     for mode in MODES:
         check(points, *spanning_subgraph(points, (3, 5), mode=mode, k=4), (3, 5))
 
 
-def test_hamiltonian_path_needs_more_than_near_neighbours():
+def test_hamiltonian_path_needs_more_than_near_neighbors():
     points = spaced_points(60, 5)
     for degree in ((1, 2), (2, 2)):
         check(points, *spanning_subgraph(points, degree, mode="greedy", k=3), degree)

@@ -22,7 +22,7 @@ def test_what_stays_is_label_one(seed, share, periodic, connectivity):
     assert kept.dtype == np.uint8
 
 
-def test_a_part_held_by_the_neighbouring_cell_stays_only_on_the_torus():
+def test_a_part_held_by_the_neighboring_cell_stays_only_on_the_torus():
     mask = np.zeros((4, 4, 8), bool)
     mask[1, 1, :5] = True
     mask[1, 1, 7] = True

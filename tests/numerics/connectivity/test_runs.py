@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sppm_pipeline.numerics.connectivity.runs import as_bytes, find_runs, neighbour_reach, stack_runs
+from sppm_pipeline.numerics.connectivity.runs import as_bytes, find_runs, neighbor_reach, stack_runs
 
 
 def slow_runs(row):
@@ -48,9 +48,9 @@ def test_a_mask_of_another_type_is_refused():
 
 
 def test_only_two_connectivities_exist():
-    assert (neighbour_reach(6), neighbour_reach(26)) == (0, 1)
+    assert (neighbor_reach(6), neighbor_reach(26)) == (0, 1)
     with pytest.raises(ValueError, match="18"):
-        neighbour_reach(18)
+        neighbor_reach(18)
 
 
 def test_runs_of_slabs_are_stacked_to_those_of_the_whole():

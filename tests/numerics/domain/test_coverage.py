@@ -1,4 +1,4 @@
-"""Grey values are rounded shares."""
+"""Gray values are rounded shares."""
 
 from fractions import Fraction
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.domain.coverage import grey_by_coverage
+from sppm_pipeline.numerics.domain.coverage import gray_by_coverage
 
 
 @settings(derandomize=True, deadline=None)
@@ -17,28 +17,28 @@ from sppm_pipeline.numerics.domain.coverage import grey_by_coverage
     st.tuples(st.integers(1, 6), st.integers(1, 6)),
     st.floats(0, 1),
 )
-def test_grey_is_the_rounded_share(seed, factors, size, share):
+def test_gray_is_the_rounded_share(seed, factors, size, share):
     fx, fy, sheets = factors
     h, w = size
     samples = (np.random.default_rng(seed).random((sheets, h * fy, w * fx)) < share).astype(np.uint8) * 3
-    grey = grey_by_coverage(samples, (fx, fy))
+    gray = gray_by_coverage(samples, (fx, fy))
     blocks = (samples > 0).reshape(sheets, h, fy, w, fx).sum(axis=(0, 2, 4))
     expected = [[int(Fraction(255 * int(n), sheets * fy * fx) + Fraction(1, 2)) for n in row] for row in blocks]
-    assert grey.tolist() == expected
+    assert gray.tolist() == expected
 
 
 def test_a_single_sheet_may_be_an_image():
     samples = np.array([[1, 0, 1, 1], [0, 0, 1, 1]], bool)
-    assert grey_by_coverage(samples, (2, 2)).tolist() == [[64, 255]]
-    assert grey_by_coverage(samples, (1, 1)).tolist() == [[255, 0, 255, 255], [0, 0, 255, 255]]
+    assert gray_by_coverage(samples, (2, 2)).tolist() == [[64, 255]]
+    assert gray_by_coverage(samples, (1, 1)).tolist() == [[255, 0, 255, 255], [0, 0, 255, 255]]
 
 
 def test_nonsense_is_refused():
     with pytest.raises(ValueError, match="whole pixels"):
-        grey_by_coverage(np.zeros((4, 5), np.uint8), (2, 2))
+        gray_by_coverage(np.zeros((4, 5), np.uint8), (2, 2))
     with pytest.raises(ValueError, match="whole pixels"):
-        grey_by_coverage(np.zeros((4, 4), np.uint8), (0, 2))
+        gray_by_coverage(np.zeros((4, 4), np.uint8), (0, 2))
     with pytest.raises(ValueError, match="int64"):
-        grey_by_coverage(np.zeros((4, 4), int), (2, 2))
+        gray_by_coverage(np.zeros((4, 4), int), (2, 2))
     with pytest.raises(ValueError, match="65535"):
-        grey_by_coverage(np.zeros((40000, 2, 1), np.uint8), (1, 2))
+        gray_by_coverage(np.zeros((40000, 2, 1), np.uint8), (1, 2))

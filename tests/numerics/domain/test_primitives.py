@@ -11,7 +11,7 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.measures import measure_surface, surface_area, volume
 
 GRID = Grid((-1.52, -1.49, -1.47), (0.061, 0.059, 0.063), (50, 51, 47))
-CENTRE = (0.02, -0.03, 0.05)
+CENTER = (0.02, -0.03, 0.05)
 
 
 def in_knot(x, y, z):
@@ -29,32 +29,32 @@ def in_knot(x, y, z):
 CASES = {
     "box": (
         lambda x, y, z: (abs(x) <= 0.75) & (abs(y) <= 1.0) & (abs(z) <= 0.55),
-        meshes.box_mesh(CENTRE, (1.5, 2.0, 1.1)),
+        meshes.box_mesh(CENTER, (1.5, 2.0, 1.1)),
         3.3,
     ),
     "ball": (
         lambda x, y, z: x**2 + y**2 + z**2 <= 1.44,
-        meshes.ball_mesh(CENTRE, 1.2, 5),
+        meshes.ball_mesh(CENTER, 1.2, 5),
         4 / 3 * math.pi * 1.2**3,
     ),
     "cylinder": (
         lambda x, y, z: (x**2 + y**2 <= 0.64) & (abs(z) <= 0.85),
-        meshes.cylinder_mesh(CENTRE, 0.8, 1.7, 256),
+        meshes.cylinder_mesh(CENTER, 0.8, 1.7, 256),
         math.pi * 0.64 * 1.7,
     ),
     "torus": (
         lambda x, y, z: (np.hypot(x, y) - 0.9) ** 2 + z**2 <= 0.35**2,
-        meshes.torus_mesh(CENTRE, 0.9, 0.35, 256, 96),
+        meshes.torus_mesh(CENTER, 0.9, 0.35, 256, 96),
         2 * math.pi**2 * 0.9 * 0.35**2,
     ),
-    "knot": (in_knot, meshes.torus_knot_mesh(CENTRE, (2, 3), 0.9, 0.35, 0.2, 512, 64), None),
+    "knot": (in_knot, meshes.torus_knot_mesh(CENTER, (2, 3), 0.9, 0.35, 0.2, 512, 64), None),
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_mesh_holds_what_the_formula_says(name):
     formula, mesh, size = CASES[name]
-    x, y, z = (GRID.axis(a) - CENTRE[a] for a in range(3))
+    x, y, z = (GRID.axis(a) - CENTER[a] for a in range(3))
     zz, yy, xx = np.meshgrid(z, y, x, indexing="ij")
     inside = formula(xx, yy, zz)
     by_mesh = scan_layers(prepare_scan(*mesh, GRID), 0, 47).mask
@@ -66,13 +66,13 @@ def test_the_mesh_holds_what_the_formula_says(name):
 @pytest.mark.parametrize(
     ("mesh", "genus"),
     [
-        (meshes.box_mesh(CENTRE, (1, 2, 3)), 0),
-        (meshes.ball_mesh(CENTRE, 1.0, 0), 0),
-        (meshes.ball_mesh(CENTRE, 1.0, 3), 0),
-        (meshes.cylinder_mesh(CENTRE, 1.0, 2.0, 3), 0),
-        (meshes.torus_mesh(CENTRE, 1.0, 0.3, 3, 3), 1),
-        (meshes.torus_knot_mesh(CENTRE), 1),
-        (meshes.torus_knot_mesh(CENTRE, (3, 5), 1.0, 0.4, 0.1, 700, 12), 1),
+        (meshes.box_mesh(CENTER, (1, 2, 3)), 0),
+        (meshes.ball_mesh(CENTER, 1.0, 0), 0),
+        (meshes.ball_mesh(CENTER, 1.0, 3), 0),
+        (meshes.cylinder_mesh(CENTER, 1.0, 2.0, 3), 0),
+        (meshes.torus_mesh(CENTER, 1.0, 0.3, 3, 3), 1),
+        (meshes.torus_knot_mesh(CENTER), 1),
+        (meshes.torus_knot_mesh(CENTER, (3, 5), 1.0, 0.4, 0.1, 700, 12), 1),
     ],
 )
 def test_meshes_are_closed_and_wound_outwards(mesh, genus):
@@ -110,8 +110,8 @@ def test_nonsense_is_refused():
     with pytest.raises(ValueError, match="3 points"):
         meshes.torus_knot_curve((2, 3), 1.0, 0.4, 2)
     with pytest.raises(ValueError, match="segments"):
-        meshes.cylinder_mesh(CENTRE, 1.0, 1.0, 2)
+        meshes.cylinder_mesh(CENTER, 1.0, 1.0, 2)
     with pytest.raises(ValueError, match="sides"):
-        meshes.torus_mesh(CENTRE, 1.0, 0.3, 8, 2)
+        meshes.torus_mesh(CENTER, 1.0, 0.3, 8, 2)
     with pytest.raises(ValueError, match="subdivisions"):
-        meshes.ball_mesh(CENTRE, 1.0, -1)
+        meshes.ball_mesh(CENTER, 1.0, -1)

@@ -9,8 +9,8 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_
 
 def obvious_sum(kernels: Kernels, point: np.ndarray) -> float:
     total = sum(
-        math.exp(-omega * math.dist(point, centre) ** 2)
-        for centre, omega in zip(kernels.centers, kernels.omega, strict=True)
+        math.exp(-omega * math.dist(point, center) ** 2)
+        for center, omega in zip(kernels.centers, kernels.omega, strict=True)
     )
     for a, b, mu in zip(kernels.starts, kernels.ends, kernels.mu, strict=True):
         along = b - a

@@ -71,7 +71,7 @@ def test_moving_the_cell_by_a_voxel_moves_the_field() -> None:
 
 def test_threads_and_nothing() -> None:
     kernels = cell(6)
-    for at in ("centres", "nodes"):
+    for at in ("centers", "nodes"):
         one, three = (sample_periodic(kernels, 24, at, threads=t) for t in (1, 3))  # type: ignore[arg-type]
         assert one.tobytes() == three.tobytes()
     assert not sample_periodic(empty_kernels(), 5).any()
@@ -80,7 +80,7 @@ def test_threads_and_nothing() -> None:
 def test_bad_arguments() -> None:
     with pytest.raises(ValueError, match="at least one voxel"):
         sample_periodic(cell(0), 0)
-    with pytest.raises(ValueError, match="'centres' or 'nodes'"):
+    with pytest.raises(ValueError, match="'centers' or 'nodes'"):
         sample_periodic(cell(0), 4, "corners")  # type: ignore[arg-type]
 
 

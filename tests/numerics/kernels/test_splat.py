@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.kernels.bounds import cutoff_bound
 from sppm_pipeline.numerics.kernels.exact import exact_sum
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
@@ -67,7 +67,7 @@ def test_within_the_stated_bound_of_the_exact_sum(
 @pytest.mark.parametrize("squared", [False, True])
 def test_a_dense_cell(squared: bool) -> None:
     kernels = random_kernels(5, 150, 500, squared, spread=1.3)
-    grid = cell_centres(24)
+    grid = cell_centers(24)
     exact = exact_sum(kernels, points_of(grid))
     error = np.abs(splat(grid, kernels, cutoff=1e-6).ravel() - exact)
     assert error.max() <= min(bound_on(grid, kernels, 1e-6), 2e-4)
@@ -79,13 +79,13 @@ def test_a_dense_cell(squared: bool) -> None:
 def test_one_tunnel(end: tuple[float, float, float], turn: int) -> None:
     ends = [np.array([[0.5, 0.5, 0.5]]), np.array([end])][::turn]
     kernels = empty_kernels()._replace(starts=ends[0], ends=ends[1], mu=np.array([40.0]))
-    grid = cell_centres(25)
+    grid = cell_centers(25)
     assert splat(grid, kernels, cutoff=1e-7).ravel() == pytest.approx(exact_sum(kernels, points_of(grid)), abs=1e-5)
 
 
 def test_a_single_kernel_is_missing_only_below_the_cutoff() -> None:
     kernels = empty_kernels()._replace(centers=np.array([[0.4, 0.55, 0.5]]), omega=np.array([60.0]))
-    grid = cell_centres(40)
+    grid = cell_centers(40)
     field, exact = splat(grid, kernels, cutoff=1e-3).ravel(), exact_sum(kernels, points_of(grid))
     assert (field[exact > 1.001e-3] > 0.0).all()
     assert (field == 0.0).mean() > 0.5
@@ -95,13 +95,13 @@ def test_a_single_kernel_is_missing_only_below_the_cutoff() -> None:
 def test_far_from_the_origin_nothing_is_lost() -> None:
     kernels = random_kernels(8, 10, 20)
     far = np.array([1000.0, 700.0, -900.0])
-    near = splat(cell_centres(20), kernels)
+    near = splat(cell_centers(20), kernels)
     shifted = splat(Grid(tuple(far + 0.025), (0.05,) * 3, (20,) * 3), kernels.shifted(far))
     assert shifted == pytest.approx(near, abs=3e-5)
 
 
 def test_what_was_there_stays() -> None:
-    kernels, grid = random_kernels(1, 3, 3), cell_centres(17)
+    kernels, grid = random_kernels(1, 3, 3), cell_centers(17)
     out = np.full((17, 17, 17), 2.0, dtype=np.float32)
     add_kernels(out, grid, kernels)
     assert out - 2.0 == pytest.approx(splat(grid, kernels), abs=1e-5)
@@ -109,7 +109,7 @@ def test_what_was_there_stays() -> None:
 
 def test_same_bytes_for_any_number_of_threads_and_any_slab() -> None:
     kernels = random_kernels(2, 30, 60)
-    for grid in (cell_centres(32), cell_centres(27), Grid((0.1, -0.2, 0.03), (0.011, 0.07, 0.013), (50, 20, 61))):
+    for grid in (cell_centers(32), cell_centers(27), Grid((0.1, -0.2, 0.03), (0.011, 0.07, 0.013), (50, 20, 61))):
         whole = splat(grid, kernels)
         for threads in (2, 3):
             assert splat(grid, kernels, threads=threads).tobytes() == whole.tobytes()
@@ -121,13 +121,13 @@ def test_same_bytes_for_any_number_of_threads_and_any_slab() -> None:
 
 def test_kernels_out_of_reach_add_nothing() -> None:
     kernels = random_kernels(4, 5, 5)
-    assert not splat(cell_centres(16), kernels.shifted(np.array([50.0, 0.0, 0.0]))).any()
-    assert not splat(cell_centres(16), empty_kernels()).any()
+    assert not splat(cell_centers(16), kernels.shifted(np.array([50.0, 0.0, 0.0]))).any()
+    assert not splat(cell_centers(16), empty_kernels()).any()
 
 
 def test_the_order_of_separate_calls_is_the_sum() -> None:
     first, second = random_kernels(6, 4, 0), random_kernels(7, 0, 9)
-    grid = cell_centres(16)
+    grid = cell_centers(16)
     out = np.zeros((16, 16, 16), dtype=np.float32)
     add_kernels(out, grid, first)
     add_kernels(out, grid, second)
@@ -135,7 +135,7 @@ def test_the_order_of_separate_calls_is_the_sum() -> None:
 
 
 def test_bad_arguments() -> None:
-    kernels, grid = random_kernels(0, 2, 2), cell_centres(8)
+    kernels, grid = random_kernels(0, 2, 2), cell_centers(8)
     good = np.zeros((8, 8, 8), dtype=np.float32)
     with pytest.raises(ValueError, match="float32"):
         add_kernels(good.astype(np.float64), grid, kernels)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Neighbours, rims, winding and walls of meshes about which everything is known."""
+"""Neighbors, rims, winding and walls of meshes about which everything is known."""
 
 import numpy as np
 import pytest

@@ -57,7 +57,7 @@ def test_the_best_so_far_comes_back_when_the_bound_is_reached(most):
     assert result.value == 0.0
 
 
-def test_a_step_is_closed_in_on_until_its_sides_are_neighbours():
+def test_a_step_is_closed_in_on_until_its_sides_are_neighbors():
     counted = Counted(lambda x: 1.0 if x > 1 / 3 else 0.0)
     result = search_monotone(counted, 0.0, 1.0, 0.4, 0.01, 1000)
     assert result.evaluations < 2 + 3 * 60

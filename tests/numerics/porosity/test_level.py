@@ -31,7 +31,7 @@ def test_the_level_lies_halfway_between_the_samples_it_parts():
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_neighbouring_numbers_are_still_parted(dtype):
+def test_neighboring_numbers_are_still_parted(dtype):
     low = dtype(0.25)
     fit = level_for_porosity(np.array([low, np.nextafter(low, dtype(1))], dtype), 0.5)
     assert fit.porosity == 0.5

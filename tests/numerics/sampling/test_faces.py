@@ -52,14 +52,14 @@ def test_spacing_holds_wherever_patterns_meet(
             if other != axis:
                 assert pair_distances(points, faces[other][theirs], SHIFTS).min(initial=math.inf) >= spacing
             elif theirs != color:
-                # Faces of another colour lie beside this one in its plane, never on it.
+                # Faces of another color lie beside this one in its plane, never on it.
                 beside = SHIFTS[(SHIFTS[:, axis] == 0) & np.any(SHIFTS != 0, axis=1)]
                 distance = pair_distances(points, faces[axis][theirs], beside)
                 assert distance.min(initial=math.inf) >= spacing * (1 - 1e-12)
 
 
 def test_colors_of_one_axis_may_overlap() -> None:
-    """Two colours never share a face: together they hold more than one face could."""
+    """Two colors never share a face: together they hold more than one face could."""
     faces = mirrored_faces(np.random.default_rng(0), 15, 0.16, 3)
     distance = pair_distances(faces[0][0], faces[0][1], np.zeros((1, 3)))
     assert distance.min() < 0.16

@@ -29,7 +29,7 @@ def slow_nearest(points: np.ndarray, periodic: tuple[bool, ...]) -> np.ndarray:
     flat=st.sampled_from([(1, 1, 1), (0, 1, 1), (1, 0, 0), (0.2, 1, 0.1)]),
     seed=st.integers(0, 2**32),
 )
-def test_nearest_neighbours(count: int, periodic: tuple[bool, ...], flat: tuple[float, ...], seed: int) -> None:
+def test_nearest_neighbors(count: int, periodic: tuple[bool, ...], flat: tuple[float, ...], seed: int) -> None:
     points = np.random.default_rng(seed).random((count, 3)) * flat
     slow = slow_nearest(points, periodic)
     np.testing.assert_allclose(nearest_distances(points, periodic), slow, rtol=1e-12, atol=1e-15)

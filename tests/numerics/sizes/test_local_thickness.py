@@ -40,12 +40,12 @@ def obvious(phase, periodic):
     squared = squared_distance(phase, periodic)
     found = np.zeros(phase.shape)
     places = np.argwhere(squared > 0)
-    for centre in places:
-        apart = np.abs(places - centre)
+    for center in places:
+        apart = np.abs(places - center)
         for axis in range(3):
             if periodic[2 - axis]:
                 apart[:, axis] = np.minimum(apart[:, axis], phase.shape[axis] - apart[:, axis])
-        reach = squared[tuple(centre)]
+        reach = squared[tuple(center)]
         covered = places[(apart**2).sum(1) < reach]
         at = tuple(covered.T)
         found[at] = np.maximum(found[at], 2 * np.sqrt(reach) - 1)
@@ -80,7 +80,7 @@ def test_a_plate_is_as_thick_as_it_is(axis, width):
 
 
 def test_a_rod_and_a_ball():
-    """The centre lies on a voxel; the diameter is right to a voxel everywhere inside."""
+    """The center lies on a voxel; the diameter is right to a voxel everywhere inside."""
     z, y, x = np.indices((31, 31, 31)) - 15
     rod = (x**2 + y**2 < 8.2**2).astype(np.uint8)
     ball = (x**2 + y**2 + z**2 < 11.3**2).astype(np.uint8)

@@ -76,7 +76,7 @@ def test_the_box_closes_the_solid():
         assert found.low == pytest.approx((-1.0, -0.7, -0.4))
         assert found.high == pytest.approx((-0.55, 0.0, 0.2))
         errors.append(abs(found.volume / (0.45 * 0.7 * 0.6) - 1))
-    assert errors[0] < 0.03  # the plane passes through centres of cubes, and its edges are bevelled
+    assert errors[0] < 0.03  # the plane passes through centers of cubes, and its edges are bevelled
     assert max(errors[1:]) < 1e-9  # it passes through corners
 
 

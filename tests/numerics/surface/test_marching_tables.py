@@ -48,7 +48,7 @@ def test_only_rims_lie_in_a_face(case: int) -> None:
             assert bool(faces_of(edge[0]) & faces_of(edge[1])) == (edge in rims)
 
 
-def test_neighbouring_cubes_agree_on_their_common_face() -> None:
+def test_neighboring_cubes_agree_on_their_common_face() -> None:
     for axis in range(3):
         low = [corner for corner in range(8) if not CORNERS[corner][axis]]
         high = [corner + (1 << axis) for corner in low]

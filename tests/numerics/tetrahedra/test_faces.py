@@ -1,4 +1,4 @@
-"""Neighbours, boundaries and components against the obvious way."""
+"""Neighbors, boundaries and components against the obvious way."""
 
 from collections import Counter
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from sppm_pipeline.numerics.meshcheck.measures import measure_surface
-from sppm_pipeline.numerics.tetrahedra.faces import BOUNDARY, CROWDED, boundary_triangles, components, face_neighbours
+from sppm_pipeline.numerics.tetrahedra.faces import BOUNDARY, CROWDED, boundary_triangles, components, face_neighbors
 
 
 def triangulated(count, seed):
@@ -21,11 +21,11 @@ def triangulated(count, seed):
     return points, tets
 
 
-def test_neighbours_share_faces():
+def test_neighbors_share_faces():
     _, tets = triangulated(200, 0)
-    neighbours = face_neighbours(tets)
+    neighbors = face_neighbors(tets)
     count = Counter(frozenset(np.delete(tet, i).tolist()) for tet in tets for i in range(4))
-    for tet, row in zip(tets, neighbours, strict=True):
+    for tet, row in zip(tets, neighbors, strict=True):
         for i, other in enumerate(row):
             face = frozenset(np.delete(tet, i).tolist())
             assert (other == BOUNDARY) == (count[face] == 1)
@@ -38,14 +38,14 @@ def test_a_node_with_very_many_cells():
     sphere = rng.normal(size=(400, 3))
     points = np.concatenate([[[0.0, 0, 0]], sphere / np.linalg.norm(sphere, axis=1)[:, None]])
     tets = Delaunay(points).simplices
-    neighbours = face_neighbours(np.sort(tets, axis=1))
-    assert (neighbours >= 0).sum() + (neighbours == BOUNDARY).sum() == 4 * len(tets)
-    assert (neighbours == BOUNDARY).sum() == 2 * 400 - 4
+    neighbors = face_neighbors(np.sort(tets, axis=1))
+    assert (neighbors >= 0).sum() + (neighbors == BOUNDARY).sum() == 4 * len(tets)
+    assert (neighbors == BOUNDARY).sum() == 2 * 400 - 4
 
 
 def test_the_boundary_is_closed_and_points_outward():
     points, tets = triangulated(300, 2)
-    surface = boundary_triangles(tets, face_neighbours(tets))
+    surface = boundary_triangles(tets, face_neighbors(tets))
     found = measure_surface(points, surface)
     assert found.edges.closed
     assert found.genus == 0
@@ -55,20 +55,20 @@ def test_the_boundary_is_closed_and_points_outward():
 
 def test_crowded_faces():
     tets = np.array([[0, 1, 2, 3], [0, 2, 1, 4], [0, 1, 2, 5]])
-    neighbours = face_neighbours(tets)
-    assert (neighbours == CROWDED).sum() == 3
-    assert components(neighbours)[0] == 3
+    neighbors = face_neighbors(tets)
+    assert (neighbors == CROWDED).sum() == 3
+    assert components(neighbors)[0] == 3
 
 
 def test_components_are_numbered_by_their_first_cells():
     _, tets = triangulated(50, 3)
     both = np.concatenate([tets, tets + 50])[::-1]
-    count, labels = components(face_neighbours(both))
+    count, labels = components(face_neighbors(both))
     assert count == 2
     assert labels[0] == 0
     assert labels[-1] == 1
 
 
 def test_no_cells():
-    assert face_neighbours(np.empty((0, 4), np.int32)).shape == (0, 4)
+    assert face_neighbors(np.empty((0, 4), np.int32)).shape == (0, 4)
     assert components(np.empty((0, 4), np.int32))[0] == 0

@@ -20,9 +20,9 @@ def box_of(n):
 
 def conforms(mesh):
     """No face of three tetrahedra; the faces of one bound the same volume, and meet in pairs along edges."""
-    neighbours = faces.face_neighbours(mesh.tets)
-    assert not (neighbours == faces.CROWDED).any()
-    surface = faces.boundary_triangles(mesh.tets, neighbours)
+    neighbors = faces.face_neighbors(mesh.tets)
+    assert not (neighbors == faces.CROWDED).any()
+    surface = faces.boundary_triangles(mesh.tets, neighbors)
     assert edge_counts(surface).bounds_solid
     assert volume(mesh.nodes, surface) == pytest.approx(volumes(mesh.nodes, mesh.tets).sum(), rel=1e-12)
     return surface
@@ -77,8 +77,8 @@ def test_opposite_faces_are_copies(noise):
     assert (match.matched > 50).all()
     assert not match.clashing.any()
     # with copies taken as one, no face of the box is left as a boundary but where the surface lies in it
-    wrapped = faces.face_neighbours(mesh.twins[mesh.tets])
-    plain = faces.face_neighbours(mesh.tets)
+    wrapped = faces.face_neighbors(mesh.twins[mesh.tets])
+    plain = faces.face_neighbors(mesh.tets)
     assert (plain == faces.BOUNDARY).sum() - (wrapped == faces.BOUNDARY).sum() == 2 * match.matched.sum()
 
 
@@ -151,8 +151,8 @@ def test_two_fields_are_met_exactly(lattice):
 
 def test_unmoved_points_can_never_spoil_the_angles():
     """All cuts of both kinds of tetrahedra with points in their places, at extreme and middling shares."""
-    full = np.array([[0, 0, 0], [2, 0, 0], [1, -1, -1], [1, 1, -1]], float)  # corners of a square's edge, two centres
-    half = np.array([[0, 0, 0], [2, 0, 0], [1, 1, 0], [1, 1, 1]], float)  # edge of a square, its centre, that of a cube
+    full = np.array([[0, 0, 0], [2, 0, 0], [1, -1, -1], [1, 1, -1]], float)  # corners of a square's edge, two centers
+    half = np.array([[0, 0, 0], [2, 0, 0], [1, 1, 0], [1, 1, 1]], float)  # edge of a square, its center, that of a cube
     for corners in (full, half):
         pairs = list(itertools.combinations(range(4), 2))
         least, greatest = 180.0, 0.0
@@ -200,10 +200,10 @@ def test_pieces_that_touch_in_a_point_are_two(lattice):
         return ball(0.2, 0.5)(x, y, z)
 
     mesh = stuff(lattice(f, 8), True)
-    assert faces.components(faces.face_neighbours(mesh.tets))[0] == 1
+    assert faces.components(faces.face_neighbors(mesh.tets))[0] == 1
     doubled = np.concatenate([mesh.tets, mesh.tets + len(mesh.nodes)])
     doubled[len(mesh.tets) :][doubled[len(mesh.tets) :] == len(mesh.nodes)] = 0  # one node in common
-    assert faces.components(faces.face_neighbours(doubled))[0] == 2
+    assert faces.components(faces.face_neighbors(doubled))[0] == 2
 
 
 def test_nan_counts_as_void(lattice):

@@ -1,4 +1,4 @@
-"""Corner colours: faces and interiors follow from the lattice corners."""
+"""Corner colors: faces and interiors follow from the lattice corners."""
 
 from __future__ import annotations
 

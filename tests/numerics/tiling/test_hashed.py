@@ -1,4 +1,4 @@
-"""Free face colours."""
+"""Free face colors."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def test_arrays_equal_random_access(mask, seed, interiors, colors, periodic):
     assert np.array_equal(interior[mask], interior_at(seed, np.argwhere(mask), interiors))
     for axis in range(3):
         there = np.argwhere(faces[axis] >= 0)
-        colours = face_at(seed, axis, there, colors, mask.shape if periodic else None)
-        assert np.array_equal(faces[axis][faces[axis] >= 0], colours)
+        drawn = face_at(seed, axis, there, colors, mask.shape if periodic else None)
+        assert np.array_equal(faces[axis][faces[axis] >= 0], drawn)
 
 
 @pytest.mark.parametrize("bins", [2, 3, 16, 27, 64])
@@ -48,7 +48,7 @@ def test_interiors_and_faces_are_independent():
     assert abs(chi_square(pair, 64)) < 6
 
 
-def test_neighbouring_faces_are_independent():
+def test_neighboring_faces_are_independent():
     _, faces = tile_hashed(np.ones((40, 40, 40), bool), 8, 1, 5)
     for axis in range(3):
         planes = np.moveaxis(faces[axis], axis, 0)

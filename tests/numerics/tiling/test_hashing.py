@@ -69,7 +69,7 @@ def test_avalanche():
         assert (abs(share - 0.5) < 0.06).all()
 
 
-def test_neighbours_are_uncorrelated():
+def test_neighbors_are_uncorrelated():
     i, j, k = np.ogrid[:40, :40, :40]
     values = hash_places(5, FACE, i, j, k) / 2.0**64 - 0.5
     for axis in range(3):

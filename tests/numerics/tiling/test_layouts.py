@@ -31,12 +31,12 @@ def test_paper_set():
 
 
 @pytest.mark.parametrize(
-    ("rule", "periodic", "colours"),
+    ("rule", "periodic", "colors"),
     [("free_faces", False, 36), ("free_faces", True, 24), ("corners", False, 27), ("corners", True, 8)],
 )
-def test_free_rules_count_faces_and_corners(rule, periodic, colours):
+def test_free_rules_count_faces_and_corners(rule, periodic, colors):
     found = layout_count_log((2, 2, 2), rule, 5, 7, periodic=periodic)
-    assert found == pytest.approx(colours * math.log(5) + 8 * math.log(7))
+    assert found == pytest.approx(colors * math.log(5) + 8 * math.log(7))
 
 
 def test_entropy_of_large_boxes():
@@ -49,5 +49,5 @@ def test_entropy_of_large_boxes():
 def test_wrong_arguments():
     with pytest.raises(ValueError, match="unknown rule"):
         layout_count_log((2, 2, 2), "hexagons", 2)
-    with pytest.raises(DesignError, match="colours is 0"):
+    with pytest.raises(DesignError, match="colors is 0"):
         layout_count_log((2, 2, 2), "corners", 0)

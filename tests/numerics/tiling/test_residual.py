@@ -58,7 +58,7 @@ def test_half_and_half_of_two_patterns_in_quadrature():
     count = choice.size
     assert bragg_share(image, choice.shape, corrected=False) == pytest.approx(0.5)
     assert bragg_share(image, choice.shape) == pytest.approx((count / 2 - 1) / (count - 1))
-    # In a chequerboard neighbours always differ; in stripes along x only neighbours along x do.
+    # In a chequerboard neighbors always differ; in stripes along x only neighbors along x do.
     assert axis_correlation(image, choice.shape) == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-12)
     stripes = assembled(np.indices((4, 2, 2))[0] % 2, patterns)
     assert axis_correlation(stripes, (4, 2, 2)) == pytest.approx((0.0, 1.0, 1.0, 2 / 3))
@@ -78,7 +78,7 @@ def test_parseval(cells):
     assert bragg_share(image, cells, corrected=False) == pytest.approx(spectral_share(image.astype(float), cells))
 
 
-def test_one_cell_along_an_axis_has_no_neighbour_there():
+def test_one_cell_along_an_axis_has_no_neighbor_there():
     image = np.random.default_rng(5).random((8, 4, 4))
     found = axis_correlation(image, (2, 1, 1))
     assert math.isnan(found.y)

@@ -12,7 +12,7 @@ from sppm_pipeline.numerics.tiling.wang import tile_colors, tile_wang
 
 def test_counts_each_broken_adjacency_once():
     tiles = np.zeros((3, 3, 3), np.int32)
-    tiles[1, 1, 1] = 26  # differs from its six neighbours along every axis
+    tiles[1, 1, 1] = 26  # differs from its six neighbors along every axis
     assert rule1_violations(tiles, tile_colors(3)).tolist() == [2, 2, 2]
     tiles[1, 1, 1] = 9  # (1, 0, 0): differs along x only
     assert rule1_violations(tiles, tile_colors(3)).tolist() == [2, 0, 0]

@@ -17,7 +17,7 @@ masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=3, max_dims=3, min_side=1
 
 
 def greedy(mask, seed, colors, scored, periodic):
-    """Rule 1 by looking at whole runs, Rule 2 by scoring every tile against all 26 neighbours."""
+    """Rule 1 by looking at whole runs, Rule 2 by scoring every tile against all 26 neighbors."""
     shape = mask.shape
     tiles = np.full(shape, -1)
     table = tile_colors(colors)
@@ -49,8 +49,8 @@ def greedy(mask, seed, colors, scored, periodic):
                             cell %= shape
                         if not offset.any() or (cell < 0).any() or (cell >= shape).any():
                             continue
-                        neighbour = tiles[tuple(cell)]
-                        if neighbour >= 0 and neighbour != tile:
+                        neighbor = tiles[tuple(cell)]
+                        if neighbor >= 0 and neighbor != tile:
                             score += 4 - abs(offset).sum()
                     scores.append(score if scored else 0)
                 best = [t for t, s in zip(allowed, scores, strict=True) if s == max(scores)]
@@ -89,7 +89,7 @@ def test_compiled_filler_equals_greedy_on_a_box(periodic):
 
 
 def test_worked_example_of_the_paper():
-    # The sixth cell of a 2 x 2 x 2 structure: two neighbours across faces, two across edges, one across a corner.
+    # The sixth cell of a 2 x 2 x 2 structure: two neighbors across faces, two across edges, one across a corner.
     number = {tuple(row): n for n, row in enumerate(tile_colors(3))}
     low_x, low_z = number[0, 0, 0], number[1, 2, 1]  # so the new tile is (0, any, 1)
     corner = number[0, 1, 1]  # T1 equals P1
@@ -117,8 +117,8 @@ def test_a_run_that_meets_itself_around_the_end():
     mask = np.array([True, True, False, True, True])[:, None, None]
     for seed in range(20):
         _, faces = tile_wang(mask, seed, 3, periodic=True)
-        colours = faces[0].ravel()
-        assert len(set(colours.tolist())) == 1
+        colors = faces[0].ravel()
+        assert len(set(colors.tolist())) == 1
     split = {tuple(tile_wang(mask, seed, 3)[1][0].ravel()) for seed in range(20)}
     assert any(row[0] != row[-1] for row in split)
 
@@ -154,7 +154,7 @@ def test_a_million_cells_follow_rule_1():
 
 
 @pytest.mark.parametrize("colors", [0, -1, 1291])
-def test_impossible_number_of_colours_is_refused(colors):
+def test_impossible_number_of_colors_is_refused(colors):
     with pytest.raises(DesignError, match=str(colors)):
         tile_wang(np.ones((2, 2, 2), bool), 0, colors)
 

@@ -7,7 +7,7 @@ from scipy import ndimage
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.cleaned import CleanedField
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
-from sppm_pipeline.numerics.grid import cell_centres, cell_nodes
+from sppm_pipeline.numerics.grid import cell_centers, cell_nodes
 from sppm_pipeline.stage import Rejected
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.check.porosity import CheckPorosity
@@ -22,14 +22,14 @@ def loose(cell):
 
 
 def floating_share(field, n):
-    solid = field.solid(cell_centres(n))
+    solid = field.solid(cell_centers(n))
     return 1 - keep_largest(solid, (True,) * 3).sum() / solid.sum()
 
 
 def test_components_are_those_of_scipy_where_nothing_wraps(wang_tiling):
     context = PlainContext()
     CheckConnectivity(resolution=8, islands="keep").run(context, wang_tiling)
-    solid = wang_tiling.solid(cell_centres(8, wang_tiling.cells))
+    solid = wang_tiling.solid(cell_centers(8, wang_tiling.cells))
     for phase, mask in (("solid", solid > 0), ("void", solid == 0)):
         labels, count = ndimage.label(mask)
         sizes = np.bincount(labels.ravel())[1:]
@@ -54,7 +54,7 @@ def test_islands_are_gone_on_every_grid_and_the_cell_stays_periodic(loose):
 
 def test_what_is_kept_is_left_as_it_was(loose):
     clean = CheckConnectivity(resolution=32).run(PlainContext(), loose)
-    grid = cell_centres(32)
+    grid = cell_centers(32)
     before, after = loose.sample(grid), clean.sample(grid)
     kept = keep_largest((before < 0).view(np.uint8), (True,) * 3).view(bool)
     assert np.array_equal((after < 0), kept)
@@ -91,7 +91,7 @@ def test_bicontinuous(cell):
 def test_porosity_is_that_of_the_voxels(wang_tiling):
     context = PlainContext()
     CheckPorosity(resolution=10).run(context, wang_tiling)
-    expected = 1 - wang_tiling.solid(cell_centres(10, wang_tiling.cells)).mean()
+    expected = 1 - wang_tiling.solid(cell_centers(10, wang_tiling.cells)).mean()
     assert context.reported["porosity"] == pytest.approx(expected, abs=1e-12)
     for bounds in ({"minimum": expected + 0.01}, {"maximum": expected - 0.01}):
         with pytest.raises(Rejected, match="accepted are"):

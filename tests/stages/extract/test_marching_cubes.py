@@ -7,7 +7,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields import field_surface
 from sppm_pipeline.fields.part import Part
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.numerics.meshcheck.measures import components, measure_surface
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -23,7 +23,7 @@ def mesh(field, **options):
 def test_a_cell(cell):
     made, found, context = mesh(cell)
     assert found.edges.closed
-    assert found.volume == pytest.approx(cell.solid(cell_centres(48)).mean(), rel=0.02)
+    assert found.volume == pytest.approx(cell.solid(cell_centers(48)).mean(), rel=0.02)
     assert made.vertices.min() == 0.0
     assert made.vertices.max() == 1.0
     assert "cell edge" in context.warnings[0]
@@ -61,7 +61,7 @@ def test_a_tiling_in_mm(wang_tiling, backend):
     made, found, context = mesh(wang_tiling, resolution=20, backend=backend, islands="keep")
     assert not context.warnings
     assert found.edges.bounds_solid
-    solid = wang_tiling.solid(cell_centres(24, wang_tiling.cells)).mean() * np.prod(wang_tiling.cells) * 64
+    solid = wang_tiling.solid(cell_centers(24, wang_tiling.cells)).mean() * np.prod(wang_tiling.cells) * 64
     assert found.volume == pytest.approx(solid, rel=0.03)
     assert np.allclose(made.lower, 0, atol=0.35)
     assert np.allclose(made.upper, [16, 12, 12], atol=0.35)
@@ -83,7 +83,7 @@ def test_a_part_is_closed_and_lies_in_its_domain(wang_tiling, ball, skin):
     assert found.edges.closed
     assert np.linalg.norm(made.vertices - 5, axis=1).max() < 5.001
     h = 4 / 24
-    voxels = part.solid(cell_centres(24, wang_tiling.cells)).sum() * h**3
+    voxels = part.solid(cell_centers(24, wang_tiling.cells)).sum() * h**3
     assert found.volume == pytest.approx(voxels, rel=0.05)
 
 

@@ -9,7 +9,7 @@ from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.testing.plain_context import PlainContext
 
@@ -46,7 +46,7 @@ def test_a_lone_pore_and_a_lone_tunnel_have_the_radii_asked_for():
 @pytest.mark.parametrize("tunnel", ["linear", "squared"])
 def test_the_same_cell_in_all_units(tunnel):
     plain, told = field(Cell(), **RADII, tunnel=tunnel)
-    grid = cell_centres(12)
+    grid = cell_centers(12)
     expected = plain.sample(grid)
 
     def same(cell, **options):

@@ -11,7 +11,7 @@ from sppm_pipeline.errors import ConfigError, DesignError, InputError, ResourceE
 from sppm_pipeline.fields.field_surface import FieldSurface, node_grid
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_mesh
-from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.meshcheck.bodies import find_shells
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 from sppm_pipeline.process import memory
@@ -40,7 +40,7 @@ def test_volume_is_that_of_the_implicit_way(wang_tiling, which, skin):
     domain = domains()[which]
     part = Part(wang_tiling, domain, skin.mm() if skin else 0.0, "keep")
     n = 80
-    voxels = int(part.solid(cell_centres(n, wang_tiling.cells)).sum()) * (4 / n) ** 3
+    voxels = int(part.solid(cell_centers(n, wang_tiling.cells)).sum()) * (4 / n) ** 3
     off = []
     for resolution in (20, 40):
         made, found = fill(wang_tiling, domain, skin=skin, islands="keep", resolution=resolution)

@@ -7,11 +7,11 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stages.fill.implicit import ImplicitFill
 from sppm_pipeline.testing.plain_context import PlainContext
 
-GRID = cell_centres(12, (4, 3, 3))
+GRID = cell_centers(12, (4, 3, 3))
 
 
 def filled(field, mesh, **options):

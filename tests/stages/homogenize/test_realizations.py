@@ -1,11 +1,11 @@
-"""``homogenize.realisations``: draws differ, sizes are laid, statistics are right."""
+"""``homogenize.realizations``: draws differ, sizes are laid, statistics are right."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.stages.homogenize.realizations import HomogenizeRealisations
+from sppm_pipeline.stages.homogenize.realizations import HomogenizeRealizations
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
 from sppm_pipeline.testing.plain_context import PlainContext
 
@@ -14,7 +14,7 @@ FAST = {"resolution": 10, "tolerance": 1e-3}
 
 def test_draws_of_a_cell(recipe):
     context = PlainContext(2)
-    table = HomogenizeRealisations(samples=4, **FAST).run(context, recipe())
+    table = HomogenizeRealizations(samples=4, **FAST).run(context, recipe())
     table.check()
     young = np.array(table.columns["E_x"])
     assert table.columns["cells"] == (1,) * 4
@@ -24,19 +24,19 @@ def test_draws_of_a_cell(recipe):
     assert found["deviation"] == pytest.approx(young.std(ddof=1))
     low, high = stats.t.interval(0.95, 3, young.mean(), stats.sem(young))
     assert found["confidence_95"] == pytest.approx((high - low) / 2)
-    again = HomogenizeRealisations(samples=4, **FAST).run(PlainContext(2), recipe())
+    again = HomogenizeRealizations(samples=4, **FAST).run(PlainContext(2), recipe())
     assert again.columns == table.columns
 
 
 def test_one_draw_has_no_spread(recipe):
     context = PlainContext(2)
-    HomogenizeRealisations(samples=1, **FAST).run(context, recipe())
+    HomogenizeRealizations(samples=1, **FAST).run(context, recipe())
     assert context.reported["sizes"]["1"]["E_x"]["deviation"] is None
 
 
 def test_assemblies_need_a_tile_stage(recipe):
     with pytest.raises(ConfigError, match="lays no cells"):
-        HomogenizeRealisations(samples=1, assemblies=(1, 2), **FAST).run(PlainContext(), recipe())
+        HomogenizeRealizations(samples=1, assemblies=(1, 2), **FAST).run(PlainContext(), recipe())
 
 
 def test_assemblies_in_a_pipeline(run_yaml, summary):
@@ -52,10 +52,10 @@ recipes:
     - {stage: tileset.wang_3color, recipe: cell, colors: 2, porosity: 0.5, resolution: 24, tolerance: 0.005}
     - {stage: tile.wang_3color, cells: [2, 2, 2], cell: 5 mm}
 pipeline:
-  - {stage: homogenize.realisations, recipe: assembly, samples: 3, assemblies: [1, 2], resolution: 10, tolerance: 0.001}
+  - {stage: homogenize.realizations, recipe: assembly, samples: 3, assemblies: [1, 2], resolution: 10, tolerance: 0.001}
 """
     )
-    found = summary(record, "homogenize.realisations")["sizes"]
+    found = summary(record, "homogenize.realizations")["sizes"]
     assert found["2"]["porosity"]["mean"] == pytest.approx(0.5, abs=0.03)
     assert found["1"]["E_x"]["count"] == found["2"]["E_x"]["count"] == 3
     assert found["2"]["E_x"]["mean"] > 0

@@ -6,7 +6,7 @@ import pytest
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import DesignError, ResourceError
 from sppm_pipeline.fields.part import Part
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 from sppm_pipeline.numerics.tetrahedra.periodic import face_match, matched_nodes
 from sppm_pipeline.numerics.tetrahedra.quality import quality
@@ -40,7 +40,7 @@ def surface(made):
 
 def test_a_periodic_cell(cell):
     made, context = mesh(cell, resolution=32)
-    assert made.volume == pytest.approx(cell.solid(cell_centres(64)).mean(), rel=0.03)
+    assert made.volume == pytest.approx(cell.solid(cell_centers(64)).mean(), rel=0.03)
     assert made.matched
     assert made.box.tolist() == [[0, 0, 0], [1, 1, 1]]
     match = face_match(made.nodes, made.cells, made.box)
@@ -55,7 +55,7 @@ def test_a_periodic_cell(cell):
 
 
 def test_finer_is_nearer(cell):
-    exact = float((cell.sample(cell_centres(128)) < 0).mean())
+    exact = float((cell.sample(cell_centers(128)) < 0).mean())
     errors = [abs(mesh(cell, resolution=n, islands="keep")[0].volume - exact) for n in (16, 32, 64)]
     assert errors[0] > 2 * errors[1] > 4 * errors[2]
     assert errors[2] < 0.005
@@ -67,7 +67,7 @@ def test_a_periodic_tiling_in_mm(cell):
     assert not [w for w in context.warnings if "cell edge is written" in w]
     assert made.matched == tiling.periodic
     assert np.allclose(made.box, [[0, 0, 0], [6, 3, 3]])
-    assert made.volume == pytest.approx(54 * tiling.solid(cell_centres(32, tiling.cells)).mean(), rel=0.06)
+    assert made.volume == pytest.approx(54 * tiling.solid(cell_centers(32, tiling.cells)).mean(), rel=0.06)
 
 
 def test_a_stochastic_tiling_ends_at_the_planes_of_its_box(wang_tiling):
@@ -86,7 +86,7 @@ def test_a_part_lies_in_its_domain(wang_tiling, ball, skin):
     away = np.linalg.norm(made.nodes - 5, axis=1)
     assert away.max() < 5.03
     h = 4 / 24
-    voxels = part.solid(cell_centres(24, wang_tiling.cells)).sum() * h**3
+    voxels = part.solid(cell_centers(24, wang_tiling.cells)).sum() * h**3
     assert made.volume == pytest.approx(voxels, rel=0.05)
     surface(made)
 

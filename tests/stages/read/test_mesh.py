@@ -60,10 +60,10 @@ def test_units_scale_and_height(tetra, wedge):
 def test_places(tetra):
     corner = read(tetra, place="corner", scale=2.0)[0]
     assert np.allclose(corner.lower, 0)
-    centre = read(tetra, place="center", height=Length(5))[0]
-    assert centre.lower[2] == pytest.approx(0)
-    assert centre.upper[2] == pytest.approx(5)
-    assert np.allclose((centre.lower + centre.upper)[:2], 0)
+    center = read(tetra, place="center", height=Length(5))[0]
+    assert center.lower[2] == pytest.approx(0)
+    assert center.upper[2] == pytest.approx(5)
+    assert np.allclose((center.lower + center.upper)[:2], 0)
 
 
 def test_turns_are_right_handed_about_x_then_y_then_z(tetra, wedge):

@@ -7,7 +7,7 @@ from PIL import Image
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stages.extract.voxels import ExtractVoxels
 from sppm_pipeline.stages.read.voxels import ReadVoxels
 from sppm_pipeline.stages.write.npy import WriteNpy
@@ -48,9 +48,9 @@ def test_phases_keep_their_numbers(save):
         read(save(values), invert=True)
 
 
-def test_grey_needs_a_decision(save):
+def test_gray_needs_a_decision(save):
     values = np.random.default_rng(0).random((5, 5, 5))
-    with pytest.raises(InputError, match="grey image") as caught:
+    with pytest.raises(InputError, match="gray image") as caught:
         read(save(values))
     assert "otsu" in caught.value.hint
     made, context = read(save(values), values="threshold", threshold=0.25)
@@ -120,7 +120,7 @@ def test_a_stack_of_pictures(tmp_path):
 def test_a_cell_goes_out_and_comes_back(cell, tmp_path, writer):
     context = PlainContext(directory=tmp_path)
     voxels = ExtractVoxels(resolution=20).run(context, cell)
-    assert (voxels.values == cell.solid(cell_centres(20)).T).all()
+    assert (voxels.values == cell.solid(cell_centers(20)).T).all()
     assert voxels.periodic == (True,) * 3
     writer.run(context, voxels)
     back, _ = read(tmp_path / writer.path)

@@ -1,4 +1,4 @@
-"""Face pores and interior pores together: no two pores of any neighbours come closer than the spacing."""
+"""Face pores and interior pores together: no two pores of any neighbors come closer than the spacing."""
 
 import itertools
 
@@ -36,13 +36,13 @@ def unit(axis):
 
 
 @pytest.mark.parametrize("colors", [(1, 1, 1), (2, 2, 2), (3, 3, 3), (20, 20, 20), (2, 3, 1)])
-def test_no_cell_and_no_pair_of_neighbours_violates_the_spacing(colors):
+def test_no_cell_and_no_pair_of_neighbors_violates_the_spacing(colors):
     spacing = 0.17
     pores = both(Palette(2, colors))
     eps = 1e-12
     faces = {(a, k): pores.of_piece(pores.face_piece(a, k)) for a in range(3) for k in range(colors[a])}
     for (axis, _), own in faces.items():
-        # a pattern repeated in its plane, beside any colour of the same axis
+        # a pattern repeated in its plane, beside any color of the same axis
         if max(colors) == 1:
             shifts = [
                 u * unit((axis + 1) % 3) + v * unit((axis + 2) % 3) for u, v in itertools.product((-1, 0, 1), repeat=2)

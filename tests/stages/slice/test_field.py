@@ -8,7 +8,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields import field_slices
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
-from sppm_pipeline.numerics.grid import cell_centres
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stages.fill.implicit import ImplicitFill
 from sppm_pipeline.stages.slice.field import SliceField
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -41,7 +41,7 @@ def test_layers_are_the_voxels(wang_tiling):
     assert (stack.pixel_mm, stack.layer_mm) == (0.4, 0.4)
     assert stack.origin_mm == (0, 0, 0)
     found = layers(stack)
-    expected = wang_tiling.solid(cell_centres(10, wang_tiling.cells))
+    expected = wang_tiling.solid(cell_centers(10, wang_tiling.cells))
     assert np.array_equal(found, expected * 255)
     assert stack.findings()["solid_share_of_box"] == expected.mean()
     assert stack.findings()["solid_volume_mm3"] == pytest.approx(expected.sum() * 0.4**3)
@@ -50,12 +50,12 @@ def test_layers_are_the_voxels(wang_tiling):
 
 
 def test_islands_are_removed_as_on_the_whole(wang_tiling, monkeypatch):
-    expected = keep_largest(wang_tiling.solid(cell_centres(10, wang_tiling.cells)), (False,) * 3)
+    expected = keep_largest(wang_tiling.solid(cell_centers(10, wang_tiling.cells)), (False,) * 3)
     stack = slices(wang_tiling, resolution=10)
     found = layers(stack)
     assert np.array_equal(found, expected * 255)
     removed = stack.findings()["removed_share"]
-    assert removed == pytest.approx(1 - expected.sum() / wang_tiling.solid(cell_centres(10, wang_tiling.cells)).sum())
+    assert removed == pytest.approx(1 - expected.sum() / wang_tiling.solid(cell_centers(10, wang_tiling.cells)).sum())
     assert removed > 0
     # in thin slabs, and evaluated twice because the stack is too large to be kept
     monkeypatch.setattr(field_slices, "SLAB_PIXELS", 2000)
@@ -64,12 +64,12 @@ def test_islands_are_removed_as_on_the_whole(wang_tiling, monkeypatch):
     assert stack.findings() == stack.findings()
 
 
-@pytest.mark.parametrize(("pixel", "layer", "grey"), [(0.4, 0.25, 1), (0.37, 0.11, 1), (0.4, 0.4, 3)])
-def test_threads_and_slabs_change_no_byte(wang_tiling, ball, monkeypatch, pixel, layer, grey):
+@pytest.mark.parametrize(("pixel", "layer", "gray"), [(0.4, 0.25, 1), (0.37, 0.11, 1), (0.4, 0.4, 3)])
+def test_threads_and_slabs_change_no_byte(wang_tiling, ball, monkeypatch, pixel, layer, gray):
     part = Part(wang_tiling, ball, 0.5)
 
     def made(threads):
-        return layers(slices(part, pixel=Length(pixel, MM), layer=Length(layer, MM), grey=grey), threads).tobytes()
+        return layers(slices(part, pixel=Length(pixel, MM), layer=Length(layer, MM), gray=gray), threads).tobytes()
 
     first = made(1)
     assert made(2) == first
@@ -101,16 +101,16 @@ def test_where_pixels_and_layers_lie(wang_tiling, wedge):
     assert found.any()
 
 
-def test_grey_is_the_share_of_the_pixel(wang_tiling):
-    stack = slices(wang_tiling, pixel=Length(0.4, MM), grey=4, islands="keep")
-    assert stack.grey
+def test_gray_is_the_share_of_the_pixel(wang_tiling):
+    stack = slices(wang_tiling, pixel=Length(0.4, MM), gray=4, islands="keep")
+    assert stack.gray
     found = layers(stack)
     fine = layers(slices(wang_tiling, pixel=Length(0.1, MM), layer=Length(0.4, MM), islands="keep")) > 0
     share = fine.reshape(30, 30, 4, 40, 4).mean((2, 4))
     assert np.abs(found / 255 - share).max() <= 0.5 / 255 + 1e-9
     assert len(np.unique(found)) > 5
     assert stack.findings()["solid_share_of_box"] == pytest.approx(fine.mean())
-    assert not slices(wang_tiling, resolution=4).grey
+    assert not slices(wang_tiling, resolution=4).gray
 
 
 def test_a_part_decides_about_its_islands(wang_tiling, ball):

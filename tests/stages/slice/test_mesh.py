@@ -54,7 +54,7 @@ def test_a_box_fills_its_layers():
     assert (layers(stack) == 255).all()
     assert stack.findings()["solid_volume_mm3"] == pytest.approx(24)
     assert stack.findings()["solid_share_of_box"] == 1
-    assert not stack.grey
+    assert not stack.gray
 
 
 @pytest.mark.parametrize("anchor", ["part", "origin"])
@@ -93,12 +93,12 @@ def test_layers_of_a_field_and_of_its_mesh(wang_tiling):
     assert not (differ & ~border).any()
 
 
-def test_slabs_and_grey(monkeypatch):
+def test_slabs_and_gray(monkeypatch):
     found = layers(slices(KNOT, pixel=0.3, layer=0.2))
     fine = layers(slices(KNOT, pixel=0.1, layer=0.2))
-    grey = slices(KNOT, pixel=0.3, layer=0.2, grey=3)
-    assert grey.grey
-    shades = layers(grey)
+    gray = slices(KNOT, pixel=0.3, layer=0.2, gray=3)
+    assert gray.gray
+    shades = layers(gray)
     ny, nx = found.shape[1:]
     padded = np.zeros((len(fine), 3 * ny, 3 * nx))
     padded[:, : fine.shape[1], : fine.shape[2]] = fine

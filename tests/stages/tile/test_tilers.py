@@ -1,4 +1,4 @@
-"""Tile sets and rules: colours match, masks are respected, porosity is on target, less and less repeats."""
+"""Tile sets and rules: colors match, masks are respected, porosity is on target, less and less repeats."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from sppm_pipeline.fields.cleaned import CleanedField
 from sppm_pipeline.fields.tiling import RepeatedField
 from sppm_pipeline.numerics.assembly.gather import sample_exact
 from sppm_pipeline.numerics.assembly.tiling_arrays import check_tiling
-from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity
 from sppm_pipeline.stages.sample.elimination import Elimination
@@ -45,11 +45,11 @@ def test_sets_have_the_porosity_wished_and_tell_that_of_every_tile(sets, kind):
     assert made.summary()["porosity"] == pytest.approx(0.5, abs=0.02)
     assert made.summary()["tile_porosity_min"] < 0.5 < made.summary()["tile_porosity_max"]
     tiling = RULES[kind](cells=(6, 6, 6)).run(PlainContext(9), made, None)
-    assert 1 - tiling.solid(cell_centres(12, tiling.cells)).mean() == pytest.approx(0.5, abs=0.025)
+    assert 1 - tiling.solid(cell_centers(12, tiling.cells)).mean() == pytest.approx(0.5, abs=0.025)
 
 
 def test_tiles_of_the_paper_are_measured_alone(wang):
-    grid = cell_centres(24)
+    grid = cell_centers(24)
     for t in (0, 3, 7):
         alone = wang.micro.alone(t, (t // 4, t // 2 % 2, t % 2)).solid(grid)
         assert wang.porosity[t] == pytest.approx(1 - alone.mean(), abs=0.001)
@@ -106,7 +106,7 @@ def test_every_rule_on_boxes_and_masks(sets, kind, shape, ball):
             assert (interior[x, y, z], *sides) in rows
 
 
-def test_a_cover_is_centred_and_sized(wang, wedge):
+def test_a_cover_is_centerd_and_sized(wang, wedge):
     tiling = WangTiling(cell=Length(0.2, "cm")).run(PlainContext(2), wang, wedge)
     middle = np.array(tiling.origin_mm) + np.array(tiling.cells) * 2.0 / 2
     assert np.allclose(middle, (wedge.lower + wedge.upper) / 2)
@@ -135,7 +135,7 @@ def test_cleaned_cells_can_be_repeated(cell, ball):
     laid = PeriodicTiling(cell=Length(2.5, "mm")).run(PlainContext(), clean, ball)
     assert isinstance(laid, RepeatedField)
     assert laid.cells == (4, 4, 4)
-    values = laid.sample(cell_centres(6, laid.cells))
+    values = laid.sample(cell_centers(6, laid.cells))
     assert np.array_equal(values[:6, :6, :6], values[6:12, 12:18, 18:24])
     with pytest.raises(ConfigError, match="does not repeat"):
         PeriodicTiling(cells=(2, 2, 2)).run(PlainContext(), laid_once(cell), None)
@@ -165,7 +165,7 @@ def test_fresh_cells_meet_at_their_faces_and_nothing_is_used_twice(recipe, cells
     nodes = Grid((0.0,) * 3, (1 / 8,) * 3, tuple(8 * n + 1 for n in tiling.cells))
     assert np.isfinite(tiling.sample(nodes)).all()
     if cells == (2, 3, 4):
-        assert 1 - tiling.solid(cell_centres(10, cells)).mean() == pytest.approx(0.5, abs=0.02)
+        assert 1 - tiling.solid(cell_centers(10, cells)).mean() == pytest.approx(0.5, abs=0.02)
 
 
 def test_fresh_cells_are_bounded_in_number(recipe):

@@ -9,7 +9,7 @@ import pytest
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.grid import Grid, cell_centres
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
 from sppm_pipeline.stages.field.gaussian import GaussianField
@@ -124,7 +124,7 @@ def test_any_field_is_cut_where_the_target_lies():
     assert porosity(made) == pytest.approx(0.8, abs=0.001)
     assert made.summary()["cut"] == pytest.approx((3 * 0.2 / 4 / np.pi) ** (1 / 3), rel=0.005)
     assert made.cut_at(0.1).summary()["cut"] == pytest.approx(made.summary()["cut"] + 0.1)
-    grid = cell_centres(9)
+    grid = cell_centers(9)
     assert (made.sample_layers(grid, 2, 5) == made.sample(grid)[2:5]).all()
     assert made.periodic
     assert made.edge_mm is None

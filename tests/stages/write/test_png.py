@@ -55,14 +55,14 @@ def test_the_manifest_says_what_a_printer_needs(wang_tiling, tmp_path):
         assert sheet.size[0] > 28
 
 
-def test_grey_layers_take_eight_bits(wang_tiling, tmp_path):
-    how = {"pixel": Length(1, "mm"), "grey": 3}
+def test_gray_layers_take_eight_bits(wang_tiling, tmp_path):
+    how = {"pixel": Length(1, "mm"), "gray": 3}
     stack, _ = written(wang_tiling, tmp_path, slice_options=how)
     found = np.concatenate([slab.copy() for _, slab in stack.slabs()])
     with Image.open(tmp_path / "slices/00002.png") as image:
         assert image.mode == "L"
         assert np.array_equal(np.asarray(image), found[2, ::-1])
-    with pytest.raises(ConfigError, match="grey"):
+    with pytest.raises(ConfigError, match="gray"):
         written(wang_tiling, tmp_path / "again", slice_options=how, bits=1)
 
 

@@ -41,8 +41,8 @@ def test_the_folder(tmp_path):
     assert np.linalg.norm(along) == pytest.approx(found["E"][0] / found["E_max"]["value"], abs=2e-3)
     with Image.open(folder / "young.png") as picture:
         assert picture.size == (400, 300)
-        colours = len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0))
-    assert colours > 500
+        colors = len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0))
+    assert colors > 500
 
 
 def test_nothing_stiff_is_said_and_the_rest_written(tmp_path):
@@ -54,7 +54,7 @@ def test_nothing_stiff_is_said_and_the_rest_written(tmp_path):
     assert json.loads((tmp_path / "s/stiffness.json").read_text())["nu"]["xy"] is None
 
 
-def test_an_isotropic_material_has_one_colour(tmp_path):
+def test_an_isotropic_material_has_one_color(tmp_path):
     report = StiffnessReport(isotropic(1.0, 0.3), ((1.0, 1.0, 0.3),), "a test")
     WriteStiffness(size=(300, 300)).run(PlainContext(directory=tmp_path), report)
     assert (tmp_path / "stiffness/young.png").exists()

@@ -20,8 +20,6 @@ from sppm_pipeline.numerics.homogenization.multigrid.pcg import Solved, Stop
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY
 from sppm_pipeline.numerics.homogenization.multigrid.transfer import coarsened, coarser_widths, shortness
 
-__all__ = ["Conducted", "conductivity", "tortuosity"]
-
 _LAYERS = 8
 _FLOOR = 1e-6
 _NOTHING = 1e-9

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel, kernel
+from sppm_pipeline.numerics.compiled import inline_jit, jit
 from sppm_pipeline.numerics.homogenization.multigrid.rows import (
     BLOCK,
     HEAD,
@@ -20,8 +20,6 @@ from sppm_pipeline.numerics.homogenization.multigrid.rows import (
     gather_row,
     scatter_row,
 )
-
-__all__ = ["SCRATCH_ROWS", "conduction_coefficients", "flow_energies", "sweep"]
 
 #: Rows of scratch: sum and difference along z, 4 modes of the line before, 4 flows carried to the next line, 4 flows
 #: of the line, the flows of a row of nodes.
@@ -46,7 +44,7 @@ def conduction_coefficients(
     return np.concatenate([g, linear, [q.sum() / 9], constant])
 
 
-@inline_kernel
+@inline_jit
 def _first_line(s: NDArray[Any], width: Any) -> None:
     """Modes along x of the first line; nothing is carried to it."""
     zero = s.dtype.type(0)
@@ -59,7 +57,7 @@ def _first_line(s: NDArray[Any], width: Any) -> None:
         s[e] = zero
 
 
-@inline_kernel
+@inline_jit
 def _brick_row(s: NDArray[Any], k: NDArray[Any], at: Any, c: NDArray[Any], first: Any, width: Any) -> None:
     """Flows of a row of bricks between the line before and the line whose sums along z are in scratch."""
     gx, gy, gz = c[0], c[1], c[2]
@@ -92,7 +90,7 @@ def _brick_row(s: NDArray[Any], k: NDArray[Any], at: Any, c: NDArray[Any], first
         s[e + _R[9]] = u101 + u111
 
 
-@kernel
+@jit
 def sweep(
     mode: int,
     v: NDArray[Any],
@@ -152,7 +150,7 @@ def sweep(
     return total
 
 
-@kernel
+@jit
 def flow_energies(
     u: NDArray[Any],
     k: NDArray[Any],

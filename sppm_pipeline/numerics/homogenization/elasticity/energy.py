@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel, kernel
+from sppm_pipeline.numerics.compiled import inline_jit, jit
 from sppm_pipeline.numerics.homogenization.multigrid.rows import BLOCK, HEAD, STRIDE, gather_row
-
-__all__ = ["ENERGY_ROWS", "energies", "energy_coefficients"]
 
 _MODES = 25
 #: Rows of scratch: sums and differences along z of two lines, then the strains of six fields.
@@ -24,7 +22,7 @@ _STRAINS, _FIELD = np.uint64(12 * STRIDE), np.uint64(_MODES * STRIDE)
 _R = tuple(np.uint64(STRIDE * row) for row in range(_MODES))
 
 
-@inline_kernel
+@inline_jit
 def _strain_row(s: NDArray[Any], to: Any, c: NDArray[Any], strain: NDArray[Any], width: Any) -> None:
     """Strains of a row of bricks, so weighted that energy is lam times the first 7 squared plus mu times the others.
 
@@ -92,7 +90,7 @@ def _strain_row(s: NDArray[Any], to: Any, c: NDArray[Any], strain: NDArray[Any],
         s[o + _R[24]] = mz * z111
 
 
-@inline_kernel
+@inline_jit
 def _mutual(s: NDArray[Any], a: Any, b: Any, lam: NDArray[Any], mu: NDArray[Any], at: Any, width: Any) -> float:
     """Mutual energy of two rows of strains."""
     total = 0.0
@@ -131,7 +129,7 @@ def _mutual(s: NDArray[Any], a: Any, b: Any, lam: NDArray[Any], mu: NDArray[Any]
     return total
 
 
-@kernel
+@jit
 def energies(
     u: NDArray[Any],
     lam: NDArray[Any],

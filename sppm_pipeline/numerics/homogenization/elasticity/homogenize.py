@@ -16,8 +16,6 @@ from sppm_pipeline.numerics.homogenization.multigrid.pcg import Solved, Stop
 from sppm_pipeline.numerics.homogenization.multigrid.rows import STRIDE
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame
 
-__all__ = ["Homogenized", "lame", "stiffness"]
-
 _LAYERS = 8
 """Layers of voxels whose energies are summed in one go; a constant, so that sums do not depend on threads."""
 

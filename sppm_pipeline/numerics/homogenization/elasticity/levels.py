@@ -12,8 +12,6 @@ from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Hierarchy,
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY
 from sppm_pipeline.numerics.homogenization.multigrid.transfer import coarsened, coarser_widths, shortness
 
-__all__ = ["ElasticLevel", "coefficients", "elastic_hierarchy", "safe_eigenvalue"]
-
 
 def coefficients(edges: tuple[float, float, float], strain: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
     """What `sweep` needs to know of a brick, (24,).

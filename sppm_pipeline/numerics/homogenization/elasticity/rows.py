@@ -7,16 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel
+from sppm_pipeline.numerics.compiled import inline_jit
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY, HEAD, SMOOTH, STRIDE
-
-__all__ = ["finish_rows", "gather_rows", "scatter_rows"]
 
 _1, _HEAD = np.uint64(1), np.uint64(HEAD)
 _R = tuple(np.uint64(STRIDE * row) for row in range(45))
 
 
-@inline_kernel
+@inline_jit
 def _gather_node(v: NDArray[Any], a: Any, b: Any, comp: Any, s: NDArray[Any], to: Any) -> None:
     c = comp + comp
     s[to], s[to + _R[1]] = v[a] + v[b], v[b] - v[a]
@@ -24,7 +22,7 @@ def _gather_node(v: NDArray[Any], a: Any, b: Any, comp: Any, s: NDArray[Any], to
     s[to + _R[4]], s[to + _R[5]] = v[a + c] + v[b + c], v[b + c] - v[a + c]
 
 
-@inline_kernel
+@inline_jit
 def gather_rows(v: NDArray[Any], a: Any, b: Any, comp: Any, n: Any, start: Any, width: Any, s: NDArray[Any]) -> None:
     """Sum and difference of two rows of nodes, from ``start - 1`` to ``start + width``, to the first rows of scratch.
 
@@ -55,7 +53,7 @@ def gather_rows(v: NDArray[Any], a: Any, b: Any, comp: Any, n: Any, start: Any, 
     _gather_node(v, a + after, b + after, comp, s, _HEAD + width)
 
 
-@inline_kernel
+@inline_jit
 def scatter_rows(s: NDArray[Any], plane: NDArray[Any], at: Any, width: Any) -> None:
     """From forces of bricks in modes of x and z (rows 30 to 41) to forces of nodes (rows 42 to 44).
 
@@ -86,7 +84,7 @@ def scatter_rows(s: NDArray[Any], plane: NDArray[Any], at: Any, width: Any) -> N
         plane[p + _R[2]] = low + high
 
 
-@inline_kernel
+@inline_jit
 def _apply_rows(v: NDArray[Any], at: Any, comp: Any, s: NDArray[Any], out: NDArray[Any], width: Any) -> float:
     c = comp + comp
     for i in range(width):
@@ -103,7 +101,7 @@ def _apply_rows(v: NDArray[Any], at: Any, comp: Any, s: NDArray[Any], out: NDArr
     return total
 
 
-@inline_kernel
+@inline_jit
 def _residual_rows(r: NDArray[Any], at: Any, comp: Any, s: NDArray[Any], out: NDArray[Any], width: Any) -> None:
     c = comp + comp
     for i in range(width):
@@ -113,7 +111,7 @@ def _residual_rows(r: NDArray[Any], at: Any, comp: Any, s: NDArray[Any], out: ND
         out[o + c] = r[o + c] - s[i + _R[44]]
 
 
-@inline_kernel
+@inline_jit
 def _smooth_rows(
     v: NDArray[Any], r: NDArray[Any], at: Any, comp: Any, weight: NDArray[Any], wat: Any, s: NDArray[Any],
     out: NDArray[Any], width: Any,
@@ -127,7 +125,7 @@ def _smooth_rows(
     return _apply_rows(r, at, comp, s, out, width)
 
 
-@inline_kernel
+@inline_jit
 def finish_rows(
     mode: int, v: NDArray[Any], r: NDArray[Any], at: Any, comp: Any, weight: NDArray[Any], wat: Any, s: NDArray[Any],
     out: NDArray[Any], width: Any,

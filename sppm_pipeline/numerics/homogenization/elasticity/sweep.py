@@ -18,11 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel, kernel
+from sppm_pipeline.numerics.compiled import inline_jit, jit
 from sppm_pipeline.numerics.homogenization.elasticity.rows import finish_rows, gather_rows, scatter_rows
 from sppm_pipeline.numerics.homogenization.multigrid.rows import BLOCK, HEAD, LANES, STRIDE
-
-__all__ = ["SCRATCH_ROWS", "sweep"]
 
 #: Rows of scratch: 6 sums and differences along z, 12 modes of the line before, 12 forces carried to the next line,
 #: 12 forces of the line, 3 forces of a row of nodes.
@@ -38,7 +36,7 @@ _LINE = np.uint64(30 * STRIDE)
 _FORCE = np.uint64(42 * STRIDE)
 
 
-@inline_kernel
+@inline_jit
 def _first_line(s: NDArray[Any], width: Any) -> None:
     """Modes along x of the first line; nothing is carried to it."""
     zero = s.dtype.type(0)
@@ -59,7 +57,7 @@ def _first_line(s: NDArray[Any], width: Any) -> None:
         s[e] = zero
 
 
-@inline_kernel
+@inline_jit
 def _brick_row(
     s: NDArray[Any], lam: NDArray[Any], mu: NDArray[Any], at: Any, c: NDArray[Any], first: Any, width: Any
 ) -> None:
@@ -166,7 +164,7 @@ def _brick_row(
         s[e + _R[29]] = z101 + z111
 
 
-@kernel
+@jit
 def sweep(
     mode: int,
     v: NDArray[Any],

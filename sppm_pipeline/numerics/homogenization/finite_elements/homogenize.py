@@ -17,8 +17,6 @@ from sppm_pipeline.numerics.homogenization.finite_elements.solve import (
 )
 from sppm_pipeline.numerics.homogenization.finite_elements.stiffness import assemble
 
-__all__ = ["TetHomogenized", "homogenize_tetrahedra"]
-
 
 class TetHomogenized(NamedTuple):
     """Effective stiffness and how it was found.

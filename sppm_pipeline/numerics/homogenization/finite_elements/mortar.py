@@ -7,9 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["FacePair", "collocation", "face_pairs", "mortar"]
+from sppm_pipeline.numerics.compiled import jit
 
 # Dunavant's quadrature of degree 4 on the triangle: the product of two quadratic functions is integrated exactly
 _W1, _A1, _W2, _A2 = 0.223381589678011, 0.445948490915965, 0.109951743655322, 0.091576213509771
@@ -165,7 +163,7 @@ def _shapes_at(shares: NDArray[np.float64], width: int) -> NDArray[np.float64]:
     return np.stack([a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a], axis=1)
 
 
-@kernel
+@jit
 def _shares(corners: NDArray[np.float64], x: float, y: float, out: NDArray[np.float64]) -> None:
     """Barycentric coordinates of a point."""
     ux, uy = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1]
@@ -177,7 +175,7 @@ def _shares(corners: NDArray[np.float64], x: float, y: float, out: NDArray[np.fl
     out[0] = 1.0 - out[1] - out[2]
 
 
-@kernel
+@jit
 def _located(points: NDArray[np.float64], low: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """For each point the triangle that it lies deepest in, -1 if it is far from all, and its shares there."""
     chosen = np.full(len(points), -1)
@@ -196,7 +194,7 @@ def _located(points: NDArray[np.float64], low: NDArray[np.float64]) -> tuple[NDA
     return chosen, shares
 
 
-@kernel
+@jit
 def _shape(shares: NDArray[np.float64], width: int, out: NDArray[np.float64]) -> None:
     a, b, c = shares[0], shares[1], shares[2]
     if width == 3:
@@ -206,7 +204,7 @@ def _shape(shares: NDArray[np.float64], width: int, out: NDArray[np.float64]) ->
         out[3], out[4], out[5] = 4 * a * b, 4 * b * c, 4 * c * a
 
 
-@kernel
+@jit
 def _overlaps(
     low: NDArray[np.float64],
     high: NDArray[np.float64],

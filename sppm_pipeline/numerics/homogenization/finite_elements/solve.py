@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Projector", "Solution", "conjugate_gradients", "multigrid", "rigid_modes"]
-
 Vector = NDArray[np.float64]
 
 COARSEST = 60

@@ -7,9 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import kernel
-
-__all__ = ["Assembled", "assemble"]
+from sppm_pipeline.numerics.compiled import jit
 
 # A quadrature of degree 2 suffices for straight-sided quadratic tetrahedra, whose gradients are linear.
 _A, _B = (5 + 3 * 5**0.5) / 20, (5 - 5**0.5) / 20
@@ -106,7 +104,7 @@ def _reference_gradients(width: int) -> NDArray[np.float64]:
     return made
 
 
-@kernel
+@jit
 def _scatter(
     nodes: NDArray[np.float64],
     cells: NDArray[np.int64],

@@ -13,8 +13,6 @@ from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY, BLOCK, H
 from sppm_pipeline.numerics.homogenization.multigrid.transfer import interpolate_add, restrict
 from sppm_pipeline.numerics.homogenization.multigrid.vectors import dense_product, dot, weighted
 
-__all__ = ["Hierarchy", "Level", "Workspace", "coarser", "node_sums", "padded"]
-
 COARSEST = 2
 """Axes of the coarsest grid have at most so many voxels: its matrix is so small that no library shares it out."""
 
@@ -50,7 +48,7 @@ class Level(Protocol):
     weight: NDArray[Any]
 
     def sweep(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
-        """A pass over the grid, see `rows.APPLY` and its neighbours; vectors are flat."""
+        """A pass over the grid, see `rows.APPLY` and its neighbors; vectors are flat."""
         ...
 
     def forces(self, load: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:

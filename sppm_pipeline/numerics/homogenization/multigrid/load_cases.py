@@ -13,8 +13,6 @@ from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Hierarchy,
 from sppm_pipeline.numerics.homogenization.multigrid.pcg import Solved, Stop, solve
 from sppm_pipeline.numerics.homogenization.multigrid.vectors import dot
 
-__all__ = ["load_cases"]
-
 _AGREEMENT = 1e-3
 """Relative difference of energies that rounding may cause."""
 

@@ -12,8 +12,6 @@ from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Hierarchy,
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY
 from sppm_pipeline.numerics.homogenization.multigrid.vectors import dot, step, turn
 
-__all__ = ["Solved", "Stop", "solve"]
-
 _SPANS = (1, 2, 4, 8, 16)
 """The gains of so many iterations are compared with those of as many before; the slowest fall counts."""
 

@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel
-
-__all__ = ["APPLY", "BLOCK", "HEAD", "LANES", "RESIDUAL", "SMOOTH", "STRIDE", "finish_row", "gather_row", "scatter_row"]
+from sppm_pipeline.numerics.compiled import inline_jit
 
 LANES = 8
 HEAD = 16
@@ -29,7 +27,7 @@ _1, _HEAD = np.uint64(1), np.uint64(HEAD)
 _R1, _R2, _R3 = np.uint64(STRIDE), np.uint64(2 * STRIDE), np.uint64(3 * STRIDE)
 
 
-@inline_kernel
+@inline_jit
 def gather_row(v: NDArray[Any], low: Any, high: Any, n: Any, start: Any, width: Any, s: NDArray[Any], row: Any) -> None:
     """Sum and difference of two rows of nodes, from ``start - 1`` to ``start + width``, periodic.
 
@@ -60,7 +58,7 @@ def gather_row(v: NDArray[Any], low: Any, high: Any, n: Any, start: Any, width: 
     s[to + _R1 + width] = b - a
 
 
-@inline_kernel
+@inline_jit
 def scatter_row(s: NDArray[Any], line: Any, to: Any, plane: NDArray[Any], at: Any, width: Any) -> None:
     """From forces of bricks in modes of x and z to forces of nodes.
 
@@ -85,7 +83,7 @@ def scatter_row(s: NDArray[Any], line: Any, to: Any, plane: NDArray[Any], at: An
         plane[at + i] = low + high
 
 
-@inline_kernel
+@inline_jit
 def _apply_row(v: NDArray[Any], at: Any, s: NDArray[Any], f: Any, out: NDArray[Any], width: Any) -> float:
     total = 0.0
     for i in range(width):
@@ -95,13 +93,13 @@ def _apply_row(v: NDArray[Any], at: Any, s: NDArray[Any], f: Any, out: NDArray[A
     return total
 
 
-@inline_kernel
+@inline_jit
 def _residual_row(r: NDArray[Any], at: Any, s: NDArray[Any], f: Any, out: NDArray[Any], width: Any) -> None:
     for i in range(width):
         out[at + i] = r[at + i] - s[f + i]
 
 
-@inline_kernel
+@inline_jit
 def _smooth_row(
     v: NDArray[Any], r: NDArray[Any], at: Any, weight: NDArray[Any], wat: Any, s: NDArray[Any], f: Any,
     out: NDArray[Any], width: Any,
@@ -116,7 +114,7 @@ def _smooth_row(
     return total
 
 
-@inline_kernel
+@inline_jit
 def finish_row(
     mode: int, v: NDArray[Any], r: NDArray[Any], at: Any, weight: NDArray[Any], wat: Any, s: NDArray[Any], f: Any,
     out: NDArray[Any], width: Any,

@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel, kernel
-
-__all__ = ["coarsened", "coarser_widths", "interpolate_add", "restrict", "shortness"]
+from sppm_pipeline.numerics.compiled import inline_jit, jit
 
 _0, _1 = np.uint64(0), np.uint64(1)
 
@@ -48,13 +46,13 @@ def shortness(widths: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     return 1 / (z[:, None, None] * y[:, None] * x)
 
 
-@inline_kernel
+@inline_jit
 def _add_scaled(a: NDArray[Any], at: Any, factor: Any, s: NDArray[Any], n: Any) -> None:
     for i in range(n):
         s[i] += factor * a[at + i]
 
 
-@inline_kernel
+@inline_jit
 def _interpolate_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse: Any) -> None:
     half = s.dtype.type(0.5)
     if n & _1 == _0:
@@ -70,7 +68,7 @@ def _interpolate_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse
         out[at + i + i + _1] += half * (s[i] + s[i + _1])
 
 
-@kernel
+@jit
 def interpolate_add(coarse: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s: NDArray[Any]) -> None:
     """Add the interpolated coarse vector to a fine one.
 
@@ -100,7 +98,7 @@ def interpolate_add(coarse: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.
         _interpolate_row(s, out, line * nx, nx, mx)
 
 
-@inline_kernel
+@inline_jit
 def _add_ring(a: NDArray[Any], at: Any, factor: Any, s: NDArray[Any], n: Any) -> None:
     """Add a row as a ring, to ``s[1:]``."""
     odd = n & _1
@@ -110,7 +108,7 @@ def _add_ring(a: NDArray[Any], at: Any, factor: Any, s: NDArray[Any], n: Any) ->
         s[n] += factor * a[at]
 
 
-@inline_kernel
+@inline_jit
 def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse: Any) -> None:
     half = s.dtype.type(0.5)
     # an even number of nodes closes the ring between its last node and the first
@@ -120,7 +118,7 @@ def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse: A
         out[at + i] = s[i + i + _1] + half * (s[i + i] + s[i + i + _1 + _1])
 
 
-@kernel
+@jit
 def restrict(fine: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s: NDArray[Any]) -> None:
     """The transpose of the interpolation; arguments as `interpolate_add`, `s` longer than nx + 1 of the fine grid."""
     nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])

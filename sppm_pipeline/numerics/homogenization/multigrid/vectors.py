@@ -7,15 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_kernel, kernel
-
-__all__ = ["dense_product", "dot", "step", "turn", "weighted"]
+from sppm_pipeline.numerics.compiled import inline_jit, jit
 
 # Sums are closed after so many terms: long vectors lose no digits, and the order does not depend on anything.
 _CHUNK = 4096
 
 
-@inline_kernel
+@inline_jit
 def _chunk_dot(a: NDArray[Any], b: NDArray[Any], start: Any, stop: Any) -> float:
     total = 0.0
     for i in range(start, stop):
@@ -23,7 +21,7 @@ def _chunk_dot(a: NDArray[Any], b: NDArray[Any], start: Any, stop: Any) -> float
     return total
 
 
-@kernel
+@jit
 def dot(a: NDArray[Any], b: NDArray[Any]) -> float:
     """Scalar product of two flat vectors."""
     total = 0.0
@@ -32,13 +30,13 @@ def dot(a: NDArray[Any], b: NDArray[Any]) -> float:
     return total
 
 
-@inline_kernel
+@inline_jit
 def _weigh(r: NDArray[Any], weight: NDArray[Any], z: NDArray[Any], at: Any, n: Any) -> None:
     for i in range(n):
         z[at + i] = weight[i] * r[at + i]
 
 
-@kernel
+@jit
 def weighted(r: NDArray[Any], weight: NDArray[Any], z: NDArray[Any]) -> None:
     """``z = weight r``, the weights (nodes,) being those of each component of r (components * nodes,)."""
     n = np.uint64(len(weight))
@@ -46,7 +44,7 @@ def weighted(r: NDArray[Any], weight: NDArray[Any], z: NDArray[Any]) -> None:
         _weigh(r, weight, z, c * n, n)
 
 
-@inline_kernel
+@inline_jit
 def _step(
     u: NDArray[Any], r: NDArray[Any], p: NDArray[Any], q: NDArray[Any], alpha: Any, start: Any, stop: Any
 ) -> float:
@@ -59,7 +57,7 @@ def _step(
     return total
 
 
-@kernel
+@jit
 def step(u: NDArray[Any], r: NDArray[Any], p: NDArray[Any], q: NDArray[Any], alpha: float) -> float:
     """``u += alpha p``, ``r -= alpha q``; returns ``r . r``."""
     total = 0.0
@@ -69,19 +67,19 @@ def step(u: NDArray[Any], r: NDArray[Any], p: NDArray[Any], q: NDArray[Any], alp
     return total
 
 
-@inline_kernel
+@inline_jit
 def _turn(z: NDArray[Any], beta: Any, p: NDArray[Any]) -> None:
     for i in range(np.uint64(len(p))):
         p[i] = z[i] + beta * p[i]
 
 
-@kernel
+@jit
 def turn(z: NDArray[Any], beta: Any, p: NDArray[Any]) -> None:
     """``p = z + beta p``."""
     _turn(z, p.dtype.type(beta), p)
 
 
-@kernel
+@jit
 def dense_product(matrix: NDArray[np.float64], r: NDArray[Any], z: NDArray[Any]) -> None:
     """``z = matrix r`` for the coarsest grid."""
     for i in range(len(z)):

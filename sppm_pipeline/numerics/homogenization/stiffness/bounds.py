@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.homogenization.stiffness.isotropy import averages
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic, mandel
 
-__all__ = ["Bounds", "Interval", "bounds", "hashin_shtrikman", "reuss", "voigt"]
-
 
 class Interval(NamedTuple):
     """A modulus lies between `lower` and `upper`."""

@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Limit", "richardson"]
-
 ORDERS = (0.5, 4.0)
 """Orders of convergence that are believed; outside, the grids are too coarse to tell."""
 

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import compliance, null_space
 
-__all__ = ["extremes", "sphere_mesh", "young_along"]
-
 
 def young_along(stiffness: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Young's modulus along each direction, E(n) = 1 / (n n : S : n n).
@@ -45,7 +43,7 @@ def sphere_mesh(rounds: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         + [[t * golden, 0, s] for s in (-1, 1) for t in (-1, 1)]
     )
     vertices = corners / np.linalg.norm(corners[0])
-    # each triangle of three corners that are neighbours (edge 2 in these units) is a face
+    # each triangle of three corners that are neighbors (edge 2 in these units) is a face
     near = np.abs(np.linalg.norm(corners[:, None] - corners[None], axis=2) - 2) < 1e-9
     found = [
         (i, j, k)

@@ -9,16 +9,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame, mandel, null_space
 
-__all__ = [
-    "Averages",
-    "IsotropicFit",
-    "averages",
-    "log_euclidean",
-    "nearest_isotropic",
-    "universal_anisotropy",
-    "zener",
-]
-
 
 class IsotropicFit(NamedTuple):
     """The isotropic material nearest to a stiffness.
@@ -111,7 +101,7 @@ def averages(stiffness: NDArray[np.float64]) -> Averages:
 
     References
     ----------
-    Hill 1952, "The elastic behaviour of a crystalline aggregate".
+    Hill 1952, "The elastic behavior of a crystalline aggregate".
     """
     a, b, c = _means(stiffness)
     values, vectors = null_space(stiffness)

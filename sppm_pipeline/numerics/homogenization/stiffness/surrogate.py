@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["parameter_for"]
-
 
 def parameter_for(
     parameters: NDArray[np.float64], moduli: NDArray[np.float64], target: float
@@ -29,12 +27,12 @@ def parameter_for(
     -------
     guess : float
     around : (low, high)
-        Neighbouring parameters whose moduli enclose the target.
+        Neighboring parameters whose moduli enclose the target.
 
     Raises
     ------
     ValueError
-        If no neighbouring samples enclose the target.
+        If no neighboring samples enclose the target.
     """
     from scipy.interpolate import PchipInterpolator
 

@@ -5,18 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "compliance",
-    "engineering_constants",
-    "from_lame",
-    "from_tensor",
-    "isotropic",
-    "mandel",
-    "null_space",
-    "rotated",
-    "tensor",
-]
-
 PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 """Tensor indices of the Voigt indices."""
 
