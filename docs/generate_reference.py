@@ -17,10 +17,10 @@ from pathlib import Path
 
 from sppm_pipeline.cli.arguments import BUILTINS
 from sppm_pipeline.cli.main import EXIT_CODES, VERBS
-from sppm_pipeline.engine.describe import stage_data
-from sppm_pipeline.engine.options import Option, options_of, plain_option, type_words
-from sppm_pipeline.engine.plugins import load_plugins
-from sppm_pipeline.engine.registry import Registry
+from sppm_pipeline.engine.config.options import Option, options_of, plain_option, type_words
+from sppm_pipeline.engine.plan.describe import stage_data
+from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.stage import FAMILIES, Stage
 
 FOLDER = Path(__file__).resolve().parent / "reference"

@@ -72,7 +72,7 @@ def _nobody_outlives_the_tests():
         os.environ[MARK] = MARKED
 
 
-BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
+BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
 
 
 def small_recipe(**field):
@@ -132,10 +132,10 @@ def ball() -> SurfaceMesh:
 @pytest.fixture
 def run_yaml(tmp_path):
     """Run a configuration, given as text or as a file, through the engine; returns the record and the run directory."""
-    from sppm_pipeline.engine.runner import run_plan
-    from sppm_pipeline.engine.session import RunRequest, open_session
-    from sppm_pipeline.engine.substitution import Overrides
-    from sppm_pipeline.engine.sweep import run_sweep
+    from sppm_pipeline.engine.config.substitution import Overrides
+    from sppm_pipeline.engine.plan.session import RunRequest, open_session
+    from sppm_pipeline.engine.run.runner import run_plan
+    from sppm_pipeline.engine.run.sweep import run_sweep
 
     def run(source, *, p=(), s=(), seed=None, threads=1, workers=1, executor=None, to="out"):
         if isinstance(source, str):

@@ -43,9 +43,10 @@ pipeline:
 RUN = """
 import sys
 from pathlib import Path
-from sppm_pipeline.engine.runner import run_plan
-from sppm_pipeline.engine.session import RunRequest, open_session
-session = open_session(RunRequest(sys.argv[1], ("sppm_pipeline.stages", "sppm_pipeline.engine.executors"), (), False))
+from sppm_pipeline.engine.run.runner import run_plan
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
+built_in = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
+session = open_session(RunRequest(sys.argv[1], built_in, (), False))
 run_plan(session.plan(), Path(sys.argv[2]), threads=2)
 """
 
@@ -155,7 +156,7 @@ def test_names_of_case_and_sort_order_do_not_follow_the_language(monkeypatch):
     """In Turkish the capital of i is not I; nothing that is compared may ask the language."""
     import locale
 
-    from sppm_pipeline.engine.names import folded, output_parts
+    from sppm_pipeline.engine.config.names import folded, output_parts
 
     before = locale.setlocale(locale.LC_ALL)
     for name in ("tr_TR.UTF-8", "de_DE.UTF-8", "C"):

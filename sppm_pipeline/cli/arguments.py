@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.plugins import Plugins
-    from sppm_pipeline.engine.session import RunRequest, Session
+    from sppm_pipeline.engine.plan.plugins import Plugins
+    from sppm_pipeline.engine.plan.session import RunRequest, Session
 
-BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
+BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
 """Modules whose hook implementations are always there."""
 
 
@@ -71,7 +71,7 @@ def find_configuration(name: str) -> Path:
     ConfigError
         If there is neither.
     """
-    from sppm_pipeline.engine.problems import did_you_mean
+    from sppm_pipeline.engine.config.problems import did_you_mean
     from sppm_pipeline.errors import ConfigError
 
     path = Path(name)
@@ -97,8 +97,8 @@ def find_configuration(name: str) -> Path:
 
 def order_from(args: Namespace) -> RunRequest:
     """What the arguments ask for."""
-    from sppm_pipeline.engine.session import RunRequest
-    from sppm_pipeline.engine.substitution import Overrides
+    from sppm_pipeline.engine.config.substitution import Overrides
+    from sppm_pipeline.engine.plan.session import RunRequest
 
     return RunRequest(
         file=str(find_configuration(args.file)),
@@ -112,7 +112,7 @@ def order_from(args: Namespace) -> RunRequest:
 
 def open_from(args: Namespace) -> Session:
     """Read the configuration and load the plugins."""
-    from sppm_pipeline.engine.session import open_session
+    from sppm_pipeline.engine.plan.session import open_session
 
     session = open_session(order_from(args))
     warn_of_failed_plugins(session.plugins)
@@ -134,7 +134,7 @@ def cache_of(args: Namespace) -> Path | None:
 
 def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:
     """Plugins without a configuration; if `strict`, a broken contract raises."""
-    from sppm_pipeline.engine.plugins import load_plugins
+    from sppm_pipeline.engine.plan.plugins import load_plugins
 
     plugins = load_plugins(
         BUILTINS, files=[Path(p) for p in args.plugin], distributions=not args.no_plugins, allowed=allowed_from(args)

@@ -70,7 +70,7 @@ def _at_least(version: str, spec: str) -> bool:
 
 
 def _machine() -> Iterator[Finding]:
-    from sppm_pipeline.engine.runner import available_threads
+    from sppm_pipeline.engine.run.runner import available_threads
 
     yield True, "processors", f"{available_threads()} of {os.cpu_count()} usable, {platform.machine()}"
     yield _writable(Path(tempfile.gettempdir()))[0], "temporary folder", tempfile.gettempdir()
@@ -99,7 +99,7 @@ def _writable(folder: Path) -> tuple[bool, str]:
 def _plugins(args: Namespace) -> Iterator[Finding]:
     """Every plugin, and every one of its stages, imported."""
     from sppm_pipeline.cli.plugins import findings_of
-    from sppm_pipeline.engine.registry import Registry
+    from sppm_pipeline.engine.plan.registry import Registry
 
     plugins = plugins_from(args, strict=False)
     registry = Registry(plugins)

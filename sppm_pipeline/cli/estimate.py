@@ -11,7 +11,7 @@ from sppm_pipeline.cli.arguments import add_configuration, open_from
 from sppm_pipeline.cli.limits import add_limits, limits_of
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.estimate import Forecast
+    from sppm_pipeline.engine.plan.estimate import Forecast
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -26,7 +26,7 @@ def configure(parser: ArgumentParser) -> None:
 def execute(args: Namespace) -> int:
     """Print the forecast; 5 if memory or disk will not do."""
     with limits_of(args):
-        from sppm_pipeline.engine.checking import checked, forecasts, refuse_unfit
+        from sppm_pipeline.engine.plan.checking import checked, forecasts, refuse_unfit
 
         session = open_from(args)
         plan, rows = checked(session, args.until)

@@ -16,8 +16,8 @@ def configure(parser: ArgumentParser) -> None:
 
 def execute(args: Namespace) -> int:
     """Explain a file if there is one of that name, else a stage."""
-    from sppm_pipeline.engine.describe import explain_plan, stage_text
-    from sppm_pipeline.engine.registry import Registry
+    from sppm_pipeline.engine.plan.describe import explain_plan, stage_text
+    from sppm_pipeline.engine.plan.registry import Registry
 
     if not Path(args.file).exists():
         registry = Registry(plugins_from(args))

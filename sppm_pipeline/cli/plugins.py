@@ -34,7 +34,7 @@ def execute(args: Namespace) -> int:
 
 def _described(args: Namespace) -> Iterator[dict[str, Any]]:
     """What is known without running any code of a plugin."""
-    from sppm_pipeline.engine.plugins import Plugin, installed_plugins
+    from sppm_pipeline.engine.plan.plugins import Plugin, installed_plugins
 
     plugins = [Plugin(module, builtin=True) for module in BUILTINS]
     if not args.no_plugins:
@@ -45,7 +45,7 @@ def _described(args: Namespace) -> Iterator[dict[str, Any]]:
 
 
 def _checked(args: Namespace) -> Iterator[dict[str, Any]]:
-    from sppm_pipeline.engine.registry import Registry
+    from sppm_pipeline.engine.plan.registry import Registry
 
     plugins = plugins_from(args, strict=False)
     registry = Registry(plugins)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, TextIO
 
-from sppm_pipeline.engine.monitor import Monitor
+from sppm_pipeline.engine.run.monitor import Monitor
 
 REDRAW = 0.1
 """Seconds between two redraws on a terminal."""

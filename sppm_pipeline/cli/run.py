@@ -49,9 +49,9 @@ def _execute(args: Namespace) -> int:
         return check.execute(args)
     from sppm_pipeline.cli.progress import ProgressLines
     from sppm_pipeline.engine.cache.location import open_store
-    from sppm_pipeline.engine.checking import checked, refuse_unfit
-    from sppm_pipeline.engine.monitor import Monitor
-    from sppm_pipeline.engine.runner import available_threads, run_plan
+    from sppm_pipeline.engine.plan.checking import checked, refuse_unfit
+    from sppm_pipeline.engine.run.monitor import Monitor
+    from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
     monitor: Monitor = Monitor() if args.quiet or sys.stderr is None else ProgressLines(sys.stderr)
     if isinstance(monitor, ProgressLines):
@@ -76,7 +76,7 @@ def _execute(args: Namespace) -> int:
                 about=str(session.configuration.file.absolute()),
             )
         else:
-            from sppm_pipeline.engine.sweep import run_sweep
+            from sppm_pipeline.engine.run.sweep import run_sweep
 
             record = run_sweep(
                 session,
@@ -108,7 +108,7 @@ def _execute(args: Namespace) -> int:
 
 
 def _print_json(record: Mapping[str, Any]) -> None:
-    from sppm_pipeline.engine.jsonable import json_text
+    from sppm_pipeline.engine.config.jsonable import json_text
 
     print(json_text(dict(record)), end="")
 

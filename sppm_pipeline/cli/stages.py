@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from sppm_pipeline.cli.arguments import add_plugins, plugins_from
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.registry import Registry
+    from sppm_pipeline.engine.plan.registry import Registry
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -21,8 +21,8 @@ def configure(parser: ArgumentParser) -> None:
 
 def execute(args: Namespace) -> int:
     """List, or describe."""
-    from sppm_pipeline.engine.describe import stage_data, stage_list, stage_text
-    from sppm_pipeline.engine.registry import Registry
+    from sppm_pipeline.engine.plan.describe import stage_data, stage_list, stage_text
+    from sppm_pipeline.engine.plan.registry import Registry
 
     registry = Registry(plugins_from(args))
     if args.name is None or any(name.split(".")[0] == args.name for name in registry):
@@ -39,7 +39,7 @@ def execute(args: Namespace) -> int:
 
 def _data(name: str, registry: Registry) -> dict[str, Any]:
     """The stage, or why it can't be described; one broken plugin does not hide the others."""
-    from sppm_pipeline.engine.describe import stage_data
+    from sppm_pipeline.engine.plan.describe import stage_data
     from sppm_pipeline.errors import PluginError
 
     try:

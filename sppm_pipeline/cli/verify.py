@@ -17,8 +17,8 @@ def configure(parser: ArgumentParser) -> None:
 
 def execute(args: Namespace) -> int:
     """Check, and list what is wrong."""
-    from sppm_pipeline.engine.runner import available_threads
-    from sppm_pipeline.engine.verification import verify_run
+    from sppm_pipeline.engine.run.runner import available_threads
+    from sppm_pipeline.engine.run.verification import verify_run
 
     found, files = verify_run(args.directory, available_threads())
     if args.extra_ok:

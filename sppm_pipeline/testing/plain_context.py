@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.engine.configuration import StageEntry
-from sppm_pipeline.engine.context import RunContext, StageLog
-from sppm_pipeline.engine.document import Node
-from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.names import output_parts
-from sppm_pipeline.engine.plugins import Plugin
-from sppm_pipeline.engine.problems import Problems
-from sppm_pipeline.engine.running import StepRecipe
-from sppm_pipeline.engine.wiring import Draft, wire
+from sppm_pipeline.engine.config.configuration import StageEntry
+from sppm_pipeline.engine.config.document import Node
+from sppm_pipeline.engine.config.names import output_parts
+from sppm_pipeline.engine.config.problems import Problems
+from sppm_pipeline.engine.plan.plugins import Plugin
+from sppm_pipeline.engine.plan.wiring import Draft, wire
+from sppm_pipeline.engine.run.context import RunContext, StageLog
+from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.running import StepRecipe
 from sppm_pipeline.errors import Position
 from sppm_pipeline.stage import Stage
 

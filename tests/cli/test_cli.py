@@ -206,7 +206,7 @@ def test_a_bug_of_ours_is_one_line(here, capsys, monkeypatch):
     def broken(*args, **kwargs):
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("sppm_pipeline.engine.runner.run_plan", broken)
+    monkeypatch.setattr("sppm_pipeline.engine.run.runner.run_plan", broken)
     assert sppm("run", "demo.yaml") == 1
     err = capsys.readouterr().err
     assert "internal error: ZeroDivisionError: oh" in err

@@ -147,7 +147,7 @@ def test_too_little_memory_is_refused_before_any_work(here, capsys, verb):
 
 @pytest.mark.parametrize("verb", ["estimate", "run"])
 def test_too_small_a_disk_is_refused_before_any_work(here, capsys, verb, monkeypatch):
-    monkeypatch.setattr("sppm_pipeline.engine.estimate.free_disk", lambda folder: 1000)
+    monkeypatch.setattr("sppm_pipeline.engine.plan.estimate.free_disk", lambda folder: 1000)
     assert sppm(verb, "part.yaml", "-o", "there") == 5
     err = capsys.readouterr().err
     assert "would be written; free where 'there' lies are 1 kB" in err

@@ -142,7 +142,7 @@ def small_disk(tmp_path):
 def test_a_full_disk(here, small_disk, name):
     # the forecast would refuse the run at once; here the disk fills up while it goes on
     code = (
-        "import sys; from sppm_pipeline.engine import estimate; estimate.free_disk = lambda folder: None\n"
+        "import sys; from sppm_pipeline.engine.plan import estimate; estimate.free_disk = lambda folder: None\n"
         "from sppm_pipeline.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"
     )
     (small_disk / "filler").write_bytes(b"x" * 200_000)
@@ -266,7 +266,7 @@ def test_errors_of_the_system_in_a_stage(tmp_path, monkeypatch, capsys, number):
 def test_too_little_address_space(here):
     """Memory that is refused while a stage works, where nothing was foretold."""
     code = (
-        "import resource, sys; from sppm_pipeline.engine import checking\n"
+        "import resource, sys; from sppm_pipeline.engine.plan import checking\n"
         "checking.refuse_unfit = lambda *a, **k: None\n"
         "import sppm_pipeline.stages.extract.voxels, sppm_pipeline.stages.field.gaussian, numba\n"
         "resource.setrlimit(resource.RLIMIT_AS, (2**30, 2**30))\n"

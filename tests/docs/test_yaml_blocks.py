@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from sppm_pipeline.cli.arguments import BUILTINS
-from sppm_pipeline.engine.session import RunRequest, open_session
-from sppm_pipeline.engine.sweep import check_sweep, sweep_rows
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.run.sweep import check_sweep, sweep_rows
 from sppm_pipeline.errors import ConfigError, ConfigErrors, WiringError
 
 PLACEHOLDER = "pipeline:\n  - {stage: read.primitive, shape: box, size: [1, 1, 1]}\n"

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from sppm_pipeline.cli.main import main as sppm
-from sppm_pipeline.engine import plugins, session
+from sppm_pipeline.engine.plan import plugins, session
 
 ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 30.0

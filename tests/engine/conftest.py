@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.engine.plan import Plan
-from sppm_pipeline.engine.runner import run_plan
-from sppm_pipeline.engine.session import RunRequest, Session, open_session
-from sppm_pipeline.engine.substitution import Overrides
+from sppm_pipeline.engine.config.substitution import Overrides
+from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.plan.session import RunRequest, Session, open_session
+from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import ConfigError, ConfigErrors
 
-BUILTINS = ("sppm_pipeline.testing.synthetic", "sppm_pipeline.engine.executors")
+BUILTINS = ("sppm_pipeline.testing.synthetic", "sppm_pipeline.engine.run.executors")
 
 
 class Workplace:

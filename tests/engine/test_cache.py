@@ -14,11 +14,11 @@ from sppm_pipeline.engine.cache import keeper
 from sppm_pipeline.engine.cache.housekeeping import contents, damaged_entries, parse_size, prune
 from sppm_pipeline.engine.cache.reasons import differences, reasons_of
 from sppm_pipeline.engine.cache.store import Store
-from sppm_pipeline.engine.files import digest_of
-from sppm_pipeline.engine.locks import FolderLock
-from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.runner import run_plan
-from sppm_pipeline.engine.sweep import run_sweep
+from sppm_pipeline.engine.run.files import digest_of
+from sppm_pipeline.engine.run.locks import FolderLock
+from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.runner import run_plan
+from sppm_pipeline.engine.run.sweep import run_sweep
 
 STAGES = Path(__file__).with_name("slow_stages.py")
 

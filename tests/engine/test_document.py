@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.engine.document import Override, parse_value, parse_yaml, plain, read_yaml
+from sppm_pipeline.engine.config.document import Override, parse_value, parse_yaml, plain, read_yaml
 from sppm_pipeline.errors import ConfigError
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sppm_pipeline.engine.document import Override, parse_value, parse_yaml, plain, read_yaml
-from sppm_pipeline.engine.limits import MAX_BYTES, MAX_KEY, MAX_LINE, MAX_NODES, MAX_SCALAR
+from sppm_pipeline.engine.config.document import Override, parse_value, parse_yaml, plain, read_yaml
+from sppm_pipeline.engine.config.limits import MAX_BYTES, MAX_KEY, MAX_LINE, MAX_NODES, MAX_SCALAR
 from sppm_pipeline.errors import ConfigError
 
 BIG = 1 << 17
@@ -139,7 +139,7 @@ def test_seeds(work, seed):
 
 @pytest.mark.parametrize("to", ["1" + "0" * 400, "1e300", ".nan", "true", "x", "-5", "[1]"])
 def test_ranges_of_sweeps(work, to):
-    from sppm_pipeline.engine.sweep import sweep_rows
+    from sppm_pipeline.engine.run.sweep import sweep_rows
 
     text = (
         f"params: {{a: 1}}\nsweep: {{a: {{from: 1, to: {to}}}}}\npipeline: [{{stage: read.varied, whole: '${{a}}'}}]\n"
@@ -151,8 +151,8 @@ def test_ranges_of_sweeps(work, to):
 
 
 def test_a_long_sweep_is_checked_by_a_part_of_its_rows(work, monkeypatch):
-    from sppm_pipeline.engine.session import Session
-    from sppm_pipeline.engine.sweep import MOST_CHECKED, check_sweep, sweep_rows
+    from sppm_pipeline.engine.plan.session import Session
+    from sppm_pipeline.engine.run.sweep import MOST_CHECKED, check_sweep, sweep_rows
 
     planned = []
     original = Session.plan

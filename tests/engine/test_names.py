@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.engine.names import collide, folded, output_parts
+from sppm_pipeline.engine.config.names import collide, folded, output_parts
 from sppm_pipeline.errors import ConfigError
 
 BAD = [

@@ -12,8 +12,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.engine.document import as_node
-from sppm_pipeline.engine.options import allowed_words, options_of, parse_typed, plain_option, type_words
+from sppm_pipeline.engine.config.document import as_node
+from sppm_pipeline.engine.config.options import allowed_words, options_of, parse_typed, plain_option, type_words
 from sppm_pipeline.errors import PluginError, Position
 from sppm_pipeline.stage import Stage, option
 from sppm_pipeline.testing.synthetic import Text, Varied

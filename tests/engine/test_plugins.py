@@ -8,13 +8,13 @@ import types
 
 import pytest
 
-from sppm_pipeline.engine.plugins import load_plugins
-from sppm_pipeline.engine.registry import Registry
+from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.testing import synthetic
 
-BUILTINS = ("sppm_pipeline.testing.synthetic", "sppm_pipeline.engine.executors")
+BUILTINS = ("sppm_pipeline.testing.synthetic", "sppm_pipeline.engine.run.executors")
 
 ONE_FILE = '''
 from dataclasses import dataclass

@@ -8,13 +8,13 @@ import weakref
 import numpy as np
 import pytest
 
-from sppm_pipeline.engine.files import digest_of
-from sppm_pipeline.engine.jsonable import json_text, jsonable
-from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.plan import make_plan
-from sppm_pipeline.engine.runner import run_plan
-from sppm_pipeline.engine.running import last_uses
-from sppm_pipeline.engine.session import RunRequest, open_session
+from sppm_pipeline.engine.config.jsonable import json_text, jsonable
+from sppm_pipeline.engine.plan.planning import make_plan
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.run.files import digest_of
+from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.runner import run_plan
+from sppm_pipeline.engine.run.running import last_uses
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, PluginError, ResourceError, SppmError
 from sppm_pipeline.stage import Rejected
 from sppm_pipeline.testing import synthetic
@@ -103,7 +103,7 @@ def test_a_record_repeats_its_run_from_anywhere(work, monkeypatch):
     (work.folder / "config.yaml").unlink()
 
     def again(to, **overrides):
-        from sppm_pipeline.engine.substitution import Overrides
+        from sppm_pipeline.engine.config.substitution import Overrides
 
         order = RunRequest("er/run.json", ("sppm_pipeline.testing.synthetic",), (), False, Overrides(**overrides))
         return run_plan(open_session(order).plan(), work.folder / to, threads=1)

@@ -10,12 +10,12 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from sppm_pipeline.data.table import Table
-from sppm_pipeline.engine.document import plain
-from sppm_pipeline.engine.executors import SerialExecutor, make_executor
-from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.plugins import load_plugins
-from sppm_pipeline.engine.sweep import run_sweep, sweep_rows
-from sppm_pipeline.engine.sweep_table import csv_text, numbers_of, rows_of
+from sppm_pipeline.engine.config.document import plain
+from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor
+from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.sweep import run_sweep, sweep_rows
+from sppm_pipeline.engine.run.sweep_table import csv_text, numbers_of, rows_of
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
 
 TEXT = """name: sweep
@@ -136,7 +136,7 @@ def test_a_sweep_can_be_repeated_from_its_record_and_into_its_directory(work):
     (work.folder / "a" / "runs" / "0099").mkdir()
     (work.folder / "a" / "runs" / "0099" / "run.json").write_text((work.folder / "a/runs/0000/run.json").read_text())
     before = (work.folder / "a" / "sweep.csv").read_bytes()
-    from sppm_pipeline.engine.session import RunRequest, open_session
+    from sppm_pipeline.engine.plan.session import RunRequest, open_session
 
     (work.folder / "copy.json").write_text(record)
     session = open_session(RunRequest(str(work.folder / "copy.json"), work.session(TEXT).order.builtins, (), False))
@@ -207,7 +207,7 @@ def test_a_worker_that_dies_is_a_native_crash(work):
 
 
 def test_executors_by_name():
-    plugins = load_plugins(["sppm_pipeline.engine.executors"], distributions=False)
+    plugins = load_plugins(["sppm_pipeline.engine.run.executors"], distributions=False)
     assert isinstance(make_executor(None, 1, plugins), SerialExecutor)
     with make_executor("threads", 2, plugins) as pool:
         assert isinstance(pool, ThreadPoolExecutor)
@@ -279,7 +279,7 @@ def test_numbers_of_short_lists_get_columns():
 
 def test_the_stages_of_after_are_given_the_files_of_the_runs(work, monkeypatch):
     given = {}
-    monkeypatch.setattr("sppm_pipeline.engine.sweep.run_steps", lambda *_, **how: given.update(how["given"]))
+    monkeypatch.setattr("sppm_pipeline.engine.run.sweep.run_steps", lambda *_, **how: given.update(how["given"]))
     run(work)
     table = given["sweep"]
     assert list(table.files) == ["number.txt"]

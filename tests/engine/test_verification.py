@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.cli.main import main
-from sppm_pipeline.engine.sweep import run_sweep
-from sppm_pipeline.engine.verification import verify_run
+from sppm_pipeline.engine.run.sweep import run_sweep
+from sppm_pipeline.engine.run.verification import verify_run
 from sppm_pipeline.errors import DesignError, InputError
 
 SINGLE = """name: single

@@ -15,7 +15,7 @@ import pytest
 
 from sppm_pipeline.cli.arguments import BUILTINS
 from sppm_pipeline.cli.main import main
-from sppm_pipeline.engine.plugins import load_plugins
+from sppm_pipeline.engine.plan.plugins import load_plugins
 
 PLUGINS = sorted(path.parent for path in (Path(__file__).resolve().parents[2] / "plugins").glob("*/pyproject.toml"))
 STAGES = {

@@ -32,7 +32,7 @@ def test_runs_as_the_command_line_names_it(tmp_path: Path, root: Path, capsys: p
 
 
 def test_keeps_the_contract_of_samplers(root: Path) -> None:
-    from sppm_pipeline.engine.plugins import load_plugins
+    from sppm_pipeline.engine.plan.plugins import load_plugins
     from sppm_pipeline.testing.contracts import SamplerContract
 
     (plugin,) = load_plugins([], files=[root / "examples" / "uniform_sampler.py"], distributions=False).plugins

@@ -17,13 +17,13 @@ from pathlib import Path
 import pytest
 
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.engine.options import options_of, parse_typed
-from sppm_pipeline.engine.runner import run_plan
-from sppm_pipeline.engine.session import RunRequest, open_session
+from sppm_pipeline.engine.config.options import options_of, parse_typed
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import ConfigError, ConfigErrors, SppmError
 from sppm_pipeline.stages import BUILT_IN, sppm_stages
 
-BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.executors")
+BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
 
 RECIPE = """  cell:
     - {stage: sample.mirrored_faces, count: 6, spacing: 0.25}

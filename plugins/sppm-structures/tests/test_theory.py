@@ -15,7 +15,7 @@ from sppm_structures.tpms import Tpms
 
 from sppm_pipeline.cli.main import main
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.engine.session import RunRequest, open_session
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.errors import ConfigErrors
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
 from sppm_pipeline.stages.tune.porosity import TunePorosity

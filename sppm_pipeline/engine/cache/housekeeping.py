@@ -11,7 +11,7 @@ from typing import Any
 
 from sppm_pipeline.data.storage import DamagedError
 from sppm_pipeline.engine.cache.store import Store
-from sppm_pipeline.engine.locks import FolderLock
+from sppm_pipeline.engine.run.locks import FolderLock
 
 AFTER_PRUNING = 0.8
 """Share of the cap that is left after entries were removed, so that not every run has to remove some."""

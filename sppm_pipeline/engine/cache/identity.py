@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import sppm_pipeline
-from sppm_pipeline.engine.distributions import installed_version, requirements_of
-from sppm_pipeline.engine.plugins import Plugin
+from sppm_pipeline.engine.plan.distributions import installed_version, requirements_of
+from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.stage import Stage
 
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")

@@ -13,9 +13,9 @@ from sppm_pipeline.data.storage import DamagedError, NotStorable, stored_bytes
 from sppm_pipeline.engine.cache.housekeeping import account
 from sppm_pipeline.engine.cache.keys import InputFiles, ingredients_of, key_of
 from sppm_pipeline.engine.cache.store import Entry, Store
-from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.outputs import RunFolder
-from sppm_pipeline.engine.wiring import Step
+from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.outputs import RunFolder
 
 STORE_RATE = 4e8
 """Bytes a second that are written and hashed, at least."""

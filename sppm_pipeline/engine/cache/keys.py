@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.cache.identity import code_of, environment
-from sppm_pipeline.engine.files import digest_of
-from sppm_pipeline.engine.plan import Plan, step_options
-from sppm_pipeline.engine.plugins import Plugin
-from sppm_pipeline.engine.wiring import Step
+from sppm_pipeline.engine.plan.planning import Plan, step_options
+from sppm_pipeline.engine.plan.plugins import Plugin
+from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.engine.run.files import digest_of
 
 KEY_FORMAT = 1
 """Raised when the same ingredients come to mean something else."""

@@ -7,8 +7,8 @@ from typing import Any
 
 from sppm_pipeline.engine.cache.keeper import CacheSession, recent_name
 from sppm_pipeline.engine.cache.store import Store
-from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.plan import Plan
+from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.run.monitor import Monitor
 
 
 def reasons_of(plan: Plan, store: Store, about: str) -> dict[str, tuple[bool, str]]:

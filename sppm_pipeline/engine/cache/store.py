@@ -27,9 +27,9 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value, save_value
-from sppm_pipeline.engine.jsonable import json_text
-from sppm_pipeline.engine.locks import FolderLock
-from sppm_pipeline.engine.sealing import BrokenSealError, read_sealed, sealed
+from sppm_pipeline.engine.config.jsonable import json_text
+from sppm_pipeline.engine.run.locks import FolderLock
+from sppm_pipeline.engine.run.sealing import BrokenSealError, read_sealed, sealed
 
 FORMAT = 1
 

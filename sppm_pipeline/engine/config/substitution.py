@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from sppm_pipeline.engine.configuration import RESERVED, StageEntry
-from sppm_pipeline.engine.document import Entry, Node, Override, count_nodes, parse_value
-from sppm_pipeline.engine.limits import MAX_NODES
-from sppm_pipeline.engine.problems import Problems, did_you_mean, listed, shown
+from sppm_pipeline.engine.config.configuration import RESERVED, StageEntry
+from sppm_pipeline.engine.config.document import Entry, Node, Override, count_nodes, parse_value
+from sppm_pipeline.engine.config.limits import MAX_NODES
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, shown
 from sppm_pipeline.errors import ConfigError
 
 _WHOLE = re.compile(r"\$\{\s*(\w+)\s*\}")

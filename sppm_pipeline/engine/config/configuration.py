@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.document import Entry, Node, Override, plain, read_yaml
-from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
+from sppm_pipeline.engine.config.document import Entry, Node, Override, plain, read_yaml
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, Position
 
 FORMAT = 1

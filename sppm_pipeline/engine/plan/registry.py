@@ -8,10 +8,10 @@ import inspect
 from collections.abc import Iterator
 from contextlib import nullcontext
 
-from sppm_pipeline.engine.options import options_of
-from sppm_pipeline.engine.plugins import Plugin, Plugins
-from sppm_pipeline.engine.ports import signature_of
-from sppm_pipeline.engine.problems import listed, nearest, shown
+from sppm_pipeline.engine.config.options import options_of
+from sppm_pipeline.engine.config.problems import listed, nearest, shown
+from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
+from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.errors import ConfigError, PluginError, Position
 from sppm_pipeline.process.containment import contained
 from sppm_pipeline.stage import FAMILIES, Stage

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from sppm_pipeline.engine.plan import SWEEP_ID, Plan
-from sppm_pipeline.engine.ports import artifact_words
-from sppm_pipeline.engine.wiring import Step
+from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
+from sppm_pipeline.engine.plan.ports import artifact_words
+from sppm_pipeline.engine.plan.wiring import Step
 
 
 def wiring_text(plan: Plan) -> str:

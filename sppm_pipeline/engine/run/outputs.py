@@ -11,11 +11,11 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.engine.document import RECORD_KEY
-from sppm_pipeline.engine.files import clear, digest_of, files_in, remove, size_of, sync, tree_digest, write_whole
-from sppm_pipeline.engine.locks import FolderLock
-from sppm_pipeline.engine.names import STAGING as _STAGING
-from sppm_pipeline.engine.names import collide, folded, output_parts
+from sppm_pipeline.engine.config.document import RECORD_KEY
+from sppm_pipeline.engine.config.names import STAGING as _STAGING
+from sppm_pipeline.engine.config.names import collide, folded, output_parts
+from sppm_pipeline.engine.run.files import clear, digest_of, files_in, remove, size_of, sync, tree_digest, write_whole
+from sppm_pipeline.engine.run.locks import FolderLock
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
 
 if TYPE_CHECKING:

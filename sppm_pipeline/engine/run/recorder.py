@@ -9,13 +9,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.files import write_whole
-from sppm_pipeline.engine.jsonable import json_text
-from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.outputs import RECORD, SWEEP_RUNS, RunFolder
-from sppm_pipeline.engine.plan import Plan
-from sppm_pipeline.engine.record import error_entry, record_of
-from sppm_pipeline.engine.sealing import sealed
+from sppm_pipeline.engine.config.jsonable import json_text
+from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.run.files import write_whole
+from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, RunFolder
+from sppm_pipeline.engine.run.record import error_entry, record_of
+from sppm_pipeline.engine.run.sealing import sealed
 from sppm_pipeline.errors import NativeCrash, SppmError
 from sppm_pipeline.process.interruption import requested, running, stopped_running
 

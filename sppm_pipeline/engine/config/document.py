@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sppm_pipeline.engine.limits import (
+from sppm_pipeline.engine.config.limits import (
     MAX_DEPTH,
     MAX_DIGITS,
     MAX_KEY,

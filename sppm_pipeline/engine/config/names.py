@@ -7,8 +7,8 @@ import unicodedata
 from collections.abc import Iterable
 from pathlib import PurePosixPath
 
-from sppm_pipeline.engine.limits import unprintable
-from sppm_pipeline.engine.problems import Problems, shown
+from sppm_pipeline.engine.config.limits import unprintable
+from sppm_pipeline.engine.config.problems import Problems, shown
 from sppm_pipeline.errors import ConfigError, Position
 
 STAGING = ".staging-"

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.configuration import Configuration, read_configuration
-from sppm_pipeline.engine.document import Entry
-from sppm_pipeline.engine.plan import Plan, make_plan
-from sppm_pipeline.engine.plugins import Plugins, load_plugins
-from sppm_pipeline.engine.registry import Registry
-from sppm_pipeline.engine.substitution import Overrides
+from sppm_pipeline.engine.config.configuration import Configuration, read_configuration
+from sppm_pipeline.engine.config.document import Entry
+from sppm_pipeline.engine.config.substitution import Overrides
+from sppm_pipeline.engine.plan.planning import Plan, make_plan
+from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
+from sppm_pipeline.engine.plan.registry import Registry
 
 
 @dataclass(frozen=True)

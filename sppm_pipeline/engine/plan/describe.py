@@ -6,11 +6,11 @@ import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sppm_pipeline.engine.options import Option, allowed_words, options_of, plain_option
-from sppm_pipeline.engine.plan import Plan, step_options
-from sppm_pipeline.engine.ports import artifact_words, signature_of
-from sppm_pipeline.engine.registry import Registry
-from sppm_pipeline.engine.wiring import Step
+from sppm_pipeline.engine.config.options import Option, allowed_words, options_of, plain_option
+from sppm_pipeline.engine.plan.planning import Plan, step_options
+from sppm_pipeline.engine.plan.ports import artifact_words, signature_of
+from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.errors import PluginError
 from sppm_pipeline.stage import FAMILIES, Stage
 

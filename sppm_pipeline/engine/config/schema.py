@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.length import UNITS_IN_MM, Length
-from sppm_pipeline.engine.configuration import FORMAT, KEYS
-from sppm_pipeline.engine.describe import purpose_of
-from sppm_pipeline.engine.options import Option, options_of, plain_option
-from sppm_pipeline.engine.ports import signature_of
-from sppm_pipeline.engine.registry import Registry
+from sppm_pipeline.engine.config.configuration import FORMAT, KEYS
+from sppm_pipeline.engine.config.options import Option, options_of, plain_option
+from sppm_pipeline.engine.plan.describe import purpose_of
+from sppm_pipeline.engine.plan.ports import signature_of
+from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.stage import OptionSpec, Stage
 
 _NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import pluggy
 
 from sppm_pipeline import hookspecs
-from sppm_pipeline.engine.problems import did_you_mean, listed, shown
+from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.process.containment import contained
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from sppm_pipeline.engine.estimate import Forecast, estimate_plan, refuse_what_cannot_fit
-from sppm_pipeline.engine.plan import Plan
-from sppm_pipeline.engine.problems import Problems
-from sppm_pipeline.engine.runner import check_until
-from sppm_pipeline.engine.session import Session
-from sppm_pipeline.engine.sweep import Row, check_sweep, sweep_rows
+from sppm_pipeline.engine.config.problems import Problems
+from sppm_pipeline.engine.plan.estimate import Forecast, estimate_plan, refuse_what_cannot_fit
+from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.plan.session import Session
+from sppm_pipeline.engine.run.runner import check_until
+from sppm_pipeline.engine.run.sweep import Row, check_sweep, sweep_rows
 from sppm_pipeline.errors import ConfigError
 
 MOST_FORECASTS = 50

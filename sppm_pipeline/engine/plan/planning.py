@@ -9,15 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.configuration import FORMAT, Configuration, StageEntry, stage_entries
-from sppm_pipeline.engine.document import Entry, Node, plain
-from sppm_pipeline.engine.names import refuse_clashes
-from sppm_pipeline.engine.options import options_of, parse_options, plain_option
-from sppm_pipeline.engine.plugins import Plugin
-from sppm_pipeline.engine.problems import Problems
-from sppm_pipeline.engine.registry import Registry
-from sppm_pipeline.engine.substitution import Overrides, Substitution, override_options, override_params
-from sppm_pipeline.engine.wiring import Draft, Step, recipe_order, wire
+from sppm_pipeline.engine.config.configuration import FORMAT, Configuration, StageEntry, stage_entries
+from sppm_pipeline.engine.config.document import Entry, Node, plain
+from sppm_pipeline.engine.config.names import refuse_clashes
+from sppm_pipeline.engine.config.options import options_of, parse_options, plain_option
+from sppm_pipeline.engine.config.problems import Problems
+from sppm_pipeline.engine.config.substitution import Overrides, Substitution, override_options, override_params
+from sppm_pipeline.engine.plan.plugins import Plugin
+from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.wiring import Draft, Step, recipe_order, wire
 from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError
 from sppm_pipeline.process.containment import contained
 

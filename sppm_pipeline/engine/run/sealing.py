@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from sppm_pipeline.engine.jsonable import json_text
+from sppm_pipeline.engine.config.jsonable import json_text
 
 SEAL = "sha256"
 """Key of the digest, the last of the file."""

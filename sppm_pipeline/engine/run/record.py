@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import sppm_pipeline
-from sppm_pipeline.engine.distributions import installed_version
-from sppm_pipeline.engine.document import RECORD_KEY
-from sppm_pipeline.engine.plan import Plan
+from sppm_pipeline.engine.config.document import RECORD_KEY
+from sppm_pipeline.engine.plan.distributions import installed_version
+from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.errors import SppmError
 
 RECORD_VERSION = 1

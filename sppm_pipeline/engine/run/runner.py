@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.engine.context import RunContext, StageLog
-from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.outputs import RunFolder, Scratch
-from sppm_pipeline.engine.plan import Plan, step_options
-from sppm_pipeline.engine.problems import did_you_mean
-from sppm_pipeline.engine.record import peak_memory_mb
-from sppm_pipeline.engine.recorder import Recorder
-from sppm_pipeline.engine.running import RecipeSteps, last_uses, run_step, summary_of
-from sppm_pipeline.engine.verification import finished_run
-from sppm_pipeline.engine.wiring import Step
+from sppm_pipeline.engine.config.problems import did_you_mean
+from sppm_pipeline.engine.plan.planning import Plan, step_options
+from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.engine.run.context import RunContext, StageLog
+from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
+from sppm_pipeline.engine.run.record import peak_memory_mb
+from sppm_pipeline.engine.run.recorder import Recorder
+from sppm_pipeline.engine.run.running import RecipeSteps, last_uses, run_step, summary_of
+from sppm_pipeline.engine.run.verification import finished_run
 from sppm_pipeline.errors import ConfigError, SppmError
 from sppm_pipeline.process.interruption import check
 

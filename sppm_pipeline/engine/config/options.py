@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.length import UNITS_IN_MM, Length, parse_length
-from sppm_pipeline.engine.configuration import RESERVED
-from sppm_pipeline.engine.document import Entry, plain
-from sppm_pipeline.engine.names import output_parts
-from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
+from sppm_pipeline.engine.config.configuration import RESERVED
+from sppm_pipeline.engine.config.document import Entry, plain
+from sppm_pipeline.engine.config.names import output_parts
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.stage import OptionSpec, Stage
 

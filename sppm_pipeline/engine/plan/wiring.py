@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sppm_pipeline.engine.configuration import StageEntry
-from sppm_pipeline.engine.document import Node, plain
-from sppm_pipeline.engine.plugins import Plugin
-from sppm_pipeline.engine.ports import Port, Signature, artifact_words, fits, signature_of
-from sppm_pipeline.engine.problems import Problems, did_you_mean, listed, shown
+from sppm_pipeline.engine.config.configuration import StageEntry
+from sppm_pipeline.engine.config.document import Node, plain
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, shown
+from sppm_pipeline.engine.plan.plugins import Plugin
+from sppm_pipeline.engine.plan.ports import Port, Signature, artifact_words, fits, signature_of
 from sppm_pipeline.errors import Position, WiringError
 from sppm_pipeline.stage import Stage
 

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.engine import contract
-from sppm_pipeline.engine.context import RunContext
-from sppm_pipeline.engine.jsonable import jsonable
-from sppm_pipeline.engine.options import options_of, parse_typed
-from sppm_pipeline.engine.ports import artifact_words
-from sppm_pipeline.engine.problems import did_you_mean, listed
-from sppm_pipeline.engine.wiring import Step
+from sppm_pipeline.engine.config.jsonable import jsonable
+from sppm_pipeline.engine.config.options import options_of, parse_typed
+from sppm_pipeline.engine.config.problems import did_you_mean, listed
+from sppm_pipeline.engine.plan.ports import artifact_words
+from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.engine.run import contract
+from sppm_pipeline.engine.run.context import RunContext
 from sppm_pipeline.errors import ConfigError, InputError, PluginError, ResourceError, SppmError
 from sppm_pipeline.process.containment import contained, limited
 from sppm_pipeline.process.interruption import check

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from sppm_pipeline.engine.plugins import Plugins
-from sppm_pipeline.engine.problems import did_you_mean
+from sppm_pipeline.engine.config.problems import did_you_mean
+from sppm_pipeline.engine.plan.plugins import Plugins
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.process.interruption import die_with_parent

@@ -10,19 +10,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.engine.configuration import MAX_SEED
-from sppm_pipeline.engine.document import Entry, Node, plain
-from sppm_pipeline.engine.executors import make_executor
-from sppm_pipeline.engine.jsonable import json_text
-from sppm_pipeline.engine.monitor import Monitor
-from sppm_pipeline.engine.outputs import SWEEP_RUNS, remove_stale_runs
-from sppm_pipeline.engine.plan import SWEEP_ID, Plan
-from sppm_pipeline.engine.problems import Problems, did_you_mean, shown
-from sppm_pipeline.engine.record import error_entry
-from sppm_pipeline.engine.recorder import Recorder, mark_ended
-from sppm_pipeline.engine.runner import check_until, run_plan, run_steps
-from sppm_pipeline.engine.session import RunRequest, Session, open_session
-from sppm_pipeline.engine.sweep_table import columns_of, csv_text, numbers_of, rows_of
+from sppm_pipeline.engine.config.configuration import MAX_SEED
+from sppm_pipeline.engine.config.document import Entry, Node, plain
+from sppm_pipeline.engine.config.jsonable import json_text
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
+from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
+from sppm_pipeline.engine.plan.session import RunRequest, Session, open_session
+from sppm_pipeline.engine.run.executors import make_executor
+from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.outputs import SWEEP_RUNS, remove_stale_runs
+from sppm_pipeline.engine.run.record import error_entry
+from sppm_pipeline.engine.run.recorder import Recorder, mark_ended
+from sppm_pipeline.engine.run.runner import check_until, run_plan, run_steps
+from sppm_pipeline.engine.run.sweep_table import columns_of, csv_text, numbers_of, rows_of
 from sppm_pipeline.errors import ConfigError, NativeCrash, SppmError
 from sppm_pipeline.process.interruption import check
 

@@ -1,0 +1,1 @@
+"""A plan is run: stages and recipes, the run directory, its record, sweeps."""
