@@ -61,7 +61,7 @@ class HomogenizeTet(Stage):
 
     def run(self, context: Context, mesh: VolumeMesh) -> StiffnessReport:
         """Solve the six load cases."""
-        from sppm_pipeline.numerics.homogenization.finite_elements.homogenize import homogenize_tetrahedra
+        from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra
         from sppm_pipeline.numerics.tetrahedra.periodic import face_match, matched_nodes
 
         if mesh.box is None:

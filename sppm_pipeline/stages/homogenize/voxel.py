@@ -59,7 +59,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
     def stiffness_of(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Solve six load cases."""
         from sppm_pipeline.numerics.connectivity.percolation import phase_report
-        from sppm_pipeline.numerics.homogenization.elasticity.homogenize import stiffness
+        from sppm_pipeline.numerics.homogenization.elasticity import stiffness
 
         cell = self.cell_of(context, source)
         lam, mu = self._lame(cell)
@@ -121,7 +121,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
 
     def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
         """Lamé constants of all voxels."""
-        from sppm_pipeline.numerics.homogenization.elasticity.homogenize import lame
+        from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
 
         young, poisson = self._materials()
         constants = np.array([(0.0, 0.0), *(lame(e, v) for e, v in zip(young, poisson, strict=True))])

@@ -7,8 +7,7 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError, ResourceError
 from sppm_pipeline.fields.part import Part
-from sppm_pipeline.numerics.homogenization.elasticity.homogenize import lame
-from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame
+from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame, lame
 from sppm_pipeline.process import memory
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
 from sppm_pipeline.testing.contracts import StageContract

@@ -5,9 +5,9 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.homogenization.finite_elements.homogenize import homogenize_tetrahedra
-from sppm_pipeline.numerics.homogenization.finite_elements.mortar import collocation, face_pairs, mortar
+from sppm_pipeline.numerics.homogenization.mortar import collocation, face_pairs, mortar
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic
+from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra
 from sppm_pipeline.numerics.tetrahedra.periodic import matched_nodes
 
 BOX = np.array([[0, 0, 0], [1, 1, 1.0]])
