@@ -143,7 +143,7 @@ class FieldSurface:
 
     def mesh(self, threads: int = 1, progress: Callable[[float, float], None] | None = None) -> Mesh:
         """Vertices (n, 3) float64 in cell edges and faces (m, 3) int32; see `pieces`."""
-        from sppm_pipeline.numerics.surface.joining import joined_mesh
+        from sppm_pipeline.numerics.surface.marching_cubes import joined_mesh
 
         return joined_mesh(self.pieces(threads, progress), lambda: self._found.get("expected", (0, 0)))
 

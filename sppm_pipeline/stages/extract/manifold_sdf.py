@@ -105,7 +105,7 @@ class ManifoldSdf(Stage):
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample a grid of half the spacing, extract, cut, judge; in mm (cell edges for a cell without a size)."""
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
 
         part = field if isinstance(field, Part) else None
         if part is not None:
@@ -128,7 +128,7 @@ class ManifoldSdf(Stage):
 
     def _level_set(self, context: Context, samples: NDArray[np.float32], field: ScalarField, grid: Grid) -> Mesh:
         """The surface of one field, placed in the world and judged."""
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
         from sppm_pipeline.numerics.surface.level_set import lattice_samples
 
         if not (samples < 0).any():

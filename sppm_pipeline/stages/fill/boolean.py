@@ -87,7 +87,7 @@ class BooleanFill(Stage):
         from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES
         from sppm_pipeline.numerics.meshcheck.bodies import find_shells, largest_body
         from sppm_pipeline.numerics.meshcheck.measures import volume
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
 
         edge = field.physical_edge()
         check_solid(domain.vertices, domain.faces, domain.name)

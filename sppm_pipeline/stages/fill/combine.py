@@ -81,7 +81,7 @@ class Combine(Stage):
         """Place the copies of the tool, unite them, and combine."""
         from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES
         from sppm_pipeline.numerics.meshcheck.measures import volume
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation
 
         check_solid(mesh.vertices, mesh.faces, mesh.name)

@@ -73,8 +73,8 @@ class HomogenizeTet(Stage):
         stand_in = None
         if self.faces == "auto":
             try:
-                clashing = face_match(mesh.nodes, mesh.cells[:, :4], mesh.box, MATCHED_TOLERANCE).clashing.any()
-                stand_in = None if clashing else matched_nodes(mesh.nodes, mesh.box, MATCHED_TOLERANCE)
+                mismatched = face_match(mesh.nodes, mesh.cells[:, :4], mesh.box, MATCHED_TOLERANCE).mismatched.any()
+                stand_in = None if mismatched else matched_nodes(mesh.nodes, mesh.box, MATCHED_TOLERANCE)
             except ValueError:  # nodes closer than the tolerance: whose copy they are can't be told
                 stand_in = None
         context.report(joined="nodes" if stand_in is not None else self.faces.replace("auto", "mortar"))

@@ -99,9 +99,9 @@ class IsosurfaceStuffing(Stage):
         nodes, box = ((low + v) * h * scale + origin for v in (made.nodes, np.array([[0, 0, 0], [nx, ny, nz]])))
         shape = quality(nodes, made.tets)
         context.report(
-            least_dihedral_degrees=shape.least_dihedral,
-            greatest_dihedral_degrees=shape.greatest_dihedral,
-            greatest_radius_ratio=shape.radius_ratio,
+            minimum_dihedral_degrees=shape.minimum_dihedral,
+            maximum_dihedral_degrees=shape.maximum_dihedral,
+            maximum_radius_ratio=shape.radius_ratio,
         )
         tets = made.tets
         if self.order == 2:
