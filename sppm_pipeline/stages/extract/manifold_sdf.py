@@ -69,7 +69,7 @@ class ManifoldSdf(Stage):
         above=0,
         maximum=1e6,
     )
-    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
     time_limit: float = option(
         600.0,
         help="each child process, one for every surface and every cut, is ended after this time",
@@ -180,7 +180,7 @@ class ManifoldSdf(Stage):
         """The field on the grid of half the spacing; of a part without its domain, which a Boolean adds."""
         half = _half(grid)
         if not on_torus(field):
-            # what hangs on nothing is known when the surface is there
+            # disconnected solid is known when the surface is there
             return (
                 field.field.sample(half, context.threads)
                 if isinstance(field, Part)

@@ -46,7 +46,7 @@ class BooleanFill(Stage):
         None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0, maximum=1e6
     )
     islands: str = option(
-        "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
+        "remove", help="what becomes of disconnected solid in the finished part", choices=("remove", "keep")
     )
     time_limit: float = option(
         600.0, help="the child process of the Boolean is ended after this time", unit="s", above=0, maximum=1e7

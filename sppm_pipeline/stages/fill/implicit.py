@@ -30,7 +30,7 @@ class ImplicitFill(Stage):
         None, help="thickness of a solid skin inside the surface of the part", unit="mm", minimum=1e-3, maximum=1e4
     )
     islands: str = option(
-        "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
+        "remove", help="what becomes of disconnected solid in the finished part", choices=("remove", "keep")
     )
     inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
 

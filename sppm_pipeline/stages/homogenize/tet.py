@@ -46,7 +46,7 @@ class HomogenizeTet(Stage):
         1e-6, help="how far nodes of a face may lie from the box, over its longest edge", above=0, maximum=0.05
     )
     tolerance: float = option(1e-8, help="residual of a load case over its load", above=0, maximum=1e-2)
-    iterations: int = option(2000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
+    iterations: int = option(2000, help="maximum number of iterations of a load case", minimum=1, maximum=1_000_000)
 
     def estimate(self, given: Given) -> Estimate:
         facts = given["mesh"]

@@ -34,7 +34,7 @@ class IsosurfaceStuffing(Stage):
 
     resolution: int = option(32, help="cubes along a cell edge", unit="cubes", minimum=4, maximum=512)
     islands: str = option(
-        "remove", help="what becomes of solid that hangs on nothing by a face", choices=("remove", "keep")
+        "remove", help="what becomes of solid that shares no face with the rest", choices=("remove", "keep")
     )
     order: int = option(
         1, help="1: straight tetrahedra; 2: quadratic, with a node in the middle of each edge", minimum=1, maximum=2
