@@ -58,7 +58,7 @@ def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[Surf
     )
     if found.undecided_share > MOST_UNDECIDED:
         raise InputError(
-            f"{what}: more than the {MOST_UNDECIDED:.0%} that are accepted, so inside can't be told from outside",
+            f"{what}: more than the {MOST_UNDECIDED:.0%} that are accepted, so there is no telling inside from outside",
             hint="let `check.mesh` say what is wrong, then close the holes in a modeller or with a repair plugin",
         )
     context.warn(f"{what}; winding number and rays differ on {found.disagreement:.1%}: look at the layers")
