@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
@@ -51,29 +51,11 @@ def voxels_along_edge(field: ScalarField, resolution: int | None, spacing: Lengt
     return n
 
 
-def foreseen_voxels(facts: Mapping[str, Any], resolution: int | None, spacing: Length | None) -> int:
-    """What `voxels_along_edge` will say of a field with these facts."""
-    if spacing is None or not facts["cell_mm"]:
+def expected_voxels(edge_mm: float | None, resolution: int | None, spacing: Length | None) -> int:
+    """What `voxels_along_edge` will say of a field with this cell size."""
+    if spacing is None or not edge_mm:
         return resolution or 32
-    edge: float = facts["cell_mm"]
-    return math.ceil(edge / spacing.mm() - 1e-9)
-
-
-def foreseen_triangles(facts: Mapping[str, Any], per_cell: int) -> float:
-    """Triangles of marching cubes of a field with these facts."""
-    from sppm_pipeline.numerics.forecast.costs import body_triangles
-
-    return body_triangles(facts["surface"], facts["volume"], facts["envelope"], facts["porosity"], per_cell)
-
-
-def body_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Size, volume and area in mm of the solid of a field with these facts, as meshes tell them."""
-    scale = facts["cell_mm"] or 1.0
-    return {
-        "size_mm": tuple(scale * v for v in facts["box"]),
-        "volume_mm3": (1 - facts["porosity"]) * facts["volume"] * scale**3,
-        "area_mm2": facts["surface"] * facts["volume"] * scale**2,
-    }
+    return math.ceil(edge_mm / spacing.mm() - 1e-9)
 
 
 def on_torus(field: ScalarField) -> bool:
