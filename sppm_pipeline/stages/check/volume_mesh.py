@@ -27,7 +27,12 @@ class CheckVolumeMesh(Stage):
     name: ClassVar[str] = "check.volume_mesh"
 
     minimum_angle: float = option(
-        5.0, help="smallest dihedral angle that is accepted", unit="degrees", minimum=0, below=70
+        5.0,
+        help="smallest dihedral angle that is accepted",
+        unit="degrees",
+        minimum=0,
+        below=70,
+        formerly="least_angle",
     )
     one_piece: bool = option(False, help="reject a mesh with several components, which share no face")
     accept: str = option(
