@@ -164,9 +164,9 @@ class VoxelHomogenizer(Stage):
         return warnings
 
     def _check_memory(self, context: Context, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
-        wanted = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
+        needed = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
         require_memory(
-            wanted,
+            needed,
             f"homogenizing {' x '.join(map(str, shape))} voxels",
             "lower the `resolution`, take `precision: single`, or use fewer threads (--threads)",
             limit=context.memory_limit,

@@ -138,7 +138,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
     """Compute the effective stiffness of a periodic cell on voxels (paper, section 3.2).
 
     Trilinear bricks, six unit strains, periodic displacements, no stiffness at all in the void. A field is sampled;
-    voxels at its surface get the stiffness of the solid times the share of them that is solid, which converges much
+    voxels at its surface get the stiffness of the solid times their solid fraction, which converges much
     faster than the binary voxels of the paper. Images may hold several phases, each with a material of its own.
 
     With more than one grid, each coarser by a third than the next, the limit of fine grids is extrapolated
@@ -147,7 +147,9 @@ class HomogenizeVoxel(ElasticHomogenizer):
 
     name: ClassVar[str] = "homogenize.voxel"
 
-    grids: int = option(1, help="grids over which the error is estimated, for fields: 1 for none", minimum=1, maximum=3)
+    grids: int = option(
+        1, help="grids over which the error is estimated, for fields; 1 for no estimate", minimum=1, maximum=3
+    )
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         """All grids; the finest needs most memory."""
@@ -160,7 +162,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
         return [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
-        """Homogenize, on coarser grids first if an error bar is wanted."""
+        """Homogenize, on coarser grids first if an error bar is requested."""
         if self.grids == 1:
             return self.stiffness_of(context, source)
         if isinstance(source, Voxels):
