@@ -131,9 +131,9 @@ class HomogenizeTet(Stage):
         from sppm_pipeline.numerics.tetrahedra.quality import volumes
 
         moduli, ratios = self._constants(mesh)
-        shares = np.bincount(mesh.material_of_cells, volumes(mesh.nodes, mesh.cells[:, :4])) / cell
-        phases = [(float(shares[m + 1]), moduli[m], ratios[m]) for m in range(len(shares) - 1)]
+        fractions = np.bincount(mesh.material_of_cells, volumes(mesh.nodes, mesh.cells[:, :4])) / cell
+        phases = [(float(fractions[m + 1]), moduli[m], ratios[m]) for m in range(len(fractions) - 1)]
         # a mesh may overfill its box by rounding
-        void = max(0.0, 1 - float(shares.sum()))
-        total = void + float(shares.sum())
-        return tuple((share / total, e, nu) for share, e, nu in [*phases, (void, 0.0, 0.0)])
+        void = max(0.0, 1 - float(fractions.sum()))
+        total = void + float(fractions.sum())
+        return tuple((fraction / total, e, nu) for fraction, e, nu in [*phases, (void, 0.0, 0.0)])

@@ -77,7 +77,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
         return StiffnessReport(
             found.stiffness,
             self._phases(cell),
-            f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.share is None else 'solid fractions'}",
+            f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.fraction is None else 'solid fractions'}",
             unit=None if self.unit == "relative" else self.unit,
             solver={
                 "grid": list(cell.shape),
@@ -92,14 +92,16 @@ class ElasticHomogenizer(VoxelHomogenizer):
         )
 
     def _phases(self, cell: Cell) -> tuple[tuple[float, float, float], ...]:
-        """Share, Young's modulus and Poisson's ratio of each phase, void last."""
+        """Volume fraction, Young's modulus and Poisson's ratio of each phase, void last."""
         young, poisson = self._materials()
         void = (self.ersatz * young[0], poisson[0]) if self.ersatz else (0.0, 0.0)
         if cell.phase is None:
             return ((1 - cell.porosity, young[0], poisson[0]), (cell.porosity, *void))
-        shares = np.bincount(cell.phase.reshape(-1), minlength=2) / cell.phase.size
-        solid = tuple((float(shares[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(shares)))
-        return (*solid, (float(shares[0]), *void))
+        fractions = np.bincount(cell.phase.reshape(-1), minlength=2) / cell.phase.size
+        solid = tuple(
+            (float(fractions[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(fractions))
+        )
+        return (*solid, (float(fractions[0]), *void))
 
     def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
         """Lamé constants of all voxels."""
@@ -123,11 +125,11 @@ class ElasticHomogenizer(VoxelHomogenizer):
                 f"materials are given for {len(young)} phases, and a field or an image of solid fractions has one",
                 hint="give one Young's modulus and one Poisson's ratio",
             )
-        assert cell.share is not None
-        share: NDArray[Any] = cell.share.astype(dtype)
+        assert cell.fraction is not None
+        fraction: NDArray[Any] = cell.fraction.astype(dtype)
         if self.ersatz:
-            share = self.ersatz + (1 - self.ersatz) * share
-        return share * dtype.type(constants[1, 0]), share * dtype.type(constants[1, 1])
+            fraction = self.ersatz + (1 - self.ersatz) * fraction
+        return fraction * dtype.type(constants[1, 0]), fraction * dtype.type(constants[1, 1])
 
 
 _STRAINS = ("xx", "yy", "zz", "yz", "xz", "xy")
