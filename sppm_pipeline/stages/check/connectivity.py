@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.fields.cleaned import CleanedField
 from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 

@@ -11,8 +11,7 @@ from typing import ClassVar
 
 import sppm_pipeline
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
+from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families.mesh_writer import foreseen_mesh, write_mesh
 from sppm_pipeline.stage import Context, Stage, option

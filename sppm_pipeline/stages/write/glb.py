@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
+from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
 from sppm_pipeline.families.mesh_writer import foreseen_mesh, write_mesh
 from sppm_pipeline.stage import Context, Stage, option
 

@@ -82,8 +82,9 @@ class WritePng(Stage):
         overview: list[NDArray[np.uint8]] = []
         total = 0
         waiting: deque[Future[int]] = deque()
+        slabs = stack.slabs(context.threads)
         with ThreadPoolExecutor(max(1, context.threads)) as pool:
-            for start, slab in stack.slabs(context.threads):
+            for start, slab in slabs:
                 for k, image in enumerate(slab, start):
                     upright = np.ascontiguousarray(image[::-1])
                     if k in shown:
@@ -93,7 +94,7 @@ class WritePng(Stage):
                         total += waiting.popleft().result()
                 context.progress(min(start + len(slab), nz), nz, "layers")
             total += sum(job.result() for job in waiting)
-        findings = stack.findings()
+        findings = slabs.findings
         manifest = {
             "format": 1,
             "layers": nz,
