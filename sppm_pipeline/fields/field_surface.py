@@ -150,7 +150,7 @@ class FieldSurface:
 
         The bytes are the same whatever the number of threads.
         """
-        from sppm_pipeline.numerics.surface.joining import joined_mesh
+        from sppm_pipeline.numerics.surface.marching_cubes import joined_mesh
 
         slabs = self.slabs(threads)
         vertices, faces = joined_mesh(self._pieces(slabs, progress), lambda: slabs.expected)

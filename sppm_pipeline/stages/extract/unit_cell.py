@@ -35,7 +35,7 @@ class UnitCell(Stage):
     name: ClassVar[str] = "extract.unit_cell"
 
     resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=1024)
-    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         one, n = field.in_box((1.0, 1.0, 1.0)), self.resolution

@@ -4,10 +4,13 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.linalg import splu
 
-from sppm_pipeline.numerics.homogenization.finite_elements.homogenize import homogenize_tetrahedra
-from sppm_pipeline.numerics.homogenization.finite_elements.mortar import collocation, face_pairs, mortar
-from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic
+from sppm_pipeline.numerics.homogenization.mortar import collocation, face_pairs, mortar
+from sppm_pipeline.numerics.homogenization.stiffness.voigt import PAIRS, isotropic, lame, rotated
+from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra
+from sppm_pipeline.numerics.homogenization.tetrahedral_assembly import assemble
 from sppm_pipeline.numerics.tetrahedra.periodic import matched_nodes
 
 BOX = np.array([[0, 0, 0], [1, 1, 1.0]])
@@ -211,3 +214,111 @@ def test_constraints_hold_for_functions_that_the_faces_can_represent(order, join
     for function in (np.ones(len(nodes)), nodes[:, 1], nodes[:, 2]):
         assert np.abs(rows @ function).max() < 1e-10
     assert np.abs(rows @ nodes[:, 0]).max() > 0.1
+
+
+ROOT = 2**-0.5
+DIAGONALS = {
+    (1, -1, 0): np.array([[ROOT, ROOT, 0], [-ROOT, ROOT, 0], [0, 0, 1]]),
+    (0, 1, -1): np.array([[0, 0, 1], [ROOT, ROOT, 0], [-ROOT, ROOT, 0]]),
+    (-1, 0, 1): np.array([[-ROOT, ROOT, 0], [0, 0, 1], [ROOT, ROOT, 0]]),
+}
+"""Normals of planes that Kuhn's tetrahedra do not cross, and rotations (but for the sign) that take x there."""
+
+
+@pytest.mark.parametrize("normal", DIAGONALS)
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_laminate_at_45_degrees_is_exact(normal, order):
+    """Three layers with different Poisson's ratios; the displacement is straight in each of them (Backus 1962)."""
+    nodes, cells = cube(3, order)
+    layer = np.floor(3 * np.mod(middles(nodes, cells) @ normal, 1)).astype(int)
+    young, poisson = np.array([1.0, 0.05, 0.4]), np.array([0.3, 0.45, -0.2])
+    lam, mu = lame(young, poisson)
+    m = lam + 2 * mu
+    across, ratio = 1 / np.mean(1 / m), np.mean(lam / m)
+    exact = np.zeros((6, 6))
+    exact[0, :3] = exact[:3, 0] = across * np.array([1, ratio, ratio])
+    exact[1:3, 1:3] = np.mean(2 * mu * lam / m) + ratio**2 * across
+    exact[[1, 2], [1, 2]] += np.mean(2 * mu)
+    exact[range(3, 6), range(3, 6)] = [np.mean(mu), *([1 / np.mean(1 / mu)] * 2)]
+    found = homogenized(nodes, cells, young[layer], poisson[layer]).stiffness
+    assert found == pytest.approx(rotated(exact, DIAGONALS[normal]), abs=1e-7)
+    assert np.abs(found[:3, 3:]).max() > 0.01  # pulling along an axis shears: no frame was mixed up
+
+
+@pytest.mark.parametrize("order", [(1, 2, 0), (1, 0, 2), (2, 1, 0)])
+@pytest.mark.parametrize("sign", [(1, 1, 1), (1, -1, 1), (-1, -1, -1)])
+def test_a_turned_mesh_has_the_turned_stiffness(order, sign):
+    nodes, cells = cube(2)
+    young = np.random.default_rng(1).uniform(0.1, 1, len(cells))
+    first = homogenized(nodes, cells, young).stiffness
+    turn = np.eye(3)[list(order)] * sign
+    turned = (nodes - 0.5) @ turn.T + 0.5
+    if np.linalg.det(turn) < 0:
+        cells = cells[:, [0, 2, 1, 3]]
+    assert homogenized(turned, cells, young).stiffness == pytest.approx(rotated(first, turn), abs=1e-8)
+    assert first == pytest.approx(first.T, abs=1e-14)
+    assert np.linalg.eigvalsh(first)[0] > 0
+
+
+def oracle(nodes, cells, lam, mu):
+    """The same problem assembled by scikit-fem: matrix, loads of the unit strains, mean; unknowns node by node."""
+    from skfem import Basis, BilinearForm, ElementTetP0, ElementTetP1, ElementTetP2, ElementVector, MeshTet
+    from skfem.helpers import ddot, eye, sym_grad, trace
+
+    straight = cells.shape[1] == 4
+    corners, used = np.unique(cells[:, :4], return_inverse=True)
+    mesh = MeshTet(nodes[corners].T, used.reshape(-1, 4).T)
+    basis = Basis(mesh, ElementVector(ElementTetP1() if straight else ElementTetP2()), intorder=2)
+    constants = Basis(mesh, ElementTetP0(), intorder=2)
+
+    @BilinearForm
+    def energy(u, v, w):
+        strain = sym_grad(u)
+        return ddot(w["lam"] * eye(trace(strain), 3) + 2 * w["mu"] * strain, sym_grad(v))
+
+    fields = {"lam": constants.interpolate(lam), "mu": constants.interpolate(mu)}
+    matrix = energy.assemble(basis, **fields)
+    # numbers of its unknowns by where they lie
+    place = np.rint(1e6 * basis.doflocs.T).astype(int)
+    number = {tuple(p): i for i, p in enumerate(np.rint(1e6 * nodes).astype(int))}
+    node = np.array([number[tuple(p)] for p in place])
+    component = np.empty(len(node), int)
+    for axis in range(3):
+        split = basis.split_indices()[axis] if not straight else basis.nodal_dofs[axis]
+        component[split] = axis
+    return matrix.tocoo(), 3 * node + component
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_scikit_fem_agrees(order):
+    """Entry by entry before periodicity; then the effective stiffness by a direct solver."""
+    pytest.importorskip("skfem")
+    nodes, cells = cube(3)
+    inner = ((nodes > 0.01) & (nodes < 0.99)).all(axis=1)
+    rng = np.random.default_rng(2)
+    nodes[inner] += rng.uniform(-0.06, 0.06, (int(inner.sum()), 3))
+    nodes, cells = quadratic((nodes, cells), order)
+    young, poisson = rng.uniform(0.05, 1, len(cells)), rng.uniform(-0.2, 0.45, len(cells))
+    lam, mu = lame(young, poisson)
+    matrix, unknown = oracle(nodes, cells, lam, mu)
+    size = 3 * len(nodes)
+    theirs = coo_matrix((matrix.data, (unknown[matrix.row], unknown[matrix.col])), shape=(size, size)).tocsr()
+    ours = assemble(nodes, cells, np.arange(len(nodes)), lam, mu)
+    assert abs(theirs - ours.matrix.tocsr()).max() < 1e-12
+    # displacements of the unit strains: what the matrix makes of them are the loads, and their energy is the mean
+    strains = np.zeros((6, len(nodes), 3))
+    for case, (i, j) in enumerate(PAIRS):
+        strains[case, :, i] += nodes[:, j] / (1 if i == j else 2)
+        strains[case, :, j] += 0 if i == j else nodes[:, i] / 2
+    strains = strains.reshape(6, size)
+    assert ours.loads == pytest.approx((theirs @ strains.T).T, abs=1e-12)
+    assert ours.mean == pytest.approx(strains @ (theirs @ strains.T), abs=1e-12)
+    stand_in = matched_nodes(nodes, BOX)
+    kept, number = np.unique(stand_in, return_inverse=True)
+    columns = (3 * number[:, None] + np.arange(3)).reshape(-1)
+    join = coo_matrix((np.ones(size), (np.arange(size), columns)), shape=(size, 3 * len(kept))).tocsr()
+    reduced, loads = (join.T @ theirs @ join).tocsc(), join.T @ (theirs @ strains.T)
+    fluctuation = np.zeros_like(loads)
+    fluctuation[3:] = splu(reduced[3:, 3:]).solve(-loads[3:])
+    expected = strains @ (theirs @ strains.T) + loads.T @ fluctuation
+    assert homogenized(nodes, cells, young, poisson).stiffness == pytest.approx(expected, abs=1e-8)

@@ -26,7 +26,7 @@ _R = tuple(np.uint64(STRIDE * row) for row in range(_MODES))
 def _strain_row(s: NDArray[Any], to: Any, c: NDArray[Any], strain: NDArray[Any], width: Any) -> None:
     """Strains of a row of bricks, so weighted that energy is lam times the first 7 squared plus mu times the others.
 
-    The names are those of `sweep`.
+    The names are those of `apply_stiffness`.
     """
     gx, gy, gz = c[0], c[1], c[2]
     nxy, nxz, nyx, nyz, nzx, nzy = c[3], c[4], c[5], c[6], c[7], c[8]
@@ -149,7 +149,7 @@ def energies(
     u : (6, 3 nz ny nx)
         Displacements of the fields.
     lam, mu : flat
-        Lamé constants as `sweep` takes them.
+        Lamé constants as `apply_stiffness` takes them.
     c : (14,)
         From `energy_coefficients`.
     strains : (6, 6)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from sppm_pipeline.errors import DesignError, InputError
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_mesh
-from sppm_pipeline.numerics.meshcheck import solids
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
-from sppm_pipeline.numerics.meshcheck.solids import boolean, check_solid, run_boolean
+from sppm_pipeline.numerics.surface import booleans
+from sppm_pipeline.numerics.surface.booleans import boolean, check_solid, run_boolean
 
 UNIT = box_mesh((0.5, 0.5, 0.5), (1.0, 1.0, 1.0))
 
@@ -93,6 +93,6 @@ def test_a_sheet_inside_of_a_solid_is_no_volume_lost():
 )
 def test_results_that_cannot_be(monkeypatch, change, error, words):
     real = run_boolean(*UNIT, *UNIT, "intersection")
-    monkeypatch.setattr(solids, "run_boolean", lambda *_: real._replace(**change))
+    monkeypatch.setattr(booleans, "run_boolean", lambda *_: real._replace(**change))
     with pytest.raises(error, match=words):
         boolean(UNIT, UNIT, "intersection", ("one", "two"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.surface.joining import joined_mesh
+from sppm_pipeline.numerics.surface.marching_cubes import joined_mesh
 
 
 def pieces():

@@ -5,8 +5,7 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
-from sppm_pipeline.numerics.homogenization.conduction.homogenize import ConductionLevel, conductivity, tortuosity
-from sppm_pipeline.numerics.homogenization.conduction.sweep import SCRATCH_ROWS
+from sppm_pipeline.numerics.homogenization.conduction import SCRATCH_ROWS, ConductionLevel, conductivity, tortuosity
 from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Workspace
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY, BLOCK, RESIDUAL, SMOOTH
 
@@ -57,11 +56,11 @@ def test_pass_equals_the_assembled_matrix(shape, edges):
     level.weight[:] = rng.random(k.size)
     work = Workspace([level], SCRATCH_ROWS)
     f = matrix @ v
-    assert level.sweep(APPLY, v, r, out, work) == pytest.approx(f @ v, rel=1e-12, abs=1e-12)
+    assert level.apply(APPLY, v, r, out, work) == pytest.approx(f @ v, rel=1e-12, abs=1e-12)
     assert out == pytest.approx(f, rel=1e-12, abs=1e-12)
-    level.sweep(RESIDUAL, v, r, out, work)
+    level.apply(RESIDUAL, v, r, out, work)
     assert out == pytest.approx(r - f, rel=1e-12, abs=1e-12)
-    level.sweep(SMOOTH, v, r, out, work)
+    level.apply(SMOOTH, v, r, out, work)
     assert out == pytest.approx(v + level.weight * (r - f), rel=1e-12, abs=1e-12)
     for case in range(3):
         level.forces(np.eye(3)[case], out, work)

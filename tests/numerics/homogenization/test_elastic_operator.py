@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.homogenization.elasticity.energy import ENERGY_ROWS, energies, energy_coefficients
-from sppm_pipeline.numerics.homogenization.elasticity.levels import ElasticLevel, safe_eigenvalue
-from sppm_pipeline.numerics.homogenization.elasticity.sweep import SCRATCH_ROWS
+from sppm_pipeline.numerics.homogenization.elastic_energy import ENERGY_ROWS, energies, energy_coefficients
+from sppm_pipeline.numerics.homogenization.elastic_operator import SCRATCH_ROWS
+from sppm_pipeline.numerics.homogenization.elasticity import ElasticLevel, safe_eigenvalue
 from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Workspace
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY, BLOCK, RESIDUAL, SMOOTH, STRIDE
 
@@ -36,12 +36,12 @@ def test_pass_equals_the_assembled_matrix(assemble, shape, edges):
     level.weight[:] = rng.random(lam.size)
     work = Workspace([level], SCRATCH_ROWS)
     f = matrix @ by_node(v, shape)
-    assert level.sweep(APPLY, v, r, out, work) == pytest.approx(f @ by_node(v, shape), rel=1e-12, abs=1e-12)
+    assert level.apply(APPLY, v, r, out, work) == pytest.approx(f @ by_node(v, shape), rel=1e-12, abs=1e-12)
     assert by_node(out, shape) == pytest.approx(f, rel=1e-12, abs=1e-12)
-    level.sweep(RESIDUAL, v, r, out, work)
+    level.apply(RESIDUAL, v, r, out, work)
     assert by_node(out, shape) == pytest.approx(by_node(r, shape) - f, rel=1e-12, abs=1e-12)
     smooth = by_node(v, shape) + np.repeat(level.weight, 3) * (by_node(r, shape) - f)
-    assert level.sweep(SMOOTH, v, r, out, work) == pytest.approx(smooth @ by_node(r, shape), rel=1e-10, abs=1e-10)
+    assert level.apply(SMOOTH, v, r, out, work) == pytest.approx(smooth @ by_node(r, shape), rel=1e-10, abs=1e-10)
     assert by_node(out, shape) == pytest.approx(smooth, rel=1e-12, abs=1e-12)
     for case in range(6):
         level.forces(np.eye(6)[case], out, work)

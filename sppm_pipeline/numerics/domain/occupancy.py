@@ -1,4 +1,4 @@
-"""Gray pixels: the share of a pixel's subsamples that are inside."""
+"""Occupancy masks: gray pixels by their coverage, and the occupied span of each row."""
 
 from __future__ import annotations
 
@@ -41,6 +41,22 @@ def gray_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tup
     return gray
 
 
+def row_spans(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """First sample of each row that is set and the one after the last; (0, 0) for an empty row.
+
+    Parameters
+    ----------
+    mask : (nz, ny, nx) uint8
+
+    Returns
+    -------
+    (nz, ny, 2) int32
+    """
+    spans = np.zeros((*mask.shape[:2], 2), np.int32)
+    _spans(mask, spans)
+    return spans
+
+
 @jit
 def _gray(samples: NDArray[np.uint8], fx: int, fy: int, gray: NDArray[np.uint8]) -> None:
     sheets = samples.shape[0]
@@ -58,3 +74,19 @@ def _gray(samples: NDArray[np.uint8], fx: int, fy: int, gray: NDArray[np.uint8])
             for i in range(fx):
                 count += columns[x * fx + i]
             gray[y, x] = (510 * count + per_pixel) // (2 * per_pixel)
+
+
+@jit
+def _spans(mask: NDArray[np.uint8], spans: NDArray[np.int32]) -> None:
+    nz, ny, nx = mask.shape
+    for z in range(nz):
+        for y in range(ny):
+            first = 0
+            while first < nx and mask[z, y, first] == 0:
+                first += 1
+            if first < nx:
+                last = nx - 1
+                while mask[z, y, last] == 0:
+                    last -= 1
+                spans[z, y, 0] = first
+                spans[z, y, 1] = last + 1

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.domain.coverage import gray_by_coverage
+from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage, row_spans
 
 
 @settings(derandomize=True, deadline=None)
@@ -42,3 +42,15 @@ def test_nonsense_is_refused():
         gray_by_coverage(np.zeros((4, 4), int), (2, 2))
     with pytest.raises(ValueError, match="65535"):
         gray_by_coverage(np.zeros((40000, 2, 1), np.uint8), (1, 2))
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from([0.0, 0.02, 0.3, 1.0]))
+@settings(deadline=None, derandomize=True, max_examples=40)
+def test_first_and_last_of_each_row(seed, share):
+    mask = (np.random.default_rng(seed).random((3, 4, 17)) < share).astype(np.uint8)
+    spans = row_spans(mask)
+    for k in range(3):
+        for j in range(4):
+            found = np.flatnonzero(mask[k, j])
+            expected = (found[0], found[-1] + 1) if len(found) else (0, 0)
+            assert tuple(spans[k, j]) == expected

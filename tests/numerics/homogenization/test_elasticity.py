@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.homogenization.elasticity.homogenize import lame, stiffness
-from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame
+from sppm_pipeline.numerics.homogenization.elasticity import stiffness
+from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame, lame
 
 CELLS = Path(__file__).parent / "cells"
 REFERENCE = json.loads((CELLS / "reference.json").read_text())
@@ -221,9 +221,10 @@ def test_cubes_that_touch_at_edges_and_corners():
 
 def test_double_precision_takes_over_where_single_fails(monkeypatch):
     """An energy that does not belong to the displacements is noticed, not reported."""
-    from sppm_pipeline.numerics.homogenization.multigrid import load_cases
 
-    original = load_cases.solve
+    from sppm_pipeline.numerics.homogenization.multigrid import solver
+
+    original = solver.solve
 
     def spoiled(hierarchy, b, u, *rest):
         solved = original(hierarchy, b, u, *rest)
@@ -233,7 +234,7 @@ def test_double_precision_takes_over_where_single_fails(monkeypatch):
 
     constants = solid(blobs(8, 0.4))
     expected = stiffness(*constants)
-    monkeypatch.setattr(load_cases, "solve", spoiled)
+    monkeypatch.setattr(solver, "solve", spoiled)
     result = stiffness(*constants)
     assert result.precision == "float64"
     assert distance(result.stiffness, expected.stiffness) < 2e-4

@@ -1,4 +1,4 @@
-"""What stages do that need to know what is inside a mesh: judge it, say so, or refuse."""
+"""The inside test of a mesh, for stages that fill or slice one: choose a method, report how sure it is, or refuse."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ INSIDE_HELP = (
 _WORDS = {"scanline": "rays along x", "winding": "its winding number", "vote": "a vote of rays along x, y and z"}
 
 
-def judged(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[SurfaceMesh, Method]:
-    """A mesh wound outwards and the method that tells its inside; how sure that is goes into the run record.
+def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[SurfaceMesh, Method]:
+    """Wind a mesh outwards and choose its inside test; how sure that is goes into the run record.
 
     Parameters
     ----------
@@ -40,11 +40,11 @@ def judged(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[SurfaceMes
     InputError
         If too much of the inside is undecided.
     """
-    from sppm_pipeline.numerics.domain.inside import judge
+    from sppm_pipeline.numerics.domain.inside import inside_test
 
     if not len(mesh.faces):
         raise InputError(f"{mesh.name} has no triangles, so it has no inside")
-    found = judge(mesh.vertices, mesh.faces, None if inside == "auto" else cast("Method", inside))
+    found = inside_test(mesh.vertices, mesh.faces, None if inside == "auto" else cast("Method", inside))
     context.report(inside=found.method, closed=found.closed, turned_triangles=found.turned)
     if found.turned:
         mesh = SurfaceMesh(mesh.vertices, found.faces, name=mesh.name)
@@ -58,7 +58,7 @@ def judged(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[SurfaceMes
     )
     if found.undecided_share > MOST_UNDECIDED:
         raise InputError(
-            f"{what}: more than the {MOST_UNDECIDED:.0%} that are accepted, so nobody can tell inside from outside",
+            f"{what}: more than the {MOST_UNDECIDED:.0%} that are accepted, so there is no telling inside from outside",
             hint="let `check.mesh` say what is wrong, then close the holes in a modeller or with a repair plugin",
         )
     context.warn(f"{what}; winding number and rays differ on {found.disagreement:.1%}: look at the layers")

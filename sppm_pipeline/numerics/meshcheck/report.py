@@ -1,4 +1,7 @@
-"""Everything about a triangle mesh that decides whether it bounds a solid that can be made."""
+"""The mesh report: topology, orientation, self-intersections and wall thickness of a triangle mesh.
+
+Together they decide whether it bounds a solid that can be made.
+"""
 
 from __future__ import annotations
 
@@ -7,30 +10,37 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.meshcheck.adjacency import CROWDED, RIM, Adjacency, Rims, adjacency, rims
+from sppm_pipeline.numerics.meshcheck.adjacency import (
+    BOUNDARY,
+    NON_MANIFOLD,
+    Adjacency,
+    BoundaryLoops,
+    adjacency,
+    boundary_loops,
+)
 from sppm_pipeline.numerics.meshcheck.box_tree import box_tree
 from sppm_pipeline.numerics.meshcheck.measures import SurfaceMeasures, measure_surface
 from sppm_pipeline.numerics.meshcheck.orientation import Orientation, Shells, orient, shells
+from sppm_pipeline.numerics.meshcheck.rays import WallThickness, wall_thickness
 from sppm_pipeline.numerics.meshcheck.self_intersections import SelfIntersections, self_intersections
-from sppm_pipeline.numerics.meshcheck.thickness import WallThickness, wall_thickness
 
 
-class Survey(NamedTuple):
-    """What `survey` finds; lengths in the unit of the vertices.
+class MeshReport(NamedTuple):
+    """What `mesh_report` finds; lengths in the unit of the vertices.
 
     Attributes
     ----------
     measures : SurfaceMeasures
-    uneven_edges : int
+    odd_edges : int
         Edges with an odd number of triangles; where there is none, the mesh is watertight.
-    split_vertices : int
-        Vertices in which surfaces touch that do not belong together there.
-    handles : (k,) int64 or None
-        Genus of each surface, that is, of what hangs together across edges; None unless every edge has two triangles
-        that run against each other.
-    rims : Rims
-    seam_vertices : int
-        Corners on a rim that lie exactly where another one does: vertices that were not merged.
+    non_manifold_vertices : int
+        Vertices with more than one fan of triangles.
+    genus : (k,) int64 or None
+        Genus of each surface that is connected across edges; None unless the mesh is closed and oriented: every edge
+        has two triangles that run against each other.
+    boundary_loops : BoundaryLoops
+    unmerged_vertices : int
+        Boundary vertices with exactly the coordinates of another one: vertices that were not merged.
     duplicates : int
         Triangles that name the same corners as an earlier one.
     unused_vertices : int
@@ -43,11 +53,11 @@ class Survey(NamedTuple):
     """
 
     measures: SurfaceMeasures
-    uneven_edges: int
-    split_vertices: int
-    handles: NDArray[np.int64] | None
-    rims: Rims
-    seam_vertices: int
+    odd_edges: int
+    non_manifold_vertices: int
+    genus: NDArray[np.int64] | None
+    boundary_loops: BoundaryLoops
+    unmerged_vertices: int
     duplicates: int
     unused_vertices: int
     orientation: Orientation
@@ -58,12 +68,12 @@ class Survey(NamedTuple):
     @property
     def watertight(self) -> bool:
         """Whether no edge is left over when triangles are paired across edges."""
-        return self.uneven_edges == 0
+        return self.odd_edges == 0
 
     @property
     def manifold(self) -> bool:
         """Whether no edge has more than two triangles, and no vertex more than one fan of them."""
-        return self.measures.edges.non_manifold == 0 and self.split_vertices == 0
+        return self.measures.edges.non_manifold == 0 and self.non_manifold_vertices == 0
 
     @property
     def buried(self) -> int:
@@ -80,8 +90,8 @@ class Survey(NamedTuple):
         return self.orientation.turned == 0 and self.orientation.one_sided == 0
 
 
-def survey(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Survey:
-    """Look at a mesh, (n, 3) and (m, 3), from all sides.
+def mesh_report(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> MeshReport:
+    """Examine a mesh, (n, 3) and (m, 3).
 
     Raises
     ------
@@ -93,14 +103,14 @@ def survey(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Survey:
     found = adjacency(faces)
     wound = orient(points, faces)
     tree = box_tree(points[wound.faces])
-    return Survey(
+    return MeshReport(
         measures=measures,
-        uneven_edges=measures.edges.boundary + _odd(faces, found.mates),
-        split_vertices=found.split_vertices,
-        handles=_handles(found) if measures.edges.closed else None,
-        rims=rims(points, faces, found),
-        seam_vertices=_seams(points, faces, found.mates),
-        duplicates=_duplicates(faces, found.mates),
+        odd_edges=measures.edges.boundary + _odd(faces, found.opposite),
+        non_manifold_vertices=found.non_manifold_vertices,
+        genus=_genus(found) if measures.edges.closed else None,
+        boundary_loops=boundary_loops(points, faces, found),
+        unmerged_vertices=_unmerged(points, faces, found.opposite),
+        duplicates=_duplicates(faces, found.opposite),
         unused_vertices=len(points) - measures.vertices,
         orientation=wound,
         shells=shells(points, faces, tree if wound.turned == 0 else None) if measures.edges.bounds_solid else None,
@@ -116,31 +126,31 @@ def _edges(faces: NDArray[np.int32], half_edges: NDArray[np.int64]) -> NDArray[n
     return np.sort(np.stack([flat[half_edges], flat[ahead]], axis=1), axis=1)
 
 
-def _odd(faces: NDArray[np.int32], mates: NDArray[np.int64]) -> int:
+def _odd(faces: NDArray[np.int32], opposite: NDArray[np.int64]) -> int:
     """Edges of three, five ... triangles."""
-    _, counts = np.unique(_edges(faces, np.flatnonzero(mates == CROWDED)), axis=0, return_counts=True)
+    _, counts = np.unique(_edges(faces, np.flatnonzero(opposite == NON_MANIFOLD)), axis=0, return_counts=True)
     return int(np.count_nonzero(counts % 2))
 
 
-def _handles(found: Adjacency) -> NDArray[np.int64]:
+def _genus(found: Adjacency) -> NDArray[np.int64]:
     """Genus of each surface, by its Euler number; a vertex in which surfaces touch belongs to each of them."""
     of_fan = np.zeros(found.fan_count, np.int64)
     of_fan[found.fans] = np.repeat(found.surfaces, 3)
     corners = np.bincount(of_fan, minlength=found.surface_count)
     triangles = np.bincount(found.surfaces, minlength=found.surface_count)
-    # three half-edges a triangle, two an edge; the Euler number is 2, less two a handle
+    # three half-edges a triangle, two an edge; the Euler number is 2 - 2 genus
     return np.asarray(1 - (corners - triangles // 2) // 2)
 
 
-def _seams(points: NDArray[np.float64], faces: NDArray[np.int32], mates: NDArray[np.int64]) -> int:
-    """Vertices on rims that have the position of another one on a rim."""
-    on_rims = points[np.unique(_edges(faces, np.flatnonzero(mates == RIM)))]
-    return len(on_rims) - len(np.unique(on_rims, axis=0))
+def _unmerged(points: NDArray[np.float64], faces: NDArray[np.int32], opposite: NDArray[np.int64]) -> int:
+    """Boundary vertices at the position of another one."""
+    on_boundary = points[np.unique(_edges(faces, np.flatnonzero(opposite == BOUNDARY)))]
+    return len(on_boundary) - len(np.unique(on_boundary, axis=0))
 
 
-def _duplicates(faces: NDArray[np.int32], mates: NDArray[np.int64]) -> int:
-    """Triangles with the corners of an earlier one: a pair shares all edges, so three of them crowd all edges."""
-    sides = mates.reshape(-1, 3)
+def _duplicates(faces: NDArray[np.int32], opposite: NDArray[np.int64]) -> int:
+    """Triangles with the corners of an earlier one: two share all edges, three make all edges non-manifold."""
+    sides = opposite.reshape(-1, 3)
     paired = (sides[:, 0] >= 0) & (sides[:, 0] // 3 == sides[:, 1] // 3) & (sides[:, 1] // 3 == sides[:, 2] // 3)
-    suspects = np.sort(faces[paired | (sides == CROWDED).any(axis=1)], axis=1)
+    suspects = np.sort(faces[paired | (sides == NON_MANIFOLD).any(axis=1)], axis=1)
     return len(suspects) - len(np.unique(suspects, axis=0))
