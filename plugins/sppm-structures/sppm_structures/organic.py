@@ -114,7 +114,6 @@ class OrganicField(ScalarField):
                     starts[t] - corner,
                     ends[t] - corner,
                     np.full(len(t), self.mu),
-                    False,
                 )
             )
         faces = []
@@ -171,7 +170,7 @@ class Organic(Stage):
 
     def run(self, context: Context, cover: SurfaceMesh | None) -> ScalarField:
         """Throw and join the pores; the field is evaluated where somebody samples it."""
-        from sppm_pipeline.numerics.kernels.parameters import mu_from_radius, omega_from_radius
+        from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
         from sppm_pipeline.numerics.sampling.darts import throw
 
         edge = self.edge.mm() if self.edge is not None else None
@@ -207,7 +206,7 @@ class Organic(Stage):
             pores=pores,
             tunnels=tunnels,
             omega=omega_from_radius(pore, self.level),
-            mu=mu_from_radius(tunnel, self.level),
+            mu=TUNNEL_PROFILES["linear"].mu(tunnel, self.level),
             level=self.level,
         )
 

@@ -17,8 +17,8 @@ from sppm_pipeline.numerics.assembly.contents import (
 from sppm_pipeline.numerics.assembly.pieces import Pieces
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
-from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, reach_boxes
+from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels, reach_boxes
+from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
 # Sites whose kernels are gathered at a time: some 10^5 kernels, 50 MB with all temporary arrays.
@@ -141,8 +141,8 @@ def sample_exact(
 def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
     """All kernels of a tile set with their boxes of reach, piece by piece; worth keeping between calls."""
     numbers = number_pieces(pieces)
-    kernels = [k._replace(squared=pieces.squared) if len(k.starts) == 0 else k for k in numbers.kernels]
-    every = concatenated(kernels) if kernels else empty_kernels(pieces.squared)
+    kernels = numbers.kernels
+    every = concatenated(kernels)
     pore_lower, pore_upper, tunnel_lower, tunnel_upper = reach_boxes(every, cutoff)
     first_pore = np.cumsum([0] + [len(k.centers) for k in kernels])
     first_tunnel = np.cumsum([0] + [len(k.starts) for k in kernels])
@@ -159,7 +159,7 @@ def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
 def _gather(catalog: Catalog, tiling: TilingArrays, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> Kernels:
     reaching = np.isfinite(catalog.lower).all(axis=1)
     if not reaching.any():
-        return empty_kernels(catalog.kernels.squared)
+        return empty_kernels()
     # Site s is near if the box of reach of a piece, moved by s, meets the box.
     first = np.ceil(lower - catalog.upper[reaching].max(axis=0)).astype(np.int64)
     stop = np.floor(upper - catalog.lower[reaching].min(axis=0)).astype(np.int64) + 1
@@ -180,7 +180,7 @@ def _gather(catalog: Catalog, tiling: TilingArrays, lower: NDArray[np.float64], 
         every.starts[tunnel] + tunnel_shift,
         every.ends[tunnel] + tunnel_shift,
         every.mu[tunnel],
-        every.squared,
+        every.profile,
     )
 
 

@@ -24,8 +24,8 @@ from sppm_pipeline.numerics.assembly.pieces import Pieces
 from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
-from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, check_cutoff, reach_boxes
+from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, reach_boxes
+from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF, check_cutoff
 from sppm_pipeline.numerics.kernels.rows import LANES
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
@@ -137,17 +137,8 @@ def _parts(pieces: Pieces, combinations: NDArray[np.int32] | None) -> tuple[Piec
             low, high = colors[2 * axis : 2 * axis + 2]
             members += [numbers.face[axis, low], numbers.connector[interior, axis, 0, low]]
             members += [numbers.connector[interior, axis, 1, high]]
-        merged.append(_joined([numbers.kernels[i] for i in members if i >= 0], pieces.squared))
+        merged.append(concatenated(numbers.kernels[i] for i in members if i >= 0))
     return numbers, sorted(int(i) for i in numbers.face[:, :-1].ravel()), merged
-
-
-def _joined(parts: list[Kernels], squared: bool) -> Kernels:
-    """The kernels of several pieces; pieces without tunnels have no form of their own."""
-    return (
-        concatenated([p._replace(squared=squared) if len(p.starts) == 0 else p for p in parts])
-        if parts
-        else (empty_kernels(squared))
-    )
 
 
 def _box(kernels: Kernels, n: int, offset: float, cutoff: float) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:

@@ -32,10 +32,3 @@ class Pieces(NamedTuple):
     def colors(self) -> int:
         """Number of face colors, c."""
         return len(self.faces[0])
-
-    @property
-    def squared(self) -> bool:
-        """Whether the tunnels take the squared distance; one form holds for all pieces."""
-        for kernels in (*self.interiors, *(face for axis in self.faces for face in axis)):
-            return kernels.squared
-        return False

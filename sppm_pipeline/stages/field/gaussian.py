@@ -14,6 +14,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph
+from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 from sppm_pipeline.stage import Context, Stage, option
 
 NARROWEST, WIDEST = 1e-3, 8.0
@@ -46,7 +47,7 @@ class GaussianField(Stage):
         maximum=1e15,
     )
     level: float = option(0.25, help="the level C at which the sum is cut", minimum=0.001, maximum=0.999)
-    tunnel: str = option("linear", help="how the distance enters the tunnel kernel", choices=("linear", "squared"))
+    tunnel: str = option("linear", help="how the distance enters the tunnel kernel", choices=tuple(TUNNEL_PROFILES))
     pore_spread: float = option(0.0, help="standard deviation of the logarithm of the pore radii", minimum=0, maximum=1)
     tunnel_spread: float = option(
         0.0, help="standard deviation of the logarithm of the tunnel radii", minimum=0, maximum=1
@@ -60,9 +61,9 @@ class GaussianField(Stage):
 
     def estimate(self, given: Given) -> Estimate:
         from sppm_pipeline.numerics.forecast.structure import kernels_at_a_point, structure_of
-        from sppm_pipeline.numerics.kernels import parameters as p
+        from sppm_pipeline.numerics.kernels import profiles as p
 
-        facts, squared = given["graph"], self.tunnel == "squared"
+        facts, profile = given["graph"], p.TUNNEL_PROFILES[self.tunnel]
         edge = facts["edge_mm"] or facts["edge"]
 
         def fraction(length: Length) -> float:
@@ -71,19 +72,19 @@ class GaussianField(Stage):
         omega = self.omega * edge**2 if self.omega is not None else 0.0
         if self.pore_radius is not None:
             omega = p.omega_from_radius(fraction(self.pore_radius), self.level)
-        mu = self.mu * edge ** (2 if squared else 1) if self.mu is not None else 0.0
+        mu = self.mu * edge**profile.power if self.mu is not None else 0.0
         if self.tunnel_radius is not None:
-            mu = p.mu_from_radius(fraction(self.tunnel_radius), self.level, squared)
+            mu = profile.mu(fraction(self.tunnel_radius), self.level)
         pores, tunnels = facts["pores"] + facts["face_pores"], facts["tunnels"]
-        radii = p.pore_radius(omega, self.level), p.tunnel_radius(mu, self.level, squared)
+        radii = p.pore_radius(omega, self.level), profile.radius(mu, self.level)
         found = structure_of(pores, tunnels, *radii)
-        reach = max((-math.log(CUTOFF) / omega) ** 0.5, (-math.log(CUTOFF) / mu) ** (0.5 if squared else 1.0))
+        reach = max((-math.log(CUTOFF) / omega) ** 0.5, float(profile.reach(mu, CUTOFF)))
         makes = {
             **facts,
             "structure": (pores, tunnels, *radii),
             "porosity": found.porosity,
             "surface": found.surface,
-            "kernels": kernels_at_a_point(pores, tunnels, omega, mu, squared),
+            "kernels": kernels_at_a_point(pores, tunnels, omega, mu, profile.power == 2),
             "reach": reach,
             "box": (1.0, 1.0, 1.0),
             "volume": 1.0,
@@ -95,38 +96,36 @@ class GaussianField(Stage):
 
     def run(self, context: Context, graph: TunnelGraph) -> Microstructure:
         """Give every pore and tunnel its kernel."""
-        from sppm_pipeline.numerics.kernels import parameters as p
+        from sppm_pipeline.numerics.kernels import profiles as p
 
-        cell, squared = graph.pores.cell, self.tunnel == "squared"
+        cell, profile = graph.pores.cell, p.TUNNEL_PROFILES[self.tunnel]
         if self.omega is not None:
             omega = p.omega_in_cell_units(self.omega, cell.edge)
         else:
             assert self.pore_radius is not None
             omega = p.omega_from_radius(cell.fraction(self.pore_radius), self.level)
         if self.mu is not None:
-            mu = p.mu_in_cell_units(self.mu, cell.edge, squared)
+            mu = profile.in_cell_units(self.mu, cell.edge)
         else:
             assert self.tunnel_radius is not None
-            mu = p.mu_from_radius(cell.fraction(self.tunnel_radius), self.level, squared)
-        all_omega = omega * _factors(context.rng(0), self.pore_spread, len(graph.pores.centers)) ** -2.0
-        power = -2.0 if squared else -1.0
-        all_mu = mu * _factors(context.rng(1), self.tunnel_spread, len(graph.edges)) ** power
-        self._check_reach("pore_radius" if self.omega is None else "omega", all_omega, 0.5)
-        self._check_reach("tunnel_radius" if self.mu is None else "mu", all_mu, 0.5 if squared else 1.0)
+            mu = profile.mu(cell.fraction(self.tunnel_radius), self.level)
+        pore_factors = _factors(context.rng(0), self.pore_spread, len(graph.pores.centers))
+        tunnel_factors = _factors(context.rng(1), self.tunnel_spread, len(graph.edges))
+        all_omega = omega * p.PORE_PROFILE.scaled_radius(pore_factors)
+        all_mu = mu * profile.scaled_radius(tunnel_factors)
+        self._check_reach("pore_radius" if self.omega is None else "omega", p.PORE_PROFILE.reach(all_omega, CUTOFF))
+        self._check_reach("tunnel_radius" if self.mu is None else "mu", profile.reach(all_mu, CUTOFF))
         context.report(
             pore_radius=p.pore_radius(omega, self.level),
-            tunnel_radius=p.tunnel_radius(mu, self.level, squared),
+            tunnel_radius=profile.radius(mu, self.level),
             omega=omega,
             mu=mu,
         )
-        return Microstructure(cell, graph, pieces_from_graph(graph, all_omega, all_mu, squared), self.level)
+        return Microstructure(cell, graph, pieces_from_graph(graph, all_omega, all_mu, self.tunnel), self.level)
 
-    def _check_reach(self, name: str, parameters: NDArray[np.float64], power: float) -> None:
+    def _check_reach(self, name: str, reach: NDArray[np.float64]) -> None:
         """Refuse kernels that no grid shows, and kernels so wide that each is felt in hundreds of cells around it."""
-        if not len(parameters):
-            return
-        reach = (-math.log(CUTOFF) / parameters) ** power
-        if not (reach.min() >= NARROWEST and reach.max() <= WIDEST):
+        if len(reach) and not (reach.min() >= NARROWEST and reach.max() <= WIDEST):
             raise ConfigError(
                 f"option {name!r} is {getattr(self, name)}, which makes kernels that reach {reach.min():.3g} to "
                 f"{reach.max():.3g} cell edges; allowed are {NARROWEST:g} to {WIDEST:g}",

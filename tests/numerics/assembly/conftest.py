@@ -14,13 +14,13 @@ class Sets:
     """Makers of pieces and tilings, and the obvious list of all kernels of a tiling."""
 
     @staticmethod
-    def pieces(seed: int, interiors: int = 3, colors: int = 2, squared: bool = False, share: float = 0.7) -> Pieces:
+    def pieces(seed: int, interiors: int = 3, colors: int = 2, profile: str = "linear", share: float = 0.7) -> Pieces:
         """Random pieces; about `share` of the connectors are there."""
         rng = np.random.default_rng(seed)
 
         def kernels(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> Kernels:
             omega, mu = rng.uniform(80.0, 250.0, len(points)), rng.uniform(40.0, 90.0, len(starts))
-            return Kernels(points, omega, starts, ends, mu * 10 if squared else mu, squared)
+            return Kernels(points, omega, starts, ends, mu * 10 if profile == "squared" else mu, profile)
 
         inside = []
         for _ in range(interiors):

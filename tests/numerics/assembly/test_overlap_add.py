@@ -6,10 +6,8 @@ from hypothesis import strategies as st
 from sppm_pipeline.numerics.assembly.overlap_add import assemble, assemble_solid
 from sppm_pipeline.numerics.assembly.patches import build_bank, used_combinations
 from sppm_pipeline.numerics.assembly.tiling_arrays import lone_periodic_cell
-from sppm_pipeline.numerics.kernels.bounds import cutoff_bound
-from sppm_pipeline.numerics.kernels.exact import exact_sum
 from sppm_pipeline.numerics.kernels.kernels import concatenated, empty_kernels
-from sppm_pipeline.numerics.kernels.periodic import sample_periodic
+from sppm_pipeline.testing.exact_sum import cutoff_bound, exact_sum
 
 # Patches that can lie over one voxel: sites within one cell, ten pieces each.
 MOST_PATCHES = 27 * 10
@@ -27,7 +25,7 @@ def samples(low: tuple[int, int, int], high: tuple[int, int, int], n: int, offse
     interiors=st.integers(1, 4),
     colors=st.integers(1, 3),
     periodic=st.booleans(),
-    squared=st.booleans(),
+    profile=st.sampled_from(["linear", "squared"]),
     merged=st.booleans(),
     n=st.integers(5, 18),
     offset=st.sampled_from([0.0, 0.5]),
@@ -35,9 +33,9 @@ def samples(low: tuple[int, int, int], high: tuple[int, int, int], n: int, offse
     size=st.tuples(*[st.integers(1, 9)] * 3),
 )
 def test_random_tilings_within_the_bound(
-    sets, seed, shape, interiors, colors, periodic, squared, merged, n, offset, corner, size
+    sets, seed, shape, interiors, colors, periodic, profile, merged, n, offset, corner, size
 ) -> None:
-    pieces = sets.pieces(seed, interiors, colors, squared)
+    pieces = sets.pieces(seed, interiors, colors, profile)
     tiling = sets.tiling(seed, shape, pieces, periodic)
     bank = build_bank(pieces, n, used_combinations(tiling) if merged else None, offset=offset)
     stop = tuple(c + s for c, s in zip(corner, size, strict=True))
@@ -70,8 +68,10 @@ def test_a_lone_cell_is_an_assembly_of_itself(sets, offset: float) -> None:
     bank = build_bank(pieces, 24, used_combinations(tiling), offset=offset)
     m = 24 if offset else 25
     field = assemble(bank, tiling, 0, m, 0, m, 0, m)
-    exact = sample_periodic(concatenated(members), 24, "centers" if offset else "nodes")
-    assert field == pytest.approx(exact, abs=3e-4)
+    steps = [np.array(step, float) for step in np.ndindex(5, 5, 5)]
+    images = concatenated(concatenated(members).shifted(step - 2.0) for step in steps)
+    exact = exact_sum(images, samples((0, 0, 0), (m, m, m), 24, offset))
+    assert field.ravel() == pytest.approx(exact, abs=3e-4)
 
 
 @pytest.mark.parametrize("merged", [False, True])
