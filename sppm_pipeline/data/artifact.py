@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -39,12 +39,9 @@ class Artifact:
 
 def _feed(h: Any, value: Any) -> None:
     """Hash `value` with its type and length in front, so that different structures can't collide by concatenation."""
-    if isinstance(value, Artifact) or (isinstance(value, tuple) and hasattr(value, "_fields")):
-        names = (
-            [f.name for f in fields(value) if f.compare]  # type: ignore[arg-type]
-            if isinstance(value, Artifact)
-            else list(value._fields)
-        )
+    record = isinstance(value, tuple) and hasattr(value, "_fields")
+    if record or (is_dataclass(value) and not isinstance(value, type)):
+        names = list(value._fields) if record else [f.name for f in fields(value) if f.compare]
         h.update(f"{type(value).__name__}{len(names)};".encode())
         for name in names:
             h.update(f"{name}=".encode())
