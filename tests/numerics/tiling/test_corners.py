@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.tiling.corners import corner_colors_at, corners_of_ids, tile_corners
 from sppm_pipeline.numerics.tiling.hashed import interior_at
-from sppm_pipeline.numerics.tiling.rule_check import face_violations
+from sppm_pipeline.numerics.tiling.statistics import face_violations
 
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=3, max_dims=3, min_side=1, max_side=5))
 
