@@ -13,8 +13,7 @@ from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.fields.periods import sample_one_period
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, lone_periodic_cell
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES

@@ -12,7 +12,7 @@ from sppm_pipeline.fields.microstructure import CUTOFF
 from sppm_pipeline.fields.periods import sample_one_period
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import TilingArrays, check_tiling
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
@@ -47,6 +47,10 @@ class Tiling(ScalarField):
     arrays: TilingArrays
     edge: float | None
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def check(self) -> None:
+        """Faces fit the cells, and every interior and color exists."""
+        check_tiling(self.arrays, self.tileset.micro.pieces)
 
     @property
     def cells(self) -> tuple[int, int, int]:

@@ -1,7 +1,7 @@
 """How kernels are compiled: one decorator, so that every kernel is cached on disk and releases the GIL.
 
 Kernels are compiled on their first call, not on import, and the machine code is kept in Numba's cache; a caller
-that notifies its user of the wait registers a callback with `sppm_pipeline.numerics.notice`.
+that notifies its user of the wait registers a callback with `sppm_pipeline.numerics.kernel_cache`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import config, event
 
-from sppm_pipeline.numerics.kernel_cache import kernel_cache_folder
-from sppm_pipeline.numerics.notice import first_compilation
+from sppm_pipeline.numerics.kernel_cache import first_compilation, kernel_cache_folder
 
 
 def _load_numba_without_scipy() -> None:

@@ -23,7 +23,7 @@ from sppm_pipeline.families import (
     start_of,
 )
 from sppm_pipeline.families.tiler import KIND_TO_RULE
-from sppm_pipeline.numerics.assembly.tiling_arrays import lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import lone_periodic_cell
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.stage import option
 from sppm_pipeline.stages import BUILT_IN

@@ -15,8 +15,7 @@ from sppm_pipeline.errors import ConfigError, ResourceError
 from sppm_pipeline.families import PartFieldMaker
 from sppm_pipeline.fields.formula import PlacedField
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.stage import Context, option

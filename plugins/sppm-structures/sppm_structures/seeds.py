@@ -82,7 +82,7 @@ class HashedSeeds(NamedTuple):
         return 0.5 + self.jitter * (drawn - 0.5)
 
     def _uniform(self, index: list[NDArray[np.int64]], stream: int) -> NDArray[np.float64]:
-        from sppm_pipeline.numerics.tiling.hashing import hash_places
+        from sppm_pipeline.numerics.tiling.lattice import hash_places
 
         bits = hash_places(self.seed, _STREAM + stream, *index)
         return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53

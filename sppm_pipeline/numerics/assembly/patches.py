@@ -19,9 +19,15 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.assembly.contents import PieceNumbers, Sites, number_pieces, site_pieces, sites_between
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import (
+    PieceNumbers,
+    Pieces,
+    Sites,
+    TilingArrays,
+    number_pieces,
+    site_pieces,
+    sites_between,
+)
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, reach_boxes
@@ -84,31 +90,6 @@ class PatchBank(NamedTuple):
     def nbytes(self) -> int:
         """Bytes of the samples and the row tables."""
         return self.data.nbytes + self.row_low.nbytes + self.row_blocks.nbytes + self.row_start.nbytes
-
-
-def used_combinations(tiling: TilingArrays) -> NDArray[np.int32]:
-    """The combinations of interior and face colors that occur in a tiling.
-
-    Returns
-    -------
-    (m, 7) int32
-        Interior, then the colors of the low and high faces of x, of y, of z; sorted, each once; cells that are
-        not there are left out.
-    """
-    columns = [tiling.interior.ravel()]
-    for axis, faces in enumerate(tiling.faces):
-        last = faces.shape[axis] - 1
-        columns += [np.take(faces, range(last), axis).ravel(), np.take(faces, range(1, last + 1), axis).ravel()]
-    there = columns[0] >= 0
-    rows = np.stack([column[there] for column in columns], axis=-1).astype(np.int64)
-    base = int(rows[:, 1:].max(initial=0)) + 2
-    codes = np.unique(_encode(rows, base))
-    found = np.empty((len(codes), 7), dtype=np.int32)
-    for column in range(6, 0, -1):
-        found[:, column] = codes % base - 1
-        codes = codes // base
-    found[:, 0] = codes - 1
-    return found
 
 
 def _encode(rows: NDArray[np.int64], base: int) -> NDArray[np.int64]:
@@ -194,7 +175,7 @@ def build_bank(
     n : int
         Voxels along a cell edge.
     combinations : (m, 7) int32, optional
-        Combinations of an interior and six colors to merge, see `used_combinations`. The bank then serves tilings with
+        Combinations of an interior and six colors to merge, each once. The bank then serves tilings with
         these combinations only. Without it every piece has a patch of its own, and the bank serves any tiling.
     offset : float
         0.5 samples voxel centers, 0 voxel corners.

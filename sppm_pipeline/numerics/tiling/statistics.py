@@ -225,10 +225,10 @@ def entropy_per_cell(mask: ArrayLike, kind: str, colors: int, interiors: int = 1
             for axis in range(3):
                 ends = np.take(corners, [0], axis) | np.take(corners, [-1], axis)
                 corners = np.concatenate([ends, np.take(corners, range(1, cells.shape[axis]), axis)], axis)
-        colored = np.count_nonzero(corners)
+        colored = int(corners.sum())
     else:
         raise ValueError(f"unknown kind {kind!r} of tile set, known are wang, free, corner")
-    count = np.count_nonzero(cells)
+    count = int(cells.sum())
     return (colored * math.log2(colors) + count * math.log2(interiors)) / count if count else 0.0
 
 
@@ -237,5 +237,5 @@ def _runs(cells: NDArray[np.bool_], periodic: bool) -> int:
     before = np.roll(cells, 1, axis=0)
     if not periodic:
         before[0] = False
-    starts = np.count_nonzero(cells & ~before)
-    return starts + (np.count_nonzero(cells.all(axis=0)) if periodic else 0)
+    starts = int((cells & ~before).sum())
+    return starts + (int(cells.all(axis=0).sum()) if periodic else 0)

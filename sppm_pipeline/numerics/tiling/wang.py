@@ -30,8 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.tiling.hashing import TIE, hash_places
-from sppm_pipeline.numerics.tiling.lattice import Faces, check_count, checked_mask, faces_of_cells
+from sppm_pipeline.numerics.tiling.lattice import TIE, Faces, check_count, checked_mask, faces_of_cells, hash_places
 
 _MOST_COLORS = 1290  # 1290^3 is the largest cube below 2^31
 

@@ -40,9 +40,8 @@ class CheckTiling(Stage):
         tileset, arrays, periodic = tiling.tileset, tiling.arrays, tiling.periodic
         interior = arrays.interior
         wang = tileset.kind == "wang"
-        broken = face_violations(
-            interior, arrays.faces, tile_colors(tileset.palette_colors) if wang else None, periodic=periodic
-        )
+        table = tile_colors(tileset.palette_colors) if wang else None
+        broken = face_violations(interior, arrays.faces, table, periodic=periodic)
         used, counts = np.unique(interior[interior >= 0], return_counts=True)
         frequencies = counts / max(1, counts.sum())
         alike, pairs = alike_neighbors(interior, periodic=periodic)

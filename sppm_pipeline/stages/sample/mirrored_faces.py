@@ -74,7 +74,7 @@ class MirroredFaces(Stage):
         before = given.ports["pores"] or {}
         edge = self.edge
         if self.total is None and self.count is None:
-            from sppm_pipeline.numerics.sampling.split import split_between_faces_and_interior
+            from sppm_pipeline.numerics.sampling.faces import split_between_faces_and_interior
 
             cell = edge.value if edge else 1.0
             on_faces, _ = split_between_faces_and_interior(
@@ -101,8 +101,7 @@ class MirroredFaces(Stage):
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the patterns of all colors."""
-        from sppm_pipeline.numerics.sampling.faces import mirrored_faces
-        from sppm_pipeline.numerics.sampling.split import split_between_faces_and_interior
+        from sppm_pipeline.numerics.sampling.faces import mirrored_faces, split_between_faces_and_interior
 
         cell, base = start_of(self.edge, pores, context.palette.interiors)
         if base.has_faces:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated
 
 
@@ -44,6 +43,16 @@ class Sets:
                             ends[:, axis] = side
                             connectors[t, axis, side, color] = kernels(np.zeros((0, 3)), inside[t].centers[:2], ends)
         return Pieces(tuple(inside), (faces[0], faces[1], faces[2]), connectors)
+
+    @staticmethod
+    def combinations(tiling: TilingArrays) -> np.ndarray:
+        """Interior and six face colors of every cell that is there, each combination once."""
+        rows = []
+        for i, j, k in np.argwhere(tiling.interior >= 0):
+            x, y, z = tiling.faces
+            colors = x[i, j, k], x[i + 1, j, k], y[i, j, k], y[i, j + 1, k], z[i, j, k], z[i, j, k + 1]
+            rows.append((tiling.interior[i, j, k], *colors))
+        return np.unique(np.array(rows, np.int32).reshape(-1, 7), axis=0)
 
     @staticmethod
     def tiling(

@@ -3,11 +3,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.assembly.gather import kernels_in_box, sample_exact
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.assembly.gather import kernels_in_box as _kernels_in_box
+from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
 from sppm_pipeline.testing.exact_sum import cutoff_bound, exact_sum
+
+
+def kernels_in_box(pieces, tiling, lower, upper, cutoff=1e-5) -> Kernels:
+    return _kernels_in_box(make_catalog(pieces, cutoff), tiling, np.asarray(lower, float), np.asarray(upper, float))
 
 
 def points_of(grid: Grid) -> np.ndarray:

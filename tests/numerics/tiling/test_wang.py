@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.tiling.hashing import TIE, hash_places
+from sppm_pipeline.numerics.tiling.lattice import TIE, hash_places
 from sppm_pipeline.numerics.tiling.statistics import face_violations, rule1_violations, rule2_scores
 from sppm_pipeline.numerics.tiling.wang import tile_colors, tile_wang
 
