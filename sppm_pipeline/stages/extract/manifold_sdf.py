@@ -164,14 +164,14 @@ class ManifoldSdf(Stage):
         if not on_torus(field):
             # disconnected solid is known when the surface is there
             return (
-                field.field.sample(half, context.threads)
+                field.base.sample(half, context.threads)
                 if isinstance(field, Part)
                 else field.sample(half, context.threads)
             )
         surface = FieldSurface(field, half, self.islands)
-        samples = np.concatenate([slab.values for slab in surface.slabs(context.threads)])
-        context.report(**surface.findings())
-        return samples
+        slabs = surface.slabs(context.threads)
+        context.report(**slabs.findings)
+        return np.concatenate([slab.values for slab in slabs])
 
 
 def _half(grid: Grid) -> Grid:

@@ -91,7 +91,7 @@ class BooleanFill(Stage):
             "needs no mesh",
             limit=context.memory_limit,
         )
-        vertices, faces = surface.mesh(context.threads, lambda done, planes: context.progress(done, planes, "planes"))
+        vertices, faces, _ = surface.mesh(context.threads, lambda done, of: context.progress(done, of, "planes"))
         if not len(faces):
             raise DesignError("there is no solid in the part", hint="lower the porosity or the level, or add a skin")
         vertices *= edge

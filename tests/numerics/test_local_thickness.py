@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from sppm_pipeline.numerics.sizes.distance import FAR, squared_distance
-from sppm_pipeline.numerics.sizes.local_thickness import local_thickness, size_distribution
+from sppm_pipeline.numerics.local_thickness import FAR, local_thickness, size_distribution, squared_distance
 
 BOX = (False, False, False)
 
