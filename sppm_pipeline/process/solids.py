@@ -1,7 +1,7 @@
 """manifold3d in a child process: Booleans of solids and its extractor of surfaces, with the bytes of a call in place.
 
 manifold3d is careful code, but strange meshes have crashed it and kept it busy for hours. What is called in the child
-are the functions of `numerics.surface`, judgement included, so that its words are the same as well.
+are the functions of `numerics.surface`, checks included, so that error messages are the same as well.
 """
 
 from __future__ import annotations
