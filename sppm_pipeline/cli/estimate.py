@@ -65,7 +65,7 @@ def _stages(forecast: Forecast) -> list[dict[str, Any]]:
 
 
 def _print(forecast: Forecast, total: dict[str, Any]) -> None:
-    from sppm_pipeline.process.resources import words_for_bytes
+    from sppm_pipeline.process.budget import format_bytes
 
     width = max(len(stage.step.id) for stage in forecast.stages)
     print(f"{'':{width}s}     memory       disk    seconds     voxels")
@@ -76,13 +76,13 @@ def _print(forecast: Forecast, total: dict[str, Any]) -> None:
             continue
         layers = f"  {found.layers} layers" if found.layers else ""
         print(
-            f"{foretold.step.id:{width}s} {words_for_bytes(foretold.memory):>10s} {words_for_bytes(found.disk):>10s} "
+            f"{foretold.step.id:{width}s} {format_bytes(foretold.memory):>10s} {format_bytes(found.disk):>10s} "
             f"{found.seconds:10.2f} {found.voxels:10.3g}{layers}"
         )
     if total["runs"] > 1:
         print(f"that is the largest of {total['runs']} runs")
     print(
-        f"in all: {words_for_bytes(total['memory_bytes'])} of memory, {words_for_bytes(total['disk_bytes'])} on disk, "
+        f"in all: {format_bytes(total['memory_bytes'])} of memory, {format_bytes(total['disk_bytes'])} on disk, "
         f"{total['seconds']:.3g} s on one core"
     )
     if forecast.unknown:

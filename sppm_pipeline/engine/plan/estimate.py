@@ -13,7 +13,7 @@ from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.running import last_uses
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.process.resources import MEMORY, allowed_memory, free_disk, words_for_bytes
+from sppm_pipeline.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
 
 BASE = 150e6
 """Bytes of the program with its libraries and compiled kernels."""
@@ -173,7 +173,7 @@ def refuse_what_cannot_fit(
         needed = stage.memory * workers
         if limit is not None and stage.estimate is not None and needed > slack * limit:
             raise ResourceError(
-                f"about {words_for_bytes(needed)} of memory would be needed; {words} is {words_for_bytes(limit)}"
+                f"about {format_bytes(needed)} of memory would be needed; {words} is {format_bytes(limit)}"
                 + (f" ({workers} runs at the same time)" if workers > 1 else ""),
                 hint=stage.estimate.advice or "use a coarser resolution or a smaller part",
                 where=stage.step.where,
@@ -184,8 +184,7 @@ def refuse_what_cannot_fit(
         largest = max(forecast.stages, key=lambda stage: stage.estimate.disk if stage.estimate else 0.0)
         advice = largest.estimate.advice if largest.estimate else ""
         raise ResourceError(
-            f"about {words_for_bytes(needed)} would be written; free where {str(folder)!r} lies are "
-            f"{words_for_bytes(free)}",
+            f"about {format_bytes(needed)} would be written; free where {str(folder)!r} lies are {format_bytes(free)}",
             hint=f"choose another place with -o; {advice or 'use a coarser resolution'}",
             where=largest.step.where,
             stage=largest.step.address,
