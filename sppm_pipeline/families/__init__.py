@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from sppm_pipeline.families.connector import Connector, Piece
 from sppm_pipeline.families.homogenizer import VoxelHomogenizer
+from sppm_pipeline.families.layer_writer import LayerWriter
 from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, foreseen_tiling, lattice_for
@@ -28,6 +29,7 @@ __all__ = [
     "Connector",
     "InteriorBox",
     "Lattice",
+    "LayerWriter",
     "MeshWriter",
     "Piece",
     "Sampler",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
@@ -17,6 +16,7 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.threads import computed_ahead
 
 SLAB_SAMPLES = 2**20
 """Samples taken at a time; a slab holds at least two planes."""
@@ -188,7 +188,7 @@ class FieldSurface:
     def slabs(self, threads: int = 1) -> Iterator[SampledSlab]:
         """The samples, without islands if they are to be removed."""
         if self.islands == "keep":
-            yield from _ahead(self._sampled(threads), threads)
+            yield from computed_ahead(self._sampled(threads), threads)
             return
         from sppm_pipeline.numerics.connectivity.components import components_of_runs
         from sppm_pipeline.numerics.connectivity.islands import negate_runs
@@ -200,7 +200,7 @@ class FieldSurface:
         keep = nx * ny * nz * (3 if isinstance(self.source, Part) else 1) <= KEPT_SAMPLES
         kept: deque[SampledSlab] = deque()
         runs = []
-        for slab in _ahead(self._sampled(threads), threads):
+        for slab in computed_ahead(self._sampled(threads), threads):
             if slab.start < nz:
                 solid = slab.values[: nz - slab.start, :ny, :nx] < 0
                 runs.append(find_runs(np.ascontiguousarray(solid).view(np.uint8)))
@@ -215,7 +215,7 @@ class FieldSurface:
         self._found["expected"] = (vertices, 2 * vertices)
         stays, rows, bounds = found.of_run == 0, found.runs.rows, found.runs.bounds
         del found
-        again = _emptied(kept) if keep else _ahead(self._sampled(threads), threads)
+        again = _emptied(kept) if keep else computed_ahead(self._sampled(threads), threads)
         for slab in again:
             if largest < total:
                 negate_runs(rows, bounds, stays, (nz, ny, nx), slab.start, slab.values)
@@ -272,15 +272,3 @@ def _told(
         yield slab
         if progress is not None:
             progress(slab.start + len(slab.values), planes)
-
-
-def _ahead(items: Iterator[Item], threads: int) -> Iterator[Item]:
-    """The same items; with more than one thread the next one is made while the last one is worked on."""
-    if threads < 2:
-        yield from items
-        return
-    with ThreadPoolExecutor(1) as worker:
-        coming = worker.submit(next, items, None)
-        while (item := coming.result()) is not None:
-            coming = worker.submit(next, items, None)
-            yield item
