@@ -11,8 +11,7 @@ protection from malice. The child has the user's rights and may write wherever t
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # as `typing` has it, which takes longer to load than all that the supervisor needs
 if TYPE_CHECKING:
     from sppm_pipeline.process.exchange import ArraySpec, notify
     from sppm_pipeline.process.native import NativeResult, run_native, stop_all
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["ArraySpec", "NativeResult", "notify", "run_native", "stop_all"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     # lazily, because the process that supervises `sppm run` is forked before NumPy is loaded
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -201,10 +201,13 @@ def child_environment(inherited: Mapping[str, str], folder: Path, threads: int) 
 @contextlib.contextmanager
 def _child(folder: Path, environment: Mapping[str, str], progress: int) -> Iterator[subprocess.Popen[bytes]]:
     """The supervisor with the worker below it; both are gone afterwards."""
+    import psutil
+
     process = subprocess.Popen(
         [
             *(sys.executable, "-P", "-S", str(_SCRIPTS / "supervisor.py")),
             *(str(os.getpid()), str(progress), str(_SCRIPTS / "worker.py"), str(folder)),
+            str(Path(psutil.__file__).parents[1]),
         ],
         cwd=folder / "work",
         env=environment,

@@ -1,20 +1,21 @@
-"""The process between ours and the worker. Run as a script; it loads the standard library and psutil only.
+"""The process between ours and the worker. Run as a script; it loads little of the standard library, so as to be there
+at once, and psutil only if there is something left to end.
 
 The worker may be stuck in native code, so it can't watch over itself; and our process may be killed at any time, so it
 can't do that either. This process does nothing else. It ends the worker and every process below it when its standard
 input is closed, which happens when the parent closes it or dies; and also when the worker has ended.
 
 On Linux, orphaned descendants are handed to it ("subreaper"), so that one that has left the worker's process group is
-found, too. Elsewhere those are ended that are below the worker, or in its group, when the time comes.
+found, too. Elsewhere only the worker's group is ended.
 
-Arguments: number of the parent process, file descriptor of the progress pipe, path of the worker script, folder.
+Arguments: number of the parent process, file descriptor of the progress pipe, path of the worker script, private
+folder, and the folder from which psutil is loaded.
 Standard input: the life line. Standard output: how the worker ended, one line. Standard error: the worker's output.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import select
 import signal
@@ -27,9 +28,9 @@ GIVE_UP = 5.0
 
 def main() -> None:
     """Start the worker, watch, and clear up."""
-    parent, progress, script, folder = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3], sys.argv[4]
-    with open(os.path.join(folder, "job.json"), encoding="utf-8") as file:
-        sys.path[:] = json.load(file)["path"]
+    parent, progress, script, folder, libraries = int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]
+    # our own package by its place, as it may be installed in a way that needs the `site` that is left out here
+    sys.path += [os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))), libraries]
     from sppm_pipeline.process.tree import adopt_orphans, die_with_parent
 
     woken, wake = os.pipe()
@@ -53,8 +54,6 @@ def main() -> None:
         setsigmask=(),
     )
     os.close(progress)
-    import psutil  # noqa: F401 - loaded while the worker starts: at its end the disk or the memory may be used up
-
     status = None
     while status is None and not requests:
         ready = select.select([0, woken], [], [])[0]
@@ -77,12 +76,12 @@ def _kill_all(worker: int) -> None:
         os.killpg(worker, signal.SIGKILL)
     until = time.monotonic() + GIVE_UP
     while time.monotonic() < until:
-        signal_below(os.getpid(), signal.SIGKILL)
         try:
             while os.waitpid(-1, os.WNOHANG)[0]:
                 pass
         except ChildProcessError:
             return
+        signal_below(os.getpid(), signal.SIGKILL)
         time.sleep(0.002)
 
 
