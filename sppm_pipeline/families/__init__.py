@@ -16,13 +16,11 @@ A sampler in a few lines::
 from __future__ import annotations
 
 from sppm_pipeline.families.connector import Connector, Piece
+from sppm_pipeline.families.file_writer import MeshWriter
 from sppm_pipeline.families.homogenizer import VoxelHomogenizer
-from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, foreseen_tiling, lattice_for
 from sppm_pipeline.families.tileset_maker import TileSetMaker
-from sppm_pipeline.families.volume_mesh_writer import VolumeMeshWriter
-from sppm_pipeline.families.voxel_writer import VoxelWriter
 
 __all__ = [
     "Connector",
@@ -33,9 +31,7 @@ __all__ = [
     "Sampler",
     "TileSetMaker",
     "Tiler",
-    "VolumeMeshWriter",
     "VoxelHomogenizer",
-    "VoxelWriter",
     "foreseen_tiling",
     "lattice_for",
     "start_of",
