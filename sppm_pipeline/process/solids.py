@@ -1,7 +1,7 @@
 """Booleans of solids and extraction of surfaces by manifold3d in a child process, with the bytes of a direct call.
 
 manifold3d is careful code, but degenerate meshes have crashed it and kept it busy for hours. What is called in the
-child are the functions of `numerics.meshcheck` and `numerics.surface`, their checks included, so that messages are the
+child are the functions of `numerics.surface`, their checks included, so that messages are the
 same as well.
 """
 
@@ -66,7 +66,7 @@ def manifold_combine(
     *,
     places: Sequence[NDArray[np.float64]] = (),
 ) -> Combined:
-    """Union, difference or intersection of two solids, by `numerics.meshcheck.solids.boolean` in a child process.
+    """Union, difference or intersection of two solids, by `numerics.surface.booleans.boolean` in a child process.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def manifold_combine(
 def combine_in_child(arrays: Arrays, options: Mapping[str, Any]) -> tuple[Values, Values]:
     """Unite the copies of the second solid, then combine both."""
     from sppm_pipeline.numerics.meshcheck.measures import volume
-    from sppm_pipeline.numerics.meshcheck.solids import boolean
+    from sppm_pipeline.numerics.surface.booleans import boolean
 
     first, second = (arrays["first_vertices"], arrays["first_faces"]), (arrays["vertices"], arrays["faces"])
     operation, (name, tool) = options["operation"], options["names"]
