@@ -233,7 +233,7 @@ def test_all_who_ask_get_one_answer_in_a_container(container, monkeypatch, tmp_p
     limit, source = budget.allowed_memory()
     assert limit == available + RESIDENT
     (tmp_path / "large.yaml").write_text(LARGE)
-    assert main(["run", str(tmp_path / "large.yaml"), "-o", str(tmp_path / "out"), "--no-plugins"]) == 5
+    assert main(["estimate", str(tmp_path / "large.yaml"), "-o", str(tmp_path / "out"), "--no-plugins"]) == 5
     assert f"{source} is {budget.format_bytes(limit)}" in capsys.readouterr().err
 
     # what a child may hold
