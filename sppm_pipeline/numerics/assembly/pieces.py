@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 
 
-class Pieces(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Pieces:
     """Kernel sets from which every cell of a tiling is put together; all lengths in cell edges.
 
     Attributes

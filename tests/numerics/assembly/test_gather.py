@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -117,7 +119,10 @@ def test_nothing_anywhere(sets) -> None:
     tiling = sets.tiling(0, (2, 2, 2), pieces, holes=1.0)
     assert len(kernels_in_box(pieces, tiling, (0, 0, 0), (2, 2, 2)).centers) == 0
     assert not sample_exact(pieces, tiling, cell_centers(4, (2, 2, 2))).any()
-    bare = pieces._replace(
-        interiors=(empty_kernels(),), faces=((empty_kernels(),), (empty_kernels(),), (empty_kernels(),)), connectors={}
+    bare = replace(
+        pieces,
+        interiors=(empty_kernels(),),
+        faces=((empty_kernels(),), (empty_kernels(),), (empty_kernels(),)),
+        connectors={},
     )
     assert not sample_exact(bare, lone_periodic_cell(), cell_centers(4)).any()
