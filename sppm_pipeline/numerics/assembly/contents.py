@@ -16,7 +16,7 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels
 
 
 class Pieces(NamedTuple):
-    """Kernel sets from which every cell of a tiling is put together; all lengths in cell edges.
+    """Kernel sets from which every cell of a tiling is put together; all lengths in cell sizes.
 
     Attributes
     ----------
