@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Stage

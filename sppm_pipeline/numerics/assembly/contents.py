@@ -7,6 +7,7 @@ face belongs to exactly one site, which is how shared faces are counted once.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 
 
-class Pieces(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Pieces:
     """Kernel sets from which every cell of a tiling is put together; all lengths in cell sizes.
 
     Attributes

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.fields.cleaned import CleanedField
 from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import sppm_pipeline
-from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families.mesh_writer import ADVICE, write_mesh, written

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.families.mesh_writer import ADVICE, write_mesh, written
 from sppm_pipeline.stage import Context, Stage, option

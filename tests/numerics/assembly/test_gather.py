@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -120,7 +122,8 @@ def test_a_lone_cell_is_the_periodic_cell(sets) -> None:
 def test_moving_a_lone_cell_by_a_voxel_moves_the_field(sets) -> None:
     pieces, n = sets.pieces(13), 16
     offset = np.array([3.0, 0.0, -2.0]) / n
-    moved = pieces._replace(
+    moved = replace(
+        pieces,
         interiors=tuple(k.shifted(offset) for k in pieces.interiors),
         faces=tuple(tuple(k.shifted(offset) for k in axis) for axis in pieces.faces),
         connectors={key: k.shifted(offset) for key, k in pieces.connectors.items()},
@@ -134,7 +137,10 @@ def test_nothing_anywhere(sets) -> None:
     tiling = sets.tiling(0, (2, 2, 2), pieces, holes=1.0)
     assert len(kernels_in_box(pieces, tiling, (0, 0, 0), (2, 2, 2)).centers) == 0
     assert not sample_exact(pieces, tiling, cell_centers(4, (2, 2, 2))).any()
-    bare = pieces._replace(
-        interiors=(empty_kernels(),), faces=((empty_kernels(),), (empty_kernels(),), (empty_kernels(),)), connectors={}
+    bare = replace(
+        pieces,
+        interiors=(empty_kernels(),),
+        faces=((empty_kernels(),), (empty_kernels(),), (empty_kernels(),)),
+        connectors={},
     )
     assert not sample_exact(bare, lone_periodic_cell(), cell_centers(4)).any()

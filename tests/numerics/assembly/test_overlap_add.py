@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -136,14 +138,14 @@ def test_out_is_used_and_overwritten(whole_field) -> None:
 
 
 def test_empty_pieces(sets) -> None:
-    pieces = sets.pieces(8)._replace(interiors=(empty_kernels(),) * 3, connectors={})
+    pieces = replace(sets.pieces(8), interiors=(empty_kernels(),) * 3, connectors={})
     tiling = sets.tiling(9, (2, 2, 2), pieces, holes=0.0)
     for combinations in (None, sets.combinations(tiling)):
         bank = build_bank(pieces, 8, combinations)
         points = samples((0, 0, 0), (16, 16, 16), 8, 0.5)
         exact = exact_sum(sets.every_kernel(pieces, tiling), points)
         assert assemble(bank, tiling, 0, 16, 0, 16, 0, 16).ravel() == pytest.approx(exact, abs=1e-3)
-    bare = pieces._replace(faces=((empty_kernels(),),) * 3)
+    bare = replace(pieces, faces=((empty_kernels(),),) * 3)
     assert not assemble(build_bank(bare, 8), lone_periodic_cell(), 0, 8, 0, 8, 0, 8).any()
 
 

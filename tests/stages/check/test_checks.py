@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.fields.cleaned import CleanedField
+from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
 from sppm_pipeline.numerics.grid import cell_centers, cell_nodes
 from sppm_pipeline.stage import Rejected

@@ -15,8 +15,7 @@ import pytest
 import trimesh
 
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
+from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.formats.detect import decode_mesh_file
 from sppm_pipeline.numerics.meshcheck.measures import volume
