@@ -70,9 +70,6 @@ class PlacedField(ScalarField):
     def origin_mm(self) -> tuple[float, float, float]:
         return self.origin
 
-    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        return self.sample_layers(grid, 0, grid.shape[2], threads)
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FormulaField(PlacedField):
