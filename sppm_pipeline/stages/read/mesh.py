@@ -13,7 +13,7 @@ from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import UNITS_IN_MM, Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.families.input_file import content_of
+from sppm_pipeline.formats.input_file import content_of
 from sppm_pipeline.stage import Context, Stage, option
 
 LARGEST_FILE = 2 * 2**30
