@@ -10,7 +10,7 @@ import pluggy
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from sppm_pipeline.stage import Stage
+    from sppm_pipeline.stage import Stage, StageAlias
 
 PROJECT = "sppm"
 """Name of the pluggy project; entry points of distributions stand in the group ``sppm``."""
@@ -36,6 +36,20 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
         @hookimpl
         def sppm_stages():
             return {"sample.fcc": "sppm_fcc.sampler:FaceCenterdCubic"}
+    """
+
+
+@hookspec
+def sppm_stage_aliases() -> Mapping[str, str | StageAlias]:  # type: ignore[empty-body]
+    """Supply former names of stages, so that configurations written before a stage was renamed still run.
+
+    Called once, together with `sppm_stages`. Returns a mapping from the former name to the current one, or to a
+    `StageAlias` with the options that the former name implied. Whoever uses a former name is told the current one in a
+    warning; lists and references show current names only. An empty mapping means: nothing was renamed. Example::
+
+        @hookimpl
+        def sppm_stage_aliases():
+            return {"sample.fcc_lattice": "sample.fcc"}
     """
 
 

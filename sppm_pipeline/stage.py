@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 
 FAMILIES: Mapping[str, str] = {
@@ -63,6 +63,8 @@ class OptionSpec:
         Allowed words.
     output : bool
         Whether the value names a file or folder that the stage writes.
+    formerly : str or None
+        An earlier name of the option, still accepted.
     """
 
     help: str
@@ -73,6 +75,25 @@ class OptionSpec:
     below: float | None = None
     choices: tuple[str, ...] = ()
     output: bool = False
+    formerly: str | None = None
+
+
+@dataclass(frozen=True)
+class StageAlias:
+    """What a former stage name stands for.
+
+    Attributes
+    ----------
+    name : str
+        The stage's current name.
+    options : mapping, or function of the options written in the file that returns a mapping
+        Options that the former name implied; those written in the file win.
+    """
+
+    name: str
+    options: Mapping[str, Any] | Callable[[Mapping[str, Any]], Mapping[str, Any]] = dataclasses.field(
+        default_factory=dict
+    )
 
 
 def option(
@@ -86,14 +107,16 @@ def option(
     below: float | None = None,
     choices: Iterable[str] = (),
     output: bool = False,
+    formerly: str | None = None,
 ) -> Any:
     """Declare an option of a stage; without `default` the option is required.
 
     The type comes from the annotation: bool, int, float, str, `pathlib.Path` (an input file, taken relative to the
     configuration file), `Length`, ``tuple[int, int]``, ``tuple[float, ...]``, and any of these ``| None``.
-    A text with `output` names a file or folder below the run directory, which is checked before any work starts.
+    A string with `output` names a file or folder below the run directory, which is checked before any work starts.
+    An option that was renamed states its earlier name as `formerly`; configurations that use it run, with a warning.
     """
-    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices), output)
+    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices), output, formerly)
     return dataclasses.field(default=default, metadata={"option": spec})
 
 
@@ -192,22 +215,31 @@ class Stage(ABC):
     cacheable : bool
         False for a stage whose result depends on more than its options, input files, inputs and random numbers, for
         instance on a clock or a network; it then runs every time, and so does what depends on it.
+    advice : str
+        What makes the work smaller, said when a run is refused because it can't fit; empty for a default.
     """
 
     name: ClassVar[str]
     version: ClassVar[int] = 1
     cacheable: ClassVar[bool] = True
+    advice: ClassVar[str] = ""
 
     @abstractmethod
     def run(self, context: Context, *inputs: Any) -> Any:
         """Do the work; subclasses state their ports and result by annotation."""
 
-    def estimate(self, given: Given) -> Estimate | None:
-        """Foretell the result and its costs from facts about the inputs, in milliseconds; None if that can't be told.
+    def estimate(self, palette: Palette, *inputs: Any) -> Size | None:
+        """Tell how large the result and the work will be, in milliseconds; None if that is unknown.
 
-        A fact that is missing raises `KeyError`, which may pass.
+        Subclasses take the `Size` of each port by name (None for an open one), and a `RecipeSize` for a recipe. What
+        raises, for instance because the geometry of an input is unknown, is unknown as well.
         """
         return None
+
+    @property
+    def rated_as(self) -> str:
+        """The entry of the table of rates by which time, memory and disk are estimated from the size."""
+        return self.name
 
     def check_options(self) -> None:  # noqa: B027 - most stages have nothing to add
         """Raise `ConfigError` if options contradict each other; called before any work starts."""

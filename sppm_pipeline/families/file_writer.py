@@ -9,10 +9,13 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.stage import Context, Stage
+
+ADVICE = "extract with a lower `resolution`, or slice without a mesh (`slice.field`)"
 
 
 def extension_of(path: str) -> str:
@@ -73,14 +76,10 @@ class MeshWriter(Stage):
 
     path: str
 
-    bytes_of_a_triangle: ClassVar[float] = 50.0
+    advice: ClassVar[str] = ADVICE
 
-    def estimate(self, given: Given) -> Estimate:
-        triangles = given["mesh"]["triangles"]
-        return Estimate(
-            disk=84 + self.bytes_of_a_triangle * triangles, memory=30e6, seconds=1.5e-7 * triangles,
-            advice="extract with a lower `resolution`, or slice without a mesh (`slice.field`)",
-        )  # fmt: skip
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(triangles=mesh.triangles, copies=mesh.copies)
 
     @abstractmethod
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterable[bytes | memoryview]:

@@ -1,4 +1,4 @@
-"""GLB, the binary form of glTF 2.0: one mesh of all that its scene shows, in metres, y up, as the specification says.
+"""GLB, the binary form of glTF 2.0: one mesh of all that its scene shows, in meters, y up, as the specification says.
 
 Materials, textures and animations are skipped. Compressed meshes and data outside of the file are refused. What is
 placed where is found out here, with the checks that trimesh leaves out; trimesh reads the tables of numbers.
@@ -28,7 +28,7 @@ _COMPRESSED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mes
 
 
 def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
-    """Read the scene of a file as one mesh, in metres and with y up, as it stands there.
+    """Read the scene of a file as one mesh, in meters and with y up, as it stands there.
 
     Vertices are split in such files where a texture or an edge needs it; those of equal position are merged in a mesh
     that is not closed as it is, the first one being kept.

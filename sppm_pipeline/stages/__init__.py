@@ -1,10 +1,11 @@
-"""The built-in stages; they register through the hook of strangers, by name, so that none is imported early."""
+"""The built-in stages; they register through the hook that plugins use, by name, so that none is imported early."""
 
 from __future__ import annotations
 
 from sppm_pipeline.hookspecs import hookimpl
+from sppm_pipeline.stage import StageAlias
 
-__all__ = ["BUILT_IN", "sppm_stages"]
+__all__ = ["BUILT_IN", "STAGE_ALIASES", "sppm_stage_aliases", "sppm_stages"]
 
 BUILT_IN = {
     "read.mesh": "ReadMesh",
@@ -44,6 +45,7 @@ BUILT_IN = {
     "check.porosity": "CheckPorosity",
     "check.sizes": "CheckSizes",
     "check.residual_periodicity": "CheckResidualPeriodicity",
+    "check.tiling": "CheckTiling",
     "check.volume_mesh": "CheckVolumeMesh",
     "homogenize.voxel": "HomogenizeVoxel",
     "homogenize.conductivity": "HomogenizeConductivity",
@@ -63,8 +65,31 @@ BUILT_IN = {
 }
 """Stage name -> class name; the file follows from the name."""
 
+_FORMER_WRITERS = {
+    "write.mesh": ("mesh", ("stl", "ply", "obj", "off", "3mf", "glb")),
+    "write.volume_mesh": ("mesh", ("vtu", "inp", "msh")),
+    "write.voxels": ("voxels", ("npy", "tiff", "vti")),
+}
+"""Stage -> the name of its file, and the formats that had a stage of their own."""
+
+STAGE_ALIASES: dict[str, str | StageAlias] = {
+    "homogenize.realisations": "homogenize.realizations",
+    **{
+        f"write.{extension}": StageAlias(name, {"path": f"{stem}.{extension}"})
+        for name, (stem, extensions) in _FORMER_WRITERS.items()
+        for extension in extensions
+    },
+}
+"""Former stage name -> current name, or a `StageAlias` with the options that the former name implied."""
+
 
 @hookimpl
 def sppm_stages() -> dict[str, str]:
     """All built-in stages, by the place of their class."""
     return {name: f"sppm_pipeline.stages.{name}:{cls}" for name, cls in BUILT_IN.items()}
+
+
+@hookimpl
+def sppm_stage_aliases() -> dict[str, str | StageAlias]:
+    """Former names of built-in stages."""
+    return STAGE_ALIASES

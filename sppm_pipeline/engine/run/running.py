@@ -10,7 +10,7 @@ from typing import Any
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.config.jsonable import jsonable
-from sppm_pipeline.engine.config.options import options_of, parse_typed
+from sppm_pipeline.engine.config.options import current_name, options_of, parse_typed
 from sppm_pipeline.engine.config.problems import did_you_mean, listed
 from sppm_pipeline.engine.plan.ports import artifact_words
 from sppm_pipeline.engine.plan.wiring import Step
@@ -170,7 +170,7 @@ class StepRecipe(Recipe):
             if inner.folder is not None:
                 inner.folder.restart(step.address)
             inputs = {port: results[source] if source else None for port, source in step.inputs.items()}
-            stage = self._changed(step, changes.get(step.id, {}))
+            stage = self._changed(step, changes.get(step.id, {}), context)
             started = time.perf_counter()
             made = results[step.id] = run_step(step, stage, inputs, inner, self._recipes)
             seconds = time.perf_counter() - started
@@ -197,13 +197,18 @@ class StepRecipe(Recipe):
             changes.setdefault(ids[0], {}).update(values)
         return changes
 
-    def _changed(self, step: Step, values: Mapping[str, Any]) -> Stage:
+    def _changed(self, step: Step, values: Mapping[str, Any], context: RunContext) -> Stage:
         """The stage with some options replaced, under the same rules as in the file."""
         if not values:
             return step.stage
         declared = options_of(type(step.stage))
         parsed = {}
-        for name, value in values.items():
+        for former, value in values.items():
+            name = current_name(type(step.stage), former)
+            if name != former:
+                context.warn(
+                    f"the option {former!r} of {step.stage.name} is now {name!r}; the old name works in this version"
+                )
             if name not in declared:
                 raise ConfigError(f"{step.stage.name} has no option {name!r}", hint=did_you_mean(name, declared))
             try:

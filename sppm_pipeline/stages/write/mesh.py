@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import sppm_pipeline
-from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
+from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.file_writer import extension_of, require_format, require_triangles, write_pieces
+from sppm_pipeline.families.file_writer import ADVICE, extension_of, require_format, require_triangles, write_pieces
 from sppm_pipeline.stage import Context, Stage, option
 
 ENCODERS = {".stl": "stl", ".ply": "ply", ".obj": "obj", ".off": "off", ".3mf": "three_mf_encode", ".glb": "glb_encode"}
@@ -30,6 +30,7 @@ class WriteMesh(Stage):
     """
 
     name: ClassVar[str] = "write.mesh"
+    advice: ClassVar[str] = ADVICE
 
     path: str = option("mesh.stl", help="file to write: .stl, .ply, .obj, .off, .3mf or .glb", output=True)
     title: str | None = option(None, help="title of a .3mf file; the name of the mesh if omitted")
@@ -46,20 +47,12 @@ class WriteMesh(Stage):
             if text is not None and not text.isprintable():
                 raise ConfigError(f"`{name}` has characters that cannot be printed: {text!r}")
 
-    def estimate(self, given: Given) -> Estimate:
-        facts, extension = given["mesh"], extension_of(self.path)
-        bytes_each, seconds_each = {
-            ".stl": (50, 1.5e-7), ".ply": (25, 1.5e-7), ".obj": (35, 1.5e-7), ".off": (35, 1.5e-7),
-            ".3mf": (13, 1.5e-6), ".glb": (24, 1e-6) if self.normals else (18, 4e-7),
-        }[extension]  # fmt: skip
-        triangles, copies = facts["triangles"], facts.get("copies", 0.0)
-        kept = bytes_each * triangles if extension in COPIES else 0.0
-        return Estimate(
-            disk=1500 + bytes_each * triangles + 60 * copies,
-            memory=30e6 + kept + 500 * copies,
-            seconds=0.02 + seconds_each * triangles + 5e-6 * copies,
-            advice="extract with a lower `resolution`, or slice without a mesh (`slice.field`)",
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(triangles=mesh.triangles, copies=mesh.copies)
+
+    @property
+    def rated_as(self) -> str:
+        return f"write{extension_of(self.path)}{'.normals' if self.normals else ''}"
 
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
         """Write the file."""

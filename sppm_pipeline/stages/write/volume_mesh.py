@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families.file_writer import extension_of, require_format, write_pieces
@@ -33,6 +34,7 @@ class WriteVolumeMesh(Stage):
     """
 
     name: ClassVar[str] = "write.volume_mesh"
+    advice: ClassVar[str] = "mesh with a lower `resolution`"
 
     path: str = option("mesh.vtu", help="file to write: .vtu, .vtk, .inp or .msh", output=True)
     compress: bool = option(
@@ -48,17 +50,12 @@ class WriteVolumeMesh(Stage):
         known = (".vtu", ".vtk", ".inp", ".msh")
         require_format(self, self.path, known, {"compress": ".vtu", "periodic": ".inp"})
 
-    def estimate(self, given: Given) -> Estimate:
-        facts, text = given["mesh"], extension_of(self.path) in (".inp", ".msh")
-        cells, nodes = facts["cells"], facts["nodes"]
-        bytes_of_a_node, bytes_of_a_corner, bytes_of_a_cell = (43.0, 8.5, 0.0) if text else (24.0, 4.0, 10.0)
-        a_cell = bytes_of_a_cell + bytes_of_a_corner * (4 if facts["order"] == 1 else 10)
-        return Estimate(
-            disk=1500 + bytes_of_a_node * nodes + a_cell * cells,
-            memory=(100.0 if text else 30.0) * cells + 10e6,
-            seconds=0.01 + (1.6e-6 if text else 1e-7) * (cells + nodes),
-            advice="mesh with a lower `resolution`",
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(tetrahedra=mesh.tetrahedra, nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
+
+    @property
+    def rated_as(self) -> str:
+        return {".inp": "write.inp", ".msh": "write.msh"}.get(extension_of(self.path), "write.vtu")
 
     def run(self, context: Context, mesh: VolumeMesh) -> None:
         """Write the file."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.families.file_writer import extension_of, require_format, write_pieces
 from sppm_pipeline.stage import Context, Stage, option
@@ -29,13 +29,12 @@ class WriteVoxels(Stage):
     def check_options(self) -> None:
         require_format(self, self.path, (".npy", ".tif", ".tiff", ".vti"), {})
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["voxels"]
-        values = float(math.prod(facts["shape"])) * facts["bytes"]
-        # a TIFF of one phase is compressed, which leaves the outlines; a page has a header
-        packed = extension_of(self.path) in (".tif", ".tiff") and facts["bytes"] == 1
-        size = 0.7 * facts["outline"] + 100 * facts["shape"][2] if packed else values + 300
-        return Estimate(disk=size, memory=2 * values, seconds=0.01 + 4e-9 * values, advice="lower `resolution`")
+    def estimate(self, palette: Palette, voxels: Size) -> Size:
+        return Size(voxels=voxels.voxels, resident=voxels.resident, outline=voxels.outline, layers=voxels.layers)
+
+    @property
+    def rated_as(self) -> str:
+        return {".npy": "write.npy", ".vti": "write.vti"}.get(extension_of(self.path), "write.tiff")
 
     def run(self, context: Context, voxels: Voxels) -> None:
         """Write the file."""

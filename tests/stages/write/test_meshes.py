@@ -14,8 +14,7 @@ import pytest
 import trimesh
 
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
+from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.formats.detect import decode_mesh_file
 from sppm_pipeline.numerics.meshcheck.measures import volume
@@ -124,6 +123,18 @@ def test_formats_without_copies_refuse_them(name, repeated, tmp_path):
         write(WriteMesh(path=f"a.{name}"), repeated, tmp_path)
     assert "extract.marching_cubes" in caught.value.hint
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_former_stages_write_their_format_under_their_former_id(name, run_yaml, summary):
+    record, folder = run_yaml(f"""
+pipeline:
+  - {{stage: read.primitive, shape: box, size: [1 mm, 2 mm, 3 mm]}}
+  - {{stage: write.{name}}}
+  - {{stage: write.mesh, path: new.{name}}}
+""")
+    assert (folder / f"mesh.{name}").read_bytes() == (folder / f"new.{name}").read_bytes()
+    assert summary(record, f"write.{name}")["triangles"] == 12
 
 
 def test_titles_are_text(ball, tmp_path):
