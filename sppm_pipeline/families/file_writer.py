@@ -16,6 +16,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.stage import Context, Stage
 
 ADVICE = "extract with a lower `resolution`, or slice without a mesh (`slice.field`)"
+"""What to change if a mesh does not fit."""
 
 
 def extension_of(path: str) -> str:

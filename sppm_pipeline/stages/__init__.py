@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from sppm_pipeline.hookspecs import hookimpl
-from sppm_pipeline.stage import StageAlias
+
+if TYPE_CHECKING:
+    from sppm_pipeline.stage import StageAlias
 
 __all__ = ["BUILT_IN", "STAGE_ALIASES", "sppm_stage_aliases", "sppm_stages"]
 
@@ -65,22 +69,22 @@ BUILT_IN = {
 }
 """Stage name -> class name; the file follows from the name."""
 
-_FORMER_WRITERS = {
-    "write.mesh": ("mesh", ("stl", "ply", "obj", "off", "3mf", "glb")),
-    "write.volume_mesh": ("mesh", ("vtu", "inp", "msh")),
-    "write.voxels": ("voxels", ("npy", "tiff", "vti")),
-}
-"""Stage -> the name of its file, and the formats that had a stage of their own."""
-
-STAGE_ALIASES: dict[str, str | StageAlias] = {
+STAGE_ALIASES: dict[str, str] = {
     "homogenize.realisations": "homogenize.realizations",
-    **{
-        f"write.{extension}": StageAlias(name, {"path": f"{stem}.{extension}"})
-        for name, (stem, extensions) in _FORMER_WRITERS.items()
-        for extension in extensions
-    },
+    "write.stl": "write.mesh",
+    "write.ply": "write.mesh",
+    "write.obj": "write.mesh",
+    "write.off": "write.mesh",
+    "write.3mf": "write.mesh",
+    "write.glb": "write.mesh",
+    "write.vtu": "write.volume_mesh",
+    "write.inp": "write.volume_mesh",
+    "write.msh": "write.volume_mesh",
+    "write.npy": "write.voxels",
+    "write.tiff": "write.voxels",
+    "write.vti": "write.voxels",
 }
-"""Former stage name -> current name, or a `StageAlias` with the options that the former name implied."""
+"""Former stage name -> current name."""
 
 
 @hookimpl
@@ -91,5 +95,13 @@ def sppm_stages() -> dict[str, str]:
 
 @hookimpl
 def sppm_stage_aliases() -> dict[str, str | StageAlias]:
-    """Former names of built-in stages."""
-    return STAGE_ALIASES
+    """Former names of built-in stages; writers that were named after a format keep that format by default."""
+    from sppm_pipeline.stage import StageAlias
+
+    def alias(former: str, name: str) -> str | StageAlias:
+        if not former.startswith("write."):
+            return name
+        stem = "voxels" if name == "write.voxels" else "mesh"
+        return StageAlias(name, {"path": f"{stem}.{former.removeprefix('write.')}"})
+
+    return {former: alias(former, name) for former, name in STAGE_ALIASES.items()}

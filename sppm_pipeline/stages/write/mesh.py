@@ -52,7 +52,7 @@ class WriteMesh(Stage):
 
     @property
     def rated_as(self) -> str:
-        return f"write{extension_of(self.path)}{'.normals' if self.normals else ''}"
+        return f"write{extension_of(self.path)}" + (".normals" if self.normals else "")
 
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
         """Write the file."""

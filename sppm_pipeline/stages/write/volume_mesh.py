@@ -55,7 +55,7 @@ class WriteVolumeMesh(Stage):
 
     @property
     def rated_as(self) -> str:
-        return {".inp": "write.inp", ".msh": "write.msh"}.get(extension_of(self.path), "write.vtu")
+        return {".vtk": "write.vtu"}.get(extension_of(self.path), f"write{extension_of(self.path)}")
 
     def run(self, context: Context, mesh: VolumeMesh) -> None:
         """Write the file."""

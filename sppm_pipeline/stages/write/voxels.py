@@ -34,7 +34,7 @@ class WriteVoxels(Stage):
 
     @property
     def rated_as(self) -> str:
-        return {".npy": "write.npy", ".vti": "write.vti"}.get(extension_of(self.path), "write.tiff")
+        return {".tif": "write.tiff"}.get(extension_of(self.path), f"write{extension_of(self.path)}")
 
     def run(self, context: Context, voxels: Voxels) -> None:
         """Write the file."""
