@@ -47,7 +47,7 @@ class WriteStiffness(Stage):
         from PIL import Image
 
         from sppm_pipeline.formats import ply
-        from sppm_pipeline.formats.material_card import abaqus_card
+        from sppm_pipeline.formats.inp import abaqus_card
         from sppm_pipeline.numerics.homogenization.stiffness.directional import sphere_mesh, young_along
 
         folder = context.output(self.path)
