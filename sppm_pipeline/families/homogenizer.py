@@ -1,21 +1,24 @@
-"""What stages that homogenize voxels have in common: from a field or an image to the shares of the phases."""
+"""Base of stages that homogenize voxels: options, the way from a field or an image to a cell, warnings."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Facts, Given
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.process.memory import require_memory
 from sppm_pipeline.stage import Context, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved
 
 
 class Cell(NamedTuple):
@@ -67,7 +70,7 @@ class VoxelHomogenizer(Stage):
     )
     fractions: str = option(
         "auto",
-        help="auto: voxels at the surface count by the share of them that is solid; binary: as their center does",
+        help="auto: voxels at the surface count by their solid fraction; binary: by their center",
         choices=("auto", "binary"),
     )
     tolerance: float = option(
@@ -76,37 +79,23 @@ class VoxelHomogenizer(Stage):
     residual: float | None = option(
         None, help="stop at this residual over the right-hand side instead", minimum=1e-14, maximum=0.1
     )
-    iterations: int = option(1000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
+    iterations: int = option(1000, help="maximum number of iterations of a load case", minimum=1, maximum=1_000_000)
     precision: str = option("single", help="precision of the solver's vectors", choices=("single", "double"))
 
-    seconds_of_a_voxel: ClassVar[float]
-    """All load cases, in single precision."""
+    advice: ClassVar[str] = "lower `resolution`, or take `precision: single`"
 
     @abstractmethod
     def bytes_of_a_voxel(self, threads: int) -> int:
         """Memory of the solver in single precision, with as many load cases at a time as there are threads."""
 
-    def estimate(self, given: Given) -> Estimate:
-        """Of `solving` once; stages that solve more often override it."""
-        facts = given["source"]
-        return self.solving(facts, self.resolution)
-
-    def solving(self, facts: Facts, resolution: int) -> Estimate:
-        """Costs of solving the problem of a field or of an image with these facts."""
-        from sppm_pipeline.numerics.forecast.costs import field_seconds
-
-        image, wide = "shape" in facts, self.precision == "double"
-        voxels = float(np.prod(facts["shape"] if image else facts["box"])) * (1 if image else resolution**3)
-        # of a voxel at the surface, several points are sampled
-        sampling = 0.0 if image else field_seconds(3 * voxels, facts["kernels"])
-        return Estimate(
-            makes={"porosity": facts["porosity"]},
-            keeps=2e3,
-            memory=12e6 + 1.2 * self.bytes_of_a_voxel(1) * voxels * (2 if wide else 1),
-            seconds=0.15 + sampling + self.seconds_of_a_voxel * voxels * (1.6 if wide else 1.0),
-            voxels=0.0 if image else voxels,
-            advice="lower `resolution`, or take `precision: single`",
-        )
+    def solving(self, source: Size, resolution: int, repeats: float = 1.0) -> Size:
+        """The size of solving the problem of a field or of an image."""
+        grid = Size(voxels=source.voxels) if source.voxels else source.grid(resolution)
+        voxels = (source.voxels or grid.samples) * (2 if self.precision == "double" else 1)
+        return Size(
+            samples=repeats * grid.samples, sums=repeats * grid.sums, voxels=repeats * voxels, resident=voxels,
+            geometry=source.geometry,
+        )  # fmt: skip
 
     def cell_of(self, context: Context, source: ScalarField | Voxels) -> Cell:
         """Voxels of a periodic cell.
@@ -151,6 +140,28 @@ class VoxelHomogenizer(Stage):
             lambda grid, start, stop: source.sample_layers(grid, start, stop, context.threads), (x, y, z), n
         )
         return Cell(None, share, edges)
+
+    def solver_options(self, threads: int) -> dict[str, Any]:
+        """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""
+        return {
+            "residual": self.residual or 0.0,
+            "tolerance": self.tolerance if self.residual is None else 0.0,
+            "iterations": self.iterations,
+            "precision": np.float32 if self.precision == "single" else np.float64,
+            "threads": threads,
+        }
+
+    def solver_warnings(self, solved: tuple[Solved, ...], precision: str) -> list[str]:
+        """Whether the load cases converged, and in the requested precision."""
+        warnings = []
+        if not all(case.converged for case in solved):
+            warnings.append(
+                f"after {self.iterations} iterations a load case has an estimated error of "
+                f"{max(case.error for case in solved):.1g}; allow more `iterations`"
+            )
+        if precision == "float64" and self.precision == "single":
+            warnings.append("single precision was not enough for this cell; it was solved in double precision")
+        return warnings
 
     def _check_memory(self, context: Context, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
         wanted = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)

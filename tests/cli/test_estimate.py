@@ -32,7 +32,7 @@ pipeline:
   - {stage: slice.field, pixel: 0.1 mm}
   - {stage: write.png}
   - {stage: extract.marching_cubes, resolution: 24}
-  - {stage: write.ply}
+  - {stage: write.mesh, path: mesh.ply}
 """
 
 
@@ -46,11 +46,11 @@ pipeline:
   - {stage: homogenize.voxel, resolution: 32}
   - {stage: write.stiffness, size: [400, 300]}
   - {stage: mesh.isosurface_stuffing, resolution: 16}
-  - {stage: write.vtu}
+  - {stage: write.volume_mesh}
   - {stage: extract.voxels, resolution: 48}
-  - {stage: write.tiff}
+  - {stage: write.voxels, path: voxels.tiff}
   - {stage: extract.marching_cubes, resolution: 32}
-  - {stage: write.3mf}
+  - {stage: write.mesh, path: mesh.3mf}
 """
 
 

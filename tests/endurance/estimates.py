@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 KNOT = """sppm: 1
 pipeline:
   - {stage: read.primitive, shape: torus_knot, size: [46 mm, 60 mm, 60 mm], facets: 200}
-  - {stage: write.ply, path: knot.ply}
+  - {stage: write.mesh, path: knot.ply}
 """
 CELL = """sppm: 1
 seed: 3
@@ -37,9 +37,9 @@ OWN = {
   - {stage: write.stiffness}
   - {stage: homogenize.conductivity, resolution: 64}
   - {stage: extract.voxels, resolution: 64}
-  - {stage: write.npy}
-  - {stage: write.tiff}
-  - {stage: write.vti}
+  - {stage: write.voxels, id: npy, path: voxels.npy}
+  - {stage: write.voxels, id: tiff, path: voxels.tiff}
+  - {stage: write.voxels, id: vti, path: voxels.vti}
   - {stage: check.sizes}
 """,
     "boolean": """
@@ -47,17 +47,17 @@ OWN = {
   - {stage: tile.periodic, cell: 4 mm}
   - {stage: fill.boolean, resolution: 48}
   - {stage: check.mesh}
-  - {stage: write.off}
-  - {stage: write.glb}
-  - {stage: write.3mf}
+  - {stage: write.mesh, id: off, path: mesh.off}
+  - {stage: write.mesh, id: glb, path: mesh.glb}
+  - {stage: write.mesh, id: threemf, path: mesh.3mf}
   - {stage: slice.mesh, pixel: 0.05 mm}
   - {stage: write.png}
 """,
     "tetrahedra": """
   - {stage: mesh.isosurface_stuffing, resolution: 24}
-  - {stage: write.vtu}
-  - {stage: write.inp}
-  - {stage: write.msh}
+  - {stage: write.volume_mesh, id: vtu, path: mesh.vtu}
+  - {stage: write.volume_mesh, id: inp, path: mesh.inp}
+  - {stage: write.volume_mesh, id: msh, path: mesh.msh}
   - {stage: homogenize.tet}
 """,
 }

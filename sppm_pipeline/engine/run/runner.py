@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.planning import Plan, step_options
+from sppm_pipeline.engine.plan.rates import learn_speed
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.context import RunContext, StageLog
 from sppm_pipeline.engine.run.monitor import Monitor
@@ -145,6 +146,8 @@ def run_steps(
             monitor.stage_finished(step.id, entry["seconds"], entry["summary"])
             if number < len(steps):
                 run.forget({id_ for done in last[:number] for id_ in done})
+        if store is not None:
+            learn_speed(store, steps, recipes, stages)
     finally:
         if keeper is not None:
             keeper.close()

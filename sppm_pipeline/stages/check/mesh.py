@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 if TYPE_CHECKING:
-    from sppm_pipeline.numerics.meshcheck.survey import Survey
+    from sppm_pipeline.numerics.meshcheck.report import MeshReport
 
 LISTED = 20
 """Components and holes that are listed one by one, the largest first."""
@@ -32,6 +33,7 @@ class CheckMesh(Stage):
     """
 
     name: ClassVar[str] = "check.mesh"
+    advice: ClassVar[str] = "extract with a lower `resolution`"
 
     thin: Length | None = option(None, help="walls thinner than this are thin", unit="mm", above=0, maximum=1e6)
     thin_share: float = option(
@@ -57,23 +59,16 @@ class CheckMesh(Stage):
         if "thin_walls" in self.reject and self.thin is None:
             raise ConfigError("`reject: [thin_walls]` needs `thin`, the thickness that a wall must have")
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["mesh"]
-        triangles = facts["triangles"]
-        return Estimate(
-            makes=facts,
-            memory=450 * triangles + 20e6,
-            seconds=0.3 + 9e-6 * triangles,
-            advice="extract with a lower `resolution`",
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(triangles=mesh.triangles, geometry=mesh.geometry)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Measure everything, then say what is wrong."""
-        from sppm_pipeline.numerics.meshcheck.survey import survey
+        from sppm_pipeline.numerics.meshcheck.report import mesh_report
 
         if not len(mesh.faces):
             raise InputError(f"{mesh.name} has no triangles")
-        found = survey(mesh.vertices, mesh.faces)
+        found = mesh_report(mesh.vertices, mesh.faces)
         thin = self.thin.mm() if self.thin is not None else None
         problems = self._problems(found, thin)
         facts = f"{_count(found.measures.components, 'component')}, {_count(found.measures.faces, 'triangle')}"
@@ -96,22 +91,22 @@ class CheckMesh(Stage):
             )
         return mesh
 
-    def _problems(self, found: Survey, thin: float | None) -> dict[str, str]:
+    def _problems(self, found: MeshReport, thin: float | None) -> dict[str, str]:
         """A sentence for each thing that is wrong, by the word that `reject` knows it by."""
         edges, oriented, hit = found.measures.edges, found.orientation, found.intersections
         problems = {}
         if not found.watertight:
-            holes = len(found.rims.edges)
+            holes = len(found.boundary_loops.edges)
             text = f"it is not watertight: {_count(holes, 'hole')} with {_count(edges.boundary, 'open edge')}"
             if holes:
-                text += f", the largest {found.rims.sizes[0]:.3g} mm wide"
-            if found.seam_vertices:
-                text += f"; {found.seam_vertices} vertices there lie on others and were not merged with them"
+                text += f", the largest {found.boundary_loops.sizes[0]:.3g} mm wide"
+            if found.unmerged_vertices:
+                text += f"; {found.unmerged_vertices} vertices there lie on others and were not merged with them"
             problems["open"] = text
         if not found.manifold:
             problems["non_manifold"] = (
                 f"it is not manifold: {_count(edges.non_manifold, 'edge')} of three or more triangles, "
-                f"{found.split_vertices} vertices in which surfaces touch"
+                f"{found.non_manifold_vertices} vertices in which surfaces touch"
             )
         if not found.outward:
             text = f"{_count(oriented.turned, 'triangle')} of {found.measures.faces} should be turned to face outwards"
@@ -149,7 +144,7 @@ def _count(n: int, artifact: str) -> str:
     return f"{n:,} {artifact}{'' if n == 1 else 's'}"
 
 
-def _numbers(found: Survey, thin: float | None) -> dict[str, Any]:
+def _numbers(found: MeshReport, thin: float | None) -> dict[str, Any]:
     """All measures under plain names."""
     m, walls = found.measures, found.walls
     numbers: dict[str, Any] = {
@@ -159,20 +154,20 @@ def _numbers(found: Survey, thin: float | None) -> dict[str, Any]:
         "watertight": found.watertight,
         "manifold": found.manifold,
         "non_manifold_edges": m.edges.non_manifold,
-        "non_manifold_vertices": found.split_vertices,
+        "non_manifold_vertices": found.non_manifold_vertices,
         "winding_consistent": m.edges.consistent,
         "winding_outward": found.outward,
         "triangles_to_turn": found.orientation.turned,
         "one_sided_surfaces": found.orientation.one_sided,
         "open_edges": m.edges.boundary,
-        "unmerged_vertices": found.seam_vertices,
-        "holes": len(found.rims.edges),
-        "hole_edges": found.rims.edges[:LISTED],
-        "hole_lengths_mm": found.rims.lengths[:LISTED],
-        "hole_sizes_mm": found.rims.sizes[:LISTED],
+        "unmerged_vertices": found.unmerged_vertices,
+        "holes": len(found.boundary_loops.edges),
+        "hole_edges": found.boundary_loops.edges[:LISTED],
+        "hole_lengths_mm": found.boundary_loops.lengths[:LISTED],
+        "hole_sizes_mm": found.boundary_loops.sizes[:LISTED],
         "components": m.components,
         "euler_number": m.euler,
-        "genus": None if found.handles is None else int(found.handles.sum()),
+        "genus": None if found.genus is None else int(found.genus.sum()),
         "degenerate_triangles": m.degenerate,
         "duplicate_triangles": found.duplicates,
         "self_intersecting_triangles": int(found.intersections.faces.sum()),
@@ -183,8 +178,8 @@ def _numbers(found: Survey, thin: float | None) -> dict[str, Any]:
         "lower_mm": m.low,
         "upper_mm": m.high,
     }
-    if found.handles is not None:
-        numbers["genus_of_surfaces"] = np.sort(found.handles)[::-1][:LISTED]
+    if found.genus is not None:
+        numbers["genus_of_surfaces"] = np.sort(found.genus)[::-1][:LISTED]
     if found.shells is not None:
         volumes = found.shells.volumes
         numbers["component_volumes_mm3"] = volumes[np.argsort(-np.abs(volumes), kind="stable")][:LISTED]

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.field_surface import (
     FEWEST,
     KEPT_SAMPLES,
     MOST,
     FieldSurface,
-    body_facts,
-    foreseen_triangles,
-    foreseen_voxels,
+    expected_voxels,
     node_grid,
     voxels_along_edge,
 )
@@ -38,6 +37,7 @@ class MarchingCubes(Stage):
     """
 
     name: ClassVar[str] = "extract.marching_cubes"
+    advice: ClassVar[str] = "lower `resolution`, or slice without a mesh (`slice.field`)"
     version: ClassVar[int] = 2
 
     resolution: int | None = option(
@@ -53,7 +53,7 @@ class MarchingCubes(Stage):
     caps: bool = option(
         True, help="close the surface at the border of a cell or tiling; without, it ends there in open rims"
     )
-    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
     backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
 
     def check_options(self) -> None:
@@ -62,22 +62,9 @@ class MarchingCubes(Stage):
         if self.backend == "reference" and not self.caps:
             raise ConfigError("the reference implementation always closes the surface: leave out `caps: false`")
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast import costs
-
-        facts = given["field"]
-        n = foreseen_voxels(facts, self.resolution, self.spacing)
-        voxels = float(np.prod(facts["box"])) * n**3
-        part = facts.get("is_part", False)
-        triangles = foreseen_triangles(facts, n)
-        return Estimate(
-            makes={"triangles": triangles, **body_facts(facts)},
-            keeps=24 * triangles,
-            memory=(24 if part else 14) * min(voxels, KEPT_SAMPLES) + 60 * triangles,
-            seconds=5e-7 * triangles + costs.field_seconds(voxels, facts["kernels"]) + 8e-9 * voxels,
-            voxels=voxels,
-            advice="lower `resolution`, or slice without a mesh (`slice.field`)",
-        )
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        n = expected_voxels(field.body.edge_mm, self.resolution, self.spacing)
+        return field.grid(n, at_once=KEPT_SAMPLES, triangles=field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample the nodes of a grid and extract the surface, in mm (cell edges for a cell without a size)."""
@@ -89,10 +76,12 @@ class MarchingCubes(Stage):
         surface = FieldSurface(field, node_grid(field, n), self.islands, self.caps)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         if self.backend == "reference":
-            vertices, faces = _by_reference(surface, context)
+            vertices, faces, findings = _by_reference(surface, context)
         else:
-            vertices, faces = surface.mesh(context.threads, lambda done, all_: context.progress(done, all_, "planes"))
-        context.report(resolution=n, voxel=scale / n, **surface.findings())
+            vertices, faces, findings = surface.mesh(
+                context.threads, lambda done, of: context.progress(done, of, "planes")
+            )
+        context.report(resolution=n, voxel=scale / n, **findings)
         if not len(faces):
             raise DesignError(
                 "there is no surface to mesh: at this resolution the whole box is void, or solid without `caps`",
@@ -107,16 +96,19 @@ class MarchingCubes(Stage):
         return SurfaceMesh(vertices, faces, name="surface")
 
 
-def _by_reference(surface: FieldSurface, context: Context) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _by_reference(
+    surface: FieldSurface, context: Context
+) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
     from sppm_pipeline.numerics.surface.intersection import on_both_fields
     from sppm_pipeline.numerics.surface.reference import marching_cubes_reference
 
     (x, y, z), (h, _, _), _ = grid = surface.grid
-    slabs = list(surface.slabs(context.threads))
+    sampled = surface.slabs(context.threads)
+    slabs = list(sampled)
     padded = np.pad(np.concatenate([slab.values for slab in slabs]), 1, constant_values=1.0)
     vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
     if isinstance(surface.source, Part):
         fields = zip(*(slab.apart for slab in slabs if slab.apart is not None), strict=True)
         first, second, *skin = (np.concatenate(planes) for planes in fields)
         vertices = on_both_fields(vertices, first, second, grid, 0, *skin)
-    return vertices, faces
+    return vertices, faces, sampled.findings

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
+from sppm_pipeline.families.inside_test import INSIDE, INSIDE_HELP, outward_mesh
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
@@ -19,7 +20,7 @@ class ImplicitFill(Stage):
     """Intersect the implicit fields of the microstructure and of the part (paper, "Mesh-free Slicing").
 
     The field is not evaluated here; layers, meshes and pictures evaluate the part where they need it. A part that is
-    not closed is judged on a coarse grid: its triangles are wound outwards, and it is filled where its winding number
+    not closed is tested on a coarse grid: its triangles are wound outwards, and it is filled where its winding number
     is above one half, or refused if too much of it is near one half.
     """
 
@@ -30,25 +31,17 @@ class ImplicitFill(Stage):
         None, help="thickness of a solid skin inside the surface of the part", unit="mm", minimum=1e-3, maximum=1e4
     )
     islands: str = option(
-        "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
+        "remove", help="what becomes of disconnected solid in the finished part", choices=("remove", "keep")
     )
     inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
 
-    def estimate(self, given: Given) -> Estimate:
-        facts, domain = given["field"], given["domain"]
-        edge = facts["cell_mm"]
-        return Estimate(
-            makes={
-                **facts,
-                "box": tuple(size / edge for size in domain["size_mm"]),
-                "volume": domain["volume_mm3"] / edge**3,
-                "envelope": domain["area_mm2"] / edge**2,
-                "is_part": True,
-            }
-        )
+    def estimate(self, palette: Palette, field: Size, domain: Size) -> Size:
+        body, part = field.body, domain.body.in_unit(field.body.scale)
+        made = replace(body, box=part.box, volume=part.volume, envelope=part.envelope)
+        return Size(nodes=domain.triangles / 2, design=field.design, geometry=made)
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> Part:
         """Put the two together."""
         field.physical_edge()
-        domain, method = judged(context, domain, self.inside)
+        domain, method = outward_mesh(context, domain, self.inside)
         return Part(field, domain, self.skin.mm() if self.skin else 0.0, self.islands, method)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.stage import Context, Stage
 
@@ -19,17 +20,10 @@ class Boundary(Stage):
     """
 
     name: ClassVar[str] = "mesh.boundary"
+    advice: ClassVar[str] = "mesh with a lower `resolution`"
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["mesh"]
-        triangles = facts["triangles"]
-        return Estimate(
-            makes={name: facts[name] for name in ("triangles", "size_mm", "volume_mm3", "area_mm2")},
-            keeps=24 * triangles,
-            memory=150 * facts["cells"],
-            seconds=1e-6 * facts["cells"],
-            advice="mesh with a lower `resolution`",
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(triangles=mesh.triangles, tetrahedra=mesh.tetrahedra, geometry=mesh.geometry)
 
     def run(self, context: Context, mesh: VolumeMesh) -> SurfaceMesh:
         """Find the faces with a cell on one side only."""
@@ -42,5 +36,5 @@ class Boundary(Stage):
         used, corners = np.unique(triangles, return_inverse=True)
         faces = corners.reshape(-1, 3).astype(np.int32)
         counts = edge_counts(faces)
-        context.report(closed=counts.bounds_solid, pinched_edges=counts.non_manifold)
+        context.report(closed=counts.bounds_solid, non_manifold_edges=counts.non_manifold)
         return SurfaceMesh(mesh.nodes[used], faces, name=f"surface of the {mesh.name}")

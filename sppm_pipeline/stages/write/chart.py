@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
@@ -51,8 +52,8 @@ class WriteChart(Stage):
         if self.error and self.kind != "points":
             raise ConfigError(f"`error` belongs to points, not to {self.kind}", hint="leave out `error` or `kind`")
 
-    def estimate(self, given: Given) -> Estimate:
-        return Estimate(disk=60e3, memory=30e6, seconds=0.5)
+    def estimate(self, palette: Palette, table: Size) -> Size:
+        return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the chart."""

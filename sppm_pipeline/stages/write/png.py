@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families.layer_writer import LayerWriter
 from sppm_pipeline.fields.slice_stack import SliceStack
@@ -37,30 +36,6 @@ class WritePng(LayerWriter):
     def check_options(self) -> None:
         if self.bits not in (None, 1, 8):
             raise ConfigError(f"`bits` is {self.bits}; PNG layers have 1 or 8")
-
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast import costs
-
-        stack = given["stack"]
-        field, gray = stack["field"], stack["gray"]
-        nx, ny, layers = stack["shape"]
-        voxels, inside = nx * ny * layers * gray**2, stack["inside"] * gray**2
-        patches = costs.patch_bytes(field.get("pieces", 1), field["reach"], stack["along"] * gray)
-        kept = voxels / 8 if stack["two_passes"] and voxels <= 2**30 else 0
-        passes = 2 if stack["two_passes"] and not kept else 1
-        patched = stack["commensurate"] and field.get("cells", 1) > 4 * field.get("pieces", 1) and patches < 96 * 2**20
-        slab = min(voxels, max(costs.SLAB_VOXELS, nx * ny * gray**2))
-        black_and_white = costs.layer_bytes(stack["inside"], field["surface"], stack["along"])
-        size = black_and_white * (6 if gray > 1 else 1) + costs.LAYER_BYTES * layers
-        seconds = costs.field_seconds(inside, field["kernels"], patched=patched) * passes
-        return Estimate(
-            disk=size + 600 + (10e3 * self.sheet if self.sheet else 0),
-            memory=kept + 8 * slab + (patches if patched else 0) + 5 * nx * ny * (self.sheet + 4),
-            seconds=seconds + 4e-9 * voxels + 2e-4 * layers,
-            voxels=voxels * passes,
-            layers=layers,
-            advice="slice with a larger `pixel` or `layer`",
-        )
 
     def run(self, context: Context, stack: SliceStack) -> None:
         """Write all layers, unless they have gray values that one bit cannot hold."""

@@ -89,12 +89,12 @@ def test_nothing_of_the_part_is_lost_outside_of_the_sampled_band(wang_tiling, tu
 def test_the_surface_to_be_cut_stays_off_the_part(wang_tiling, ball):
     part = Part(wang_tiling, ball)
     around = FieldSurface(part, node_grid(part, 16), "keep", caps=False, cut=False)
-    vertices, faces = around.mesh()
+    vertices, faces, _ = around.mesh()
     assert edge_counts(faces).closed
     distance = np.linalg.norm(vertices * 4 - 5, axis=1)
     outside = distance > 5.0 + 1e-3
     assert outside.any()
-    cut = part.field.sample(Grid((0.0,) * 3, (1 / 16,) * 3, (65, 49, 49)))
+    cut = part.base.sample(Grid((0.0,) * 3, (1 / 16,) * 3, (65, 49, 49)))
     assert cut.min() < 0
     assert distance.max() < 5.0 + 2.5 * 4 / 16
 
