@@ -8,6 +8,7 @@ minutes and is not part of the test suite; tests/cli/test_estimate.py holds a sh
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
@@ -16,6 +17,8 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+import psutil
 
 ROOT = Path(__file__).resolve().parents[2]
 KNOT = """sppm: 1
@@ -98,13 +101,13 @@ def sppm(*words: str) -> tuple[str, float]:
 
 def held_by(pid: int) -> float:
     """Bytes resident in a process and in all that descend from it."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-        # each of its threads may have started some
-        children = [c for task in Path(f"/proc/{pid}/task").iterdir() for c in (task / "children").read_text().split()]
-    except (OSError, IndexError):  # it has ended
-        return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") + sum(held_by(int(child)) for child in children)
+    held = 0.0
+    with contextlib.suppress(psutil.NoSuchProcess):  # it has ended
+        process = psutil.Process(pid)
+        for one in (process, *process.children(recursive=True)):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                held += one.memory_info().rss
+    return held
 
 
 def compare(words: list[str], folder: Path) -> dict[str, tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Which errors say that something of the machine is missing, and clearing up when nearly everything is."""
+"""Which errors say that a resource of the machine is exhausted, and clearing up when nearly all are."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from sppm_pipeline.cli import main as cli
 from sppm_pipeline.engine.run.files import clear
-from sppm_pipeline.process.resources import lack
+from sppm_pipeline.process.budget import exhausted_resource
 
 
 def chained(error: Exception, cause: Exception) -> Exception:
@@ -42,7 +42,7 @@ EMFILE = os.strerror(errno.EMFILE)
     ],
 )  # fmt: skip
 def test_what_is_missing(error, words):
-    assert lack(error) == words
+    assert exhausted_resource(error) == words
     assert cli._report(error, False) == 5
 
 
@@ -57,8 +57,8 @@ def test_what_is_missing(error, words):
         chained(ImportError("x", name="x"), ValueError("y")),
     ],
 )
-def test_what_is_a_mistake_instead(error):
-    assert lack(error) is None
+def test_what_is_another_error(error):
+    assert exhausted_resource(error) is None
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")

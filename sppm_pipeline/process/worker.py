@@ -1,4 +1,4 @@
-"""The worker: calls the function. Run as a script in the private folder, by `supervise`.
+"""The worker: calls the function. Run as a script in the private folder, by `supervisor`.
 
 Its arguments are the number of the supervising process, the file descriptor of the progress pipe and the private
 folder, which holds ``job.json`` and ``arrays/``. It leaves ``returned/`` and, last, ``outcome.json``.
@@ -9,29 +9,21 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import sys
 from pathlib import Path
 from typing import Any
 
-__all__: list[str] = []
-
-_PR_SET_PDEATHSIG = 1
-
 
 def main() -> None:
-    """Limit ourselves, call the function, write down what came of it, and leave without looking back."""
+    """Limit this process, call the function, write what it returned or raised, and end without taking anything down."""
     supervisor, progress, folder = int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
-    if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, ctypes.c_ulong(signal.SIGKILL), 0, 0, 0)
-    if os.getppid() != supervisor:
-        os._exit(1)
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     _limit(job["memory"])
     # after the limit, so that imports count; the script's own folder never was in the path
     sys.path[:] = job["path"]
+    from sppm_pipeline.process.tree import die_with_parent
+
+    die_with_parent(supervisor)
     outcome = _outcome(job, folder, progress)
     text = json.dumps(outcome)
     (folder / "outcome.part").write_text(text, encoding="utf-8")
@@ -54,6 +46,9 @@ def _limit(memory: int) -> None:
         most = value if hard == resource.RLIM_INFINITY else min(value, hard)
         with contextlib.suppress(OSError, ValueError):  # macOS refuses limits below what is already in use
             resource.setrlimit(which, (most, most))
+    if sys.platform == "linux":  # should the system run out of memory all the same, this process is the one to end
+        with contextlib.suppress(OSError):
+            Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
 def _outcome(job: dict[str, Any], folder: Path, progress: int) -> dict[str, Any]:
@@ -86,10 +81,9 @@ def _call(job: dict[str, Any], folder: Path, progress: int) -> Any:
 
     import numpy as np
 
-    from sppm_pipeline.process import telling
-    from sppm_pipeline.process.arrays import write_arrays
+    from sppm_pipeline.process.exchange import connect, write_arrays
 
-    telling.connect(progress)
+    connect(progress)
     arrays = {name: np.load(folder / "arrays" / f"{name}.npy", allow_pickle=False) for name in job["arrays"]}
     module, _, name = job["function"].partition(":")
     function = getattr(importlib.import_module(module), name)
@@ -102,7 +96,7 @@ def _call(job: dict[str, Any], folder: Path, progress: int) -> Any:
     into = folder / "returned"
     into.mkdir(exist_ok=True)
     write_arrays(into, made)
-    json.dumps(values, allow_nan=False)  # a value that JSON does not know is this function's mistake, and told as such
+    json.dumps(values, allow_nan=False)  # a value that JSON does not know is an error of this function
     return values
 
 

@@ -1,6 +1,6 @@
-"""A watchful parent: the work is done by a child process, which can be ended whatever it is doing.
+"""The supervising parent of a run: the work is done by a child process, which can be ended whatever it is doing.
 
-Python hears of a signal only between two of its steps, and a native library may keep it from taking one for minutes.
+Python handles a signal only between two of its steps, and a native library may keep it from taking one for minutes.
 The parent has nothing else to do. It asks the child to end, ends it by force after a moment, puts the run directory
 in order, and knows the right exit code; it does the same when a native library takes the child down. The child is
 forked before anything heavy is imported, which takes a millisecond.
@@ -20,9 +20,10 @@ from types import FrameType
 
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.process import interruption
+from sppm_pipeline.process.tree import die_with_parent, signal_below
 
 PATIENCE = 1.1
-"""Seconds that the child is given to end by itself; within `interrupts.PATIENCE` it puts everything in order."""
+"""Seconds that the child is given to end by itself; within `interruption.PATIENCE` it puts everything in order."""
 
 INTERRUPTED = (129, 130, 143)
 """Exit codes of a child that was interrupted."""
@@ -31,17 +32,23 @@ CRASHES = tuple(getattr(signal, n) for n in ("SIGSEGV", "SIGBUS", "SIGABRT", "SI
 """Signals by which a native library takes a process down."""
 
 
-def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: str) -> int:
+MarkEnded = Callable[[Path, str, str | None], None]
+"""Puts a run directory in order: its path, the status ("interrupted" or "failed"), and what ended the process."""
+
+
+def supervised(work: Callable[[], int], notify: Callable[[str], None], exit_message: str, mark_ended: MarkEnded) -> int:
     """Do `work` in a child process and return its exit code.
 
     Parameters
     ----------
     work : function
         Returns an exit code; runs in the child, which is left at once when it ends.
-    say : function of str
+    notify : function of str
         Tells the user.
-    farewell : str
-        What is said if the work was interrupted.
+    exit_message : str
+        What the user is told if the work was interrupted.
+    mark_ended : function of path, status and error
+        Puts a run directory in order that the child can't put in order any more.
     """
     if not hasattr(os, "fork"):
         return work()
@@ -54,8 +61,8 @@ def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: st
     if child == 0:
         for unused in (wake, alarm, reader):
             os.close(unused)
-        _watched.append(parent)
-        interruption.die_with_parent(parent)
+        _parents.append(parent)
+        die_with_parent(parent)
         # the terminal sends its signals to both; the parent decides what becomes of them
         for name in ("SIGINT", "SIGHUP"):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -66,11 +73,11 @@ def supervised(work: Callable[[], int], say: Callable[[str], None], farewell: st
         finally:
             os._exit(code)
     os.close(writer)
-    return _Watch(child, (wake, alarm), reader, say, farewell).exit_code()
+    return _Watch(child, (wake, alarm), reader, notify, exit_message, mark_ended).exit_code()
 
 
 def _pipes() -> tuple[int, int, int, int]:
-    """What wakes the parent, and what the child talks through; both before there is a child, or none."""
+    """A pipe that wakes the parent and one for what the child reports; both before there is a child, or none."""
     made: list[int] = []
     try:
         for _ in range(2):
@@ -83,26 +90,33 @@ def _pipes() -> tuple[int, int, int, int]:
     return wake, alarm, reader, writer
 
 
-_watched: list[int] = []
+_parents: list[int] = []
 
 
-def watched() -> bool:
+def is_supervised() -> bool:
     """Whether this is the child of `supervised`."""
-    return bool(_watched)
+    return bool(_parents)
 
 
 class _Watch:
     """The parent's side."""
 
     def __init__(
-        self, child: int, waking: tuple[int, int], reader: int, say: Callable[[str], None], farewell: str
+        self,
+        child: int,
+        waking: tuple[int, int],
+        reader: int,
+        notify: Callable[[str], None],
+        exit_message: str,
+        mark_ended: MarkEnded,
     ) -> None:
         self._child = child
         self._reader = reader
-        self._say = say
-        self._farewell = farewell
+        self._notify = notify
+        self._exit_message = exit_message
+        self._mark_ended = mark_ended
         self._signals: list[int] = []
-        self._told = b""
+        self._reported = b""
         self._wake, alarm = waking
         os.set_blocking(alarm, False)
         os.set_blocking(self._wake, False)
@@ -124,20 +138,19 @@ class _Watch:
                 os.kill(self._child, signal.SIGTERM)
             status = self._wait(time.monotonic() + PATIENCE)
         if status is None:
-            for pid in [*_descendants(self._child), self._child]:
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    os.kill(pid, signal.SIGKILL)
+            signal_below(self._child, signal.SIGKILL)
+            os.kill(self._child, signal.SIGKILL)
             os.waitpid(self._child, 0)
             self._tidy_up("interrupted", None)
         if self._signals:
-            self._say(self._farewell)
+            self._notify(self._exit_message)
             return 128 + self._signals[0]
         assert status is not None
         if not os.WIFSIGNALED(status):
             code = os.WEXITSTATUS(status)
             if code in INTERRUPTED:
-                self._say(self._farewell)
-            if code == ResourceError.exit_code:  # what its last word would have taken is free now
+                self._notify(self._exit_message)
+            if code == ResourceError.exit_code:  # what its last record would have taken is free now
                 self._tidy_up("failed", None)
             return code
         number = os.WTERMSIG(status)
@@ -145,11 +158,11 @@ class _Watch:
         if number in CRASHES:
             message = f"a native library crashed ({name})"
             self._tidy_up("failed", message)
-            self._say(f"{message}\n  hint: run again with --debug, and leave out the stage that was running")
+            self._notify(f"{message}\n  hint: run again with --debug, and leave out the stage that was running")
             return 6
         self._tidy_up("interrupted", None)
         cause = ", perhaps because memory ran out" if number == signal.SIGKILL else ""
-        self._say(f"the process was ended by {name}{cause}; the same command again goes on where it was")
+        self._notify(f"the process was ended by {name}{cause}; the same command again goes on where it was")
         return 128 + number
 
     def _wait(self, deadline: float | None) -> int | None:
@@ -157,7 +170,7 @@ class _Watch:
         before = len(self._signals)
         while True:
             pid, status = os.waitpid(self._child, os.WNOHANG)
-            self._listen()
+            self._read()
             if pid:
                 return status
             if len(self._signals) > before:
@@ -169,37 +182,24 @@ class _Watch:
             with contextlib.suppress(BlockingIOError):
                 os.read(self._wake, 4096)
 
-    def _listen(self) -> None:
-        """Take in what the child tells of its run directories."""
+    def _read(self) -> None:
+        """Take in what the child reports of its run directories."""
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._reader, 4096):
-                self._told += data
+                self._reported += data
 
     def _tidy_up(self, status: str, error: str | None) -> None:
         """Put the run directories in order that the child can't any more."""
-        folders = [Path(os.fsdecode(line)) for line in self._told.split(b"\0") if line]
-        if folders:
-            from sppm_pipeline.engine.run.recorder import mark_ended
-
-            for folder in folders:
-                mark_ended(folder, status, error)
+        for name in self._reported.split(b"\0"):
+            if name:
+                self._mark_ended(Path(os.fsdecode(name)), status, error)
 
 
 def _announce_runs(writer: int) -> None:
-    """Tell the parent of each run directory that is written to."""
+    """Report each run directory that is written to to the parent."""
 
-    def tell(path: Path) -> None:
+    def announce(path: Path) -> None:
         with contextlib.suppress(OSError):
             os.write(writer, os.fsencode(path.absolute()) + b"\0")
 
-    interruption.tell_of_runs(tell)
-
-
-def _descendants(pid: int) -> list[int]:
-    """Processes that a process has started, and theirs, where the system tells (Linux)."""
-    found: list[int] = []
-    with contextlib.suppress(OSError, ValueError):
-        for task in Path(f"/proc/{pid}/task").iterdir():
-            for word in (task / "children").read_text().split():
-                found += [*_descendants(int(word)), int(word)]
-    return found
+    interruption.on_register(announce)
