@@ -81,8 +81,8 @@ def young_picture(
     size: tuple[int, int],
 ) -> NDArray[np.uint8]:
     """The surface of moduli in color, with a scale beside it."""
-    from sppm_pipeline.render.color_scale import colors_of, with_scale
     from sppm_pipeline.render.mesh_view import render_mesh
+    from sppm_pipeline.render.sheets import colors_of, with_scale
 
     low, high = float(young.min()), float(young.max())
     # of a nearly isotropic material a range of rounding errors would look like a range
