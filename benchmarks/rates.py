@@ -164,10 +164,10 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: tile.fresh, recipe: cell, cells: [$c, $c, $c], cell: 5 mm, porosity: 0.6, resolution: 16}
 """,
         {
-            "n": (42, 42, 70, 110),
+            "n": (42, 42, 60, 72),
             "c": (1, 2, 2, 3),
-            "r": (16, 16, 24, 40),
-            "k": (2, 3, 5, 8),
+            "r": (16, 16, 24, 32),
+            "k": (2, 3, 4, 6),
             "s": (0, 0, 3, 6),
             "pixel": ("0.33 mm", "0.33 mm", "0.17 mm", "0.13 mm"),
         },
@@ -188,8 +188,8 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: slice.field, id: even, resolution: $r, from: fill.implicit}
   - {stage: write.png, id: even_layers, path: even, from: even}
 """,
-        {"n": (42, 42, 60, 72), "k": (8, 8, 14, 22), "f": (32, 32, 64, 128), "r": (16, 16, 32, 40),
-         "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.07 mm")},
+        {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "f": (32, 32, 64, 96), "r": (16, 16, 24, 32),
+         "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.08 mm")},
     ),
     "booleans": (
         TILES + """
