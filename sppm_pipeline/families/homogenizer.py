@@ -14,7 +14,7 @@ from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.process.memory import require_memory
+from sppm_pipeline.process.budget import require_memory
 from sppm_pipeline.stage import Context, Stage, option
 
 if TYPE_CHECKING:

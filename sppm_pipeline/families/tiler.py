@@ -133,7 +133,7 @@ class Tiler(Stage):
 
     def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
         """Lay the cells."""
-        from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+        from sppm_pipeline.numerics.assembly.contents import TilingArrays
 
         if tileset.kind not in self.kinds:
             raise ConfigError(

@@ -15,7 +15,7 @@ from sppm_pipeline.cli.limits import size
 from sppm_pipeline.cli.main import main
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.engine.plan import estimate, rates
-from sppm_pipeline.process import resources
+from sppm_pipeline.process import budget
 from sppm_pipeline.stages import BUILT_IN
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -36,7 +36,7 @@ pipeline:
   - {stage: slice.field, pixel: 0.1 mm}
   - {stage: write.png}
   - {stage: extract.marching_cubes, resolution: 24}
-  - {stage: write.ply}
+  - {stage: write.mesh, path: mesh.ply}
 """
 
 
@@ -50,11 +50,11 @@ pipeline:
   - {stage: homogenize.voxel, resolution: 32}
   - {stage: write.stiffness, size: [400, 300]}
   - {stage: mesh.isosurface_stuffing, resolution: 16}
-  - {stage: write.vtu}
+  - {stage: write.volume_mesh}
   - {stage: extract.voxels, resolution: 48}
-  - {stage: write.tiff}
+  - {stage: write.voxels, path: voxels.tiff}
   - {stage: extract.marching_cubes, resolution: 32}
-  - {stage: write.3mf}
+  - {stage: write.mesh, path: mesh.3mf}
 """
 
 
@@ -256,20 +256,20 @@ def test_sizes_that_make_no_sense(text, capsys):
 
 
 def test_the_smallest_limit_counts(monkeypatch):
-    monkeypatch.setenv(resources.MEMORY, "1000")
-    assert resources.allowed_memory() == (1000, "the limit given by --memory")
-    assert resources.memory_budget() == 1000
-    monkeypatch.setenv(resources.MEMORY, "nonsense")
-    limit, words = resources.allowed_memory()
-    assert limit is None or limit > 10**6
+    monkeypatch.setenv(budget.MEMORY, "1000")
+    assert budget.allowed_memory() == (1000, "the limit given by --memory")
+    assert budget.planning_memory() == 1000
+    monkeypatch.setenv(budget.MEMORY, "nonsense")
+    limit, words = budget.allowed_memory()
+    assert limit > 10**6
     assert words != "the limit given by --memory"
 
 
 def test_free_space_of_a_folder_that_is_not_there_yet(tmp_path):
-    assert resources.free_disk(tmp_path / "a" / "b") == pytest.approx(resources.free_disk(tmp_path), rel=0.05)
+    assert budget.free_disk(tmp_path / "a" / "b") == pytest.approx(budget.free_disk(tmp_path), rel=0.05)
 
 
-def test_words_for_bytes():
-    assert [resources.words_for_bytes(n) for n in (0, 999, 1000, 2.5e6, 3e9, 4e15)] == [
+def test_format_bytes():
+    assert [budget.format_bytes(n) for n in (0, 999, 1000, 2.5e6, 3e9, 4e15)] == [
         "0 bytes", "999 bytes", "1 kB", "2.5 MB", "3 GB", "4e+03 TB"
     ]  # fmt: skip

@@ -21,7 +21,7 @@ PART = """sppm: 1
 name: part
 pipeline:
   - {stage: read.primitive, shape: torus_knot, size: [9 mm, 9 mm, 9 mm], facets: 200}
-  - {stage: write.stl, path: part.stl}
+  - {stage: write.mesh, path: part.stl}
 """
 LAYERS = """sppm: 1
 name: layers

@@ -8,6 +8,7 @@ part of the test suite; tests/cli/test_estimate.py holds a short form.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
@@ -17,11 +18,13 @@ import tempfile
 import time
 from pathlib import Path
 
+import psutil
+
 ROOT = Path(__file__).resolve().parents[2]
 KNOT = """sppm: 1
 pipeline:
   - {stage: read.primitive, shape: torus_knot, size: [46 mm, 60 mm, 60 mm], facets: 200}
-  - {stage: write.ply, path: knot.ply}
+  - {stage: write.mesh, path: knot.ply}
 """
 CELL = """sppm: 1
 seed: 3
@@ -37,9 +40,9 @@ OWN = {
   - {stage: write.stiffness}
   - {stage: homogenize.conductivity, resolution: 64}
   - {stage: extract.voxels, resolution: 64}
-  - {stage: write.npy}
-  - {stage: write.tiff}
-  - {stage: write.vti}
+  - {stage: write.voxels, id: npy, path: voxels.npy}
+  - {stage: write.voxels, id: tiff, path: voxels.tiff}
+  - {stage: write.voxels, id: vti, path: voxels.vti}
   - {stage: check.sizes}
 """,
     "boolean": """
@@ -47,17 +50,17 @@ OWN = {
   - {stage: tile.periodic, cell: 4 mm}
   - {stage: fill.boolean, resolution: 48}
   - {stage: check.mesh}
-  - {stage: write.off}
-  - {stage: write.glb}
-  - {stage: write.3mf}
+  - {stage: write.mesh, id: off, path: mesh.off}
+  - {stage: write.mesh, id: glb, path: mesh.glb}
+  - {stage: write.mesh, id: threemf, path: mesh.3mf}
   - {stage: slice.mesh, pixel: 0.05 mm}
   - {stage: write.png}
 """,
     "tetrahedra": """
   - {stage: mesh.isosurface_stuffing, resolution: 24}
-  - {stage: write.vtu}
-  - {stage: write.inp}
-  - {stage: write.msh}
+  - {stage: write.volume_mesh, id: vtu, path: mesh.vtu}
+  - {stage: write.volume_mesh, id: inp, path: mesh.inp}
+  - {stage: write.volume_mesh, id: msh, path: mesh.msh}
   - {stage: homogenize.tet}
 """,
 }
@@ -100,13 +103,13 @@ def sppm(*words: str) -> tuple[str, float]:
 
 def held_by(pid: int) -> float:
     """Bytes resident in a process and in all that descend from it."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-        # each of its threads may have started some
-        children = [c for task in Path(f"/proc/{pid}/task").iterdir() for c in (task / "children").read_text().split()]
-    except (OSError, IndexError):  # it has ended
-        return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") + sum(held_by(int(child)) for child in children)
+    held = 0.0
+    with contextlib.suppress(psutil.NoSuchProcess):  # it has ended
+        process = psutil.Process(pid)
+        for one in (process, *process.children(recursive=True)):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                held += one.memory_info().rss
+    return held
 
 
 def compare(words: list[str], folder: Path) -> dict[str, tuple[float, float]]:

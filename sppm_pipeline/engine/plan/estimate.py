@@ -15,7 +15,7 @@ from sppm_pipeline.engine.plan.rates import WORTH, Cost, Speed, cost, learn_spee
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.running import last_uses
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.process.resources import MEMORY, allowed_memory, free_disk, words_for_bytes
+from sppm_pipeline.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.store import Store
@@ -213,7 +213,7 @@ def refuse_what_cannot_fit(
         needed = stage.resident * workers
         if limit is not None and stage.cost is not None and needed > slack * limit:
             raise ResourceError(
-                f"about {words_for_bytes(needed)} of memory would be needed; {words} is {words_for_bytes(limit)}"
+                f"about {format_bytes(needed)} of memory would be needed; {words} is {format_bytes(limit)}"
                 + (f" ({workers} runs at the same time)" if workers > 1 else ""),
                 hint=stage.advice or "use a coarser resolution or a smaller part",
                 where=stage.step.where,
@@ -223,8 +223,7 @@ def refuse_what_cannot_fit(
     if free is not None and needed > TRUST * free:
         largest = max(estimate.stages, key=lambda stage: stage.cost.disk if stage.cost else 0.0)
         raise ResourceError(
-            f"about {words_for_bytes(needed)} would be written; free where {str(folder)!r} lies are "
-            f"{words_for_bytes(free)}",
+            f"about {format_bytes(needed)} would be written; free where {str(folder)!r} lies are {format_bytes(free)}",
             hint=f"choose another place with -o; {largest.advice or 'use a coarser resolution'}",
             where=largest.step.where,
             stage=largest.step.address,

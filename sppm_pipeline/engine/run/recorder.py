@@ -17,7 +17,7 @@ from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, RunFolder
 from sppm_pipeline.engine.run.record import error_entry, record_of
 from sppm_pipeline.engine.run.sealing import sealed
 from sppm_pipeline.errors import NativeCrash, SppmError
-from sppm_pipeline.process.interruption import requested, running, stopped_running
+from sppm_pipeline.process.interruption import register, requested, unregister
 
 
 class Recorder:
@@ -55,7 +55,7 @@ class Recorder:
         except BaseException:
             self.folder.discard()
             raise
-        running(self, self.folder.path)
+        register(self, self.folder.path)
         for message in self._plan.warnings:
             self._monitor.warning(None, message)
         return self
@@ -73,7 +73,7 @@ class Recorder:
             else:
                 self._write("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", None)
         finally:
-            stopped_running(self)
+            unregister(self)
             self.folder.discard()
 
     def checkpoint(self) -> None:
@@ -83,7 +83,7 @@ class Recorder:
         """
         self._write("running", None)
 
-    def abandon(self, error: SppmError | None) -> None:
+    def cancel(self, error: SppmError | None) -> None:
         """Say that the run failed or was interrupted, from another thread than its own, which will not end in time."""
         self._write("failed" if error is not None else "interrupted", error)
         self.folder.discard()

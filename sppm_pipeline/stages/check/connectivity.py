@@ -40,8 +40,8 @@ class CheckConnectivity(Stage):
 
     def run(self, context: Context, field: ScalarField) -> ScalarField:
         """Label both phases; the result is the field, without islands if they are removed."""
+        from sppm_pipeline.numerics.connectivity.components import phase_report
         from sppm_pipeline.numerics.connectivity.islands import keep_largest, loose_parts
-        from sppm_pipeline.numerics.connectivity.percolation import phase_report
 
         n = self.resolution
         solid = field.solid(cell_centers(n, field.cells), context.threads)

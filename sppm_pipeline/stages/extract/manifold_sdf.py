@@ -25,7 +25,7 @@ from sppm_pipeline.fields.field_surface import (
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.process.memory import child_memory, require_memory
+from sppm_pipeline.process.budget import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine, manifold_extract
 from sppm_pipeline.stage import Context, Stage, option
 

@@ -15,7 +15,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.field_surface import FEWEST, MOST, FieldSurface, expected_voxels, node_grid, voxels_along_edge
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.process.memory import child_memory, require_memory
+from sppm_pipeline.process.budget import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 

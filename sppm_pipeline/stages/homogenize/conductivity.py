@@ -52,7 +52,7 @@ class HomogenizeConductivity(VoxelHomogenizer):
 
     def run(self, context: Context, source: ScalarField | Voxels) -> ConductivityReport:
         """Solve three load cases."""
-        from sppm_pipeline.numerics.connectivity.percolation import phase_report
+        from sppm_pipeline.numerics.connectivity.components import phase_report
         from sppm_pipeline.numerics.homogenization.conduction import conductivity, tortuosity
 
         cell = self.cell_of(context, source)

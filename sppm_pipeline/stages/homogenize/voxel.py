@@ -57,7 +57,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
 
     def stiffness_of(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Solve six load cases."""
-        from sppm_pipeline.numerics.connectivity.percolation import phase_report
+        from sppm_pipeline.numerics.connectivity.components import phase_report
         from sppm_pipeline.numerics.homogenization.elasticity import stiffness
 
         cell = self.cell_of(context, source)
