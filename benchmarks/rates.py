@@ -94,11 +94,11 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: write.picture, resolution: $r}
   - {stage: read.mesh, path: $mesh}
 """,
-        {**SIZES, "r": (24, 24, 64, 128), "mesh": ("mesh.stl",) * 4},
+        {**SIZES, "r": (24, 24, 40, 64), "mesh": ("mesh.stl",) * 4},
     ),
     "level set": (
         "pipeline:" + CELL + "  - {stage: extract.manifold_sdf, resolution: $r}\n",
-        {**SIZES, "r": (12, 12, 24, 40)},
+        {**SIZES, "r": (12, 12, 16, 24)},
     ),
     "tetrahedra": (
         "pipeline:" + CELL + """
@@ -108,14 +108,14 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: write.msh}
   - {stage: mesh.boundary}
 """,
-        {**ONE_CELL, "r": (12, 12, 24, 40, 24), "order": (1, 1, 1, 1, 2)},
+        {**ONE_CELL, "r": (12, 12, 20, 28, 16), "order": (1, 1, 1, 1, 2)},
     ),
     "stiffness of tetrahedra": (
         "pipeline:" + CELL + """
   - {stage: mesh.isosurface_stuffing, resolution: $r, order: $order}
   - {stage: homogenize.tet}
 """,
-        {**ONE_CELL, "r": (8, 10, 16, 24, 12), "order": (1, 1, 1, 1, 2)},
+        {**ONE_CELL, "r": (8, 8, 12, 16, 10), "order": (1, 1, 1, 1, 2)},
     ),
     "homogenization": (
         "pipeline:" + CELL + """
@@ -132,12 +132,12 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: tune.retry, recipe: cell}
   - {stage: tune.stiffness, recipe: cell, target: 0.25, resolution: $h, vary: field.gaussian.level, low: 0.1, high: 0.6,
      accuracy: 0.1}
-  - {stage: homogenize.realizations, recipe: cell, resolution: $h, samples: 4}
+  - {stage: homogenize.realizations, recipe: cell, resolution: $h, samples: 2}
   - {stage: write.chart, x: cells, y: E_x}
   - {stage: write.table, columns: [cells, E_x]}
   - {stage: write.bars, label: sample, columns: [E_x]}
 """,
-        {**SIZES, "r": (24, 24, 48, 64), "h": (16, 16, 24, 32)},
+        {**SIZES, "r": (16, 16, 24, 40), "h": (8, 12, 16, 24)},
     ),
     "tile sets": (
         TILES + """
@@ -164,10 +164,10 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: tile.fresh, recipe: cell, cells: [$c, $c, $c], cell: 5 mm, porosity: 0.6, resolution: 16}
 """,
         {
-            "n": (42, 42, 70, 110),
+            "n": (42, 42, 60, 72),
             "c": (1, 2, 2, 3),
-            "r": (16, 16, 24, 40),
-            "k": (2, 3, 5, 8),
+            "r": (16, 16, 24, 32),
+            "k": (2, 3, 4, 6),
             "s": (0, 0, 3, 6),
             "pixel": ("0.33 mm", "0.33 mm", "0.17 mm", "0.13 mm"),
         },
@@ -188,8 +188,8 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: slice.field, id: even, resolution: $r, from: fill.implicit}
   - {stage: write.png, id: even_layers, path: even, from: even}
 """,
-        {"n": (42, 42, 60, 72), "k": (8, 8, 14, 22), "f": (32, 32, 64, 128), "r": (16, 16, 32, 40),
-         "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.07 mm")},
+        {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "f": (32, 32, 64, 96), "r": (16, 16, 24, 32),
+         "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.08 mm")},
     ),
     "booleans": (
         TILES + """
