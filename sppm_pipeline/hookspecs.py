@@ -35,7 +35,7 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
 
         @hookimpl
         def sppm_stages():
-            return {"sample.fcc": "sppm_fcc.sampler:FaceCenterdCubic"}
+            return {"sample.fcc": "sppm_fcc.sampler:FaceCenteredCubic"}
     """
 
 
