@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import pluggy
 
@@ -50,6 +51,59 @@ def sppm_stage_aliases() -> Mapping[str, str | StageAlias]:  # type: ignore[empt
         @hookimpl
         def sppm_stage_aliases():
             return {"sample.fcc_lattice": "sample.fcc"}
+    """
+
+
+@dataclass(frozen=True)
+class StageEvent:
+    """A stage of a pipeline has ended.
+
+    Attributes
+    ----------
+    address : str
+        Id of the stage.
+    stage : str
+        Its name, ``family.name``.
+    made : str or None
+        Type of the artifact that it made.
+    seconds : float
+    summary : mapping
+        Its numbers, as in the run record; empty if it failed.
+    record : mapping
+        All that the run record says of it (options, inputs, outputs, warnings, recipes); empty if it failed.
+    error : str or None
+        What it failed with.
+    from_cache : bool
+        Whether its result was in the cache, so that it did not run.
+    """
+
+    address: str
+    stage: str
+    made: str | None
+    seconds: float
+    summary: Mapping[str, Any]
+    record: Mapping[str, Any]
+    error: str | None = None
+    from_cache: bool = False
+
+    @property
+    def failed(self) -> bool:
+        """Whether it did not end well."""
+        return self.error is not None
+
+
+@hookspec
+def sppm_stage_finished(event: StageEvent) -> None:
+    """Observe the stages of a run.
+
+    Called after every stage of a pipeline, and of the stages after a sweep, in the process that runs it: for the runs
+    of a sweep, that may be a worker process, or one of several threads. Stages of a recipe have no events of their own;
+    ``event.record["inner"]`` counts them. The result is ignored. What an observer raises becomes a warning that names
+    the plugin, and it is not called again in this run; results never depend on observers. Example::
+
+        @hookimpl
+        def sppm_stage_finished(event):
+            print(event.address, event.seconds, file=sys.stderr)
     """
 
 

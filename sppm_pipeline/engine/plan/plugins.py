@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
     from sppm_pipeline.stage import Stage, StageAlias
 
+BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
+"""Modules whose hook implementations are always there."""
+
 API_CONSTANT = "SPPM_API_VERSION"
 """Name under which the module of a plugin may say which version of the interface it was written for."""
 
@@ -48,6 +51,8 @@ class Plugin:
     error : PluginError or None
         Why it could not be loaded.
     stages : dict of stage name to class or "module:Class"
+    module : object or None
+        What was loaded.
     aliases : dict of former stage name to current name or StageAlias
     executors : dict of name to function of the number of workers
     """
@@ -58,6 +63,7 @@ class Plugin:
     target: str | None = None
     builtin: bool = False
     error: PluginError | None = None
+    module: object | None = None
     stages: dict[str, type[Stage] | str] = field(default_factory=dict)
     aliases: dict[str, str | StageAlias] = field(default_factory=dict)
     executors: dict[str, Callable[[int], Executor]] = field(default_factory=dict)
@@ -124,7 +130,7 @@ def _normal(name: str) -> str:
 
 
 def load_plugins(
-    builtins: Sequence[str],
+    builtins: Sequence[str] = BUILTINS,
     *,
     files: Iterable[Path] = (),
     distributions: bool = True,
@@ -210,6 +216,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
     try:
         manager.register(module, plugin.name)
         manager.check_pending()
+        plugin.module = module
     except (pluggy.PluginValidationError, ValueError) as error:
         if manager.has_plugin(plugin.name):
             manager.unregister(name=plugin.name)
