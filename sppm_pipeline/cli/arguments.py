@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.plan.plugins import Plugins
+    from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
     from sppm_pipeline.engine.plan.session import RunRequest, Session
+    from sppm_pipeline.hookspecs import Command
 
 ALLOWED = "SPPM_PLUGINS"
 """Environment variable with the plugins that may be imported."""
@@ -19,7 +20,10 @@ ALLOWED = "SPPM_PLUGINS"
 
 def allowed_from(args: Namespace) -> tuple[str, ...] | None:
     """Names of the plugins that may be imported; None for all."""
-    text = args.allow_plugins if args.allow_plugins is not None else os.environ.get(ALLOWED)
+    return _names(args.allow_plugins if args.allow_plugins is not None else os.environ.get(ALLOWED))
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
     return None if text is None else tuple(name for part in text.split(",") if (name := part.strip()))
 
 
@@ -138,6 +142,27 @@ def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:
         plugins.raise_broken()
         warn_of_failed_plugins(plugins)
     return plugins
+
+
+def commands_of_plugins(*, load: bool = True) -> tuple[dict[str, tuple[Plugin, Command]], list[Plugin]]:
+    """The verbs of installed plugins, each with its plugin, and the plugins that failed.
+
+    Raises
+    ------
+    PluginError
+        If a plugin breaks the contract, for instance by taking the name of a built-in verb.
+    """
+    from sppm_pipeline.engine.plan.plugins import load_plugins
+
+    plugins = load_plugins(distributions=load, allowed=_names(os.environ.get(ALLOWED)))
+    plugins.raise_broken()
+    found = {
+        verb: (plugin, command)
+        for plugin in plugins.plugins
+        if not plugin.builtin
+        for verb, command in plugin.commands.items()
+    }
+    return found, plugins.failed()
 
 
 def warn_of_failed_plugins(plugins: Plugins) -> None:
