@@ -49,7 +49,7 @@ def add_configuration(parser: ArgumentParser) -> None:
     parser.add_argument(
         "-s", "--set", action="append", default=[], metavar="STAGE.OPTION=VALUE", help="set an option of a stage"
     )
-    parser.add_argument("--seed", type=_seed, metavar="N", help="whole number that all random numbers come from")
+    parser.add_argument("--seed", type=_seed, metavar="N", help="integer that all random numbers come from")
     add_plugins(parser)
 
 
@@ -60,7 +60,7 @@ def _seed(text: str) -> int:
     return int(text)
 
 
-_seed.__name__ = "whole number from 0 to 2^63 - 1"  # argparse shows it: "invalid whole number ... value"
+_seed.__name__ = "integer from 0 to 2^63 - 1"  # argparse shows it: "invalid integer ... value"
 
 
 def find_configuration(name: str) -> Path:

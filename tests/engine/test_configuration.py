@@ -16,7 +16,7 @@ ONE = "pipeline:\n  - {stage: read.number, value: 1}\n"
         ("sppm: 1\nname: a/b\n" + ONE, "`name` must be text", (2, 7)),
         ("sppm: 1\nname: ..\n" + ONE, "`name` must be text", (2, 7)),
         ("sppm: 1\nseed: -1\n" + ONE, "at least 0", (2, 7)),
-        ("sppm: 1\nseed: 1.5\n" + ONE, "a whole number", (2, 7)),
+        ("sppm: 1\nseed: 1.5\n" + ONE, "an integer", (2, 7)),
         ("sppm: 1\nparams: [1]\n" + ONE, "`params` must be a map", (2, 9)),
         ("sppm: 1\nparams: {a-b: 1}\n" + ONE, "parameter name", (2, 10)),
         ("sppm: 1\nrecipes: {a.b: [{stage: read.number, value: 1}]}\n" + ONE, "recipe name", (2, 11)),

@@ -197,7 +197,7 @@ def test_hostile_values(name, tmp_path, request):
                 assert all(one.where is not None and one.where.line == line for one in errors), (value, str(refused))
                 words = str(refused)
                 assert len(words) < 900, (option.name, value)
-                if "not allowed in a text" not in words and "`" not in words:  # options that exclude each other
+                if "not allowed in a string" not in words and "`" not in words:  # options that exclude each other
                     assert f"option {option.name!r}" in words, (value, words)
                     assert "expected" in words or "output" in words, (value, words)
                 continue
@@ -211,7 +211,7 @@ def test_hostile_values(name, tmp_path, request):
 
 
 def ends(option) -> list[str]:
-    """Values at the ends of what is allowed, as YAML; whole numbers only where they stay small."""
+    """Values at the ends of what is allowed, as YAML; integers only where they stay small."""
     spec, kinds = option.spec, members(option.kind)
     found = []
     for bound, step in ((spec.minimum, 0), (spec.above, 1), (spec.maximum, 0), (spec.below, -1)):
