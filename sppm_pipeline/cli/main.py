@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     import argparse
+    from pathlib import Path
 
 VERBS = {
     "run": "run a pipeline, or every row of its sweep",
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _close_stdout()
         return 0  # whoever read our results has seen enough; nothing failed here
     except KeyboardInterrupt as error:
-        _take_leave(words)
+        _say_exit_message(words)
         return 128 + getattr(error, "number", 2)
     except Exception as error:
         return _reported(error, "--debug" in words)
@@ -70,9 +71,9 @@ def leave() -> None:
     gc.set_threshold(200_000, 50, 100)
     if sys.argv[1:2] == ["run"]:
         try:
-            from sppm_pipeline.cli import supervision
+            from sppm_pipeline.process.supervision import supervised
 
-            code = supervision.supervised(_whole, _say, _farewell(sys.argv[1:]))
+            code = supervised(_whole, _say, _exit_message(sys.argv[1:]), _mark_ended)
         except Exception as error:  # no second process, or not the descriptors to talk to it
             code = _reported(error, "--debug" in sys.argv)
         os._exit(code)
@@ -116,9 +117,9 @@ def _dispatch(words: list[str]) -> int:
         parsed = parser.parse_args(words[1:])
     except SystemExit as exit:
         return exit.code if isinstance(exit.code, int) else 2
-    from sppm_pipeline.cli.interrupts import interruptibly
+    from sppm_pipeline.process.interruption import interruptibly
 
-    return interruptibly(lambda: int(command.execute(parsed)), lambda: _take_leave(words))
+    return interruptibly(lambda: int(command.execute(parsed)), lambda: _say_exit_message(words))
 
 
 class _Verb(NamedTuple):
@@ -214,10 +215,10 @@ def _report(error: Exception, debug: bool) -> int:
         name = f": {error.filename!r}" if error.filename is not None else ""
         _say(f"{error.strerror or error}{name}")
         return 5
-    from sppm_pipeline.process.resources import lack
+    from sppm_pipeline.process.budget import exhausted_resource
 
-    if (lacking := lack(error)) is not None:
-        _say(lacking)
+    if (missing := exhausted_resource(error)) is not None:
+        _say(missing)
         return 5
     _say(f"internal error: {type(error).__name__}: {error}\n  hint: run again with --debug to see where")
     return 1
@@ -230,16 +231,23 @@ def _print_chain(error: BaseException) -> None:
     traceback.print_exception(type(error), error, trace)
 
 
-def _farewell(words: list[str]) -> str:
+def _exit_message(words: list[str]) -> str:
     """That the work has ended early, and of a run how to go on with it."""
     kept = words[:1] == ["run"] and "--no-cache" not in words and os.environ.get("SPPM_CACHE", "").lower() != "off"
     return "interrupted" + ("; the same command again goes on with the stages that had ended" if kept else "")
 
 
-def _take_leave(words: list[str]) -> None:
-    supervision = sys.modules.get("sppm_pipeline.cli.supervision")
-    if supervision is None or not supervision.watched():  # who watches says it, whatever becomes of this process
-        _say(_farewell(words))
+def _say_exit_message(words: list[str]) -> None:
+    supervision = sys.modules.get("sppm_pipeline.process.supervision")
+    if supervision is None or not supervision.is_supervised():  # the parent says it, whatever becomes of this process
+        _say(_exit_message(words))
+
+
+def _mark_ended(folder: Path, status: str, error: str | None) -> None:
+    """Put a run directory in order whose process was ended."""
+    from sppm_pipeline.engine.run.record import mark_ended
+
+    mark_ended(folder, status, error)
 
 
 def _say(message: str) -> None:

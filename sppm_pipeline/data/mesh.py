@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import Artifact, frozen
+from sppm_pipeline.data.artifact import Artifact, frozen, optional_module
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,44 @@ class SurfaceMesh(Artifact):
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", frozen(_rows_of_three(np.asarray(self.vertices, np.float64))))
         object.__setattr__(self, "faces", frozen(_rows_of_three(np.asarray(self.faces, np.int32))))
+
+    @classmethod
+    def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike, name: str = "mesh") -> SurfaceMesh:
+        """A mesh of vertices (n, 3), mm, and triangles (m, 3), whose normals point out of the solid.
+
+        Raises
+        ------
+        ValueError
+            If a vertex is not finite, or a triangle names one that does not exist.
+        """
+        mesh = cls(np.array(vertices, np.float64), np.array(faces, np.int32), name)
+        mesh.check()
+        return mesh
+
+    @classmethod
+    def from_trimesh(cls, mesh: Any, name: str = "mesh") -> SurfaceMesh:
+        """A `trimesh.Trimesh`; see `from_arrays`."""
+        return cls.from_arrays(mesh.vertices, mesh.faces, name)
+
+    def to_trimesh(self) -> Any:
+        """A `trimesh.Trimesh` with the same vertices and triangles.
+
+        Raises
+        ------
+        ResourceError
+            If trimesh is not installed.
+        """
+        return optional_module("trimesh").Trimesh(self.vertices.copy(), self.faces.copy(), process=False)
+
+    def to_pyvista(self) -> Any:
+        """A `pyvista.PolyData`.
+
+        Raises
+        ------
+        ResourceError
+            If pyvista is not installed.
+        """
+        return optional_module("pyvista").PolyData.from_regular_faces(self.vertices, self.faces)
 
     def check(self) -> None:
         """Finite vertices, indices in range."""
@@ -76,6 +114,42 @@ class SurfaceMesh(Artifact):
             "size_mm": [float(v) for v in self.upper - self.lower],
             "volume_mm3": volume(self.vertices, self.faces),
         }
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedMesh(Artifact):
+    """A mesh that stands at several places; copies may touch each other, each is closed by itself.
+
+    Attributes
+    ----------
+    mesh : SurfaceMesh
+    offsets : (k, 3) float64, mm
+        Shifts of the copies.
+    """
+
+    mesh: SurfaceMesh
+    offsets: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "offsets", frozen(np.asarray(self.offsets, np.float64).reshape(-1, 3)))
+
+    def check(self) -> None:
+        """A sound mesh, and finite places."""
+        self.mesh.check()
+        if not np.isfinite(self.offsets).all():
+            raise ValueError("the places of copies must be finite")
+
+    def whole(self) -> SurfaceMesh:
+        """One mesh of all copies; surfaces at which copies touch stay within it."""
+        n, m = len(self.mesh.vertices), len(self.mesh.faces)
+        copies = len(self.offsets)
+        vertices = (self.offsets[:, None] + self.mesh.vertices[None]).reshape(copies * n, 3)
+        faces = (n * np.arange(copies, dtype=np.int64)[:, None, None] + self.mesh.faces).reshape(copies * m, 3)
+        return SurfaceMesh(vertices, faces.astype(np.int32), name=self.mesh.name)
+
+    def summary(self) -> dict[str, Any]:
+        """The mesh's numbers and the number of copies."""
+        return {"copies": len(self.offsets), "mesh": self.mesh.summary()}
 
 
 def _rows_of_three(array: NDArray[Any]) -> NDArray[Any]:

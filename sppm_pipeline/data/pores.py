@@ -7,10 +7,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.data.artifact import Artifact, frozen
-from sppm_pipeline.data.length import Cell
+from sppm_pipeline.data.length import Cell, parse_length
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +43,32 @@ class PoreSet(Artifact):
     def __post_init__(self) -> None:
         object.__setattr__(self, "centers", frozen(np.asarray(self.centers, np.float64).reshape(-1, 3)))
         object.__setattr__(self, "piece", frozen(np.asarray(self.piece, np.int32)))
+
+    @classmethod
+    def from_array(
+        cls, centers: ArrayLike, *, edge: str | float | None = None, spacing: float | None = None
+    ) -> PoreSet:
+        """The pores of one cell, none of them on a face.
+
+        Parameters
+        ----------
+        centers : (n, 3) array_like
+            In the unit cube.
+        edge : str or float, optional
+            Edge of the cell with a unit, for instance ``"7.5 mm"``, or in mm; without it the cell has no physical size.
+        spacing : float, optional
+            Smallest distance between the pores, cell edges.
+
+        Raises
+        ------
+        ValueError
+            If a center is not finite.
+        """
+        points = np.array(centers, np.float64).reshape(-1, 3)
+        cell = Cell() if edge is None else Cell(parse_length(edge).mm(), physical=True)
+        pores = cls(cell, points, np.zeros(len(points), np.int32), spacing=spacing)
+        pores.check()
+        return pores
 
     def check(self) -> None:
         """Shapes, finiteness, range of the pieces, faces lying in their planes."""

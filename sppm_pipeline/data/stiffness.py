@@ -62,6 +62,11 @@ class StiffnessReport(Artifact):
             raise ValueError(f"the shares of the phases sum to 1, got {self.phases}")
 
     @property
+    def C(self) -> NDArray[np.float64]:
+        """`stiffness`, (6, 6) float64."""
+        return self.stiffness
+
+    @property
     def porosity(self) -> float:
         """Share of the void."""
         return sum(share for share, young, _ in self.phases if young == 0)

@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import Artifact
+from sppm_pipeline.data.artifact import Artifact, escaped, shown
 from sppm_pipeline.errors import ConfigError
+
+MOST_ROWS = 20
+"""Rows that notebooks show."""
 
 
 class RunFile(NamedTuple):
@@ -47,6 +50,34 @@ class Table(Artifact):
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", {name: tuple(values) for name, values in self.columns.items()})
         object.__setattr__(self, "files", {name: tuple(values) for name, values in self.files.items()})
+
+    @classmethod
+    def from_arrays(cls, columns: Mapping[str, ArrayLike]) -> Table:
+        """A table of columns of equal length: arrays or sequences of numbers or strings.
+
+        Raises
+        ------
+        ValueError
+            If the lengths differ.
+        """
+        table = cls({name: tuple(np.asarray(values).tolist()) for name, values in columns.items()})
+        table.check()
+        return table
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Each column as an array: of float with NaN where there is no number, or of str if it holds strings."""
+        return {
+            name: np.array(self.texts(name)) if any(isinstance(v, str) for v in values) else self.numbers(name)
+            for name, values in self.columns.items()
+        }
+
+    def _repr_html_(self) -> str:
+        """The first rows, as notebooks show them."""
+        head = "".join(f"<th>{escaped(name)}</th>" for name in self.columns)
+        rows = zip(*(values[:MOST_ROWS] for values in self.columns.values()), strict=True)
+        body = "".join("<tr>" + "".join(f"<td>{escaped(shown(v))}</td>" for v in row) + "</tr>" for row in rows)
+        more = f"<p>{self.rows - MOST_ROWS} more rows</p>" if self.rows > MOST_ROWS else ""
+        return f"<table><tr>{head}</tr>{body}</table>{more}"
 
     def check(self) -> None:
         """Equal length of all columns."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.data.artifact import Artifact, frozen
 from sppm_pipeline.data.pores import PoreSet
@@ -35,6 +35,32 @@ class TunnelGraph(Artifact):
     def __post_init__(self) -> None:
         object.__setattr__(self, "edges", frozen(np.asarray(self.edges, np.int64).reshape(-1, 2)))
         object.__setattr__(self, "shift", frozen(np.asarray(self.shift, np.int64).reshape(-1, 3)))
+
+    @classmethod
+    def from_arrays(cls, pores: PoreSet, edges: ArrayLike, shift: ArrayLike | None = None) -> TunnelGraph:
+        """Tunnels between pores.
+
+        Parameters
+        ----------
+        pores : PoreSet
+        edges : (m, 2) array_like of int
+            Indices of the pores at both ends.
+        shift : (m, 3) array_like of int, optional
+            Whole cells to the image of the second pore. Without it the image nearest to the first pore is taken, as the
+            cell is periodic.
+
+        Raises
+        ------
+        ValueError
+            If an index is out of range.
+        """
+        ends = np.array(edges, np.int64).reshape(-1, 2)
+        if len(ends) and not 0 <= ends.min() <= ends.max() < len(pores.centers):
+            raise ValueError("a tunnel names a pore that does not exist")
+        nearest = -np.round(pores.centers[ends[:, 1]] - pores.centers[ends[:, 0]])
+        graph = cls(pores, ends, np.array(nearest if shift is None else shift, np.int64))
+        graph.check()
+        return graph
 
     def check(self) -> None:
         """Indices in range, one shift an edge, connectors pointing from interior to face."""

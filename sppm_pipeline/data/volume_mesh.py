@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import Artifact, frozen
+from sppm_pipeline.data.artifact import Artifact, frozen, optional_module
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +47,33 @@ class VolumeMesh(Artifact):
             object.__setattr__(self, "box", frozen(np.asarray(self.box, np.float64)))
         materials = np.ones(len(cells), np.uint8) if self.materials is None else self.materials
         object.__setattr__(self, "materials", frozen(np.asarray(materials, np.uint8)))
+
+    @classmethod
+    def from_arrays(cls, nodes: ArrayLike, cells: ArrayLike, **details: Any) -> VolumeMesh:
+        """A mesh of nodes (n, 3), mm, and tetrahedra (m, 4) or (m, 10); `details` are further fields.
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit or an index is out of range.
+        """
+        mesh = cls(np.array(nodes, np.float64), np.array(cells, np.int32), **details)
+        mesh.check()
+        return mesh
+
+    def to_pyvista(self) -> Any:
+        """A `pyvista.UnstructuredGrid`.
+
+        Raises
+        ------
+        ResourceError
+            If pyvista is not installed.
+        """
+        straight = self.cells.shape[1] == 4
+        kind = 10 if straight else 24  # VTK_TETRA, VTK_QUADRATIC_TETRA
+        grid = optional_module("pyvista").UnstructuredGrid({kind: self.cells}, self.nodes)
+        grid.cell_data["material"] = self.material_of_cells
+        return grid
 
     def check(self) -> None:
         """Shapes that fit each other, finite nodes, indices in range."""

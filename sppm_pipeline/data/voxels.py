@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import Artifact
+from sppm_pipeline.data.artifact import Artifact, optional_module
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +39,68 @@ class Voxels(Artifact):
             values = values.copy(order="F")
             values.setflags(write=False)
         object.__setattr__(self, "values", values)
+
+    @classmethod
+    def from_array(
+        cls,
+        array: ArrayLike,
+        *,
+        spacing: float | tuple[float, float, float] | None = None,
+        periodic: bool | tuple[bool, bool, bool] = True,
+        axes: str = "xyz",
+    ) -> Voxels:
+        """An image from an array.
+
+        Parameters
+        ----------
+        array : (nx, ny, nz) array_like
+            Truth values (True is solid), phases as integers from 0 (void) to 255, or solid fractions as floats.
+        spacing : float or (sx, sy, sz), optional
+            Edges of a voxel, mm. Without it the image is a cell without a physical size, whose longest side is 1.
+        periodic : bool or 3 bools
+            Whether opposite sides are neighbors.
+        axes : {"xyz", "zyx"}
+            Order of the array's axes; "zyx" is that of `ScalarField.sample` and `solid`.
+
+        Raises
+        ------
+        ValueError
+            If a value is out of range or the array has not three axes.
+        """
+        values = np.asarray(array)
+        if axes not in ("xyz", "zyx"):
+            raise ValueError(f"the axes are 'xyz' or 'zyx', got {axes!r}")
+        if values.dtype.kind in "iu" and values.size and not 0 <= values.min() <= values.max() <= 255:
+            raise ValueError("phases are integers from 0 to 255")
+        if values.ndim != 3 or not values.size or values.dtype.kind not in "biuf":
+            raise ValueError(f"voxels need three axes of numbers, got shape {values.shape} of {values.dtype}")
+        edges = (1.0 / max(values.shape),) * 3 if spacing is None else spacing
+        voxels = cls(
+            values.T if axes == "zyx" else values,
+            edges if isinstance(edges, tuple) else (float(edges),) * 3,
+            spacing is not None,
+            periodic if isinstance(periodic, tuple) else (periodic,) * 3,
+        )
+        voxels.check()
+        return voxels
+
+    def to_array(self, axes: str = "xyz") -> NDArray[np.uint8] | NDArray[np.float32]:
+        """`values`, read-only, or with ``axes="zyx"`` the same in the order of `ScalarField.sample`."""
+        return self.values.T if axes == "zyx" else self.values
+
+    def to_pyvista(self) -> Any:
+        """A `pyvista.ImageData` whose cells are the voxels.
+
+        Raises
+        ------
+        ResourceError
+            If pyvista is not installed.
+        """
+        image = optional_module("pyvista").ImageData(
+            dimensions=tuple(n + 1 for n in self.shape), spacing=self.spacing, origin=(0.0, 0.0, 0.0)
+        )
+        image.cell_data["solid" if self.fractions else "phase"] = self.values.reshape(-1, order="F")
+        return image
 
     def check(self) -> None:
         """Three axes, at least one voxel, a positive spacing, fractions between 0 and 1."""

@@ -1,10 +1,10 @@
-"""What stages that homogenize voxels have in common: from a field or an image to the shares of the phases."""
+"""Base of stages that homogenize voxels: options, the way from a field or an image to a cell, warnings."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,11 @@ from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.process.memory import require_memory
+from sppm_pipeline.process.budget import require_memory
 from sppm_pipeline.stage import Context, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved
 
 
 class Cell(NamedTuple):
@@ -25,35 +28,35 @@ class Cell(NamedTuple):
     ----------
     phase : (nz, ny, nx) uint8, or None
         The phase of each voxel, 0 for void.
-    share : (nz, ny, nx) float32, or None
-        How much of each voxel is solid; one of both is given.
+    fraction : (nz, ny, nx) float32, or None
+        Solid fraction of each voxel; exactly one of the two is set.
     edges : (hx, hy, hz)
         Of a voxel.
     """
 
     phase: NDArray[np.uint8] | None
-    share: NDArray[np.float32] | None
+    fraction: NDArray[np.float32] | None
     edges: tuple[float, float, float]
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Voxels along x, y, z."""
-        given = self.phase if self.phase is not None else self.share
+        given = self.phase if self.phase is not None else self.fraction
         assert given is not None
         nz, ny, nx = given.shape
         return nx, ny, nz
 
     @property
     def porosity(self) -> float:
-        """Share of void."""
+        """Volume fraction of the void."""
         if self.phase is not None:
             return 1 - float(np.count_nonzero(self.phase)) / self.phase.size
-        assert self.share is not None
-        return 1 - float(self.share.mean(dtype=np.float64))
+        assert self.fraction is not None
+        return 1 - float(self.fraction.mean(dtype=np.float64))
 
     def occupied(self) -> NDArray[np.uint8]:
         """1 where there is any solid."""
-        given = self.phase if self.phase is not None else self.share
+        given = self.phase if self.phase is not None else self.fraction
         assert given is not None
         return (given > 0).view(np.uint8)
 
@@ -67,7 +70,7 @@ class VoxelHomogenizer(Stage):
     )
     fractions: str = option(
         "auto",
-        help="auto: voxels at the surface count by the share of them that is solid; binary: as their center does",
+        help="auto: voxels at the surface count by their solid fraction; binary: by their center",
         choices=("auto", "binary"),
     )
     tolerance: float = option(
@@ -76,7 +79,7 @@ class VoxelHomogenizer(Stage):
     residual: float | None = option(
         None, help="stop at this residual over the right-hand side instead", minimum=1e-14, maximum=0.1
     )
-    iterations: int = option(1000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
+    iterations: int = option(1000, help="maximum number of iterations of a load case", minimum=1, maximum=1_000_000)
     precision: str = option("single", help="precision of the solver's vectors", choices=("single", "double"))
 
     advice: ClassVar[str] = "lower `resolution`, or take `precision: single`"
@@ -133,15 +136,37 @@ class VoxelHomogenizer(Stage):
             return Cell(source.solid(cell_centers(n, source.cells), context.threads), None, edges)
         from sppm_pipeline.numerics.porosity.fractions import solid_fractions
 
-        share = solid_fractions(
+        fraction = solid_fractions(
             lambda grid, start, stop: source.sample_layers(grid, start, stop, context.threads), (x, y, z), n
         )
-        return Cell(None, share, edges)
+        return Cell(None, fraction, edges)
+
+    def solver_options(self, threads: int) -> dict[str, Any]:
+        """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""
+        return {
+            "residual": self.residual or 0.0,
+            "tolerance": self.tolerance if self.residual is None else 0.0,
+            "iterations": self.iterations,
+            "precision": np.float32 if self.precision == "single" else np.float64,
+            "threads": threads,
+        }
+
+    def solver_warnings(self, solved: tuple[Solved, ...], precision: str) -> list[str]:
+        """Whether the load cases converged, and in the requested precision."""
+        warnings = []
+        if not all(case.converged for case in solved):
+            warnings.append(
+                f"after {self.iterations} iterations a load case has an estimated error of "
+                f"{max(case.error for case in solved):.1g}; allow more `iterations`"
+            )
+        if precision == "float64" and self.precision == "single":
+            warnings.append("single precision was not enough for this cell; it was solved in double precision")
+        return warnings
 
     def _check_memory(self, context: Context, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
-        wanted = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
+        needed = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
         require_memory(
-            wanted,
+            needed,
             f"homogenizing {' x '.join(map(str, shape))} voxels",
             "lower the `resolution`, take `precision: single`, or use fewer threads (--threads)",
             limit=context.memory_limit,

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.fields.slice_stack import Slab, SliceStack
 from sppm_pipeline.numerics.grid import Grid
 
 SLAB_PIXELS = 2**22
@@ -45,7 +45,6 @@ class FieldSlices(SliceStack):
     lower: tuple[float, float, float]
     islands: str = "remove"
     subsamples: int = 1
-    _found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def pixel_mm(self) -> float:
@@ -75,33 +74,36 @@ class FieldSlices(SliceStack):
             (x - hx / 2 + hx / (2 * k), y - hy / 2 + hy / (2 * k), z), (hx / k, hy / k, hz), (nx * k, ny * k, nz)
         )
 
-    def _solid(self, threads: int) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    def _solid(self, threads: int) -> Iterator[Slab]:
         fine = self._fine()
         nx, ny, nz = fine.shape
         step = max(1, SLAB_PIXELS // (nx * ny))
         for start in range(0, nz, step):
             yield start, self.source.solid_layers(fine, start, min(start + step, nz), threads)
 
-    def slabs(self, threads: int = 1) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
         count = 0
-        for start, solid in self._cleaned(threads):
+        findings: dict[str, Any] = {}
+        for start, solid in self._cleaned(threads, findings):
             count += int(np.count_nonzero(solid))
             if self.subsamples > 1:
-                from sppm_pipeline.numerics.domain.coverage import gray_by_coverage
+                from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage
 
                 factor = (self.subsamples, self.subsamples)
                 yield start, np.stack([gray_by_coverage(layer, factor) for layer in solid])
             else:
                 np.multiply(solid, np.uint8(255), out=solid)
                 yield start, solid
-        nx, ny, nz = self._fine().shape
-        self._found["solid_voxels"] = count
-        self._found["solid_share_of_box"] = count / (nx * ny * nz)
+        _, (hx, hy, hz), (nx, ny, nz) = self._fine()
         edge = self.source.edge_mm or 1.0
-        hx, hy, hz = self._fine().spacing
-        self._found["solid_volume_mm3"] = count * hx * hy * hz * edge**3
+        return findings | {
+            "solid_voxels": count,
+            "solid_share_of_box": count / (nx * ny * nz),
+            "solid_volume_mm3": count * hx * hy * hz * edge**3,
+        }
 
-    def _cleaned(self, threads: int) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    def _cleaned(self, threads: int, findings: dict[str, Any]) -> Iterator[Slab]:
+        """The solid, without islands if they are to be removed; what was removed is added to `findings`."""
         if self.islands == "keep":
             yield from self._solid(threads)
             return
@@ -116,17 +118,13 @@ class FieldSlices(SliceStack):
             if keep_bits:
                 kept.append((start, np.packbits(solid), solid.shape))
         statistics = islands.finish("largest")
-        self._found["components"] = statistics.components
-        self._found["removed_share"] = statistics.removed_share
-        self._found["spans"] = list(statistics.spans)
-        again: Iterator[tuple[int, NDArray[np.uint8]]] = (
+        findings["components"] = statistics.components
+        findings["removed_share"] = statistics.removed_share
+        findings["spans"] = list(statistics.spans)
+        again: Iterator[Slab] = (
             ((start, np.unpackbits(bits, count=int(np.prod(shape))).reshape(shape)) for start, bits, shape in kept)
             if keep_bits
             else self._solid(threads)
         )
         for start, solid in again:
             yield start, islands.clear(solid)
-
-    def findings(self) -> dict[str, Any]:
-        """Solid volume and what was removed; known after the layers were read."""
-        return dict(self._found)

@@ -97,6 +97,27 @@ class SampledSlab(NamedTuple):
     apart: tuple[NDArray[np.float32], ...] | None
 
 
+@dataclass(frozen=True)
+class SampledSlabs:
+    """All samples of a grid, to be read once.
+
+    Attributes
+    ----------
+    slabs : iterator of SampledSlab
+    findings : dict
+        What was removed.
+    expected : (int, int)
+        About how many vertices and triangles the surface will have; zeros if that is not known.
+    """
+
+    slabs: Iterator[SampledSlab]
+    findings: dict[str, Any] = field(default_factory=dict)
+    expected: tuple[int, int] = (0, 0)
+
+    def __iter__(self) -> Iterator[SampledSlab]:
+        return self.slabs
+
+
 @dataclass(frozen=True, eq=False)
 class FieldSurface:
     """The boundary of the solid of a field; memory is that of a slab, and of up to `KEPT_SAMPLES` samples.
@@ -121,25 +142,27 @@ class FieldSurface:
     islands: str = "remove"
     caps: bool = True
     cut: bool = True
-    _found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
-    def mesh(self, threads: int = 1, progress: Callable[[float, float], None] | None = None) -> Mesh:
-        """Vertices (n, 3) float64 in cell edges and faces (m, 3) int32; see `pieces`."""
-        from sppm_pipeline.numerics.surface.joining import joined_mesh
+    def mesh(
+        self, threads: int = 1, progress: Callable[[float, float], None] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
+        """Vertices (n, 3) float64 in cell edges, faces (m, 3) int32, and what was removed.
 
-        return joined_mesh(self.pieces(threads, progress), lambda: self._found.get("expected", (0, 0)))
-
-    def pieces(self, threads: int = 1, progress: Callable[[float, float], None] | None = None) -> Iterator[Mesh]:
-        """The mesh piece by piece, in cell edges; the same bytes whatever the number of threads.
-
-        Vertices and faces follow upon those of the pieces before, as `joined_mesh` takes them.
+        The bytes are the same whatever the number of threads.
         """
+        from sppm_pipeline.numerics.surface.marching_cubes import joined_mesh
+
+        slabs = self.slabs(threads)
+        vertices, faces = joined_mesh(self._pieces(slabs, progress), lambda: slabs.expected)
+        return vertices, faces, slabs.findings
+
+    def _pieces(self, slabs: SampledSlabs, progress: Callable[[float, float], None] | None) -> Iterator[Mesh]:
+        """The mesh piece by piece; vertices and faces follow upon those of the pieces before."""
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes_slabs
         from sppm_pipeline.numerics.surface.intersection import on_both_fields
         from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes_slabs
 
         origin, spacing, (_, _, nz) = self.grid
-        slabs = self.slabs(threads)
         if not isinstance(self.source, Part):
             values = (slab.values for slab in _told(slabs, nz, progress))
             if self.caps:
@@ -167,11 +190,10 @@ class FieldSurface:
             below = tuple(part[-1:].copy() for part in slab.apart)
             yield on_both_fields(vertices, fields[0], fields[1], self.grid, start, *fields[2:]), faces
 
-    def slabs(self, threads: int = 1) -> Iterator[SampledSlab]:
-        """The samples, without islands if they are to be removed."""
+    def slabs(self, threads: int = 1) -> SampledSlabs:
+        """The samples, without islands if they are to be removed, which is found out in a pass of its own."""
         if self.islands == "keep":
-            yield from computed_ahead(self._sampled(threads), threads)
-            return
+            return SampledSlabs(computed_ahead(self._sampled(threads), threads))
         from sppm_pipeline.numerics.connectivity.components import components_of_runs
         from sppm_pipeline.numerics.connectivity.islands import negate_runs
         from sppm_pipeline.numerics.connectivity.runs import find_runs, stack_runs
@@ -190,18 +212,19 @@ class FieldSurface:
                 kept.append(slab)
         found = components_of_runs(stack_runs(runs), (torus,) * 3)
         total, largest = int(found.sizes.sum()), int(found.sizes[:1].sum())
-        self._found["removed_share"] = (total - largest) / max(1, total)
         # the two ends of a run are vertices, and the surface crosses the edges of the other two directions as often;
         # reserved memory costs nothing until it is used
         vertices = int(1.05 * 6 * found.runs.n_runs)
-        self._found["expected"] = (vertices, 2 * vertices)
         stays, rows, bounds = found.of_run == 0, found.runs.rows, found.runs.bounds
         del found
-        again = _emptied(kept) if keep else computed_ahead(self._sampled(threads), threads)
-        for slab in again:
-            if largest < total:
-                negate_runs(rows, bounds, stays, (nz, ny, nx), slab.start, slab.values)
-            yield slab
+
+        def cleaned() -> Iterator[SampledSlab]:
+            for slab in _emptied(kept) if keep else computed_ahead(self._sampled(threads), threads):
+                if largest < total:
+                    negate_runs(rows, bounds, stays, (nz, ny, nx), slab.start, slab.values)
+                yield slab
+
+        return SampledSlabs(cleaned(), {"removed_share": (total - largest) / max(1, total)}, (vertices, 2 * vertices))
 
     def _sampled(self, threads: int) -> Iterator[SampledSlab]:
         nx, ny, nz = self.grid.shape
@@ -236,10 +259,6 @@ class FieldSurface:
             pack_signs(values, np.float32(0), words)
             vertices += slab_counts(words, nx, False)[0]
         return int(2 * vertices * (nz - 1) / len(looked))  # a closed surface has two triangles for each vertex
-
-    def findings(self) -> dict[str, Any]:
-        """What was removed; known after the slabs were read."""
-        return {"removed_share": self._found["removed_share"]} if "removed_share" in self._found else {}
 
 
 def _emptied(items: deque[Item]) -> Iterator[Item]:

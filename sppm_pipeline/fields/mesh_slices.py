@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Generator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.fields.slice_stack import Slab, SliceStack
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
@@ -50,7 +49,6 @@ class MeshSlices(SliceStack):
     size: tuple[int, int, int]
     method: Method = "scanline"
     subsamples: int = 1
-    _found: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def pixel_mm(self) -> float:
@@ -78,9 +76,9 @@ class MeshSlices(SliceStack):
         h = self.pixel / k
         return Grid((x + h / 2, y + h / 2, z + self.layer / 2), (h, h, self.layer), (nx * k, ny * k, nz))
 
-    def slabs(self, threads: int = 1) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        from sppm_pipeline.numerics.domain.coverage import gray_by_coverage
+    def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
         from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
+        from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage
 
         grid = self.samples()
         nx, ny, nz = grid.shape
@@ -99,12 +97,9 @@ class MeshSlices(SliceStack):
                 np.multiply(inside, np.uint8(255), out=inside)
                 yield start, inside
         hx, hy, hz = grid.spacing
-        self._found["solid_voxels"] = count
-        self._found["solid_share_of_box"] = count / (nx * ny * nz)
-        self._found["solid_volume_mm3"] = count * hx * hy * hz
-        if self.method != "scanline":
-            self._found["undecided_share"] = undecided / max(1, count)
-
-    def findings(self) -> dict[str, Any]:
-        """Solid volume, and how much of it is doubtful; known after the layers were read."""
-        return dict(self._found)
+        findings = {
+            "solid_voxels": count,
+            "solid_share_of_box": count / (nx * ny * nz),
+            "solid_volume_mm3": count * hx * hy * hz,
+        }
+        return findings if self.method == "scanline" else findings | {"undecided_share": undecided / max(1, count)}

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,12 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.tunnels import TunnelGraph
-from sppm_pipeline.fields.periods import sample_one_period
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
-from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.fields.wrapped import WrappedField
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.grid import Grid, sample_one_period
 from sppm_pipeline.numerics.kernels.kernels import Kernels
+from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
@@ -45,8 +44,6 @@ class Microstructure(ScalarField):
     graph: TunnelGraph
     pieces: Pieces
     level: float
-    banks: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
-    """Sampled patches, kept by those who lay the microstructure out; the level does not enter them."""
 
     def check(self) -> None:
         """The level is a positive number."""
@@ -65,11 +62,11 @@ class Microstructure(ScalarField):
     def finest_radius(self) -> float | None:
         pieces = self.pieces
         parts = [*pieces.interiors, *(k for axis in pieces.faces for k in axis), *pieces.connectors.values()]
-        mu = max((float(k.mu.max()) for k in parts if len(k.mu)), default=0.0)
-        if not mu or self.level >= 1:
+        tunnels = [(float(k.mu.max()), k.profile) for k in parts if len(k.mu)]
+        if not tunnels or self.level >= 1:
             return None
-        radius = -math.log(self.level) / mu
-        return math.sqrt(radius) if pieces.squared else radius
+        mu, profile = max(tunnels)
+        return TUNNEL_PROFILES[profile].radius(mu, self.level)
 
     @property
     def edge_mm(self) -> float | None:
@@ -102,9 +99,6 @@ class Microstructure(ScalarField):
         """Interior t with faces of the given colors on both opposite sides, repeated for ever."""
         return PeriodicTile(self, interior, colors)
 
-    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        return self.sample_layers(grid, 0, grid.shape[2], threads)
-
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         if self.interiors > 1 or max(self.colors) > 1:
             raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
@@ -116,48 +110,33 @@ class Microstructure(ScalarField):
 
 
 @dataclass(frozen=True, eq=False)
-class PeriodicTile(ScalarField):
+class PeriodicTile(WrappedField):
     """One tile of a microstructure among copies of itself."""
 
-    micro: Microstructure
+    base: Microstructure
     interior: int
     colors: tuple[int, int, int]
-
-    @property
-    def cells(self) -> tuple[int, int, int]:
-        return (1, 1, 1)
-
-    @property
-    def periodic(self) -> bool:
-        return True
-
-    @property
-    def finest_radius(self) -> float | None:
-        return self.micro.finest_radius
-
-    @property
-    def edge_mm(self) -> float | None:
-        return self.micro.edge_mm
-
-    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        return self.sample_layers(grid, 0, grid.shape[2], threads)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         from sppm_pipeline.numerics.assembly.gather import sample_exact
 
         def sample(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
-            return sample_exact(self.micro.pieces, self.arrays(), grid, CUTOFF, threads, start, stop)
+            return sample_exact(self.base.pieces, self.arrays(), grid, CUTOFF, threads, start, stop)
 
         values = sample_one_period(grid, self.cells, start, stop, sample)
-        values -= np.float32(self.micro.level)
+        values -= np.float32(self.base.level)
         return values
+
+    def summary(self) -> dict[str, Any]:
+        """Which interior and which faces."""
+        return {"interior": self.interior, "colors": list(self.colors)}
 
     def arrays(self) -> TilingArrays:
         """The periodic tiling of this one tile."""
-        return lone_periodic_cell(self.interior, self.micro.face_ids(self.colors))
+        return lone_periodic_cell(self.interior, self.base.face_ids(self.colors))
 
 
-def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], squared: bool) -> Pieces:
+def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], profile: str) -> Pieces:
     """Sort the kernels of all pores and tunnels by the piece they belong to.
 
     Parameters
@@ -165,10 +144,10 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     graph : TunnelGraph
     omega : (n,) float64, 1 / cell edge^2
         One for each pore.
-    mu : (m,) float64, 1 / cell edge, or 1 / cell edge^2 if `squared`
+    mu : (m,) float64, 1 / cell edge^power of the profile
         One for each tunnel.
-    squared : bool
-        Whether tunnel distances are squared.
+    profile : str
+        Name of the tunnels' profile.
     """
     pores = graph.pores
     starts, ends = graph.segments()
@@ -183,7 +162,7 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
             frozen(starts[tunnels]),
             frozen(ends[tunnels]),
             frozen(mu[tunnels]),
-            squared,
+            profile,
         )
 
     inside = np.flatnonzero(a == b)

@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.domain_sampler import DomainSampler
+from sppm_pipeline.fields.wrapped import WrappedField
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.domain.inside import Method
 
-DISTANCE_SAMPLES = 2**22
-"""Samples whose distance from the domain is found at a time."""
-
-VOTED_LAYERS = 64
-"""Layers that are decided together where rays along all axes vote."""
-
 
 @dataclass(frozen=True, eq=False)
-class Part(ScalarField):
+class Part(WrappedField):
     """The intersection of a microstructure with a domain, evaluated where somebody samples it (paper, section 2.4).
 
     Attributes
     ----------
-    field : ScalarField
+    base : ScalarField
         The microstructure; has a physical size.
     domain : SurfaceMesh
         The part to fill, mm.
@@ -42,32 +36,14 @@ class Part(ScalarField):
         How it is told what lies in the domain; None for the first if the domain bounds a solid, else the second.
     """
 
-    field: ScalarField
     domain: SurfaceMesh
     skin_mm: float = 0.0
     islands: str = "remove"
     inside: Method | None = None
-    _prepared: dict[str, Any] = dataclasses.field(default_factory=dict, compare=False, repr=False)
-
-    @property
-    def cells(self) -> tuple[int, int, int]:
-        return self.field.cells
 
     @property
     def periodic(self) -> bool:
         return False
-
-    @property
-    def finest_radius(self) -> float | None:
-        return self.field.finest_radius
-
-    @property
-    def edge_mm(self) -> float | None:
-        return self.field.edge_mm
-
-    @property
-    def origin_mm(self) -> tuple[float, float, float]:
-        return self.field.origin_mm
 
     @property
     def method(self) -> Method:
@@ -83,14 +59,11 @@ class Part(ScalarField):
         hx, hy, hz = (edge * h for h in grid.spacing)
         return Grid((x, y, z), (hx, hy, hz), grid.shape)
 
-    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         """The larger of the microstructure's field and the distance from the domain in cell edges.
 
         Who extracts a surface takes both apart, as their sizes have nothing to do with each other.
         """
-        return self.sample_layers(grid, 0, grid.shape[2], threads)
-
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         inner, outer = self.sample_apart(grid, threads, start, stop)
         return np.maximum(inner, outer, out=inner)
 
@@ -118,83 +91,39 @@ class Part(ScalarField):
         skin are distances in cell edges; that of the microstructure is steeper or flatter.
         """
         stop = grid.shape[2] if stop is None else stop
-        inner = self.field.sample_layers(grid, start, stop, threads)
-        outer = self._distance(grid, start, stop)
+        inner = self.base.sample_layers(grid, start, stop, threads)
+        outer = self._in_domain(grid).distance(start, stop)
         edge = np.float32(self.physical_edge())
         outer /= edge
         return inner, -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None, outer
 
-    def _distance(self, grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
-        """Signed distance from the domain for layers of `grid`, mm.
-
-        It is computed in blocks that belong to the grid, whichever layers are asked for: where the skin is thick, the
-        distance in a block depends a little on where the block ends. The last block is kept.
-        """
-        from sppm_pipeline.numerics.domain.signed_distance import distance_layers, reach_bare_borders
-
-        kept, world = self._prepared, self.in_mm(grid)
-        reach = max(world.spacing) + self.skin_mm
-        nx, ny, nz = grid.shape
-        block = max(1, DISTANCE_SAMPLES // (nx * ny), 4 * math.ceil(self.skin_mm / world.spacing[2]))
-        out = np.empty((stop - start, ny, nx), np.float32)
-        for number in range(start // block, -(-stop // block)):
-            first, last = number * block, min(nz, (number + 1) * block)
-            if kept.get("distance_of") != (grid, number):
-                if "triangles" not in kept:
-                    kept["triangles"] = self.domain.vertices[self.domain.faces]
-                distance = distance_layers(kept["triangles"], world, first, last, reach)
-                halo = 0 if self.method == "scanline" else math.ceil(reach / world.spacing[2])
-                low, high = max(0, first - halo), min(nz, last + halo)
-                around = self._inside(grid, low, high)
-                if halo:
-                    reach_bare_borders(distance, around, first - low, world.spacing)
-                inside = around[first - low : last - low].view(bool)
-                np.negative(distance, out=distance, where=inside)
-                kept["distance_of"], kept["distance"] = (grid, number), distance
-            low, high = max(start, first), min(stop, last)
-            out[low - start : high - start] = kept["distance"][low - first : high - first]
-        return out
-
-    def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
-        return self.solid_layers(grid, 0, grid.shape[2], threads)
-
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint8]:
-        from sppm_pipeline.numerics.domain.spans import row_spans
+        from sppm_pipeline.numerics.domain.occupancy import row_spans
 
         if not self.skin_mm:
-            inside = self._inside(grid, start, stop)
-            inside &= self.field.solid_layers(grid, start, stop, threads, row_spans(inside))
+            inside = self._in_domain(grid).inside(start, stop)
+            inside &= self.base.solid_layers(grid, start, stop, threads, row_spans(inside))
             return inside
         from sppm_pipeline.numerics.domain.skin import halo_layers, skin_layers
 
         spacing = self.in_mm(grid).spacing
         halo = halo_layers(self.skin_mm, spacing[2])
         first, last = max(0, start - halo), min(grid.shape[2], stop + halo)
-        around = self._inside(grid, first, last)
+        around = self._in_domain(grid).inside(first, last)
         inside = around[start - first : stop - first]
-        solid = self.field.solid_layers(grid, start, stop, threads, row_spans(inside))
+        solid = self.base.solid_layers(grid, start, stop, threads, row_spans(inside))
         solid &= inside
         solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
         return solid
 
-    def _inside(self, grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
-        """Which voxels of some layers of `grid` lie in the domain; what the whole grid needs is kept between slabs."""
-        from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
-
-        kept = self._prepared
-        if kept.get("grid") != grid:
-            kept["grid"], kept["block"] = grid, None
-            kept["scan"] = prepare_inside(self.domain.vertices, self.domain.faces, self.in_mm(grid), self.method)
-        if self.method != "vote":
-            return inside_layers(kept["scan"], start, stop).mask
-        # a vote costs as much for one layer as for many, so layers are asked for in thick blocks
-        if kept["block"] is None or not kept["block"][0] <= start <= stop <= kept["block"][1]:
-            last = min(grid.shape[2], max(stop, start + VOTED_LAYERS))
-            kept["block"] = (start, last, inside_layers(kept["scan"], start, last).mask)
-        first, _, block = kept["block"]
-        return block[start - first : stop - first].copy()  # type: ignore[no-any-return]
+    def _in_domain(self, grid: Grid) -> DomainSampler:
+        """The sampler of the domain on a grid; the last one is kept, as slab after slab asks for the same grid."""
+        sampler = _SAMPLERS.get(self)
+        if sampler is None or sampler.of != grid:
+            sampler = _SAMPLERS[self] = DomainSampler(self.domain, grid, self.in_mm(grid), self.skin_mm, self.method)
+        return sampler
 
     def summary(self) -> dict[str, Any]:
         """The domain's and the lattice's size."""
@@ -205,3 +134,6 @@ class Part(ScalarField):
             "inside": self.method,
             "cells": list(self.cells),
         }
+
+
+_SAMPLERS: WeakKeyDictionary[Part, DomainSampler] = WeakKeyDictionary()

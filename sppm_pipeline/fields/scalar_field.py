@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 
 RESOLVED = 1.2
 """Voxels up to this many tunnel radii keep the void in one piece, as measured on cells of the paper."""
@@ -49,19 +49,31 @@ class ScalarField(Artifact, ABC):
         return (0.0, 0.0, 0.0)
 
     @abstractmethod
-    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        """Values at the points of `grid` (cell edges), (nz, ny, nx) float32, C-contiguous.
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """Values in the layers start <= k < stop of a grid (cell edges), (stop - start, ny, nx) float32, C-contiguous.
 
-        A sample depends on its position alone: not on the number of threads, nor on how a large grid is cut.
+        A sample depends on its position alone: not on the number of threads, nor on the layers that are asked for.
         """
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        """`sample` for the layers start <= k < stop of a larger grid: bit for bit those of the whole."""
-        return self.sample(grid.layers(start, stop), threads)
+    def sample(self, grid: Grid | int, threads: int = 1) -> NDArray[np.float32]:
+        """Values at the points of a grid (cell edges), (nz, ny, nx) float32, C-contiguous.
 
-    def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
+        Parameters
+        ----------
+        grid : Grid or int
+            An integer means the voxel centers of all `cells`, so many along a cell edge.
+        threads : int
+        """
+        grid = self._grid(grid)
+        return self.sample_layers(grid, 0, grid.shape[2], threads)
+
+    def solid(self, grid: Grid | int, threads: int = 1) -> NDArray[np.uint8]:
         """1 where the field is negative, else 0, (nz, ny, nx) uint8; faster than `sample` where a class can."""
-        return (self.sample(grid, threads) < 0).view(np.uint8)
+        grid = self._grid(grid)
+        return self.solid_layers(grid, 0, grid.shape[2], threads)
+
+    def _grid(self, grid: Grid | int) -> Grid:
+        return grid if isinstance(grid, Grid) else cell_centers(grid, self.cells)
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
@@ -78,7 +90,7 @@ class ScalarField(Artifact, ABC):
 
         A class that has a name for it (a level, a radius, a thickness) makes one of its own with that changed.
         """
-        from sppm_pipeline.fields.cut import CutField
+        from sppm_pipeline.fields.wrapped import CutField
 
         return CutField(self, value)
 

@@ -3,14 +3,35 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import Artifact
+from sppm_pipeline.data.artifact import Artifact, frozen
 from sppm_pipeline.data.size import Geometry, Size
+
+Slab = tuple[int, NDArray[np.uint8]]
+"""Index of the first layer, and layers (nz, ny, nx), rows in order of increasing y."""
+
+
+class Slabs:
+    """The slabs of a stack in one pass from the bottom, and what was found out on the way.
+
+    Attributes
+    ----------
+    findings : dict
+        Empty until the last slab was read; then for instance the solid volume and the share of islands removed.
+    """
+
+    def __init__(self, source: Generator[Slab, None, dict[str, Any]]) -> None:
+        self._source = source
+        self.findings: dict[str, Any] = {}
+
+    def __iter__(self) -> Iterator[Slab]:
+        self.findings = yield from self._source
 
 
 class SliceStack(Artifact, ABC):
@@ -48,26 +69,96 @@ class SliceStack(Artifact, ABC):
     def origin_mm(self) -> tuple[float, float, float]: ...
 
     @abstractmethod
-    def slabs(self, threads: int = 1) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Yield (index of the first layer, layers (nz, ny, nx) uint8), bottom first, rows in order of increasing y.
+    def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
+        """Yield the slabs, and return what was found out on the way; see `slabs`."""
 
-        Values are 0 (void) to 255 (solid); binary stacks hold nothing between. Each array may be changed or reused by
-        the stack when the next one is asked for.
+    def slabs(self, threads: int = 1) -> Slabs:
+        """The layers, bottom first: 0 (void) to 255 (solid), binary stacks hold nothing between.
+
+        Each array may be changed or reused by the stack when the next one is asked for.
         """
+        return Slabs(self.read(threads))
+
+    def to_array(self, threads: int = 1) -> NDArray[np.uint8]:
+        """All layers at once, (nz, ny, nx) uint8; for stacks that fit into memory."""
+        return np.concatenate([slab.copy() for _, slab in self.slabs(threads)])
+
+    @staticmethod
+    def from_array(layers: ArrayLike, *, pixel_mm: float, layer_mm: float | None = None) -> SliceStack:
+        """Layers that are there already.
+
+        Parameters
+        ----------
+        layers : (nz, ny, nx) array_like
+            Truth values (True is solid), or integers from 0 (void) to 255 (solid); rows in order of increasing y.
+        pixel_mm : float
+        layer_mm : float, optional
+            `pixel_mm` if omitted.
+
+        Raises
+        ------
+        ValueError
+            If a value is out of range or the array has not three axes.
+        """
+        values = np.asarray(layers)
+        if values.ndim != 3 or not values.size or values.dtype.kind not in "biu":
+            raise ValueError(f"layers need three axes of integers, got shape {values.shape} of {values.dtype}")
+        if values.dtype.kind == "b":
+            values = values * np.uint8(255)
+        if not 0 <= values.min() <= values.max() <= 255:
+            raise ValueError("layers hold integers from 0 (void) to 255 (solid)")
+        return ArraySlices(frozen(values.astype(np.uint8)), float(pixel_mm), float(layer_mm or pixel_mm))
 
     @property
     def gray(self) -> bool:
         """Whether values between 0 and 255 occur."""
         return False
 
-    def findings(self) -> dict[str, Any]:
-        """What became known while the layers were read, for instance porosity and islands removed."""
-        return {}
-
     def summary(self) -> dict[str, Any]:
         """Size and pitch."""
         nx, ny, nz = self.shape
         return {"pixels": [nx, ny], "layers": nz, "pixel_mm": self.pixel_mm, "layer_mm": self.layer_mm}
+
+
+@dataclass(frozen=True, eq=False)
+class ArraySlices(SliceStack):
+    """Layers that are there already, (nz, ny, nx) uint8, with the low corner of the stack at the origin."""
+
+    layers: NDArray[np.uint8]
+    pixel: float
+    layer: float
+
+    @property
+    def pixel_mm(self) -> float:
+        return self.pixel
+
+    @property
+    def layer_mm(self) -> float:
+        return self.layer
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        nz, ny, nx = self.layers.shape
+        return nx, ny, nz
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return (0.0, 0.0, 0.0)
+
+    @property
+    def gray(self) -> bool:
+        return bool(((self.layers > 0) & (self.layers < 255)).any())
+
+    def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
+        for start, layer in enumerate(self.layers):
+            yield start, layer[None].copy()
+        nx, ny, nz = self.shape
+        solid = float(self.layers.sum(dtype=np.float64)) / 255
+        return {
+            "solid_voxels": int(np.count_nonzero(self.layers)),
+            "solid_share_of_box": solid / (nx * ny * nz),
+            "solid_volume_mm3": solid * self.pixel**2 * self.layer,
+        }
 
 
 def stack_size(body: Geometry, pixel: float, layer: float, gray: int, *, passes: int = 1) -> Size:

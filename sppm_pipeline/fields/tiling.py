@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.fields.microstructure import CUTOFF
-from sppm_pipeline.fields.periods import sample_one_period
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
-from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, check_tiling
+from sppm_pipeline.numerics.grid import Grid, sample_one_period
 
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.assembly.patches import PatchBank
@@ -23,6 +23,16 @@ USES_OF_A_PATCH = 4
 
 SMALL_BANK, LARGE_BANK = 96 * 2**20, 768 * 2**20
 """Bytes that the patches of a small tiling, and of one ten times larger, may take; otherwise kernels are summed."""
+
+_TABLES: WeakKeyDictionary[Pieces, dict[Any, Any]] = WeakKeyDictionary()
+
+
+def sampling_tables(pieces: Pieces) -> dict[Any, Any]:
+    """What was worked out to sample these kernels: patch banks and a catalog; it is freed with them.
+
+    The level does not enter, so that microstructures that differ in nothing else share the tables.
+    """
+    return _TABLES.setdefault(pieces, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +58,10 @@ class Tiling(ScalarField):
     edge: float | None
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
+    def check(self) -> None:
+        """Faces fit the cells, and every interior and color exists."""
+        check_tiling(self.arrays, self.tileset.micro.pieces)
+
     @property
     def cells(self) -> tuple[int, int, int]:
         return self.arrays.interior.shape
@@ -67,9 +81,6 @@ class Tiling(ScalarField):
     @property
     def origin_mm(self) -> tuple[float, float, float]:
         return self.origin
-
-    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        return self.sample_layers(grid, 0, grid.shape[2], threads)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         values = self._sums(grid, start, stop, threads)
@@ -91,9 +102,6 @@ class Tiling(ScalarField):
             return assemble(bank, self.arrays, z[0] + start, z[0] + stop, *x, *y, threads=threads)
 
         return sample_one_period(grid, self.cells, start, stop, sums) if self.periodic else sums(grid, start, stop)
-
-    def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
-        return self.solid_layers(grid, 0, grid.shape[2], threads)
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
@@ -117,11 +125,12 @@ class Tiling(ScalarField):
         """The sum of the kernels themselves."""
         from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
 
-        micro = self.tileset.micro
-        if "catalog" not in micro.banks:
-            micro.banks["catalog"] = make_catalog(micro.pieces, CUTOFF)
-        kept = micro.banks["catalog"]
-        return sample_exact(micro.pieces, self.arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=kept)
+        pieces = self.tileset.micro.pieces
+        tables = sampling_tables(pieces)
+        if "catalog" not in tables:
+            tables["catalog"] = make_catalog(pieces, CUTOFF)
+        catalog = tables["catalog"]
+        return sample_exact(pieces, self.arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog)
 
     def _window(
         self, grid: Grid, threads: int
@@ -148,12 +157,12 @@ class Tiling(ScalarField):
         return bank, z, x, y
 
     def _bank(self, n: int, offset: float, threads: int) -> PatchBank | None:
-        """Patches at n samples a cell edge; kept with the microstructure, as they do not depend on the level."""
+        """Patches at n samples a cell edge, or None if summing the kernels is cheaper."""
         from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes
 
-        micro, kept = self.tileset.micro, self.tileset.micro.banks
+        micro, tables = self.tileset.micro, sampling_tables(self.tileset.micro.pieces)
         key = (self.tileset.kind, self.tileset.palette_colors, n, offset)
-        if key not in kept:
+        if key not in tables:
             combinations = self.tileset.combinations()
             patches = len(combinations) if combinations is not None else micro.interiors
             cells = int(np.count_nonzero(self.arrays.interior >= 0))
@@ -164,8 +173,8 @@ class Tiling(ScalarField):
             size = predicted_bytes(micro.pieces, n, combinations, **arguments)
             if size > (LARGE_BANK if cells > 10 * USES_OF_A_PATCH * patches else SMALL_BANK):
                 return None
-            kept[key] = build_bank(micro.pieces, n, combinations, threads=threads, **arguments)
-        bank: PatchBank = kept[key]
+            tables[key] = build_bank(micro.pieces, n, combinations, threads=threads, **arguments)
+        bank: PatchBank = tables[key]
         return bank
 
     def summary(self) -> dict[str, Any]:
@@ -176,63 +185,3 @@ class Tiling(ScalarField):
             "cell_mm": self.edge,
             "interiors_used": len(np.unique(self.arrays.interior[self.arrays.interior >= 0])),
         }
-
-
-@dataclass(frozen=True, eq=False)
-class RepeatedField(ScalarField):
-    """Any periodic field, taken as the content of a whole lattice.
-
-    Attributes
-    ----------
-    base : ScalarField
-        Periodic with one cell.
-    extent : tuple of 3 ints
-        Cells of the lattice.
-    edge : float or None
-        Cell edge, mm.
-    origin : tuple of 3 floats
-        World position of the low corner of cell (0, 0, 0), mm.
-    """
-
-    base: ScalarField
-    extent: tuple[int, int, int]
-    edge: float | None
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    @property
-    def cells(self) -> tuple[int, int, int]:
-        return self.extent
-
-    @property
-    def periodic(self) -> bool:
-        return True
-
-    @property
-    def finest_radius(self) -> float | None:
-        return self.base.finest_radius
-
-    @property
-    def edge_mm(self) -> float | None:
-        return self.edge
-
-    @property
-    def origin_mm(self) -> tuple[float, float, float]:
-        return self.origin
-
-    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        return self.base.sample(grid, threads)
-
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        return self.base.sample_layers(grid, start, stop, threads)
-
-    def solid(self, grid: Grid, threads: int = 1) -> NDArray[np.uint8]:
-        return self.base.solid(grid, threads)
-
-    def solid_layers(
-        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
-    ) -> NDArray[np.uint8]:
-        return self.base.solid_layers(grid, start, stop, threads, wanted)
-
-    def summary(self) -> dict[str, Any]:
-        """Size of the lattice."""
-        return {"lattice": list(self.extent), "cell_mm": self.edge}

@@ -1,8 +1,9 @@
-"""The regular grid on which fields are sampled."""
+"""The regular grid on which fields are sampled, and samples of periodic fields."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,3 +46,41 @@ def cell_nodes(n: int, cells: tuple[int, int, int] = (1, 1, 1)) -> Grid:
     """Voxel corners of `cells` unit cells with n voxels along each cell edge; both ends are included."""
     h = 1.0 / n
     return Grid((0.0,) * 3, (h,) * 3, (n * cells[0] + 1, n * cells[1] + 1, n * cells[2] + 1))
+
+
+def sample_one_period(
+    grid: Grid, cells: tuple[int, int, int], start: int, stop: int, sample: Callable[[Grid, int, int], NDArray[Any]]
+) -> NDArray[Any]:
+    """Layers start <= k < stop of a grid that may be larger than the period of the field.
+
+    Each point of a period is computed once, so that its images are equal to the last bit. Along axes where the period
+    is not an integer number of samples nothing can be shared, and all samples are computed.
+
+    Parameters
+    ----------
+    grid : Grid
+    cells : tuple of 3 ints
+        The period, cell edges.
+    start, stop : int
+    sample : function of grid, start, stop
+        Computes layers of a grid, (layers, ny, nx).
+    """
+    counts = []
+    for axis in range(3):
+        n = round(cells[axis] / grid.spacing[axis])
+        whole = abs(n * grid.spacing[axis] - cells[axis]) < 1e-9 * cells[axis]
+        counts.append(min(n, grid.shape[axis]) if whole else grid.shape[axis])
+    nx, ny, nz = counts
+    if (nx, ny, nz) == grid.shape:
+        return sample(grid, start, stop)
+    once = Grid(grid.origin, grid.spacing, (nx, ny, nz))
+    place = np.arange(start, stop) % nz
+    if stop - start >= nz:
+        layers = sample(once, 0, nz)[place]
+    elif start < stop and place[0] > place[-1]:
+        layers = np.concatenate([sample(once, int(place[0]), nz), sample(once, 0, int(place[-1]) + 1)])
+    else:
+        layers = sample(once, start % nz, start % nz + stop - start)
+    if (nx, ny) == grid.shape[:2]:
+        return layers
+    return np.ascontiguousarray(layers[:, np.arange(grid.shape[1]) % ny][:, :, np.arange(grid.shape[0]) % nx])

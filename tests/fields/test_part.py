@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.fields import part as part_module
-from sppm_pipeline.fields.part import VOTED_LAYERS, Part
+from sppm_pipeline.fields import domain_sampler
+from sppm_pipeline.fields.domain_sampler import VOTED_LAYERS
+from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.domain import primitive_meshes
 from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
 from sppm_pipeline.numerics.grid import Grid, cell_centers
@@ -125,7 +126,7 @@ def test_distances_of_an_open_part_do_not_depend_on_slabs(wang_tiling, ball, ins
     lid = whole[:, 15, 15]
     assert (lid < 0).any()
     assert np.abs(np.diff(lid)).max() < 2 * 1.01 / 12
-    monkeypatch.setattr(part_module, "DISTANCE_SAMPLES", 1)
+    monkeypatch.setattr(domain_sampler, "DISTANCE_SAMPLES", 1)
     thin = Part(wang_tiling, domain, 0.7, inside=inside).sample_apart(grid)[1]
     assert np.array_equal(thin < 0, whole < 0)
     assert np.abs(thin - whole).max() < 0.01

@@ -5,7 +5,8 @@ import pytest
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.microstructure import CUTOFF
-from sppm_pipeline.fields.tiling import RepeatedField, Tiling
+from sppm_pipeline.fields.tiling import Tiling, sampling_tables
+from sppm_pipeline.fields.wrapped import RepeatedField
 from sppm_pipeline.numerics.assembly.gather import sample_exact
 from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
@@ -57,7 +58,8 @@ def test_patches_and_exact_kernels_agree_also_across_the_cell_borders(name, requ
     tiling = request.getfixturevalue(name)
     nodes = cell_nodes(8, tiling.cells)
     assert np.abs(tiling.sample(nodes) - exact(tiling, nodes)).max() < BOUND
-    assert any(isinstance(key, tuple) and 8 in key for key in tiling.tileset.micro.banks), "patches were not used"
+    tables = sampling_tables(tiling.tileset.micro.pieces)
+    assert any(isinstance(key, tuple) and 8 in key for key in tables), "patches were not used"
     beyond = Grid((-0.5, -0.25, -1.0), (1 / 8,) * 3, (20, 20, 20))
     assert np.abs(tiling.sample(beyond) - exact(tiling, beyond)).max() < BOUND
 

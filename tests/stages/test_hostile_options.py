@@ -91,18 +91,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "check.residual_periodicity": (TILED, "resolution: 8", []),
     "slice.field": (TILED, "pixel: 0.25", ["  - write.png"]),
     "write.png": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
-    "write.stl": ([BOX], "", []),
-    "write.ply": ([BOX], "", []),
-    "write.obj": ([BOX], "", []),
-    "write.off": ([BOX], "", []),
-    "write.glb": ([BOX], "", []),
-    "write.3mf": ([BOX], "", []),
-    "write.vtu": (VOLUME, "", []),
-    "write.inp": (VOLUME, "", []),
-    "write.msh": (VOLUME, "", []),
-    "write.npy": (IMAGE, "", []),
-    "write.tiff": (IMAGE, "", []),
-    "write.vti": (IMAGE, "", []),
+    "write.mesh": ([BOX], "", []),
+    "write.volume_mesh": (VOLUME, "", []),
+    "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "size: [300, 300]", []),
     "write.graph": (AS_CELL[:3], "", []),
     "write.picture": ([BOX], "size: [32, 32], resolution: 4", []),
@@ -118,7 +109,7 @@ HOSTILE = [
     "-5 mm", "0 mm", "1e300 mm", "1e-300 mm", "1e300 m", ".nan mm", "'\\0'", "1e-9", "0.5", "3", "'3'",
 ]  # fmt: skip
 
-HARMLESS = {"title", "x_label", "y_label", "x", "y"}
+HARMLESS = {"title", "description", "x_label", "y_label", "x", "y"}
 """Free texts."""
 
 

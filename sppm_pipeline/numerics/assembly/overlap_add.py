@@ -12,8 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.assembly.patches import FULL, PatchBank, patches_at
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.compiled import inline_jit, jit
 
 # Samples that are summed at a time: 512 kB of float32 stay in the second level cache beside the patches.
@@ -38,7 +38,7 @@ def assemble(
     Parameters
     ----------
     bank : PatchBank
-        Sampled pieces; sample (i, j, k) lies at ``(i + bank.offset) / bank.n`` cell edges, and so on.
+        Sampled pieces; sample (i, j, k) lies at ``(i + bank.offset) / bank.n`` cell sizes, and so on.
     tiling : TilingArrays
         Which piece stands where.
     layer_start, layer_stop, x0, x1, y0, y1 : int

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.connecting.degrees import feasible_degrees
 from sppm_pipeline.numerics.connecting.greedy import greedy_subgraph
-from sppm_pipeline.numerics.connecting.images import as_points, images_per_pair, periodic_axes
+from sppm_pipeline.numerics.connecting.trees import as_points, images_per_pair, periodic_axes
 
 MODES = ("exact", "lp_fix", "greedy")
 
@@ -34,7 +34,7 @@ def spanning_subgraph(
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centers; the unit is the cell edge if an axis is periodic.
+        Pore centers; the unit is the cell size if an axis is periodic.
     degree : (int, int)
         Bounds A and B. See `feasible_degrees`, and `clamped_degrees` for faces with few pores.
     mode : {"exact", "lp_fix", "greedy"}

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.fields.cleaned import CleanedField
 from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 
@@ -40,8 +40,8 @@ class CheckConnectivity(Stage):
 
     def run(self, context: Context, field: ScalarField) -> ScalarField:
         """Label both phases; the result is the field, without islands if they are removed."""
+        from sppm_pipeline.numerics.connectivity.components import phase_report
         from sppm_pipeline.numerics.connectivity.islands import keep_largest, loose_parts
-        from sppm_pipeline.numerics.connectivity.percolation import phase_report
 
         n = self.resolution
         solid = field.solid(cell_centers(n, field.cells), context.threads)

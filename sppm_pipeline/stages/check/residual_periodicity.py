@@ -8,7 +8,8 @@ from typing import ClassVar
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.fields.tiling import RepeatedField, Tiling
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.fields.wrapped import RepeatedField
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Stage, option
 

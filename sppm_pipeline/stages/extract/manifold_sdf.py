@@ -25,7 +25,7 @@ from sppm_pipeline.fields.field_surface import (
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.process.memory import child_memory, require_memory
+from sppm_pipeline.process.budget import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine, manifold_extract
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -68,7 +68,7 @@ class ManifoldSdf(Stage):
         above=0,
         maximum=1e6,
     )
-    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
     time_limit: float = option(
         600.0,
         help="each child process, one for every surface and every cut, is ended after this time",
@@ -86,8 +86,8 @@ class ManifoldSdf(Stage):
         return field.grid(n, triangles=COARSER * field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
-        """Sample a grid of half the spacing, extract, cut, judge; in mm (cell edges for a cell without a size)."""
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        """Sample a grid of half the spacing, extract, cut, check; in mm (cell edges for a cell without a size)."""
+        from sppm_pipeline.numerics.surface.booleans import check_solid
 
         part = field if isinstance(field, Part) else None
         if part is not None:
@@ -109,8 +109,8 @@ class ManifoldSdf(Stage):
         return SurfaceMesh(*made, name="surface")
 
     def _level_set(self, context: Context, samples: NDArray[np.float32], field: ScalarField, grid: Grid) -> Mesh:
-        """The surface of one field, placed in the world and judged."""
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        """The surface of one field, placed in the world and checked."""
+        from sppm_pipeline.numerics.surface.booleans import check_solid
         from sppm_pipeline.numerics.surface.level_set import lattice_samples
 
         if not (samples < 0).any():
@@ -162,16 +162,16 @@ class ManifoldSdf(Stage):
         """The field on the grid of half the spacing; of a part without its domain, which a Boolean adds."""
         half = _half(grid)
         if not on_torus(field):
-            # what hangs on nothing is known when the surface is there
+            # disconnected solid is known when the surface is there
             return (
-                field.field.sample(half, context.threads)
+                field.base.sample(half, context.threads)
                 if isinstance(field, Part)
                 else field.sample(half, context.threads)
             )
         surface = FieldSurface(field, half, self.islands)
-        samples = np.concatenate([slab.values for slab in surface.slabs(context.threads)])
-        context.report(**surface.findings())
-        return samples
+        slabs = surface.slabs(context.threads)
+        context.report(**slabs.findings)
+        return np.concatenate([slab.values for slab in slabs])
 
 
 def _half(grid: Grid) -> Grid:

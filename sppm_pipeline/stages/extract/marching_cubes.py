@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +51,9 @@ class MarchingCubes(Stage):
         maximum=1e6,
     )
     caps: bool = option(
-        True, help="close the surface at the border of a cell or tiling; without, it ends there in open rims"
+        True, help="close the surface at the border of a cell or tiling; without, it ends there in open boundaries"
     )
-    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
     backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
 
     def check_options(self) -> None:
@@ -76,10 +76,12 @@ class MarchingCubes(Stage):
         surface = FieldSurface(field, node_grid(field, n), self.islands, self.caps)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         if self.backend == "reference":
-            vertices, faces = _by_reference(surface, context)
+            vertices, faces, findings = _by_reference(surface, context)
         else:
-            vertices, faces = surface.mesh(context.threads, lambda done, all_: context.progress(done, all_, "planes"))
-        context.report(resolution=n, voxel=scale / n, **surface.findings())
+            vertices, faces, findings = surface.mesh(
+                context.threads, lambda done, of: context.progress(done, of, "planes")
+            )
+        context.report(resolution=n, voxel=scale / n, **findings)
         if not len(faces):
             raise DesignError(
                 "there is no surface to mesh: at this resolution the whole box is void, or solid without `caps`",
@@ -94,16 +96,19 @@ class MarchingCubes(Stage):
         return SurfaceMesh(vertices, faces, name="surface")
 
 
-def _by_reference(surface: FieldSurface, context: Context) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _by_reference(
+    surface: FieldSurface, context: Context
+) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
     from sppm_pipeline.numerics.surface.intersection import on_both_fields
     from sppm_pipeline.numerics.surface.reference import marching_cubes_reference
 
     (x, y, z), (h, _, _), _ = grid = surface.grid
-    slabs = list(surface.slabs(context.threads))
+    sampled = surface.slabs(context.threads)
+    slabs = list(sampled)
     padded = np.pad(np.concatenate([slab.values for slab in slabs]), 1, constant_values=1.0)
     vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
     if isinstance(surface.source, Part):
         fields = zip(*(slab.apart for slab in slabs if slab.apart is not None), strict=True)
         first, second, *skin = (np.concatenate(planes) for planes in fields)
         vertices = on_both_fields(vertices, first, second, grid, 0, *skin)
-    return vertices, faces
+    return vertices, faces, sampled.findings

@@ -8,14 +8,15 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.mesh import RepeatedMesh
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.field_surface import KEPT_SAMPLES
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.fields.tiling import RepeatedField, Tiling
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.fields.wrapped import RepeatedField
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 
@@ -34,7 +35,7 @@ class UnitCell(Stage):
     name: ClassVar[str] = "extract.unit_cell"
 
     resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=1024)
-    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         one, n = field.in_box((1.0, 1.0, 1.0)), self.resolution

@@ -15,7 +15,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.field_surface import FEWEST, MOST, FieldSurface, expected_voxels, node_grid, voxels_along_edge
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.process.memory import child_memory, require_memory
+from sppm_pipeline.process.budget import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -50,7 +50,7 @@ class BooleanFill(Stage):
         None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0, maximum=1e6
     )
     islands: str = option(
-        "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
+        "remove", help="what becomes of disconnected solid in the finished part", choices=("remove", "keep")
     )
     time_limit: float = option(
         600.0, help="the child process of the Boolean is ended after this time", unit="s", above=0, maximum=1e7
@@ -69,10 +69,10 @@ class BooleanFill(Stage):
         return replace(field, geometry=made).grid(n, triangles=made.triangles(n) + ends + domain.triangles)
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> SurfaceMesh:
-        """Extract, predict the memory, intersect, judge."""
+        """Extract, predict the memory, intersect, check."""
         from sppm_pipeline.numerics.meshcheck.bodies import find_shells, largest_body
         from sppm_pipeline.numerics.meshcheck.measures import volume
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
 
         edge = field.physical_edge()
         check_solid(domain.vertices, domain.faces, domain.name)
@@ -91,7 +91,7 @@ class BooleanFill(Stage):
             "needs no mesh",
             limit=context.memory_limit,
         )
-        vertices, faces = surface.mesh(context.threads, lambda done, planes: context.progress(done, planes, "planes"))
+        vertices, faces, _ = surface.mesh(context.threads, lambda done, of: context.progress(done, of, "planes"))
         if not len(faces):
             raise DesignError("there is no solid in the part", hint="lower the porosity or the level, or add a skin")
         vertices *= edge

@@ -12,7 +12,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.process.memory import child_memory, require_memory
+from sppm_pipeline.process.budget import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.stages.fill.boolean import BOOLEAN_BYTES
@@ -68,7 +68,7 @@ class Combine(Stage):
     def run(self, context: Context, mesh: SurfaceMesh, tool: SurfaceMesh) -> SurfaceMesh:
         """Place the copies of the tool, unite them, and combine."""
         from sppm_pipeline.numerics.meshcheck.measures import volume
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation
 
         check_solid(mesh.vertices, mesh.faces, mesh.name)

@@ -48,14 +48,14 @@ class HomogenizeTet(Stage):
         1e-6, help="how far nodes of a face may lie from the box, over its longest edge", above=0, maximum=0.05
     )
     tolerance: float = option(1e-8, help="residual of a load case over its load", above=0, maximum=1e-2)
-    iterations: int = option(2000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
+    iterations: int = option(2000, help="maximum number of iterations of a load case", minimum=1, maximum=1_000_000)
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
         return Size(nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
 
     def run(self, context: Context, mesh: VolumeMesh) -> StiffnessReport:
         """Solve the six load cases."""
-        from sppm_pipeline.numerics.homogenization.finite_elements.homogenize import homogenize_tetrahedra
+        from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra
         from sppm_pipeline.numerics.tetrahedra.periodic import face_match, matched_nodes
 
         if mesh.box is None:
@@ -67,9 +67,9 @@ class HomogenizeTet(Stage):
         stand_in = None
         if self.faces == "auto":
             try:
-                clashing = face_match(mesh.nodes, mesh.cells[:, :4], mesh.box, MATCHED_TOLERANCE).clashing.any()
-                stand_in = None if clashing else matched_nodes(mesh.nodes, mesh.box, MATCHED_TOLERANCE)
-            except ValueError:  # nodes closer than the tolerance: whose copy they are can't be told
+                mismatched = face_match(mesh.nodes, mesh.cells[:, :4], mesh.box, MATCHED_TOLERANCE).mismatched.any()
+                stand_in = None if mismatched else matched_nodes(mesh.nodes, mesh.box, MATCHED_TOLERANCE)
+            except ValueError:  # nodes closer than the tolerance: which is whose copy is ambiguous
                 stand_in = None
         context.report(joined="nodes" if stand_in is not None else self.faces.replace("auto", "mortar"))
         try:
@@ -83,8 +83,8 @@ class HomogenizeTet(Stage):
                 faces="collocation" if self.faces == "collocation" else "mortar",
                 face_tolerance=self.face_tolerance,
                 tolerance=self.tolerance,
-                most=self.iterations,
-                told=lambda done: context.progress(done, 6, "load cases"),
+                iterations=self.iterations,
+                progress=lambda done: context.progress(done, 6, "load cases"),
             )
         except ValueError as error:
             raise InputError(f"{mesh.name} can't be homogenized: {error}", hint="see `check.volume_mesh`") from error
@@ -131,9 +131,9 @@ class HomogenizeTet(Stage):
         from sppm_pipeline.numerics.tetrahedra.quality import volumes
 
         moduli, ratios = self._constants(mesh)
-        shares = np.bincount(mesh.material_of_cells, volumes(mesh.nodes, mesh.cells[:, :4])) / cell
-        phases = [(float(shares[m + 1]), moduli[m], ratios[m]) for m in range(len(shares) - 1)]
+        fractions = np.bincount(mesh.material_of_cells, volumes(mesh.nodes, mesh.cells[:, :4])) / cell
+        phases = [(float(fractions[m + 1]), moduli[m], ratios[m]) for m in range(len(fractions) - 1)]
         # a mesh may overfill its box by rounding
-        void = max(0.0, 1 - float(shares.sum()))
-        total = void + float(shares.sum())
-        return tuple((share / total, e, nu) for share, e, nu in [*phases, (void, 0.0, 0.0)])
+        void = max(0.0, 1 - float(fractions.sum()))
+        total = void + float(fractions.sum())
+        return tuple((fraction / total, e, nu) for fraction, e, nu in [*phases, (void, 0.0, 0.0)])

@@ -20,11 +20,11 @@ from sppm_pipeline.stage import Context, option
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticHomogenizer(VoxelHomogenizer):
-    """Base of stages that find effective stiffnesses on voxels: materials, and the way from a cell to its report."""
+    """Base of stages that compute effective stiffnesses on voxels: materials, and the stiffness report of a cell."""
 
     young: float | tuple[float, ...] = option(
         1.0,
-        help="Young's modulus of the solid, or of each phase from 1 on; 1: results are parts of it",
+        help="Young's modulus of the solid, or of each phase from 1 on; 1: results are relative to it",
         above=0,
         maximum=1e15,
     )
@@ -33,7 +33,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
     )
     unit: str = option("relative", help="unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
     ersatz: float = option(
-        0.0, help="stiffness of the void as a part of that of phase 1, for comparison with other codes",
+        0.0, help="stiffness of the void relative to phase 1, for comparison with other codes",
         minimum=0, maximum=1,
     )  # fmt: skip
 
@@ -57,44 +57,27 @@ class ElasticHomogenizer(VoxelHomogenizer):
 
     def stiffness_of(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Solve six load cases."""
-        from sppm_pipeline.numerics.connectivity.percolation import phase_report
-        from sppm_pipeline.numerics.homogenization.elasticity.homogenize import stiffness
+        from sppm_pipeline.numerics.connectivity.components import phase_report
+        from sppm_pipeline.numerics.homogenization.elasticity import stiffness
 
         cell = self.cell_of(context, source)
-        lam, mu = self._lame(cell)
-        found = stiffness(
-            lam,
-            mu,
-            cell.edges,
-            residual=self.residual or 0.0,
-            tolerance=self.tolerance if self.residual is None else 0.0,
-            iterations=self.iterations,
-            precision=np.float32 if self.precision == "single" else np.float64,
-            threads=context.threads,
-        )
+        found = stiffness(*self._lame(cell), cell.edges, **self.solver_options(context.threads))
         connected = phase_report(cell.occupied())
-        warnings = []
-        if not all(case.converged for case in found.solved):
-            warnings.append(
-                f"after {self.iterations} iterations a load case has an estimated error of "
-                f"{max(case.error for case in found.solved):.1g}; allow more `iterations`"
-            )
-        if found.precision == "float64" and self.precision == "single":
-            warnings.append("single precision did not do for this cell; it was solved in double precision")
+        warnings = self.solver_warnings(found.solved, found.precision)
         without = [word for word, value in zip(_STRAINS, np.diag(found.stiffness), strict=True) if value == 0]
         if without:
-            warnings.append(f"the solid carries nothing along {', '.join(without)}: it does not run through there")
+            warnings.append(f"the solid has no load path along {', '.join(without)}")
         if self.ersatz == 0 and connected.removed_share > 0:
             warnings.append(
-                f"{connected.removed_share:.2g} of the solid is not joined to the rest across faces of voxels; what "
-                "hangs on nothing carries nothing"
+                f"{connected.removed_share:.2g} of the solid is disconnected from the rest across faces of voxels "
+                "and has no load path"
             )
         for warning in warnings:
             context.warn(warning)
         return StiffnessReport(
             found.stiffness,
             self._phases(cell),
-            f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.share is None else 'solid fractions'}",
+            f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.fraction is None else 'solid fractions'}",
             unit=None if self.unit == "relative" else self.unit,
             solver={
                 "grid": list(cell.shape),
@@ -103,24 +86,26 @@ class ElasticHomogenizer(VoxelHomogenizer):
                 "residuals": [float(case.residual) for case in found.solved],
                 "errors": [min(float(case.error), 1.0) for case in found.solved],
                 "converged": all(case.converged for case in found.solved),
-                "runs_through": list(connected.wraps),
+                "wraps": list(connected.wraps),
                 "components": connected.components,
             },
         )
 
     def _phases(self, cell: Cell) -> tuple[tuple[float, float, float], ...]:
-        """Share, Young's modulus and Poisson's ratio of each phase, void last."""
+        """Volume fraction, Young's modulus and Poisson's ratio of each phase, void last."""
         young, poisson = self._materials()
         void = (self.ersatz * young[0], poisson[0]) if self.ersatz else (0.0, 0.0)
         if cell.phase is None:
             return ((1 - cell.porosity, young[0], poisson[0]), (cell.porosity, *void))
-        shares = np.bincount(cell.phase.reshape(-1), minlength=2) / cell.phase.size
-        solid = tuple((float(shares[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(shares)))
-        return (*solid, (float(shares[0]), *void))
+        fractions = np.bincount(cell.phase.reshape(-1), minlength=2) / cell.phase.size
+        solid = tuple(
+            (float(fractions[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(fractions))
+        )
+        return (*solid, (float(fractions[0]), *void))
 
     def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
         """Lamé constants of all voxels."""
-        from sppm_pipeline.numerics.homogenization.elasticity.homogenize import lame
+        from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
 
         young, poisson = self._materials()
         constants = np.array([(0.0, 0.0), *(lame(e, v) for e, v in zip(young, poisson, strict=True))])
@@ -140,11 +125,11 @@ class ElasticHomogenizer(VoxelHomogenizer):
                 f"materials are given for {len(young)} phases, and a field or an image of solid fractions has one",
                 hint="give one Young's modulus and one Poisson's ratio",
             )
-        assert cell.share is not None
-        share: NDArray[Any] = cell.share.astype(dtype)
+        assert cell.fraction is not None
+        fraction: NDArray[Any] = cell.fraction.astype(dtype)
         if self.ersatz:
-            share = self.ersatz + (1 - self.ersatz) * share
-        return share * dtype.type(constants[1, 0]), share * dtype.type(constants[1, 1])
+            fraction = self.ersatz + (1 - self.ersatz) * fraction
+        return fraction * dtype.type(constants[1, 0]), fraction * dtype.type(constants[1, 1])
 
 
 _STRAINS = ("xx", "yy", "zz", "yz", "xz", "xy")
@@ -155,7 +140,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
     """Compute the effective stiffness of a periodic cell on voxels (paper, section 3.2).
 
     Trilinear bricks, six unit strains, periodic displacements, no stiffness at all in the void. A field is sampled;
-    voxels at its surface get the stiffness of the solid times the share of them that is solid, which converges much
+    voxels at its surface get the stiffness of the solid times their solid fraction, which converges much
     faster than the binary voxels of the paper. Images may hold several phases, each with a material of its own.
 
     With more than one grid, each coarser by a third than the next, the limit of fine grids is extrapolated
@@ -164,7 +149,9 @@ class HomogenizeVoxel(ElasticHomogenizer):
 
     name: ClassVar[str] = "homogenize.voxel"
 
-    grids: int = option(1, help="grids over which the error is estimated, for fields: 1 for none", minimum=1, maximum=3)
+    grids: int = option(
+        1, help="grids over which the error is estimated, for fields; 1 for no estimate", minimum=1, maximum=3
+    )
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         """All grids; the finest needs most memory."""
@@ -177,7 +164,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
         return [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
-        """Homogenize, on coarser grids first if an error bar is wanted."""
+        """Homogenize, on coarser grids first if an error bar is requested."""
         if self.grids == 1:
             return self.stiffness_of(context, source)
         if isinstance(source, Voxels):

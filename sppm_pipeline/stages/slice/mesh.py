@@ -11,12 +11,12 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
+from sppm_pipeline.families.inside_test import INSIDE, INSIDE_HELP, outward_mesh
 from sppm_pipeline.fields.mesh_slices import MeshSlices
 from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
 from sppm_pipeline.stage import Context, Stage, option
 
-MOST_PIXELS = 2**31
+MAX_PIXELS = 2**31
 """Pixels of a layer; more are a mistaken unit."""
 
 
@@ -25,7 +25,7 @@ class SliceMesh(Stage):
     """Cut a mesh into layers, each at its mid-height: a pixel is solid if its middle lies in the mesh.
 
     Shells that overlap are united. Layers are computed while they are written; memory does not grow with their number.
-    A mesh that is not closed is judged as `fill.implicit` does.
+    A mesh that is not closed is tested as `fill.implicit` does.
     """
 
     name: ClassVar[str] = "slice.mesh"
@@ -56,8 +56,8 @@ class SliceMesh(Stage):
         return replace(made, triangles=mesh.triangles)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:
-        """Judge the mesh and place the pixels; no layer is computed yet."""
-        mesh, method = judged(context, mesh, self.inside)
+        """Test the mesh and place the pixels; no layer is computed yet."""
+        mesh, method = outward_mesh(context, mesh, self.inside)
         pixel = self.pixel.mm()
         layer = self.layer.mm() if self.layer is not None else pixel
         pitch = (pixel, pixel, layer)
@@ -66,7 +66,7 @@ class SliceMesh(Stage):
         first = [math.floor((v - s) / h + 1e-6) for v, s, h in zip(mesh.lower, start, pitch, strict=True)]
         last = [math.ceil((v - s) / h - 1e-6) for v, s, h in zip(mesh.upper, start, pitch, strict=True)]
         nx, ny, nz = (max(1, b - a) for a, b in zip(first, last, strict=True))
-        if nx * ny * self.gray**2 > MOST_PIXELS:
+        if nx * ny * self.gray**2 > MAX_PIXELS:
             raise DesignError(
                 f"a layer would have {nx} x {ny} pixels of {pixel:g} mm, {self.gray} x {self.gray} samples each",
                 hint="take a larger `pixel`, or check the unit of the mesh",

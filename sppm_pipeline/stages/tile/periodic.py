@@ -16,8 +16,9 @@ from sppm_pipeline.families import lattice_for, tiling_size
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
-from sppm_pipeline.fields.tiling import RepeatedField, Tiling
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.fields.wrapped import RepeatedField
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.stage import Context, Stage, option
 
 

@@ -33,7 +33,8 @@ class Bubble(ScalarField):
     def edge_mm(self):
         return self.edge
 
-    def sample(self, grid, threads=1):
+    def sample_layers(self, grid, start, stop, threads=1):
+        grid = grid.layers(start, stop)
         x, y, z = (np.mod(grid.axis(axis), 1.0) - 0.5 for axis in range(3))
         return (self.radius - np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2)).astype(np.float32)
 
@@ -63,7 +64,8 @@ def test_a_pore_across_the_seam_has_all_its_surface(cell):
 
     @dataclass(frozen=True, eq=False)
     class Moved(Bubble):
-        def sample(self, grid, threads=1):
+        def sample_layers(self, grid, start, stop, threads=1):
+            grid = grid.layers(start, stop)
             x, y, z = (np.mod(grid.axis(axis) + 0.4, 1.0) - 0.5 for axis in range(3))
             return (self.radius - np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2)).astype(np.float32)
 

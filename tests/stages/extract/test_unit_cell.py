@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.repeated_mesh import RepeatedMesh
+from sppm_pipeline.data.mesh import RepeatedMesh
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes

@@ -14,7 +14,7 @@ from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, 
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.meshcheck.bodies import find_shells
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
-from sppm_pipeline.process import memory
+from sppm_pipeline.process import budget
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.fill.boolean import BooleanFill
 from sppm_pipeline.testing.contracts import StageContract
@@ -89,12 +89,12 @@ def test_nothing_of_the_part_is_lost_outside_of_the_sampled_band(wang_tiling, tu
 def test_the_surface_to_be_cut_stays_off_the_part(wang_tiling, ball):
     part = Part(wang_tiling, ball)
     around = FieldSurface(part, node_grid(part, 16), "keep", caps=False, cut=False)
-    vertices, faces = around.mesh()
+    vertices, faces, _ = around.mesh()
     assert edge_counts(faces).closed
     distance = np.linalg.norm(vertices * 4 - 5, axis=1)
     outside = distance > 5.0 + 1e-3
     assert outside.any()
-    cut = part.field.sample(Grid((0.0,) * 3, (1 / 16,) * 3, (65, 49, 49)))
+    cut = part.base.sample(Grid((0.0,) * 3, (1 / 16,) * 3, (65, 49, 49)))
     assert cut.min() < 0
     assert distance.max() < 5.0 + 2.5 * 4 / 16
 
@@ -121,7 +121,7 @@ def test_a_part_that_does_not_close(wang_tiling, ball):
 
 
 def test_too_little_memory_is_known_before(wang_tiling, ball, monkeypatch):
-    monkeypatch.setattr(memory, "available_memory", lambda limit: 10_000_000)
+    monkeypatch.setattr(budget, "available_memory", lambda limit: 10_000_000)
     with pytest.raises(ResourceError, match=r"0\.01 GB are available") as error:
         fill(wang_tiling, ball)
     assert "resolution" in error.value.hint

@@ -23,7 +23,8 @@ class SchwarzP(ScalarField):
     def periodic(self):
         return True
 
-    def sample(self, grid, threads=1):
+    def sample_layers(self, grid, start, stop, threads=1):
+        grid = grid.layers(start, stop)
         x, y, z = (np.cos(2 * np.pi * grid.axis(axis)) for axis in range(3))
         return (z[:, None, None] + y[:, None] + x).astype(np.float32)
 

@@ -17,15 +17,21 @@ KNOT = SurfaceMesh(*torus_knot_mesh((0, 0, 0), (2, 3), 6.0, 2.5, 1.5, 160, 24), 
 
 
 def layers(stack):
+    """All layers, and that slabs come in order without a gap."""
+    return layers_and_findings(stack)[0]
+
+
+def layers_and_findings(stack):
     slabs, at = [], 0
-    for start, slab in stack.slabs():
+    reading = stack.slabs()
+    for start, slab in reading:
         assert start == at
         at += len(slab)
         slabs.append(slab.copy())
     found = np.concatenate(slabs)
     assert found.shape == stack.shape[::-1]
     assert found.dtype == np.uint8
-    return found
+    return found, reading.findings
 
 
 def slices(mesh, context=None, **options):
@@ -51,9 +57,10 @@ def test_a_box_fills_its_layers():
     stack = slices(SurfaceMesh(*box_mesh((1.0, 2.0, 3.0), (4, 3, 2))), pixel=0.25, layer=0.1)
     assert stack.shape == (16, 12, 20)
     assert stack.origin_mm == (-1, 0.5, 2)
-    assert (layers(stack) == 255).all()
-    assert stack.findings()["solid_volume_mm3"] == pytest.approx(24)
-    assert stack.findings()["solid_share_of_box"] == 1
+    found, findings = layers_and_findings(stack)
+    assert (found == 255).all()
+    assert findings["solid_volume_mm3"] == pytest.approx(24)
+    assert findings["solid_share_of_box"] == 1
     assert not stack.gray
 
 
@@ -116,13 +123,13 @@ def test_a_mesh_with_a_hole_wound_at_random(inside, monkeypatch):
     faces = np.where(rng.random(len(faces))[:, None] < 0.4, faces[:, ::-1], faces)
     broken, context = SurfaceMesh(KNOT.vertices, faces, name="scan.stl"), PlainContext()
     stack = slices(broken, context, pixel=0.3, inside=inside)
-    found = layers(stack)
+    found, findings = layers_and_findings(stack)
     assert np.mean((found > 0) != expected) < 0.001
     assert context.reported["inside"] == ("vote" if inside == "vote" else "winding")
     assert context.reported["turned_triangles"] > 1000
     assert 0 < context.reported["undecided_share"] < 0.05
     assert any("not closed" in warning for warning in context.warnings)
-    assert 0 < stack.findings()["undecided_share"] < 0.05
+    assert 0 < findings["undecided_share"] < 0.05
     for limit in ("SLAB_PIXELS", "VOTED_PIXELS"):
         monkeypatch.setattr(mesh_slices, limit, 10_000)
     assert layers(slices(broken, pixel=0.3, inside=inside)).tobytes() == found.tobytes()

@@ -113,7 +113,8 @@ class BallField(ScalarField):
     cells: ClassVar = (1, 1, 1)
     periodic: ClassVar = True
 
-    def sample(self, grid, threads=1):
+    def sample_layers(self, grid, start, stop, threads=1):
+        grid = grid.layers(start, stop)
         x, y, z = (np.mod(grid.axis(axis), 1.0) - 0.5 for axis in range(3))
         return np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2).astype(np.float32)
 

@@ -14,7 +14,7 @@ from sppm_pipeline.numerics.homogenization.multigrid.transfer import interpolate
 from sppm_pipeline.numerics.homogenization.multigrid.vectors import dense_product, dot, weighted
 
 COARSEST = 2
-"""Axes of the coarsest grid have at most so many voxels: its matrix is so small that no library shares it out."""
+"""Maximum number of voxels of the coarsest grid along an axis: its matrix is so small that no library uses threads."""
 
 _SINGULAR = 1e-5
 """Eigenvalues of the coarsest matrix below this part of the largest are rounding."""
@@ -26,7 +26,7 @@ _POWER_STEPS = 10
 
 
 class Level(Protocol):
-    """One grid of a problem: how a pass over it looks.
+    """One grid of a problem, with its operator.
 
     Attributes
     ----------
@@ -47,16 +47,16 @@ class Level(Protocol):
     diagonal: NDArray[Any]
     weight: NDArray[Any]
 
-    def sweep(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
-        """A pass over the grid, see `rows.APPLY` and its neighbors; vectors are flat."""
+    def apply(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
+        """Apply the operator in one of the modes of `rows`: APPLY, RESIDUAL, SMOOTH; vectors are flat."""
         ...
 
     def forces(self, load: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:
-        """What a constant load, a mean strain or gradient, does to the nodes, written to `out`."""
+        """Nodal forces of a constant load, a mean strain or gradient, written to `out`."""
         ...
 
     def rounding(self) -> float:
-        """What rounding may make of forces that should be zero, for each node."""
+        """Rounding error to expect in forces that should be zero, for each node."""
         ...
 
 
@@ -85,7 +85,7 @@ def node_sums(values: NDArray[Any]) -> NDArray[Any]:
 
 
 class Workspace:
-    """What one thread needs for a cycle, made once.
+    """Work arrays of one thread for a cycle.
 
     Parameters
     ----------
@@ -143,8 +143,8 @@ class Hierarchy:
         levels : list of Level
         scratch_rows : int
         largest : float
-            Bound of the eigenvalues of the matrix over its diagonal, for cycles that can't fail; 0 to
-            estimate it, and to visit coarse grids twice.
+            Bound of the eigenvalues of the matrix over its diagonal, for cycles that are always
+            positive definite; 0 to estimate it, and to visit coarse grids twice.
         """
         work = Workspace(levels, scratch_rows)
         for level in levels:
@@ -177,11 +177,11 @@ class Hierarchy:
             dense_product(self.inverse, r, z)
             return z, dot(r, z)
         weighted(r, level.weight, z)
-        level.sweep(RESIDUAL, z, r, q, work)
+        level.apply(RESIDUAL, z, r, q, work)
         restrict(q, work.r[depth + 1], self.transfers[depth], work.line)
         correction = self._correction(work, depth + 1)
         interpolate_add(correction, z, self.transfers[depth], work.line)
-        return q, level.sweep(SMOOTH, z, r, q, work)
+        return q, level.apply(SMOOTH, z, r, q, work)
 
     def _correction(self, work: Workspace, depth: int) -> NDArray[Any]:
         """The solution for ``work.r[depth]`` by one cycle, or two where they save more iterations than they cost."""
@@ -190,7 +190,7 @@ class Hierarchy:
         if not self.twice or max(level.shape) <= _TWICE:
             return once
         total[:] = once
-        level.sweep(RESIDUAL, total, r, rest, work)
+        level.apply(RESIDUAL, total, r, rest, work)
         again, _ = self.cycle(rest, work, depth)
         total += again
         return total
@@ -214,7 +214,7 @@ def _largest_eigenvalue(level: Level, work: Workspace) -> float:
         if not norm > 0:
             return 1.0
         v *= v.dtype.type(1 / norm)
-        level.sweep(APPLY, v, v, q, work)
+        level.apply(APPLY, v, v, q, work)
         weighted(q, level.weight, q)
         largest = np.sqrt(dot(q, q))
         v, q = q, v
@@ -222,13 +222,13 @@ def _largest_eigenvalue(level: Level, work: Workspace) -> float:
 
 
 def _inverse(level: Level, work: Workspace) -> NDArray[np.float64]:
-    """Pseudo-inverse of the matrix of a small level: translations, and loose parts, have no stiffness."""
+    """Pseudo-inverse of the matrix of a small level: translations and disconnected parts have no stiffness."""
     size = level.components * level.weight.size
     matrix = np.empty((size, size))
     unit, column = np.zeros(size, level.weight.dtype), np.empty(size, level.weight.dtype)
     for i in range(size):
         unit[i] = 1
-        level.sweep(APPLY, unit, unit, column, work)
+        level.apply(APPLY, unit, unit, column, work)
         unit[i] = 0
         matrix[:, i] = column
     return np.asarray(np.linalg.pinv((matrix + matrix.T) / 2, rcond=_SINGULAR, hermitian=True), np.float64)

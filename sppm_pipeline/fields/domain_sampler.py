@@ -1,0 +1,102 @@
+"""What lies in a mesh and how far from its surface, layer by layer of one grid."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.numerics.grid import Grid
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.domain.inside import Method
+    from sppm_pipeline.numerics.domain.scanline import Scan
+    from sppm_pipeline.numerics.domain.spanned import SpannedScan
+    from sppm_pipeline.numerics.domain.three_axis import ThreeAxisScan
+
+DISTANCE_SAMPLES = 2**22
+"""Samples whose distance from the domain is found at a time."""
+
+VOTED_LAYERS = 64
+"""Layers that are decided together where rays along all axes vote."""
+
+
+class DomainSampler:
+    """A domain on one grid: what all layers need is prepared once, and the last block of layers is kept.
+
+    Parameters
+    ----------
+    domain : SurfaceMesh
+        mm.
+    of : Grid
+        The grid as the caller knows it.
+    world : Grid
+        The same grid in mm.
+    skin_mm : float
+        Thickness of the skin; distances are needed up to it.
+    method : {"scanline", "winding", "vote"}
+        The inside test.
+    """
+
+    def __init__(self, domain: SurfaceMesh, of: Grid, world: Grid, skin_mm: float, method: Method) -> None:
+        self.of = of
+        self._domain = domain
+        self._world = world
+        self._skin_mm = skin_mm
+        self._method = method
+        self._scan: Scan | SpannedScan | ThreeAxisScan | None = None
+        self._voted: tuple[int, int, NDArray[np.uint8]] | None = None
+        self._triangles: NDArray[np.float64] | None = None
+        self._distance: tuple[int, NDArray[np.float32]] | None = None
+
+    def inside(self, start: int, stop: int) -> NDArray[np.uint8]:
+        """Which voxels of the layers start <= k < stop lie in the domain."""
+        from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
+
+        if self._scan is None:
+            self._scan = prepare_inside(self._domain.vertices, self._domain.faces, self._world, self._method)
+        if self._method != "vote":
+            return inside_layers(self._scan, start, stop).mask
+        # a vote costs as much for one layer as for many, so layers are asked for in thick blocks
+        if self._voted is None or not self._voted[0] <= start <= stop <= self._voted[1]:
+            last = min(self._world.shape[2], max(stop, start + VOTED_LAYERS))
+            self._voted = (start, last, inside_layers(self._scan, start, last).mask)
+        first, _, block = self._voted
+        return block[start - first : stop - first].copy()
+
+    def distance(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Signed distance from the domain in the layers start <= k < stop, mm.
+
+        It is computed in blocks that belong to the grid, whichever layers are asked for: where the skin is thick, the
+        distance in a block depends a little on where the block ends.
+        """
+        nx, ny, nz = self._world.shape
+        block = max(1, DISTANCE_SAMPLES // (nx * ny), 4 * math.ceil(self._skin_mm / self._world.spacing[2]))
+        out = np.empty((stop - start, ny, nx), np.float32)
+        for number in range(start // block, -(-stop // block)):
+            first, last = number * block, min(nz, (number + 1) * block)
+            if self._distance is None or self._distance[0] != number:
+                self._distance = number, self._signed_distance(first, last)
+            low, high = max(start, first), min(stop, last)
+            out[low - start : high - start] = self._distance[1][low - first : high - first]
+        return out
+
+    def _signed_distance(self, first: int, last: int) -> NDArray[np.float32]:
+        from sppm_pipeline.numerics.domain.signed_distance import distance_layers, reach_bare_borders
+
+        spacing = self._world.spacing
+        reach = max(spacing) + self._skin_mm
+        if self._triangles is None:
+            self._triangles = self._domain.vertices[self._domain.faces]
+        distance = distance_layers(self._triangles, self._world, first, last, reach)
+        halo = 0 if self._method == "scanline" else math.ceil(reach / spacing[2])
+        low, high = max(0, first - halo), min(self._world.shape[2], last + halo)
+        around = self.inside(low, high)
+        if halo:
+            reach_bare_borders(distance, around, first - low, spacing)
+        inside = around[first - low : last - low].view(bool)
+        np.negative(distance, out=distance, where=inside)
+        return distance

@@ -1,0 +1,167 @@
+"""Fields made from another field: cut at another value, without floating islands, repeated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.artifact import frozen
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.numerics.grid import Grid
+
+
+@dataclass(frozen=True, eq=False)
+class WrappedField(ScalarField):
+    """Base of fields made from another field; size, place and finest detail are those of the other one.
+
+    Attributes
+    ----------
+    base : ScalarField
+    """
+
+    base: ScalarField
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return self.base.cells
+
+    @property
+    def periodic(self) -> bool:
+        return self.base.periodic
+
+    @property
+    def finest_radius(self) -> float | None:
+        return self.base.finest_radius
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.base.edge_mm
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.base.origin_mm
+
+    def summary(self) -> dict[str, Any]:
+        """That of the field it was made from."""
+        return self.base.summary()
+
+
+@dataclass(frozen=True, eq=False)
+class CutField(WrappedField):
+    """A field less a constant: solid where the field is smaller than `value`.
+
+    What `ScalarField.cut_at` makes of a field that knows no better name for it, such as a radius or a level.
+
+    Attributes
+    ----------
+    base : ScalarField
+    value : float
+        In the unit of the field.
+    """
+
+    value: float
+
+    @property
+    def finest_radius(self) -> float | None:
+        return None
+
+    def check(self) -> None:
+        """The value is a number."""
+        if not np.isfinite(self.value):
+            raise ValueError(f"a field is cut at a finite value, got {self.value}")
+
+    def cut_at(self, value: float) -> CutField:
+        return replace(self, value=self.value + value)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        values = self.base.sample_layers(grid, start, stop, threads)
+        values -= np.float32(self.value)
+        return values
+
+    def summary(self) -> dict[str, Any]:
+        """That of the field, and where it is cut."""
+        return {**self.base.summary(), "cut": self.value}
+
+
+@dataclass(frozen=True, eq=False)
+class CleanedField(WrappedField):
+    """A field whose floating islands are void: the sign is inverted there.
+
+    Islands were found on a voxel grid; a sample belongs to an island if its voxel, or one beside it that is not solid
+    which stays, does. Inverting the sign keeps the field continuous, as it is zero where the island ends.
+
+    Attributes
+    ----------
+    base : ScalarField
+    floating : (nz, ny, nx) uint8
+        1 in voxels of islands and beside them, n voxels along a cell edge.
+    per_cell : int
+        n.
+    """
+
+    floating: NDArray[np.uint8]
+    per_cell: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "floating", frozen(np.asarray(self.floating, np.uint8)))
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        values = self.base.sample_layers(grid, start, stop, threads)
+        nz, ny, nx = self.floating.shape
+        place = []
+        for axis, n in ((2, nz), (1, ny), (0, nx)):
+            voxel = np.floor(grid.axis(axis) * self.per_cell + 1e-9).astype(np.int64)
+            place.append(voxel % n if self.periodic else np.clip(voxel, 0, n - 1))
+        place[0] = place[0][start:stop]
+        inverted = self.floating[np.ix_(*place)].view(bool)
+        inverted &= values < 0
+        np.negative(values, out=values, where=inverted)
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedField(WrappedField):
+    """Any periodic field, taken as the content of a whole lattice.
+
+    Attributes
+    ----------
+    base : ScalarField
+        Periodic with one cell.
+    extent : tuple of 3 ints
+        Cells of the lattice.
+    edge : float or None
+        Cell edge, mm.
+    origin : tuple of 3 floats
+        World position of the low corner of cell (0, 0, 0), mm.
+    """
+
+    extent: tuple[int, int, int]
+    edge: float | None
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return self.extent
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.edge
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.origin
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.base.sample_layers(grid, start, stop, threads)
+
+    def solid_layers(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        return self.base.solid_layers(grid, start, stop, threads, wanted)
+
+    def summary(self) -> dict[str, Any]:
+        """Size of the lattice."""
+        return {"lattice": list(self.extent), "cell_mm": self.edge}
