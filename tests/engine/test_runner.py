@@ -1,4 +1,4 @@
-"""Running plans: results, errors and who is to blame, records, repetition."""
+"""Running plans: results, errors and who is at fault, records, repetition."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_until_stops_after_a_stage(work):
         ("bad_report", SppmError, 1, "object can't be written as JSON"),
     ],
 )
-def test_errors_have_a_place_a_stage_and_a_culprit(work, how, kind, code, words):
+def test_errors_have_a_place_a_stage_and_an_offender(work, how, kind, code, words):
     with pytest.raises(kind) as caught:
         work.run(f"pipeline:\n  - {{stage: check.fail, id: bad, how: {how}}}\n")
     error = caught.value

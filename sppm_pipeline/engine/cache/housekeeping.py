@@ -58,7 +58,7 @@ class Occupancy:
 
 
 def contents(store: Store) -> list[Occupancy]:
-    """All entries, least recently used first, with the room they take on disk."""
+    """All entries, least recently used first, with the space they take on disk."""
     found = []
     for key in store.entries():
         folder = store.place(key)

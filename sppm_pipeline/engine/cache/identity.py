@@ -19,7 +19,7 @@ from sppm_pipeline.stage import Stage
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")
 _PACKAGE = "sppm_pipeline"
 _WITHOUT_RESULTS = {"cli", "testing"}
-"""Rooms of the package that no result comes from."""
+"""Subpackages that no result comes from."""
 
 _SETTINGS = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE")
 """Environment variables by which the same code computes other last digits."""
@@ -50,8 +50,8 @@ def _source_of(module: str) -> str:
     top = module.partition(".")[0]
     if top == _PACKAGE:
         own = getattr(sys.modules.get(module), "__file__", None) or ""
-        room = module.split(".")[1:2]
-        return program_digest() + (_file_digest(Path(own)) if room and room[0] in _WITHOUT_RESULTS else "")
+        package = module.split(".")[1:2]
+        return program_digest() + (_file_digest(Path(own)) if package and package[0] in _WITHOUT_RESULTS else "")
     if top in sys.stdlib_module_names:
         return ""
     found = sys.modules.get(top)

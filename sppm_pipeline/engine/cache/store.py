@@ -98,7 +98,7 @@ class Store:
         self.cap = cap
         self.written = 0
         """Bytes written by this object."""
-        self._room: Path | None = None
+        self._staging: Path | None = None
         self._lock: FolderLock | None = None
 
     # --- reading ---
@@ -202,7 +202,7 @@ class Store:
         Raises
         ------
         OSError
-            If there is no room, or no permission.
+            If there is no space, or no permission.
         NotStorable
             If the value can't be written.
         """
@@ -251,13 +251,13 @@ class Store:
     def remove(self, key: str) -> None:
         """Take an entry away, in one step, so that nobody sees half of it."""
         with contextlib.suppress(OSError):
-            gone = self._room_folder() / secrets.token_hex(8)
+            gone = self._staging_folder() / secrets.token_hex(8)
             os.rename(self.place(key), gone)
             shutil.rmtree(gone, ignore_errors=True)
 
     def write_text(self, name: str, value: Mapping[str, Any]) -> None:
         """Write a sealed JSON file of the cache, whole or not at all."""
-        fresh = self._room_folder() / secrets.token_hex(8)
+        fresh = self._staging_folder() / secrets.token_hex(8)
         fresh.write_bytes(json_text(sealed(value)).encode())
         final = self.root / name
         final.parent.mkdir(parents=True, exist_ok=True)
@@ -270,52 +270,52 @@ class Store:
         except (OSError, ValueError):
             return None
 
-    # --- room for what is not ready yet ---
+    # --- staging of what is not ready yet ---
 
     def _fresh_folder(self) -> Path:
-        folder = self._room_folder() / secrets.token_hex(8)
+        folder = self._staging_folder() / secrets.token_hex(8)
         folder.mkdir()
         return folder
 
-    def _room_folder(self) -> Path:
+    def _staging_folder(self) -> Path:
         """This object's folder for unfinished entries; its lock tells others that it is in use."""
-        if self._room is None or not self._room.is_dir():
+        if self._staging is None or not self._staging.is_dir():
             if not self.root.is_dir():
                 self.root.mkdir(parents=True, exist_ok=True, mode=0o700)
                 (self.root / "CACHEDIR.TAG").write_text(_TAG, encoding="utf-8")
             while True:
-                room = self.root / "tmp" / secrets.token_hex(8)
-                room.mkdir(parents=True)
-                lock = FolderLock(room)
+                staging = self.root / "tmp" / secrets.token_hex(8)
+                staging.mkdir(parents=True)
+                lock = FolderLock(staging)
                 try:
                     if lock.acquire():
                         break
                 except FileNotFoundError:  # somebody cleared up in the moment between
                     continue
-            self._room, self._lock = room, lock
-        return self._room
+            self._staging, self._lock = staging, lock
+        return self._staging
 
     def clear_leftovers(self) -> int:
         """Remove what processes that are gone left unfinished; how much that was."""
         removed = 0
         with contextlib.suppress(OSError):
-            for room in (self.root / "tmp").iterdir():
-                if room == self._room:
+            for staging in (self.root / "tmp").iterdir():
+                if staging == self._staging:
                     continue
-                lock = FolderLock(room)
+                lock = FolderLock(staging)
                 with contextlib.suppress(OSError):
                     if lock.acquire():
-                        shutil.rmtree(room, ignore_errors=True)
+                        shutil.rmtree(staging, ignore_errors=True)
                         removed += 1
                 lock.release()
         return removed
 
     def close(self) -> None:
-        """Give the room for unfinished entries back."""
-        if self._room is not None and self._lock is not None:
-            shutil.rmtree(self._room, ignore_errors=True)
+        """Remove the staging folder."""
+        if self._staging is not None and self._lock is not None:
+            shutil.rmtree(self._staging, ignore_errors=True)
             self._lock.release()
-            self._room = self._lock = None
+            self._staging = self._lock = None
 
     def entries(self) -> Iterator[str]:
         """Keys of all entries."""

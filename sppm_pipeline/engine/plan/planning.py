@@ -205,7 +205,7 @@ def _drafts(
         if values is not None:
             try:
                 owner = registry.owner(entry.name)
-                with nullcontext() if owner.builtin else contained(_blamer(owner, entry)):
+                with nullcontext() if owner.builtin else contained(_fault_of(owner, entry)):
                     stage = cls(**values)
                     stage.check_options()
             except SppmError as error:
@@ -248,11 +248,11 @@ def _with_current_names(
     return dataclasses.replace(entry, options=options, stage=dataclasses.replace(entry.stage, value=cls.name))
 
 
-def _blamer(owner: Plugin, entry: StageEntry) -> Callable[[str], SppmError]:
-    def blame(message: str) -> SppmError:
+def _fault_of(owner: Plugin, entry: StageEntry) -> Callable[[str], SppmError]:
+    def fault(message: str) -> SppmError:
         return PluginError(f"{owner}: checking the options {message}", where=entry.where, stage=entry.address)
 
-    return blame
+    return fault
 
 
 def step_options(step: Step) -> dict[str, Any]:

@@ -183,13 +183,13 @@ def _chosen_sources(
     if node is None:
         return {}
     ports = {port.name: port for port in signature.ports if not port.is_recipe}
-    wishes: list[tuple[str | None, Position, Node]]
+    requested: list[tuple[str | None, Position, Node]]
     if isinstance(node.value, dict):
-        wishes = [(port, e.where, e.node) for port, e in node.value.items()]
+        requested = [(port, e.where, e.node) for port, e in node.value.items()]
     else:
-        wishes = [(None, node.where, node)]
+        requested = [(None, node.where, node)]
     chosen: dict[str, str] = {}
-    for port, where, source in wishes:
+    for port, where, source in requested:
 
         def refuse(message: str, hint: str | None, place: Position) -> None:
             problems.add(WiringError(message, where=place, hint=hint, stage=entry.address))
@@ -247,7 +247,7 @@ def _sources(
             # one artifact for two ports is never what was meant silently
             if port.optional:
                 source = None
-            elif not _wished(draft, port):
+            elif not _is_requested(draft, port):
                 problems.add(
                     WiringError(
                         f"the ports {taken_by!r} and {port.name!r} would both take the result of {source!r}",
@@ -256,7 +256,7 @@ def _sources(
                         hint=f"say which stage serves which port: from: {{{taken_by}: ..., {port.name}: ...}}",
                     )
                 )
-        if source is None and not port.optional and not unknown and not _wished(draft, port):
+        if source is None and not port.optional and not unknown and not _is_requested(draft, port):
             problems.add(
                 WiringError(
                     f"the port {port.name!r} needs {artifact_words(port.types)}, which no earlier stage makes",
@@ -269,7 +269,7 @@ def _sources(
     return inputs
 
 
-def _wished(draft: Draft, port: Port) -> bool:
+def _is_requested(draft: Draft, port: Port) -> bool:
     """Whether `from` spoke of this port, so that what is wrong has been said."""
     node = draft.entry.sources
     return node is not None and (not isinstance(node.value, dict) or port.name in node.value)
@@ -307,25 +307,25 @@ def _handed_recipes(
         refuse(f"{draft.cls.name} takes no recipe", None, node.where)
         return {}
     if isinstance(node.value, dict):
-        wishes = {name: e.node for name, e in node.value.items()}
+        requested = {name: e.node for name, e in node.value.items()}
     elif len(ports) == 1:
-        wishes = {ports[0].name: node}
+        requested = {ports[0].name: node}
     else:
         names = [port.name for port in ports]
         refuse(f"{draft.cls.name} takes {len(ports)} recipes", f"give a map: {', '.join(names)}", node.where)
         return {}
     handed: dict[str, str] = {}
-    for name, wish in wishes.items():
+    for name, one in requested.items():
         if name not in [port.name for port in ports]:
-            refuse(f"{draft.cls.name} has no port {name!r} for a recipe", None, wish.where)
-        elif not isinstance(wish.value, str):
-            refuse(f"`recipe` takes the name of a recipe, got {shown(plain(wish))}", None, wish.where)
-        elif wish.value not in recipes:
-            near = did_you_mean(wish.value, recipes) if recipes else "the file has no `recipes`"
-            refuse(f"there is no recipe {shown(wish.value)}", near, wish.where)
+            refuse(f"{draft.cls.name} has no port {name!r} for a recipe", None, one.where)
+        elif not isinstance(one.value, str):
+            refuse(f"`recipe` takes the name of a recipe, got {shown(plain(one))}", None, one.where)
+        elif one.value not in recipes:
+            near = did_you_mean(one.value, recipes) if recipes else "the file has no `recipes`"
+            refuse(f"there is no recipe {shown(one.value)}", near, one.where)
         else:
-            handed[name] = wish.value
+            handed[name] = one.value
     for port in ports:
-        if port.name not in wishes and not port.optional:
+        if port.name not in requested and not port.optional:
             refuse(f"no recipe is given for the port {port.name!r}", None, node.where)
     return handed

@@ -1,4 +1,4 @@
-"""Running one stage, and recipes: results checked, errors given their place and their culprit."""
+"""Running one stage, and recipes: results checked, errors given their place and the plugin at fault."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
             if step.owner.builtin:
                 made = stage.run(context, **{**optional, **inputs, **handed})
             else:
-                with contained(lambda message: _blame(step, message)):
+                with contained(lambda message: _fault_of(step, message)):
                     made = stage.run(context, **{**optional, **inputs, **handed})
         _check_result(step, made)
         if ports := changed(inputs, before):
-            raise _blame(step, f"changed its input {listed(ports)}, which other stages share")
+            raise _fault_of(step, f"changed its input {listed(ports)}, which other stages share")
         return made
     except SppmError as error:
         error.where = error.where or step.where
@@ -69,17 +69,17 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
 
 
 def _system_error(step: Step, error: Exception) -> SppmError:
-    """A file that is not there, something of the machine that is missing, or whoever wrote the stage is to blame."""
+    """A file that is not there, something of the machine that is missing, or whoever wrote the stage is at fault."""
     if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError)):
         place = f": {error.filename!r}" if error.filename is not None else ""
         return InputError(f"{error.strerror or error}{place}", where=step.where, stage=step.address)
     missing = exhausted_resource(error)
     if missing is not None and (step.owner.builtin or not isinstance(error, ModuleNotFoundError)):
         return ResourceError(missing, where=step.where, stage=step.address)
-    return _blame(step, f"raised {type(error).__name__}: {error}")
+    return _fault_of(step, f"raised {type(error).__name__}: {error}")
 
 
-def _blame(step: Step, message: str) -> SppmError:
+def _fault_of(step: Step, message: str) -> SppmError:
     """An error that is the fault of whoever wrote the stage."""
     if step.owner.builtin:
         hint = "this is a mistake in the program; --debug shows where"
@@ -91,18 +91,18 @@ def _blame(step: Step, message: str) -> SppmError:
 def _check_result(step: Step, made: Any) -> None:
     """Type as announced, parts that agree with each other."""
     if not isinstance(made, step.makes or type(None)):
-        raise _blame(step, f"made {type(made).__name__}, but announces {artifact_words(step.makes)}")
+        raise _fault_of(step, f"made {type(made).__name__}, but announces {artifact_words(step.makes)}")
     check = getattr(made, "check", None)
     if check is not None:
         try:
             check()
         except ValueError as error:
-            raise _blame(step, f"made a {type(made).__name__} that contradicts itself: {error}") from error
+            raise _fault_of(step, f"made a {type(made).__name__} that contradicts itself: {error}") from error
         except Exception as error:
-            raise _blame(step, f"made a {type(made).__name__} that can't be checked: {type(error).__name__}: {error}") \
-                from error  # fmt: skip
+            words = f"made a {type(made).__name__} that can't be checked: {type(error).__name__}: {error}"
+            raise _fault_of(step, words) from error
     if (not step.owner.builtin or is_strict()) and (place := not_finite(made)) is not None:
-        raise _blame(step, f"made a {type(made).__name__} with numbers that are not finite: {place}")
+        raise _fault_of(step, f"made a {type(made).__name__} with numbers that are not finite: {place}")
 
 
 def summary_of(made: Any, reported: Mapping[str, Any], step: Step) -> dict[str, Any]:
@@ -112,7 +112,7 @@ def summary_of(made: Any, reported: Mapping[str, Any], step: Step) -> dict[str, 
     except SppmError:
         raise
     except Exception as error:
-        raise _blame(step, f"the summary of {type(made).__name__} raised {type(error).__name__}: {error}") from error
+        raise _fault_of(step, f"the summary of {type(made).__name__} raised {type(error).__name__}: {error}") from error
     return {**reported, **{name: value for name, value in own.items() if name not in reported}}
 
 
