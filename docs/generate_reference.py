@@ -15,7 +15,6 @@ from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 
-from sppm_pipeline.cli.arguments import BUILTINS
 from sppm_pipeline.cli.main import EXIT_CODES, VERBS
 from sppm_pipeline.engine.config.options import Option, options_of, plain_option, type_words
 from sppm_pipeline.engine.plan.describe import stage_data
@@ -30,7 +29,7 @@ NOTICE = "<!-- Written by docs/generate_reference.py from the code; edit the cod
 
 def pages() -> dict[str, str]:
     """Text of every generated page by its path below ``docs/reference``."""
-    registry = Registry(load_plugins(BUILTINS, distributions=False))
+    registry = Registry(load_plugins(distributions=False))
     result = {"README.md": index_page(registry), "cli.md": cli_page()}
     for name in registry:
         result[f"{name.replace('.', '/', 1)}.md"] = stage_page(registry.get(name), registry)

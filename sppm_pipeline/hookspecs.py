@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import pluggy
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from sppm_pipeline.stage import Stage
+    from sppm_pipeline.stage import Stage, StageAlias
 
 PROJECT = "sppm"
 """Name of the pluggy project; entry points of distributions stand in the group ``sppm``."""
@@ -36,6 +37,73 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
         @hookimpl
         def sppm_stages():
             return {"sample.fcc": "sppm_fcc.sampler:FaceCenterdCubic"}
+    """
+
+
+@hookspec
+def sppm_stage_aliases() -> Mapping[str, str | StageAlias]:  # type: ignore[empty-body]
+    """Supply former names of stages, so that configurations written before a stage was renamed still run.
+
+    Called once, together with `sppm_stages`. Returns a mapping from the former name to the current one, or to a
+    `StageAlias` with the options that the former name implied. Whoever uses a former name is told the current one in a
+    warning; lists and references show current names only. An empty mapping means: nothing was renamed. Example::
+
+        @hookimpl
+        def sppm_stage_aliases():
+            return {"sample.fcc_lattice": "sample.fcc"}
+    """
+
+
+@dataclass(frozen=True)
+class StageEvent:
+    """A stage of a pipeline has ended.
+
+    Attributes
+    ----------
+    address : str
+        Id of the stage.
+    stage : str
+        Its name, ``family.name``.
+    made : str or None
+        Type of the artifact that it made.
+    seconds : float
+    summary : mapping
+        Its numbers, as in the run record; empty if it failed.
+    record : mapping
+        All that the run record says of it (options, inputs, outputs, warnings, recipes); empty if it failed.
+    error : str or None
+        What it failed with.
+    from_cache : bool
+        Whether its result was in the cache, so that it did not run.
+    """
+
+    address: str
+    stage: str
+    made: str | None
+    seconds: float
+    summary: Mapping[str, Any]
+    record: Mapping[str, Any]
+    error: str | None = None
+    from_cache: bool = False
+
+    @property
+    def failed(self) -> bool:
+        """Whether it did not end well."""
+        return self.error is not None
+
+
+@hookspec
+def sppm_stage_finished(event: StageEvent) -> None:
+    """Observe the stages of a run.
+
+    Called after every stage of a pipeline, and of the stages after a sweep, in the process that runs it: for the runs
+    of a sweep, that may be a worker process, or one of several threads. Stages of a recipe have no events of their own;
+    ``event.record["inner"]`` counts them. The result is ignored. What an observer raises becomes a warning that names
+    the plugin, and it is not called again in this run; results never depend on observers. Example::
+
+        @hookimpl
+        def sppm_stage_finished(event):
+            print(event.address, event.seconds, file=sys.stderr)
     """
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -63,6 +63,8 @@ class OptionSpec:
         Allowed words.
     output : bool
         Whether the value names a file or folder that the stage writes.
+    formerly : str or None
+        An earlier name of the option, still accepted.
     """
 
     help: str
@@ -73,6 +75,25 @@ class OptionSpec:
     below: float | None = None
     choices: tuple[str, ...] = ()
     output: bool = False
+    formerly: str | None = None
+
+
+@dataclass(frozen=True)
+class StageAlias:
+    """What a former stage name stands for.
+
+    Attributes
+    ----------
+    name : str
+        The stage's current name.
+    options : mapping, or function of the options written in the file that returns a mapping
+        Options that the former name implied; those written in the file win.
+    """
+
+    name: str
+    options: Mapping[str, Any] | Callable[[Mapping[str, Any]], Mapping[str, Any]] = dataclasses.field(
+        default_factory=dict
+    )
 
 
 def option(
@@ -86,14 +107,16 @@ def option(
     below: float | None = None,
     choices: Iterable[str] = (),
     output: bool = False,
+    formerly: str | None = None,
 ) -> Any:
     """Declare an option of a stage; without `default` the option is required.
 
     The type comes from the annotation: bool, int, float, str, `pathlib.Path` (an input file, taken relative to the
     configuration file), `Length`, ``tuple[int, int]``, ``tuple[float, ...]``, and any of these ``| None``.
-    A text with `output` names a file or folder below the run directory, which is checked before any work starts.
+    A string with `output` names a file or folder below the run directory, which is checked before any work starts.
+    An option that was renamed states its earlier name as `formerly`; configurations that use it run, with a warning.
     """
-    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices), output)
+    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices), output, formerly)
     return dataclasses.field(default=default, metadata={"option": spec})
 
 

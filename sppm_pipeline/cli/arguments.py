@@ -1,4 +1,4 @@
-"""Arguments that several verbs share, and how they become an order for the engine."""
+"""Arguments that several verbs share, and how they become a request to the engine."""
 
 from __future__ import annotations
 
@@ -12,10 +12,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sppm_pipeline.engine.plan.plugins import Plugins
     from sppm_pipeline.engine.plan.session import RunRequest, Session
-
-BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
-"""Modules whose hook implementations are always there."""
-
 
 ALLOWED = "SPPM_PLUGINS"
 """Environment variable with the plugins that may be imported."""
@@ -95,14 +91,13 @@ def find_configuration(name: str) -> Path:
     raise ConfigError(f"there is no configuration {name!r}", hint=hint)
 
 
-def order_from(args: Namespace) -> RunRequest:
+def request_from(args: Namespace) -> RunRequest:
     """What the arguments ask for."""
-    from sppm_pipeline.engine.config.substitution import Overrides
+    from sppm_pipeline.engine.config.parameters import Overrides
     from sppm_pipeline.engine.plan.session import RunRequest
 
     return RunRequest(
         file=str(find_configuration(args.file)),
-        builtins=BUILTINS,
         plugins=tuple(args.plugin),
         distributions=not args.no_plugins,
         overrides=Overrides(tuple(args.param), tuple(args.set), args.seed),
@@ -114,7 +109,7 @@ def open_from(args: Namespace) -> Session:
     """Read the configuration and load the plugins."""
     from sppm_pipeline.engine.plan.session import open_session
 
-    session = open_session(order_from(args))
+    session = open_session(request_from(args))
     warn_of_failed_plugins(session.plugins)
     return session
 
@@ -127,7 +122,7 @@ def add_cache(parser: ArgumentParser) -> None:
 
 def cache_of(args: Namespace) -> Path | None:
     """The folder that `add_cache` asks for; None for none."""
-    from sppm_pipeline.engine.cache.location import cache_folder
+    from sppm_pipeline.engine.cache.housekeeping import cache_folder
 
     return None if args.no_cache else cache_folder(args.cache)
 
@@ -137,7 +132,7 @@ def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:
     from sppm_pipeline.engine.plan.plugins import load_plugins
 
     plugins = load_plugins(
-        BUILTINS, files=[Path(p) for p in args.plugin], distributions=not args.no_plugins, allowed=allowed_from(args)
+        files=[Path(p) for p in args.plugin], distributions=not args.no_plugins, allowed=allowed_from(args)
     )
     if strict:
         plugins.raise_broken()

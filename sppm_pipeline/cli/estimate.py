@@ -26,7 +26,7 @@ def configure(parser: ArgumentParser) -> None:
 def execute(args: Namespace) -> int:
     """Print the forecast; 5 if memory or disk will not do."""
     with limits_of(args):
-        from sppm_pipeline.engine.plan.checking import checked, forecasts, refuse_unfit
+        from sppm_pipeline.engine.plan.session import checked, forecasts, refuse_unfit
 
         session = open_from(args)
         plan, rows = checked(session, args.until)

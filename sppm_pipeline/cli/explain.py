@@ -29,8 +29,8 @@ def execute(args: Namespace) -> int:
     cache = cache_of(args)
     reasons = None
     if cache is not None and session.configuration.sweep is None:
-        from sppm_pipeline.engine.cache.location import open_store
-        from sppm_pipeline.engine.cache.reasons import reasons_of
+        from sppm_pipeline.engine.cache.housekeeping import open_store
+        from sppm_pipeline.engine.cache.session import reasons_of
 
         reasons = reasons_of(plan, open_store(cache), str(session.configuration.file.absolute()))
     print(explain_plan(plan, reasons), end="")

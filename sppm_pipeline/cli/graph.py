@@ -15,7 +15,7 @@ def configure(parser: ArgumentParser) -> None:
 
 def execute(args: Namespace) -> int:
     """Print the graph."""
-    from sppm_pipeline.engine.plan.graph import dot_graph, mermaid_graph, wiring_text
+    from sppm_pipeline.engine.plan.describe import dot_graph, mermaid_graph, wiring_text
 
     draw = {"text": wiring_text, "dot": dot_graph, "mermaid": mermaid_graph}[args.format]
     print(draw(open_from(args).plan()), end="")

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from typing import Any
 
-from sppm_pipeline.cli.arguments import BUILTINS, add_plugins, allowed_from, plugins_from
+from sppm_pipeline.cli.arguments import add_plugins, allowed_from, plugins_from
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -34,7 +34,7 @@ def execute(args: Namespace) -> int:
 
 def _described(args: Namespace) -> Iterator[dict[str, Any]]:
     """What is known without running any code of a plugin."""
-    from sppm_pipeline.engine.plan.plugins import Plugin, installed_plugins
+    from sppm_pipeline.engine.plan.plugins import BUILTINS, Plugin, installed_plugins
 
     plugins = [Plugin(module, builtin=True) for module in BUILTINS]
     if not args.no_plugins:

@@ -15,8 +15,8 @@ def configure(parser: ArgumentParser) -> None:
 
 def execute(args: Namespace) -> int:
     """Print the schema."""
-    from sppm_pipeline.engine.config.schema import configuration_schema
     from sppm_pipeline.engine.plan.registry import Registry
+    from sppm_pipeline.engine.plan.schema import configuration_schema
 
     print(json.dumps(configuration_schema(Registry(plugins_from(args))), indent=1, ensure_ascii=False))
     return 0

@@ -179,7 +179,7 @@ class _Watch:
         """Put the run directories in order that the child can't any more."""
         folders = [Path(os.fsdecode(line)) for line in self._told.split(b"\0") if line]
         if folders:
-            from sppm_pipeline.engine.run.recorder import mark_ended
+            from sppm_pipeline.engine.run.record import mark_ended
 
             for folder in folders:
                 mark_ended(folder, status, error)

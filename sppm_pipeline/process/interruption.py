@@ -23,7 +23,7 @@ from sppm_pipeline.errors import SppmError
 class Abandonable(Protocol):
     """Something that leaves traces on disk while it runs."""
 
-    def abandon(self, error: SppmError | None) -> None:
+    def cancel(self, error: SppmError | None) -> None:
         """Put the traces in order, from another thread; `error` is why, if it was no interrupt."""
 
 
@@ -87,7 +87,7 @@ def abandon_all(error: SppmError | None = None, culprit: int | None = None) -> N
     while _running:
         with contextlib.suppress(Exception):
             what, thread = _running.pop()
-            what.abandon(error if thread == culprit else None)
+            what.cancel(error if thread == culprit else None)
 
 
 def end_children() -> None:

@@ -1,10 +1,15 @@
-"""The built-in stages; they register through the hook of strangers, by name, so that none is imported early."""
+"""The built-in stages; they register through the hook that plugins use, by name, so that none is imported early."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from sppm_pipeline.hookspecs import hookimpl
 
-__all__ = ["BUILT_IN", "sppm_stages"]
+if TYPE_CHECKING:
+    from sppm_pipeline.stage import StageAlias
+
+__all__ = ["BUILT_IN", "STAGE_ALIASES", "sppm_stage_aliases", "sppm_stages"]
 
 BUILT_IN = {
     "read.mesh": "ReadMesh",
@@ -72,8 +77,19 @@ BUILT_IN = {
 }
 """Stage name -> class name; the file follows from the name."""
 
+STAGE_ALIASES: dict[str, str | StageAlias] = {
+    "homogenize.realisations": "homogenize.realizations",
+}
+"""Former stage name -> current name, or a `StageAlias` with the options that the former name implied."""
+
 
 @hookimpl
 def sppm_stages() -> dict[str, str]:
     """All built-in stages, by the place of their class."""
     return {name: f"sppm_pipeline.stages.{name}:{cls}" for name, cls in BUILT_IN.items()}
+
+
+@hookimpl
+def sppm_stage_aliases() -> dict[str, str | StageAlias]:
+    """Former names of built-in stages."""
+    return STAGE_ALIASES

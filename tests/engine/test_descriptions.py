@@ -7,10 +7,10 @@ import json
 import pytest
 
 from sppm_pipeline.engine.config.options import options_of
-from sppm_pipeline.engine.config.schema import configuration_schema
 from sppm_pipeline.engine.plan.describe import explain_plan, purpose_of, stage_data, stage_list, stage_text
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.schema import configuration_schema
 from sppm_pipeline.testing.synthetic import Varied
 
 

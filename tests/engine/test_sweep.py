@@ -12,10 +12,10 @@ import pytest
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor
-from sppm_pipeline.engine.run.monitor import Monitor
-from sppm_pipeline.engine.run.sweep import run_sweep, sweep_rows
-from sppm_pipeline.engine.run.sweep_table import csv_text, numbers_of, rows_of
+from sppm_pipeline.engine.run.runner import StepRunner
+from sppm_pipeline.engine.run.sweep import csv_text, numbers_of, rows_of, run_sweep, sweep_rows
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
 
 TEXT = """name: sweep
@@ -139,7 +139,7 @@ def test_a_sweep_can_be_repeated_from_its_record_and_into_its_directory(work):
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
 
     (work.folder / "copy.json").write_text(record)
-    session = open_session(RunRequest(str(work.folder / "copy.json"), work.session(TEXT).order.builtins, (), False))
+    session = open_session(RunRequest(str(work.folder / "copy.json"), work.session(TEXT).request.builtins, (), False))
     run_sweep(session, session.plan(), work.folder / "a", workers=1, executor=None, threads=1)
     assert (work.folder / "a" / "sweep.csv").read_bytes() == before
     assert sorted(path.name for path in (work.folder / "a" / "runs").iterdir()) == [f"{i:04}" for i in range(6)]
@@ -278,10 +278,16 @@ def test_numbers_of_short_lists_get_columns():
 
 
 def test_the_stages_of_after_are_given_the_files_of_the_runs(work, monkeypatch):
-    given = {}
-    monkeypatch.setattr("sppm_pipeline.engine.run.sweep.run_steps", lambda *_, **how: given.update(how["given"]))
+    available = {}
+
+    class Noting(StepRunner):
+        def __init__(self, *steps, **how):
+            available.update(how["available"])
+            super().__init__(*steps, **how)
+
+    monkeypatch.setattr("sppm_pipeline.engine.run.sweep.StepRunner", Noting)
     run(work)
-    table = given["sweep"]
+    table = available["sweep"]
     assert list(table.files) == ["number.txt"]
     for file, name in zip(table.files["number.txt"], table.columns["run"], strict=True):
         path = work.folder / "out" / "runs" / name / "number.txt"

@@ -23,8 +23,6 @@ from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import ConfigError, ConfigErrors, SppmError
 from sppm_pipeline.stages import BUILT_IN, sppm_stages
 
-BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
-
 RECIPE = """  cell:
     - {stage: sample.mirrored_faces, count: 6, spacing: 0.25}
     - {stage: sample.dart_throwing, count: 5, spacing: 0.25}
@@ -176,7 +174,7 @@ def _split(given: str) -> list[str]:
 
 
 def plan_of(path: Path):
-    return open_session(RunRequest(str(path), BUILTINS, (), False)).plan()
+    return open_session(RunRequest(str(path), distributions=False)).plan()
 
 
 @pytest.mark.parametrize("name", PLACES)

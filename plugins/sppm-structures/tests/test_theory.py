@@ -163,9 +163,9 @@ def test_all_structures_are_compared():
 
 @pytest.mark.parametrize("name", ["compare_structures.yaml", "published_curves.yaml"])
 def test_without_this_plugin_the_missing_stages_are_named(name):
-    order = RunRequest(str(ROOT / "configs" / name), ("sppm_pipeline.stages",), (), False)
+    request = RunRequest(str(ROOT / "configs" / name), ("sppm_pipeline.stages",), (), False)
     with pytest.raises(ConfigErrors, match=r"there is no stage 'field\.(tpms|struts)'"):
-        open_session(order).plan()
+        open_session(request).plan()
     assert "pip install ./plugins/sppm-structures" in (ROOT / "configs" / name).read_text(encoding="utf-8")
 
 

@@ -104,7 +104,20 @@ class StageEntry:
 
 
 def read_configuration(path: Path) -> Configuration:
-    """Read a file and check its top level.
+    """Read a file and check its top level; see `parse_configuration`."""
+    return parse_configuration(read_yaml(path), path, path.parent)
+
+
+def parse_configuration(root: Node, path: Path, base: str | Path) -> Configuration:
+    """Check the top level of a document.
+
+    Parameters
+    ----------
+    root : Node
+    path : Path
+        The file, or the name of what was not read from a file.
+    base : str or Path
+        The folder that the key `folder` is relative to.
 
     Raises
     ------
@@ -112,7 +125,6 @@ def read_configuration(path: Path) -> Configuration:
         If the format is another, or params, recipes or the pipeline can't be read, so that the rest would only give
         errors that follow from it.
     """
-    root = read_yaml(path)
     problems = Problems()
     if not isinstance(root.value, dict):
         raise ConfigError("a configuration is a map that starts with `sppm: 1`", where=root.where)
@@ -124,7 +136,7 @@ def read_configuration(path: Path) -> Configuration:
     if "pipeline" not in top:
         problems.report("the key `pipeline` is missing", root.where, hint="add `pipeline:` with a list of stages")
     name = _name(top, path, problems)
-    folder = Path(os.path.abspath(path.parent / str(_value(top, "folder", str, "text", problems, default="."))))
+    folder = Path(os.path.abspath(Path(base, str(_value(top, "folder", str, "a string", problems, default=".")))))
     seed = _value(top, "seed", int, "a whole number, at least 0", problems, default=0)
     if not 0 <= seed <= MAX_SEED:
         problems.report(

@@ -14,7 +14,7 @@ from typing import Any
 
 from sppm_pipeline.data.length import UNITS_IN_MM, Length, parse_length
 from sppm_pipeline.engine.config.configuration import RESERVED
-from sppm_pipeline.engine.config.document import Entry, plain
+from sppm_pipeline.engine.config.document import Entry, Override, plain
 from sppm_pipeline.engine.config.names import output_parts
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, PluginError
@@ -80,7 +80,40 @@ def options_of(cls: type[Stage]) -> dict[str, Option]:
             default = field.default_factory()
         _check_kind(hints[field.name], f"{cls.__qualname__}.{field.name}")
         result[field.name] = Option(field.name, hints[field.name], spec, default)
+    formers = [option.spec.formerly for option in result.values() if option.spec.formerly is not None]
+    if clash := [name for name in formers if name in result or formers.count(name) > 1]:
+        raise PluginError(f"{cls.__qualname__} declares {clash[0]!r} both as an option and as a former name of another")
     return result
+
+
+def current_name(cls: type[Stage], name: str) -> str:
+    """The current name of an option that may be named by a former one."""
+    return next((option.name for option in options_of(cls).values() if option.spec.formerly == name), name)
+
+
+def with_current_names(
+    cls: type[Stage], given: Mapping[str, Entry], problems: Problems, *, stage: str
+) -> tuple[dict[str, Entry], list[str]]:
+    """The written options under their current names, and the former names that were used.
+
+    An override replaces what the file says under either name; an option written twice in the same place is reported.
+    """
+    result: dict[str, Entry] = {}
+    former = []
+    for name, entry in given.items():
+        current = current_name(cls, name)
+        if current != name:
+            former.append(name)
+        other = result.get(current)
+        if other is not None and isinstance(other.where, Override) == isinstance(entry.where, Override):
+            problems.report(
+                f"the option {current!r} is given twice, also by its former name; first at {other.where}",
+                entry.where,
+                stage=stage,
+            )
+        elif other is None or isinstance(entry.where, Override):
+            result[current] = entry
+    return result, former
 
 
 def _members(kind: Any) -> tuple[Any, ...]:

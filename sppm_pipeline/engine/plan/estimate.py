@@ -10,8 +10,7 @@ from pathlib import Path
 from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.plan.planning import Plan
-from sppm_pipeline.engine.plan.wiring import Step
-from sppm_pipeline.engine.run.running import last_uses
+from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.process.resources import MEMORY, allowed_memory, free_disk, words_for_bytes
 

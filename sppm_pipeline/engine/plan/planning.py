@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -10,16 +11,23 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.config.configuration import FORMAT, Configuration, StageEntry, stage_entries
-from sppm_pipeline.engine.config.document import Entry, Node, plain
+from sppm_pipeline.engine.config.document import Entry, Node, as_node, plain
 from sppm_pipeline.engine.config.names import refuse_clashes
-from sppm_pipeline.engine.config.options import options_of, parse_options, plain_option
+from sppm_pipeline.engine.config.options import (
+    current_name,
+    options_of,
+    parse_options,
+    plain_option,
+    with_current_names,
+)
+from sppm_pipeline.engine.config.parameters import Overrides, Substitution, override_options, override_params
 from sppm_pipeline.engine.config.problems import Problems
-from sppm_pipeline.engine.config.substitution import Overrides, Substitution, override_options, override_params
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.wiring import Draft, Step, recipe_order, wire
 from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError
 from sppm_pipeline.process.containment import contained
+from sppm_pipeline.stage import Stage
 
 SWEEP_ID = "sweep"
 """Id under which the stages of `after` find the table of the sweep."""
@@ -42,6 +50,8 @@ class Plan:
     warnings : tuple of str
     document : dict
         The configuration with overrides and defaults written out; run again, it gives the same.
+    plugins : tuple of Plugin
+        All that were loaded.
     """
 
     configuration: Configuration
@@ -53,6 +63,12 @@ class Plan:
     after: tuple[Step, ...]
     warnings: tuple[str, ...]
     document: dict[str, Any] = field(repr=False)
+    plugins: tuple[Plugin, ...] = field(repr=False)
+
+    def until(self, until: str | None) -> tuple[Step, ...]:
+        """The steps of the pipeline up to the one of this id; all if it is None."""
+        ids = [step.id for step in self.steps]
+        return self.steps if until is None else self.steps[: ids.index(until) + 1]
 
 
 def make_plan(
@@ -87,7 +103,8 @@ def make_plan(
         params |= {name: entry for name, entry in row.items() if name != "seed"}
         seed = row["seed"].node.value if "seed" in row else seed
     entries, unused = _entries(configuration, params, overrides, problems)
-    drafts = {name: _drafts(group, configuration, registry, problems) for name, group in entries.items()}
+    renamed: dict[tuple[str, str], str] = {}
+    drafts = {name: _drafts(group, configuration, registry, problems, renamed) for name, group in entries.items()}
     recipes: dict[str, tuple[type, ...] | None] = dict.fromkeys(configuration.recipes)
     wired: dict[str, list[Step]] = {}
     for name in recipe_order({name: drafts[name] for name in recipes}, problems):
@@ -116,8 +133,9 @@ def make_plan(
         steps=tuple(steps),
         recipes={name: tuple(wired[name]) for name in configuration.recipes},
         after=tuple(after),
-        warnings=tuple(unused),
+        warnings=(*renamed.values(), *unused),
         document=_document(configuration, seed, params, steps, wired, after, single=row is not None),
+        plugins=tuple(registry.plugins.plugins),
     )
 
 
@@ -163,9 +181,13 @@ def _entries(
 
 
 def _drafts(
-    entries: Sequence[StageEntry], configuration: Configuration, registry: Registry, problems: Problems
+    entries: Sequence[StageEntry],
+    configuration: Configuration,
+    registry: Registry,
+    problems: Problems,
+    renamed: dict[tuple[str, str], str],
 ) -> list[Draft | None]:
-    """Look the stages up and read their options."""
+    """Look the stages up and read their options; former names that are used go to `renamed`, each once."""
     drafts: list[Draft | None] = []
     for entry in entries:
         try:
@@ -177,6 +199,7 @@ def _drafts(
         except PluginError as error:
             error.where = error.where or entry.where
             raise
+        entry = _with_current_names(entry, cls, registry, problems, renamed)
         values = parse_options(cls, entry.options, entry.where, configuration.base_of, problems, stage=entry.address)
         stage = None
         if values is not None:
@@ -199,6 +222,30 @@ def _drafts(
                 ) from error
         drafts.append(Draft(entry, cls, stage, registry.owner(entry.name)))
     return drafts
+
+
+def _with_current_names(
+    entry: StageEntry, cls: type[Stage], registry: Registry, problems: Problems, renamed: dict[tuple[str, str], str]
+) -> StageEntry:
+    """The entry with options under their current names, and those that a former name of the stage implied."""
+    options, former = with_current_names(cls, entry.options, problems, stage=entry.address)
+    for name in former:
+        renamed.setdefault(
+            (cls.name, name),
+            f"{entry.options[name].where}: the option {name!r} of {cls.name} is now "
+            f"{current_name(cls, name)!r}; the old name works in this version",
+        )
+    alias = registry.aliases.get(entry.name)
+    if alias is not None:
+        renamed.setdefault(
+            (entry.name, ""),
+            f"{entry.stage.where}: stage {entry.name!r} is now {cls.name!r}; the old name works in this version",
+        )
+        written = {name: plain(one.node) for name, one in options.items()}
+        implied = alias.options(written) if callable(alias.options) else alias.options
+        for name, value in implied.items():
+            options.setdefault(name, Entry(entry.where, as_node(plain_option(value), entry.where)))
+    return dataclasses.replace(entry, options=options, stage=dataclasses.replace(entry.stage, value=cls.name))
 
 
 def _blamer(owner: Plugin, entry: StageEntry) -> Callable[[str], SppmError]:

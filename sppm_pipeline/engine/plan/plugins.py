@@ -26,7 +26,10 @@ from sppm_pipeline.process.containment import contained
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from sppm_pipeline.stage import Stage
+    from sppm_pipeline.stage import Stage, StageAlias
+
+BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
+"""Modules whose hook implementations are always there."""
 
 API_CONSTANT = "SPPM_API_VERSION"
 """Name under which the module of a plugin may say which version of the interface it was written for."""
@@ -48,6 +51,9 @@ class Plugin:
     error : PluginError or None
         Why it could not be loaded.
     stages : dict of stage name to class or "module:Class"
+    module : object or None
+        What was loaded.
+    aliases : dict of former stage name to current name or StageAlias
     executors : dict of name to function of the number of workers
     """
 
@@ -57,7 +63,9 @@ class Plugin:
     target: str | None = None
     builtin: bool = False
     error: PluginError | None = None
+    module: object | None = None
     stages: dict[str, type[Stage] | str] = field(default_factory=dict)
+    aliases: dict[str, str | StageAlias] = field(default_factory=dict)
     executors: dict[str, Callable[[int], Executor]] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -122,7 +130,7 @@ def _normal(name: str) -> str:
 
 
 def load_plugins(
-    builtins: Sequence[str],
+    builtins: Sequence[str] = BUILTINS,
     *,
     files: Iterable[Path] = (),
     distributions: bool = True,
@@ -208,13 +216,14 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
     try:
         manager.register(module, plugin.name)
         manager.check_pending()
+        plugin.module = module
     except (pluggy.PluginValidationError, ValueError) as error:
         if manager.has_plugin(plugin.name):
             manager.unregister(name=plugin.name)
         plugin.error = BrokenContract(f"{plugin}: {' '.join(str(error).split())}", hint=_hook_hint(module))
         return
     try:
-        for hook, found in (("sppm_stages", plugin.stages), ("sppm_executors", plugin.executors)):
+        for hook, found, is_valid, expected in _SUPPLIED:
             for implementation in getattr(manager.hook, hook).get_hookimpls():
                 if implementation.plugin_name == plugin.name:
                     with (
@@ -227,13 +236,9 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
                         supplied = implementation.function()
                     if not isinstance(supplied, Mapping) or not all(isinstance(name, str) for name in supplied):
                         raise BrokenContract(f"{plugin}: {hook} must return a map of names, got {supplied!r:.80}")
-                    if wrong := [
-                        name for name, value in supplied.items() if not (callable(value) or isinstance(value, str))
-                    ]:
-                        raise BrokenContract(
-                            f"{plugin}: {hook} must name classes or 'module:Class', which {listed(wrong)} is not"
-                        )
-                    found.update(supplied)
+                    if wrong := [name for name, value in supplied.items() if not is_valid(value)]:
+                        raise BrokenContract(f"{plugin}: {hook} must name {expected}, which {listed(wrong)} is not")
+                    getattr(plugin, found).update(supplied)
     except PluginError as error:
         plugin.error = error
     except Exception as error:
@@ -243,6 +248,24 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         for cls in _stage_classes(module):
             if cls not in plugin.stages.values():
                 plugin.stages[cls.name] = cls
+
+
+def _is_class_or_place(value: Any) -> bool:
+    return callable(value) or isinstance(value, str)
+
+
+def _is_alias(value: Any) -> bool:
+    from sppm_pipeline.stage import StageAlias
+
+    return isinstance(value, (str, StageAlias))
+
+
+_SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
+    ("sppm_stages", "stages", _is_class_or_place, "classes or 'module:Class'"),
+    ("sppm_stage_aliases", "aliases", _is_alias, "stages or a StageAlias"),
+    ("sppm_executors", "executors", _is_class_or_place, "functions"),
+)
+"""Hooks that return a map of names: where the map goes in `Plugin`, what its values may be, and that in words."""
 
 
 def _import_file(path: Path) -> ModuleType:
@@ -305,14 +328,14 @@ def _stage_classes(module: ModuleType) -> list[type[Stage]]:
 
 def _refuse_duplicates(plugins: list[Plugin]) -> None:
     """Two plugins with one stage name: the later one is at fault, both are named."""
-    for kind in ("stages", "executors"):
+    for kinds in (("stages", "aliases"), ("executors",)):  # former names of stages must not hide stages
         owners: dict[str, Plugin] = {}
-        for plugin in plugins:
+        for kind, plugin in ((kind, plugin) for kind in kinds for plugin in plugins):
             for name in list(getattr(plugin, kind)):
                 if name in owners:
                     del getattr(plugin, kind)[name]
                     plugin.error = plugin.error or BrokenContract(
-                        f"the {kind[:-1]} {name!r} comes from {owners[name]} and from {plugin}",
+                        f"the {kinds[0][:-1]} {name!r} comes from {owners[name]} and from {plugin}",
                         hint="rename one, or remove one of the plugins",
                     )
                 owners.setdefault(name, plugin)

@@ -14,7 +14,7 @@ from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.errors import ConfigError, PluginError, Position
 from sppm_pipeline.process.containment import contained
-from sppm_pipeline.stage import FAMILIES, Stage
+from sppm_pipeline.stage import FAMILIES, Stage, StageAlias
 
 
 class Registry:
@@ -29,9 +29,19 @@ class Registry:
         self.plugins = plugins
         self._owners = {name: plugin for plugin in plugins.plugins for name in plugin.stages}
         self._classes: dict[str, type[Stage]] = {}
+        self.aliases: dict[str, StageAlias] = {
+            former: alias if isinstance(alias, StageAlias) else StageAlias(alias)
+            for plugin in plugins.plugins
+            for former, alias in plugin.aliases.items()
+        }
+        """Former stage names and what they stand for now."""
 
     def __contains__(self, name: str) -> bool:
-        return name in self._owners
+        return self.current(name) in self._owners
+
+    def current(self, name: str) -> str:
+        """The current name of a stage that may be named by a former one."""
+        return self.aliases[name].name if name in self.aliases else name
 
     def __iter__(self) -> Iterator[str]:
         """Names of all stages, by family in the order of a pipeline, then by name."""
@@ -53,10 +63,10 @@ class Registry:
 
     def owner(self, name: str) -> Plugin:
         """The plugin that supplies the stage."""
-        return self._owners[name]
+        return self._owners[self.current(name)]
 
     def get(self, name: str, where: Position | None = None) -> type[Stage]:
-        """The class of a stage.
+        """The class of a stage, by its current or a former name.
 
         Raises
         ------
@@ -65,6 +75,7 @@ class Registry:
         PluginError
             If its module can't be imported, or the class breaks the contract.
         """
+        name = self.current(name)
         if name not in self._owners:
             raise ConfigError(f"there is no stage {shown(name)}", where=where, hint=self._hint(name))
         if name not in self._classes:

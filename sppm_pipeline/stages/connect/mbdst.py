@@ -34,7 +34,9 @@ class BoundedDegreeSubgraph(Connector):
         help="exact: proven optimum; lp_fix: within about 0.15 % of it; greedy: within about 5 %, in milliseconds",
         choices=("exact", "lp_fix", "greedy"),
     )
-    neighbors: int = option(10, help="nearest neighbors a pore may be joined to", minimum=2, maximum=100)
+    neighbors: int = option(
+        10, help="nearest neighbors a pore may be joined to", minimum=2, maximum=100, formerly="neighbours"
+    )
     two_edge_connected: bool = option(False, help="no single tunnel may hold the graph together")
     clearance: Length | None = option(
         None, help="smallest distance between tunnels that share no pore", unit="cell lengths", above=0, maximum=1e6

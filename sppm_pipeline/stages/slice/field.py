@@ -40,7 +40,11 @@ class SliceField(Stage):
         choices=("remove", "keep"),
     )
     gray: int = option(
-        1, help="samples along a pixel's edge for gray by area coverage; 1 for black and white", minimum=1, maximum=16
+        1,
+        help="samples along a pixel's edge for gray by area coverage; 1 for black and white",
+        minimum=1,
+        maximum=16,
+        formerly="grey",
     )
 
     def check_options(self) -> None:

@@ -40,7 +40,11 @@ class SliceMesh(Stage):
         choices=("part", "origin"),
     )
     gray: int = option(
-        1, help="samples along a pixel's edge for gray by area coverage; 1 for black and white", minimum=1, maximum=16
+        1,
+        help="samples along a pixel's edge for gray by area coverage; 1 for black and white",
+        minimum=1,
+        maximum=16,
+        formerly="grey",
     )
     inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
 

@@ -13,7 +13,7 @@ from sppm_pipeline.engine.config.options import Option, options_of, plain_option
 from sppm_pipeline.engine.plan.describe import purpose_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.stage import OptionSpec, Stage
+from sppm_pipeline.stage import OptionSpec, Stage, StageAlias
 
 _NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 _PARAM = {"type": "string", "pattern": r"^\$\{\s*\w+\s*\}$"}
@@ -50,11 +50,17 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
     names = registry.sound()
     classes = [registry.get(name) for name in names]
     named: dict[str, Any] = {"type": "object", "required": ["stage"]}
-    named["properties"] = {"stage": {"anyOf": [{"enum": names}, _PARAM]}}
+    former = {name: alias for name, alias in sorted(registry.aliases.items()) if alias.name in names}
+    choices: list[dict[str, Any]] = [{"enum": names}]
+    if former:
+        choices.append({"enum": list(former), "deprecated": True})
+    named["properties"] = {"stage": {"anyOf": [*choices, _PARAM]}}
     named["allOf"] = [
-        {"if": {"properties": {"stage": {"const": cls.name}}}, "then": {"$ref": f"#/$defs/{cls.name}"}}
-        for cls in classes
+        {"if": {"properties": {"stage": {"const": name}}}, "then": {"$ref": f"#/$defs/{name}"}}
+        for name in (*names, *former)
     ]
+    definitions: dict[str, Any] = {cls.name: _stage_schema(cls) for cls in classes}
+    definitions |= {name: _alias_schema(registry.get(name), name, alias) for name, alias in former.items()}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "sppm pipeline",
@@ -62,7 +68,7 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
         "required": ["sppm", "pipeline"],
         "additionalProperties": False,
         "properties": {key: {"description": KEYS[key], **top[key]} for key in KEYS},
-        "$defs": {"stage": {"anyOf": [{"enum": names}, named]}} | {cls.name: _stage_schema(cls) for cls in classes},
+        "$defs": {"stage": {"anyOf": [*choices, named]}} | definitions,
     }
 
 
@@ -78,12 +84,27 @@ def _stage_schema(cls: type[Stage]) -> dict[str, Any]:
         properties["from"] = text_or_map
     if any(port.is_recipe for port in ports):
         properties["recipe"] = text_or_map
+    either: list[dict[str, Any]] = []
     required = ["stage"] + ["recipe"] * any(port.is_recipe and not port.optional for port in ports)
     for option in options_of(cls).values():
         properties[option.name] = _option_schema(option)
-        if option.required:
+        if option.spec.formerly is not None:
+            properties[option.spec.formerly] = _option_schema(option) | {"deprecated": True}
+            if option.required:
+                either.append({"anyOf": [{"required": [name]} for name in (option.name, option.spec.formerly)]})
+        elif option.required:
             required.append(option.name)
-    return {"type": "object", "required": required, "additionalProperties": False, "properties": properties}
+    schema = {"type": "object", "required": required, "additionalProperties": False, "properties": properties}
+    return schema | {"allOf": either} if either else schema
+
+
+def _alias_schema(cls: type[Stage], name: str, alias: StageAlias) -> dict[str, Any]:
+    """The schema of an entry that names a stage by a former name; what that name implied need not be written."""
+    schema = _stage_schema(cls)
+    schema["properties"]["stage"] = {"const": name, "description": f"now {cls.name}", "deprecated": True}
+    implied = {option.name for option in options_of(cls).values()} if callable(alias.options) else set(alias.options)
+    schema["required"] = [key for key in schema["required"] if key not in implied]
+    return schema | {"deprecated": True}
 
 
 def _option_schema(option: Option) -> dict[str, Any]:
