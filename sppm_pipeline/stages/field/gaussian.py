@@ -108,9 +108,9 @@ class GaussianField(Stage):
         else:
             assert self.tunnel_radius is not None
             mu = p.mu_from_radius(cell.fraction(self.tunnel_radius), self.level, squared)
-        all_omega = omega * _factors(context.rng(0), self.pore_spread, len(graph.pores.centers)) ** -2.0
+        all_omega = omega * _factors(context, 0, self.pore_spread, len(graph.pores.centers)) ** -2.0
         power = -2.0 if squared else -1.0
-        all_mu = mu * _factors(context.rng(1), self.tunnel_spread, len(graph.edges)) ** power
+        all_mu = mu * _factors(context, 1, self.tunnel_spread, len(graph.edges)) ** power
         self._check_reach("pore_radius" if self.omega is None else "omega", all_omega, 0.5)
         self._check_reach("tunnel_radius" if self.mu is None else "mu", all_mu, 0.5 if squared else 1.0)
         context.report(
@@ -134,8 +134,8 @@ class GaussianField(Stage):
             )
 
 
-def _factors(rng: np.random.Generator, spread: float, n: int) -> NDArray[np.float64]:
+def _factors(context: Context, key: int, spread: float, n: int) -> NDArray[np.float64]:
     """Factors of the radii: log-normal, median 1, cut at two deviations so that no pore swallows a cell."""
     if not spread:
         return np.ones(n)
-    return np.exp(spread * np.clip(rng.standard_normal(n), -2, 2))
+    return np.exp(spread * np.clip(context.rng(key).standard_normal(n), -2, 2))
