@@ -19,8 +19,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 
 FAMILIES: Mapping[str, str] = {
@@ -215,22 +215,31 @@ class Stage(ABC):
     cacheable : bool
         False for a stage whose result depends on more than its options, input files, inputs and random numbers, for
         instance on a clock or a network; it then runs every time, and so does what depends on it.
+    advice : str
+        What makes the work smaller, said when a run is refused because it can't fit; empty for a default.
     """
 
     name: ClassVar[str]
     version: ClassVar[int] = 1
     cacheable: ClassVar[bool] = True
+    advice: ClassVar[str] = ""
 
     @abstractmethod
     def run(self, context: Context, *inputs: Any) -> Any:
         """Do the work; subclasses state their ports and result by annotation."""
 
-    def estimate(self, given: Given) -> Estimate | None:
-        """Foretell the result and its costs from facts about the inputs, in milliseconds; None if that can't be told.
+    def estimate(self, palette: Palette, *inputs: Any) -> Size | None:
+        """Tell how large the result and the work will be, in milliseconds; None if that is unknown.
 
-        A fact that is missing raises `KeyError`, which may pass.
+        Subclasses take the `Size` of each port by name (None for an open one), and a `RecipeSize` for a recipe. What
+        raises, for instance because the geometry of an input is unknown, is unknown as well.
         """
         return None
+
+    @property
+    def rated_as(self) -> str:
+        """The entry of the table of rates by which time, memory and disk are estimated from the size."""
+        return self.name
 
     def check_options(self) -> None:  # noqa: B027 - most stages have nothing to add
         """Raise `ConfigError` if options contradict each other; called before any work starts."""

@@ -1,4 +1,4 @@
-"""``sppm estimate``: what a run will take, foretold along the wiring without running anything."""
+"""``sppm estimate``: what a run will take, estimated along the wiring without running anything."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sppm_pipeline.cli.arguments import add_configuration, open_from
 from sppm_pipeline.cli.limits import add_limits, limits_of
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.plan.estimate import Forecast
+    from sppm_pipeline.engine.plan.estimate import PlanEstimate
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -24,66 +24,68 @@ def configure(parser: ArgumentParser) -> None:
 
 
 def execute(args: Namespace) -> int:
-    """Print the forecast; 5 if memory or disk will not do."""
+    """Print the estimate; 5 if memory or disk will not do."""
     with limits_of(args):
-        from sppm_pipeline.engine.plan.session import checked, forecasts, refuse_unfit
+        from sppm_pipeline.engine.cache.housekeeping import cache_folder, open_store
+        from sppm_pipeline.engine.plan.rates import speed_of
+        from sppm_pipeline.engine.plan.session import checked, estimates, refuse_unfit
 
         session = open_from(args)
         plan, rows = checked(session, args.until)
-        found = forecasts(session, plan, rows, args.until)
-        largest = max(found, key=lambda forecast: forecast.memory)
+        cache = cache_folder()
+        speed = speed_of(open_store(cache) if cache is not None and cache.is_dir() else None)
+        found = estimates(session, plan, rows, args.until, speed)
+        largest = max(found, key=lambda estimate: estimate.memory)
         runs = max(1, len(rows))
         total = {
             "runs": runs,
             "memory_bytes": round(largest.memory),
-            "disk_bytes": round(sum(f.disk for f in found) / len(found) * runs),
-            "seconds": round(sum(f.seconds for f in found) / len(found) * runs, 3),
+            "disk_bytes": round(sum(one.disk for one in found) / len(found) * runs),
+            "seconds": round(sum(one.seconds for one in found) / len(found) * runs, 3),
         }
+        stages = _stages(largest)
         if args.json:
-            print(json.dumps({**total, "unknown": list(largest.unknown), "stages": _stages(largest)}, indent=1))
+            print(json.dumps({**total, "unknown": list(largest.unknown), "stages": stages}, indent=1))
         else:
-            _print(largest, total)
+            _print(stages, total, largest.unknown)
         refuse_unfit(session, plan, rows, args.output or Path("runs") / plan.name, until=args.until)
     return 0
 
 
-def _stages(forecast: Forecast) -> list[dict[str, Any]]:
+def _stages(estimate: PlanEstimate) -> list[dict[str, Any]]:
     stages = []
-    for foretold in forecast.stages:
-        found = foretold.estimate
-        entry: dict[str, Any] = {"id": foretold.step.id, "known": found is not None}
-        if found is not None:
+    for found in estimate.stages:
+        entry: dict[str, Any] = {"id": found.step.id, "known": found.cost is not None}
+        if found.cost is not None and found.size is not None:
             entry |= {
-                "memory_bytes": round(foretold.memory),
-                "disk_bytes": round(found.disk),
-                "seconds": round(found.seconds, 4),
-                "voxels": round(found.voxels),
-                "layers": found.layers,
+                "memory_bytes": round(found.resident),
+                "disk_bytes": round(found.cost.disk),
+                "seconds": round(found.cost.seconds, 4),
+                "voxels": round(found.size.samples or found.size.voxels),
+                "layers": round(found.size.layers),
             }
         stages.append(entry)
     return stages
 
 
-def _print(forecast: Forecast, total: dict[str, Any]) -> None:
+def _print(stages: list[dict[str, Any]], total: dict[str, Any], unknown: tuple[str, ...]) -> None:
     from sppm_pipeline.process.resources import words_for_bytes
 
-    width = max(len(stage.step.id) for stage in forecast.stages)
+    width = max(len(stage["id"]) for stage in stages)
     print(f"{'':{width}s}     memory       disk    seconds     voxels")
-    for foretold in forecast.stages:
-        found = foretold.estimate
-        if found is None:
-            print(f"{foretold.step.id:{width}s}  not foretold")
+    for stage in stages:
+        if not stage["known"]:
+            print(f"{stage['id']:{width}s}    unknown")
             continue
-        layers = f"  {found.layers} layers" if found.layers else ""
-        print(
-            f"{foretold.step.id:{width}s} {words_for_bytes(foretold.memory):>10s} {words_for_bytes(found.disk):>10s} "
-            f"{found.seconds:10.2f} {found.voxels:10.3g}{layers}"
-        )
+        layers = f"  {stage['layers']} layers" if stage["layers"] else ""
+        memory, disk = words_for_bytes(stage["memory_bytes"]), words_for_bytes(stage["disk_bytes"])
+        numbers = f"{stage['seconds']:10.2f} {stage['voxels']:10.3g}{layers}"
+        print(f"{stage['id']:{width}s} {memory:>10s} {disk:>10s} {numbers}")
     if total["runs"] > 1:
         print(f"that is the largest of {total['runs']} runs")
+    memory, disk = words_for_bytes(total["memory_bytes"]), words_for_bytes(total["disk_bytes"])
+    least = "at least " if unknown else ""
     print(
-        f"in all: {words_for_bytes(total['memory_bytes'])} of memory, {words_for_bytes(total['disk_bytes'])} on disk, "
-        f"{total['seconds']:.3g} s on one core"
+        f"in all: {least}{memory} of memory, {least}{disk} on disk, {least}{total['seconds']:.3g} s on one core"
+        + (f"; unknown: {', '.join(unknown)}" if unknown else "")
     )
-    if forecast.unknown:
-        print("not foretold, and left out of the sums: " + ", ".join(forecast.unknown))

@@ -18,7 +18,7 @@ VERBS = {
     "run": "run a pipeline, or every row of its sweep",
     "check": "check a configuration and print its wiring, without running it",
     "explain": "say what each stage of a configuration, or one stage, does, and why it would run again",
-    "estimate": "foretell memory, disk and time of a run, without running it",
+    "estimate": "estimate memory, disk and time of a run, without running it",
     "stages": "list the stages there are, or describe one",
     "graph": "draw the wiring as text, DOT or Mermaid",
     "schema": "print the JSON Schema of configurations, for editors",

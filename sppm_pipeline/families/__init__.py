@@ -17,9 +17,10 @@ from __future__ import annotations
 
 from sppm_pipeline.families.connector import Connector, Piece
 from sppm_pipeline.families.homogenizer import VoxelHomogenizer
+from sppm_pipeline.families.layer_writer import LayerWriter
 from sppm_pipeline.families.mesh_writer import MeshWriter
-from sppm_pipeline.families.sampler import InteriorBox, Sampler, start_of
-from sppm_pipeline.families.tiler import Lattice, Tiler, foreseen_tiling, lattice_for
+from sppm_pipeline.families.sampler import InteriorBox, Sampler, design_of, start_of
+from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for, tiling_size
 from sppm_pipeline.families.tileset_maker import TileSetMaker
 from sppm_pipeline.families.volume_mesh_writer import VolumeMeshWriter
 from sppm_pipeline.families.voxel_writer import VoxelWriter
@@ -28,6 +29,7 @@ __all__ = [
     "Connector",
     "InteriorBox",
     "Lattice",
+    "LayerWriter",
     "MeshWriter",
     "Piece",
     "Sampler",
@@ -36,7 +38,8 @@ __all__ = [
     "VolumeMeshWriter",
     "VoxelHomogenizer",
     "VoxelWriter",
-    "foreseen_tiling",
+    "design_of",
     "lattice_for",
     "start_of",
+    "tiling_size",
 ]

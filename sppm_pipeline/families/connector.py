@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Cell
+from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.stage import Context, Stage
 
@@ -68,25 +69,17 @@ class Connector(Stage):
         """Tunnels that `join` makes for each pore of a piece, on average."""
         return 1.0
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["pores"]
-        within, faces = facts["pores"], facts["face_pores"]
-        pieces = facts["interiors"] + sum(facts["colors"])
-        pores = within * facts["interiors"] + faces / 3 * sum(facts["colors"])
-        tunnels = self.edges_of_a_pore() * (within + faces) + 2 * faces
-        meetings = given.palette.meetings
-        crossings = 2 * faces * facts["interiors"] * (1 if meetings is not None else max(1, facts["colors"][0]))
-        total = self.edges_of_a_pore() * pores + crossings
-        return Estimate(
-            makes={**facts, "tunnels": tunnels},
-            keeps=80 * total,
-            memory=300 * total + 1e3 * within,
-            seconds=pieces * self.seconds_of_a_piece(within) + 1e-6 * crossings,
+    def estimate(self, palette: Palette, pores: Size) -> Size:
+        cell = pores.cell
+        patterns = sum(cell.colors)
+        meetings = max(1, cell.colors[0]) if palette.meetings is None else 1
+        along, across = self.edges_of_a_pore() * cell.pores, 2 * cell.face_pores
+        return Size(
+            pores=cell.interior_pores * cell.interiors + cell.face_pores / 3 * patterns,
+            tunnels=(along + across * meetings) * cell.interiors,
+            cells=cell.interiors + patterns,
+            design=replace(cell, tunnels=along + across),
         )
-
-    def seconds_of_a_piece(self, pores: float) -> float:
-        """Seconds for joining so many pores."""
-        return 1e-3 + 2e-5 * pores
 
     def run(self, context: Context, pores: PoreSet) -> TunnelGraph:
         """Join all pieces, then connect faces and interiors."""

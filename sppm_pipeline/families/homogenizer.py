@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Facts, Given
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.scalar_field import ScalarField
@@ -79,34 +79,20 @@ class VoxelHomogenizer(Stage):
     iterations: int = option(1000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
     precision: str = option("single", help="precision of the solver's vectors", choices=("single", "double"))
 
-    seconds_of_a_voxel: ClassVar[float]
-    """All load cases, in single precision."""
+    advice: ClassVar[str] = "lower `resolution`, or take `precision: single`"
 
     @abstractmethod
     def bytes_of_a_voxel(self, threads: int) -> int:
         """Memory of the solver in single precision, with as many load cases at a time as there are threads."""
 
-    def estimate(self, given: Given) -> Estimate:
-        """Of `solving` once; stages that solve more often override it."""
-        facts = given["source"]
-        return self.solving(facts, self.resolution)
-
-    def solving(self, facts: Facts, resolution: int) -> Estimate:
-        """Costs of solving the problem of a field or of an image with these facts."""
-        from sppm_pipeline.numerics.forecast.costs import field_seconds
-
-        image, wide = "shape" in facts, self.precision == "double"
-        voxels = float(np.prod(facts["shape"] if image else facts["box"])) * (1 if image else resolution**3)
-        # of a voxel at the surface, several points are sampled
-        sampling = 0.0 if image else field_seconds(3 * voxels, facts["kernels"])
-        return Estimate(
-            makes={"porosity": facts["porosity"]},
-            keeps=2e3,
-            memory=12e6 + 1.2 * self.bytes_of_a_voxel(1) * voxels * (2 if wide else 1),
-            seconds=0.15 + sampling + self.seconds_of_a_voxel * voxels * (1.6 if wide else 1.0),
-            voxels=0.0 if image else voxels,
-            advice="lower `resolution`, or take `precision: single`",
-        )
+    def solving(self, source: Size, resolution: int, repeats: float = 1.0) -> Size:
+        """The size of solving the problem of a field or of an image."""
+        grid = Size(voxels=source.voxels) if source.voxels else source.grid(resolution)
+        voxels = (source.voxels or grid.samples) * (2 if self.precision == "double" else 1)
+        return Size(
+            samples=repeats * grid.samples, sums=repeats * grid.sums, voxels=repeats * voxels, resident=voxels,
+            geometry=source.geometry,
+        )  # fmt: skip
 
     def cell_of(self, context: Context, source: ScalarField | Voxels) -> Cell:
         """Voxels of a periodic cell.

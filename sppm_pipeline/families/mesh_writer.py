@@ -7,10 +7,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Stage
+
+ADVICE = "extract with a lower `resolution`, or slice without a mesh (`slice.field`)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,14 +22,10 @@ class MeshWriter(Stage):
 
     path: str
 
-    bytes_of_a_triangle: ClassVar[float] = 50.0
+    advice: ClassVar[str] = ADVICE
 
-    def estimate(self, given: Given) -> Estimate:
-        triangles = given["mesh"]["triangles"]
-        return Estimate(
-            disk=84 + self.bytes_of_a_triangle * triangles, memory=30e6, seconds=1.5e-7 * triangles,
-            advice="extract with a lower `resolution`, or slice without a mesh (`slice.field`)",
-        )  # fmt: skip
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return written(mesh)
 
     @abstractmethod
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterable[bytes | memoryview]:
@@ -39,17 +38,9 @@ class MeshWriter(Stage):
         context.report(bytes=size, triangles=len(mesh.faces))
 
 
-def foreseen_mesh(
-    facts: Facts, *, bytes_of_a_triangle: float, bytes_of_a_copy: float, seconds_of_a_triangle: float
-) -> Estimate:
-    """Costs of `write_mesh`; what is repeated is written once, and a place for each copy."""
-    triangles, copies = facts["triangles"], facts.get("copies", 0.0)
-    return Estimate(
-        disk=1500 + bytes_of_a_triangle * triangles + bytes_of_a_copy * copies,
-        memory=30e6 + bytes_of_a_triangle * triangles + 500 * copies,
-        seconds=0.02 + seconds_of_a_triangle * triangles + 5e-6 * copies,
-        advice="extract with a lower `resolution`, or slice without a mesh (`slice.field`)",
-    )
+def written(mesh: Size) -> Size:
+    """The size of writing a mesh; what is repeated is written once, and a place for each copy."""
+    return Size(triangles=mesh.triangles, copies=mesh.copies)
 
 
 def write_mesh(

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import itertools
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.data.size import CellDesign, Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -86,29 +86,19 @@ class Sampler(Stage):
             return cell.fraction(self.gap)
         return (self.wished_spacing(cell) or pores.spacing or 0.0) if pores.has_faces else 0.0
 
-    def foreseen_count(self, face_pores: float) -> float:
-        """Pores of one interior, as far as the options tell; `KeyError` if they do not."""
+    def expected_count(self, face_pores: float) -> float:
+        """Pores of one interior as the options tell; `LookupError` if they do not."""
         for name in ("count", "total"):
             value = getattr(self, name, None)
             if value is not None:
                 return max(0.0, float(value) - (face_pores if name == "total" else 0.0))
-        raise KeyError("count")
+        raise LookupError("the number of pores is unknown")
 
-    def estimate(self, given: Given) -> Estimate:
-        before = given.ports["pores"] or {}
-        faces, interiors = before.get("face_pores", 0.0), given.palette.interiors
-        count = self.foreseen_count(faces)
-        makes = {
-            "edge": self.edge.value if self.edge else 1.0,
-            "edge_mm": self.edge.mm() if self.edge and self.edge.unit else None,
-            "face_pores": 0.0,
-            "colors": (0, 0, 0),
-            **before,
-            "interiors": interiors,
-            "pores": before.get("pores", 0.0) + count,
-        }
-        thrown = count * interiors
-        return Estimate(makes=makes, keeps=40 * thrown, memory=1e3 * count, seconds=4e-6 * thrown + 2e-3)
+    def estimate(self, palette: Palette, pores: Size | None) -> Size:
+        cell = pores.cell if pores else design_of(self.edge)
+        count = self.expected_count(cell.face_pores)
+        cell = replace(cell, interiors=palette.interiors, interior_pores=cell.interior_pores + count)
+        return Size(pores=count * palette.interiors, design=cell)
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the pores of all interiors."""
@@ -142,6 +132,11 @@ class Sampler(Stage):
             if base.interiors > 1:
                 context.progress(t + 1, base.interiors, "interiors")
         return base.extended(np.concatenate(centers), np.concatenate(piece), spacing=self.kept_spacing(cell, base))
+
+
+def design_of(edge: Length | None) -> CellDesign:
+    """The design that a first sampler starts from."""
+    return CellDesign(edge=edge.mm() if edge else 1.0, edge_mm=edge.mm() if edge and edge.unit else None)
 
 
 def start_of(edge: Length | None, pores: PoreSet | None, interiors: int) -> tuple[Cell, PoreSet]:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
@@ -67,26 +69,23 @@ def lattice_for(
     return Lattice(mask, edge, (float(origin[0]), float(origin[1]), float(origin[2])))
 
 
-def foreseen_tiling(
-    cell: Length | None, cells: tuple[int, int, int] | None, cover: Facts | None, facts: Facts
-) -> tuple[dict[str, Any], float]:
-    """Facts about a tiling before it is laid, and the number of its cells."""
-    edge = cell.mm() if cell is not None else facts["edge_mm"]
+def tiling_size(
+    cell: Length | None, cells: tuple[int, int, int] | None, cover: Size | None, content: Size, **patches: float
+) -> Size:
+    """The size of a tiling: of a box of cells, or of those that cover a part.
+
+    Cells that the surface of a part passes through are filled, too: half a cell on either side of it, and some corners.
+    """
+    edge = cell.mm() if cell is not None else content.body.edge_mm
     if cells is not None:
-        box = tuple(float(n) for n in cells)
-        filled = volume = float(np.prod(box))
-    elif cover is None:
-        raise KeyError("cover")
+        box, filled = tuple(map(float, cells)), math.inf
+    elif cover is None or edge is None:
+        raise LookupError("the lattice is unknown")
     else:
-        box = tuple(float(max(1, np.ceil(size / edge - 1e-9))) for size in cover["size_mm"])
-        # cells that the surface passes through are filled, too: half a cell on either side of it, and some corners
-        volume = cover["volume_mm3"] / edge**3
-        filled = min(float(np.prod(box)), volume + 0.7 * cover["area_mm2"] / edge**2 + 8)
-    x, y, z = box
-    envelope = 2 * (x * y + y * z + z * x)
-    return {**facts, "box": box, "volume": filled, "cells": filled, "envelope": envelope, "cell_mm": edge}, float(
-        np.prod(box)
-    )
+        part = cover.body.in_unit(edge)
+        box = tuple(float(max(1, math.ceil(size - 1e-9))) for size in part.box)
+        filled = part.volume + 0.7 * part.envelope + 8
+    return content.in_box(box, filled, edge_mm=edge, **patches)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +102,7 @@ class Tiler(Stage):
         False, help="the box of `cells` repeats for ever, as homogenization needs it: its opposite ends are neighbors"
     )
     kinds: ClassVar[tuple[str, ...]] = ("wang",)
+    advice: ClassVar[str] = "give larger cells or fewer of them"
 
     def check_options(self) -> None:
         check_repeats(self.periodic, self.cells)
@@ -128,12 +128,8 @@ class Tiler(Stage):
             where no cell touches.
         """
 
-    def estimate(self, given: Given) -> Estimate:
-        makes, lattice = foreseen_tiling(self.cell, self.cells, given.ports["cover"], given["tileset"])
-        return Estimate(
-            makes=makes, keeps=16 * lattice, memory=40 * lattice, seconds=5e-3 + 3e-7 * lattice,
-            advice="give larger cells or fewer of them",
-        )  # fmt: skip
+    def estimate(self, palette: Palette, tileset: Size, cover: Size | None) -> Size:
+        return tiling_size(self.cell, self.cells, cover, tileset)
 
     def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
         """Lay the cells."""

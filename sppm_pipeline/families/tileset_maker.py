@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
@@ -53,27 +53,14 @@ class TileSetMaker(Stage):
     def palette_size(self) -> int:
         """The number of colors that `TileSet.palette_colors` states."""
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.costs import field_seconds
-        from sppm_pipeline.numerics.forecast.structure import structure_of
-
-        palette = self.palette()
-        recipe = given.recipes["recipe"](palette)
-        facts = dict(recipe.makes)
-        if self.porosity is not None:
-            facts["porosity"], facts["surface"] = structure_of(*facts["structure"], porosity=self.porosity)
-        cells, n = palette.interiors, self.resolution
-        finer = n + n // 2 + 1 if self.porosity is not None else 0
-        voxels = cells * (n**3 + finer**3)
-        facts |= {"kind": self.kind, "palette_colors": self.palette_size(), "pieces": cells + 3 * max(palette.colors)}
-        return Estimate(
-            makes=facts,
-            keeps=recipe.keeps,
-            memory=recipe.memory + 5 * voxels,
-            seconds=recipe.seconds + field_seconds(voxels, facts["kernels"]) + 0.15,
-            voxels=recipe.voxels + voxels,
-            advice="lower `resolution` or the number of interiors",
+    def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
+        own, n = self.palette(), self.resolution
+        made, finer = recipe(own), n + n // 2 + 1 if self.porosity is not None else 0
+        samples = own.interiors * float(n**3 + finer**3)
+        made = made.at_porosity(
+            self.porosity, samples=samples, sums=made.body.kernels * samples, resident=samples, cells=own.interiors
         )
+        return replace(made, geometry=replace(made.body, patches=own.interiors + 3 * max(own.colors)))
 
     def run(self, context: Context, recipe: Recipe) -> TileSet:
         """Draw the set and, if a porosity is wished, choose its level."""

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.stage import Context, Stage
 
@@ -17,23 +18,10 @@ class VolumeMeshWriter(Stage):
     """Base of writers of volume meshes: implement `encode` and declare the option `path`."""
 
     path: str
+    advice: ClassVar[str] = "mesh with a lower `resolution`"
 
-    bytes_of_a_node: ClassVar[float] = 24.0
-    bytes_of_a_corner: ClassVar[float] = 4.0
-    bytes_of_a_cell: ClassVar[float] = 10.0
-    seconds_of_a_cell: ClassVar[float] = 1e-7
-    memory_of_a_cell: ClassVar[float] = 30.0
-
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["mesh"]
-        cells, nodes = facts["cells"], facts["nodes"]
-        a_cell = self.bytes_of_a_cell + self.bytes_of_a_corner * (4 if facts["order"] == 1 else 10)
-        return Estimate(
-            disk=1500 + self.bytes_of_a_node * nodes + a_cell * cells,
-            memory=self.memory_of_a_cell * cells + 10e6,
-            seconds=0.01 + self.seconds_of_a_cell * (cells + nodes),
-            advice="mesh with a lower `resolution`",
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(tetrahedra=mesh.tetrahedra, nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
 
     @abstractmethod
     def encode(self, mesh: VolumeMesh) -> Iterator[bytes]:

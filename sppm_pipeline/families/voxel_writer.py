@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from sppm_pipeline.data.estimate import Estimate, Facts, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.stage import Context, Stage
 
@@ -18,15 +18,8 @@ class VoxelWriter(Stage):
 
     path: str
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["voxels"]
-        values = float(math.prod(facts["shape"])) * facts["bytes"]
-        size = self.foreseen_bytes(facts, values)
-        return Estimate(disk=size, memory=2 * values, seconds=0.01 + 4e-9 * values, advice="lower `resolution`")
-
-    def foreseen_bytes(self, facts: Facts, values: float) -> float:
-        """Bytes of the file for so many bytes of values."""
-        return values + 300
+    def estimate(self, palette: Palette, voxels: Size) -> Size:
+        return Size(voxels=voxels.voxels, resident=voxels.resident, outline=voxels.outline, layers=voxels.layers)
 
     @abstractmethod
     def encode(self, voxels: Voxels) -> Iterable[bytes]:

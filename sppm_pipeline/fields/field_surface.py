@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
@@ -17,6 +16,7 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.threads import computed_ahead
 
 SLAB_SAMPLES = 2**20
 """Samples taken at a time; a slab holds at least two planes."""
@@ -51,29 +51,11 @@ def voxels_along_edge(field: ScalarField, resolution: int | None, spacing: Lengt
     return n
 
 
-def foreseen_voxels(facts: Mapping[str, Any], resolution: int | None, spacing: Length | None) -> int:
-    """What `voxels_along_edge` will say of a field with these facts."""
-    if spacing is None or not facts["cell_mm"]:
+def expected_voxels(edge_mm: float | None, resolution: int | None, spacing: Length | None) -> int:
+    """What `voxels_along_edge` will say of a field with this cell size."""
+    if spacing is None or not edge_mm:
         return resolution or 32
-    edge: float = facts["cell_mm"]
-    return math.ceil(edge / spacing.mm() - 1e-9)
-
-
-def foreseen_triangles(facts: Mapping[str, Any], per_cell: int) -> float:
-    """Triangles of marching cubes of a field with these facts."""
-    from sppm_pipeline.numerics.forecast.costs import body_triangles
-
-    return body_triangles(facts["surface"], facts["volume"], facts["envelope"], facts["porosity"], per_cell)
-
-
-def body_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Size, volume and area in mm of the solid of a field with these facts, as meshes tell them."""
-    scale = facts["cell_mm"] or 1.0
-    return {
-        "size_mm": tuple(scale * v for v in facts["box"]),
-        "volume_mm3": (1 - facts["porosity"]) * facts["volume"] * scale**3,
-        "area_mm2": facts["surface"] * facts["volume"] * scale**2,
-    }
+    return math.ceil(edge_mm / spacing.mm() - 1e-9)
 
 
 def on_torus(field: ScalarField) -> bool:
@@ -168,7 +150,7 @@ class FieldSurface:
 
         The bytes are the same whatever the number of threads.
         """
-        from sppm_pipeline.numerics.surface.joining import joined_mesh
+        from sppm_pipeline.numerics.surface.marching_cubes import joined_mesh
 
         slabs = self.slabs(threads)
         vertices, faces = joined_mesh(self._pieces(slabs, progress), lambda: slabs.expected)
@@ -211,7 +193,7 @@ class FieldSurface:
     def slabs(self, threads: int = 1) -> SampledSlabs:
         """The samples, without islands if they are to be removed, which is found out in a pass of its own."""
         if self.islands == "keep":
-            return SampledSlabs(_ahead(self._sampled(threads), threads))
+            return SampledSlabs(computed_ahead(self._sampled(threads), threads))
         from sppm_pipeline.numerics.connectivity.components import components_of_runs
         from sppm_pipeline.numerics.connectivity.islands import negate_runs
         from sppm_pipeline.numerics.connectivity.runs import find_runs, stack_runs
@@ -222,7 +204,7 @@ class FieldSurface:
         keep = nx * ny * nz * (3 if isinstance(self.source, Part) else 1) <= KEPT_SAMPLES
         kept: deque[SampledSlab] = deque()
         runs = []
-        for slab in _ahead(self._sampled(threads), threads):
+        for slab in computed_ahead(self._sampled(threads), threads):
             if slab.start < nz:
                 solid = slab.values[: nz - slab.start, :ny, :nx] < 0
                 runs.append(find_runs(np.ascontiguousarray(solid).view(np.uint8)))
@@ -237,7 +219,7 @@ class FieldSurface:
         del found
 
         def cleaned() -> Iterator[SampledSlab]:
-            for slab in _emptied(kept) if keep else _ahead(self._sampled(threads), threads):
+            for slab in _emptied(kept) if keep else computed_ahead(self._sampled(threads), threads):
                 if largest < total:
                     negate_runs(rows, bounds, stays, (nz, ny, nx), slab.start, slab.values)
                 yield slab
@@ -291,15 +273,3 @@ def _told(
         yield slab
         if progress is not None:
             progress(slab.start + len(slab.values), planes)
-
-
-def _ahead(items: Iterator[Item], threads: int) -> Iterator[Item]:
-    """The same items; with more than one thread the next one is made while the last one is worked on."""
-    if threads < 2:
-        yield from items
-        return
-    with ThreadPoolExecutor(1) as worker:
-        coming = worker.submit(next, items, None)
-        while (item := coming.result()) is not None:
-            coming = worker.submit(next, items, None)
-            yield item

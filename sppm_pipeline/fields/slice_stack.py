@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.data.artifact import Artifact, frozen
+from sppm_pipeline.data.size import Geometry, Size
 
 Slab = tuple[int, NDArray[np.uint8]]
 """Index of the first layer, and layers (nz, ny, nx), rows in order of increasing y."""
@@ -158,3 +159,24 @@ class ArraySlices(SliceStack):
             "solid_share_of_box": solid / (nx * ny * nz),
             "solid_volume_mm3": solid * self.pixel**2 * self.layer,
         }
+
+
+def stack_size(body: Geometry, pixel: float, layer: float, gray: int, *, passes: int = 1) -> Size:
+    """The size of a stack of a body sliced at a pixel and layer pitch (mm), and of the work of evaluating it.
+
+    Finding islands takes a pass of its own; the layers are kept for the second one, a bit a pixel, if they are few.
+    """
+    edge = body.scale
+    nx, ny, nz = (max(1, round(side * edge / p)) for side, p in zip(body.box, (pixel, pixel, layer), strict=True))
+    samples = float(nx) * ny * nz * gray**2
+    kept = samples if passes > 1 and samples <= 2**30 else 0.0
+    passes = 1 if kept else passes
+    along = edge / pixel * gray
+    even = abs(edge / pixel - round(edge / pixel)) < 1e-6 and layer == pixel
+    inside = body.volume * (edge * gray / pixel) ** 2 * edge / layer
+    slab = min(samples, max(2.0**22, nx * ny * gray**2))
+    return Size(
+        samples=passes * samples, sums=passes * body.sums(inside, along, commensurate=even), resident=slab + kept / 64,
+        pixels=nx * ny, layers=nz, outline=body.outline(pixel / edge, layer / edge) * (6 if gray > 1 else 1),
+        geometry=body,
+    )  # fmt: skip

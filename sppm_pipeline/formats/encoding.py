@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -12,6 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.threads import ordered_map
 
 ROWS_AT_ONCE = 65536
 """Rows of a block: a few megabytes, which the allocator reuses and a cache partly holds."""
@@ -86,25 +85,7 @@ def little_endian(rows: NDArray[Any]) -> memoryview:
 def in_blocks(rows: int, encode: Callable[[slice], T], threads: int) -> Iterator[T]:
     """What `encode` makes of each block of rows, in their order."""
     blocks = (slice(start, min(start + ROWS_AT_ONCE, rows)) for start in range(0, rows, ROWS_AT_ONCE))
-    return in_order(encode, blocks, threads if rows > ROWS_AT_ONCE else 1)
-
-
-def in_order(work: Callable[[slice], T], items: Iterable[slice], threads: int) -> Iterator[T]:
-    """``map(work, items)`` by threads that run only a little ahead of who takes the results."""
-    if threads <= 1:
-        yield from map(work, items)
-        return
-    pool = ThreadPoolExecutor(threads)
-    try:
-        waiting: deque[Future[T]] = deque()
-        for item in items:
-            waiting.append(pool.submit(work, item))
-            if len(waiting) > 2 * threads:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+    return ordered_map(encode, blocks, threads if rows > ROWS_AT_ONCE else 1)
 
 
 def largest(values: NDArray[np.floating]) -> float:

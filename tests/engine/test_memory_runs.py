@@ -13,7 +13,8 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.engine.cache import session as cache_session
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
-from sppm_pipeline.engine.run.runner import run_in_memory, run_plan
+from sppm_pipeline.engine.run.memory import run_in_memory
+from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, ConfigErrors
 from sppm_pipeline.testing.synthetic import Number

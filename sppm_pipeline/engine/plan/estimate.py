@@ -1,160 +1,187 @@
-"""Foretelling what a plan will take, stage by stage along the wiring, and refusing what can't fit."""
+"""Estimating what a plan will take, stage by stage along the wiring, and refusing what can't fit."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from sppm_pipeline.data.estimate import Estimate, Facts, Given
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import ONE, RecipeSize, Size
 from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.plan.rates import Cost, Speed, rates
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.process.resources import MEMORY, allowed_memory, free_disk, words_for_bytes
 
-BASE = 150e6
-"""Bytes of the program with its libraries and compiled kernels."""
-
-RECORD, RECORD_STAGE = 2e3, 450
-"""Bytes of ``run.json``, and of each stage in it."""
-
-START = 0.6
-"""Seconds for starting the program."""
-
 TRUST = 1.3
-"""A forecast may be this much too high before a run is refused that the machine might just manage."""
+"""An estimate may be this much too high before a run is refused that the machine might just manage."""
+
+RecipeSteps = Mapping[str, Sequence[Step]]
 
 
 @dataclass(frozen=True)
-class Foretold:
-    """One stage of a plan; `estimate` is None if the stage can't say, or knows too little of its inputs."""
+class StageEstimate:
+    """One stage of a plan.
+
+    Attributes
+    ----------
+    step : Step
+    size : Size or None
+        None if the stage does not tell it.
+    cost : Cost or None
+        With those of its recipes; None if the size or the rates are unknown.
+    resident : float
+        Bytes that the process holds at most while the stage runs.
+    unknown : tuple of str
+        Addresses of stages, of this one or of its recipes, that nothing is known of.
+    """
 
     step: Step
-    estimate: Estimate | None
-    memory: float
-    """Bytes resident while it runs: the program, all results that are kept, and its own."""
+    size: Size | None
+    cost: Cost | None
+    resident: float
+    unknown: tuple[str, ...]
+
+    @property
+    def advice(self) -> str:
+        """What makes the work smaller."""
+        stage = self.step.stage
+        return stage.advice or ("lower `resolution`" if hasattr(stage, "resolution") else "")
 
 
 @dataclass(frozen=True)
-class Forecast:
-    """All stages of a plan."""
+class PlanEstimate:
+    """All stages of a plan; sums leave out what is unknown."""
 
-    stages: tuple[Foretold, ...]
-    unknown: tuple[str, ...] = field(default=())
-    """Ids of the stages that nothing is known of."""
-    record: float = 0.0
-    """Bytes of the run record."""
+    stages: tuple[StageEstimate, ...]
+    program: Cost
+    """Of the program itself and its record."""
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Addresses of the stages that nothing is known of."""
+        return tuple(dict.fromkeys(address for stage in self.stages for address in stage.unknown))
 
     @property
     def memory(self) -> float:
         """Bytes resident at most."""
-        return max((stage.memory for stage in self.stages), default=BASE)
+        return max((stage.resident for stage in self.stages), default=self.program.memory)
 
     @property
     def disk(self) -> float:
         """Bytes written."""
-        return self.record + sum(stage.estimate.disk for stage in self.stages if stage.estimate)
+        return self.program.disk + sum(stage.cost.disk for stage in self.stages if stage.cost)
 
     @property
     def seconds(self) -> float:
         """On one core."""
-        return START + sum(stage.estimate.seconds for stage in self.stages if stage.estimate)
-
-    @property
-    def voxels(self) -> float:
-        """Samples of fields."""
-        return sum(stage.estimate.voxels for stage in self.stages if stage.estimate)
-
-    @property
-    def layers(self) -> int:
-        """Layers written or computed."""
-        return sum(stage.estimate.layers for stage in self.stages if stage.estimate)
+        return self.program.seconds + sum(stage.cost.seconds for stage in self.stages if stage.cost)
 
 
-def estimate_plan(plan: Plan, *, until: str | None = None) -> Forecast:
-    """Foretell a plan without running it.
+def estimate_plan(plan: Plan, *, until: str | None = None, speed: Speed | None = None) -> PlanEstimate:
+    """Estimate a plan without running it.
 
     Parameters
     ----------
     plan : Plan
     until : str, optional
         Id of the last stage that will run.
-
-    Raises
-    ------
-    SppmError
-        If a stage finds, while foretelling, that it will not be able to work.
+    speed : Speed, optional
+        Of this machine, if it is known.
     """
     steps = list(plan.steps)
     if until is not None:
         steps = steps[: [step.id for step in steps].index(until) + 1]
     entries = len(steps) + sum(len(group) for group in plan.recipes.values())
-    return replace(_walk(steps, plan.recipes, Palette()), record=RECORD + RECORD_STAGE * entries)
+    program = rates().cost("sppm", {"stages": float(entries)})
+    assert program is not None
+    return PlanEstimate(estimate_steps(steps, plan.recipes, ONE, program.memory, speed or {}), program)
 
 
-def _walk(steps: Sequence[Step], recipes: Mapping[str, Sequence[Step]], palette: Palette) -> Forecast:
-    facts: dict[str, Facts] = {}
+def estimate_steps(
+    steps: Sequence[Step],
+    recipes: RecipeSteps,
+    palette: Palette,
+    base: float,
+    speed: Speed,
+) -> tuple[StageEstimate, ...]:
+    """Estimate stages in order; `base` are bytes that are resident before the first."""
+    sizes: dict[str, Size | None] = {}
     kept: dict[str, float] = {}
-    stages: list[Foretold] = []
-    unknown: list[str] = []
+    found: list[StageEstimate] = []
     for step, done in zip(steps, last_uses(steps), strict=True):
-        given = Given(
-            palette,
-            {port: facts.get(source, {}) if source else None for port, source in step.inputs.items()},
-            {port: _recipe(name, recipes) for port, name in step.recipes.items()},
-        )
-        found = _of_stage(step, given)
-        if found is None:
-            unknown.append(step.id)
+        inner: list[tuple[float, StageEstimate]] = []
+        size = sizes[step.id] = _size(step, sizes, recipes, palette, speed, inner)
+        key = step.stage.rated_as
+        own = None if size is None else rates().cost(key, size.units(), factor=speed.get(key, (1.0, 0))[0])
+        unknown = tuple(address for _, stage in inner for address in stage.unknown)
+        cost = None
+        if own is None:
+            unknown = (*unknown, step.address)
         else:
-            facts[step.id] = found.makes
-            kept[step.id] = found.keeps
-        held = sum(kept.values())
-        stages.append(Foretold(step, found, BASE + held + (found.memory if found else 0.0)))
+            costs = [(repeats, stage.cost) for repeats, stage in inner if stage.cost]
+            cost = Cost(
+                seconds=own.seconds + sum(repeats * one.seconds for repeats, one in costs),
+                memory=max(own.memory, own.kept, *(stage.resident for _, stage in inner), 0.0),
+                kept=own.kept,
+                disk=own.disk + sum(repeats * one.disk for repeats, one in costs),
+            )
+        resident = base + sum(kept.values()) + (cost.memory if cost else 0.0)
+        kept[step.id] = cost.kept if cost else 0.0
+        found.append(StageEstimate(step, size, cost, resident, unknown))
         for id_ in done:
             kept.pop(id_, None)
-    return Forecast(tuple(stages), tuple(unknown))
+    return tuple(found)
 
 
-def _of_stage(step: Step, given: Given) -> Estimate | None:
-    """The estimate of one stage; whatever goes wrong in it is no reason not to run."""
+def _size(
+    step: Step,
+    sizes: Mapping[str, Size | None],
+    recipes: RecipeSteps,
+    palette: Palette,
+    speed: Speed,
+    inner: list[tuple[float, StageEstimate]],
+) -> Size | None:
+    """The size that a stage tells; whatever goes wrong is no reason not to run."""
+
+    def recipe_size(name: str) -> RecipeSize:
+        def of(palette: Palette = palette, repeats: float = 1.0) -> Size:
+            stages = estimate_steps(recipes[name], recipes, palette, 0.0, speed)
+            inner.extend((repeats, stage) for stage in stages)
+            if (size := stages[-1].size) is None:
+                raise LookupError(f"the size of what {name!r} makes is unknown")
+            return size
+
+        return of
+
+    inputs: dict[str, Size | None] = {port.name: None for port in step.signature.ports if port.optional}
+    # None says that an optional port is open; a size that is unknown has no geometry
+    unknown = {port: Size() if port in inputs else None for port in step.inputs}
+    inputs |= {port: (sizes.get(source) or unknown[port]) if source else None for port, source in step.inputs.items()}
+    made_by = {port: recipe_size(name) for port, name in step.recipes.items()}
     try:
-        found = step.stage.estimate(given)
+        size = step.stage.estimate(palette, **inputs, **made_by)
+        valid = isinstance(size, Size) and all(math.isfinite(n) and n >= 0 for n in size.units().values())
     except Exception:
         return None
-    if not isinstance(found, Estimate):
-        return None
-    numbers = (found.keeps, found.memory, found.disk, found.seconds, found.voxels, found.layers)
-    return found if all(isinstance(n, (int, float)) and math.isfinite(n) and n >= 0 for n in numbers) else None
-
-
-def _recipe(name: str, recipes: Mapping[str, Sequence[Step]]) -> Callable[[Palette], Estimate]:
-    def run(palette: Palette) -> Estimate:
-        forecast = _walk(recipes[name], recipes, palette)
-        last = forecast.stages[-1].estimate
-        return Estimate(
-            makes=last.makes if last else {},
-            keeps=last.keeps if last else 0.0,
-            memory=forecast.memory - BASE,
-            disk=forecast.disk,
-            seconds=forecast.seconds - START,
-            voxels=forecast.voxels,
-            layers=forecast.layers,
-        )
-
-    return run
+    return size if valid else None
 
 
 def refuse_what_cannot_fit(
-    forecast: Forecast, folder: Path, *, runs: int = 1, workers: int = 1, memory: tuple[int | None, str] | None = None
+    estimate: PlanEstimate,
+    folder: Path,
+    *,
+    runs: int = 1,
+    workers: int = 1,
+    memory: tuple[int | None, str] | None = None,
 ) -> None:
     """Raise `ResourceError` if memory or disk will not do, with what to change.
 
     Parameters
     ----------
-    forecast : Forecast
+    estimate : PlanEstimate
         Of one run.
     folder : Path
         The run directory, which need not exist.
@@ -168,24 +195,23 @@ def refuse_what_cannot_fit(
     limit, words = memory or allowed_memory()
     # the user's own limit is meant as it stands
     slack = 1.0 if MEMORY in words or "--memory" in words else TRUST
-    for stage in forecast.stages:
-        needed = stage.memory * workers
-        if limit is not None and stage.estimate is not None and needed > slack * limit:
+    for stage in estimate.stages:
+        needed = stage.resident * workers
+        if limit is not None and stage.cost is not None and needed > slack * limit:
             raise ResourceError(
                 f"about {words_for_bytes(needed)} of memory would be needed; {words} is {words_for_bytes(limit)}"
                 + (f" ({workers} runs at the same time)" if workers > 1 else ""),
-                hint=stage.estimate.advice or "use a coarser resolution or a smaller part",
+                hint=stage.advice or "use a coarser resolution or a smaller part",
                 where=stage.step.where,
                 stage=stage.step.address,
             )
-    free, needed = free_disk(folder), forecast.disk * runs
+    free, needed = free_disk(folder), estimate.disk * runs
     if free is not None and needed > TRUST * free:
-        largest = max(forecast.stages, key=lambda stage: stage.estimate.disk if stage.estimate else 0.0)
-        advice = largest.estimate.advice if largest.estimate else ""
+        largest = max(estimate.stages, key=lambda stage: stage.cost.disk if stage.cost else 0.0)
         raise ResourceError(
             f"about {words_for_bytes(needed)} would be written; free where {str(folder)!r} lies are "
             f"{words_for_bytes(free)}",
-            hint=f"choose another place with -o; {advice or 'use a coarser resolution'}",
+            hint=f"choose another place with -o; {largest.advice or 'use a coarser resolution'}",
             where=largest.step.where,
             stage=largest.step.address,
         )

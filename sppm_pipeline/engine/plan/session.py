@@ -13,9 +13,10 @@ from sppm_pipeline.engine.config.configuration import Configuration, parse_confi
 from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean
-from sppm_pipeline.engine.plan.estimate import Forecast, estimate_plan, refuse_what_cannot_fit
+from sppm_pipeline.engine.plan.estimate import PlanEstimate, estimate_plan, refuse_what_cannot_fit
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.plugins import BUILTINS, Plugins, load_plugins
+from sppm_pipeline.engine.plan.rates import Speed
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.errors import ConfigError
 
@@ -142,8 +143,8 @@ Row = Mapping[str, Entry]
 MOST_CHECKED = 1000
 """Rows that are planned before any work."""
 
-MOST_FORECASTS = 50
-"""Rows of a sweep that are foretold; of more, evenly spread ones stand for all."""
+MAXIMUM_ROWS = 50
+"""Rows of a sweep that are estimated; of more, evenly spread ones stand for all."""
 
 
 def checked(session: Session, until: str | None = None) -> tuple[Plan, Sequence[Row]]:
@@ -174,25 +175,27 @@ def checked(session: Session, until: str | None = None) -> tuple[Plan, Sequence[
     return plan, rows
 
 
-def forecasts(session: Session, plan: Plan, rows: Sequence[Row], until: str | None = None) -> list[Forecast]:
-    """The forecast of the plan, or of the rows of its sweep."""
+def estimates(
+    session: Session, plan: Plan, rows: Sequence[Row], until: str | None = None, speed: Speed | None = None
+) -> list[PlanEstimate]:
+    """The estimate of the plan, or of the rows of its sweep."""
     if not rows:
-        return [estimate_plan(plan, until=until)]
-    step = -(-len(rows) // MOST_FORECASTS)
-    return [estimate_plan(session.plan(row), until=until) for row in rows[::step]]
+        return [estimate_plan(plan, until=until, speed=speed)]
+    step = -(-len(rows) // MAXIMUM_ROWS)
+    return [estimate_plan(session.plan(row), until=until, speed=speed) for row in rows[::step]]
 
 
 def refuse_unfit(
     session: Session, plan: Plan, rows: Sequence[Row], folder: Path, *, workers: int = 1, until: str | None = None
 ) -> None:
     """Raise `ResourceError` if the run or any of a sweep's can't fit into memory or onto the disk."""
-    found = forecasts(session, plan, rows, until)
+    found = estimates(session, plan, rows, until)
     runs = max(1, len(rows))
-    for forecast in found:
-        refuse_what_cannot_fit(forecast, folder, workers=min(workers, runs))
+    for estimate in found:
+        refuse_what_cannot_fit(estimate, folder, workers=min(workers, runs))
     if runs > 1:
-        total = sum(forecast.disk for forecast in found) / len(found) * runs
-        largest = max(found, key=lambda forecast: forecast.disk)
+        total = sum(estimate.disk for estimate in found) / len(found) * runs
+        largest = max(found, key=lambda estimate: estimate.disk)
         if largest.disk:
             refuse_what_cannot_fit(largest, folder, runs=round(total / largest.disk) or 1)
 

@@ -1,10 +1,8 @@
-"""Running the steps of a plan: into a run directory, or in memory."""
+"""Running the steps of a plan into a run directory."""
 
 from __future__ import annotations
 
-import datetime
 import os
-import tempfile
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -13,23 +11,24 @@ from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.config.options import options_of
-from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.planning import Plan, step_options
+from sppm_pipeline.engine.plan.rates import learn_speed
 from sppm_pipeline.engine.plan.session import check_until
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.run.context import RunContext, StageLog
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
-from sppm_pipeline.engine.run.record import Recorder, peak_memory_mb, record_of
+from sppm_pipeline.engine.run.record import Recorder, peak_memory_mb
 from sppm_pipeline.engine.run.steps import RecipeSteps, run_step, summary_of
 from sppm_pipeline.engine.run.verification import finished_run
-from sppm_pipeline.errors import ConfigError, SppmError
+from sppm_pipeline.errors import SppmError
 from sppm_pipeline.hookspecs import StageEvent
 from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.session import CacheSession
     from sppm_pipeline.engine.cache.store import Store
+    from sppm_pipeline.engine.run.memory import MemoryRun
 
 
 def available_threads() -> int:
@@ -105,100 +104,6 @@ def run_plan(
             earlier=earlier.runner if earlier is not None else None,
         ).run()
     return recorder.record
-
-
-class MemoryRun:
-    """A run that has written nothing: its record, and what its stages made.
-
-    Attributes
-    ----------
-    record : dict
-        As ``run.json`` holds it, but for its digest; stages that only write files are marked ``skipped``.
-    """
-
-    def __init__(self, record: dict[str, Any], runner: StepRunner) -> None:
-        self.record = record
-        self.runner = runner
-
-    def result(self, id_: str) -> Any:
-        """What a stage made, also if it came from the cache; None for a stage that makes nothing.
-
-        Raises
-        ------
-        ConfigError
-            If there is no stage of this id.
-        """
-        ids = [entry["id"] for entry in self.record["stages"]]
-        if id_ not in ids:
-            raise ConfigError(f"the run has no stage {id_!r}", hint=did_you_mean(id_, ids))
-        try:
-            return self.runner.result(id_)
-        finally:
-            self.runner.close()
-
-
-def run_in_memory(
-    plan: Plan,
-    *,
-    threads: int,
-    until: str | None = None,
-    monitor: Monitor | None = None,
-    store: Store | None = None,
-    about: str = "",
-) -> MemoryRun:
-    """Run the pipeline without a run directory and keep what every stage makes.
-
-    Stages that make nothing but files are left out; hand the result to `run_plan` as `earlier` to run them. Files that
-    other stages write on the way are thrown away.
-
-    Parameters
-    ----------
-    plan, threads, until, monitor, store, about
-        As for `run_plan`.
-
-    Raises
-    ------
-    SppmError
-        What stopped the run.
-    """
-    check_until(plan, until)
-    monitor = monitor or Monitor()
-    started, began = datetime.datetime.now(datetime.UTC), time.perf_counter()
-    warnings = list(plan.warnings)
-    for message in warnings:
-        monitor.warning(None, message)
-
-    def warn(message: str) -> None:
-        warnings.append(message)
-        monitor.warning(None, message)
-
-    steps = plan.until(until)
-    with tempfile.TemporaryDirectory(prefix="sppm-") as scratch:
-        runner = StepRunner(
-            steps,
-            plan.recipes,
-            seed=plan.seed,
-            threads=threads,
-            folder=Scratch(Path(scratch)),
-            monitor=monitor,
-            observers=Observers([monitor], plan.plugins, warn),
-            store=store,
-            about=about,
-            keep={step.id for step in steps},
-        )
-        runner.run()
-    record = record_of(
-        plan,
-        runner.entries,
-        status="done",
-        error=None,
-        started=started,
-        seconds=time.perf_counter() - began,
-        threads=threads,
-        until=until,
-        warnings=warnings,
-    )
-    return MemoryRun(record, runner)
 
 
 def only_writes(step: Step) -> bool:
@@ -316,6 +221,8 @@ class StepRunner:
                 if number < len(steps):
                     for id_ in {id_ for done in last[:number] for id_ in done} - set(self._keep):
                         self._results.pop(id_, None)
+            if self._cache is not None:
+                learn_speed(self._cache.store, steps, self._recipes, self.entries)
         finally:
             if self._cache is not None:
                 self._cache.close()

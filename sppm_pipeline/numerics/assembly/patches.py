@@ -11,10 +11,7 @@ the memory, and sums that are exact whatever their order.
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +25,7 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_
 from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, check_cutoff, reach_boxes
 from sppm_pipeline.numerics.kernels.rows import LANES
 from sppm_pipeline.numerics.kernels.splat import add_kernels
-
-_T = TypeVar("_T")
+from sppm_pipeline.numerics.threads import ordered_map
 
 #: The level in units of an int16 bank. One patch at the level makes a voxel void, so nothing above it is kept.
 FULL = 32767
@@ -244,7 +240,7 @@ def build_bank(
         add_kernels(dense, grid, kernels[there[p]], cutoff)
         return dense
 
-    for p, dense in enumerate(_in_threads(sampled, len(there), threads)):
+    for p, dense in enumerate(ordered_map(sampled, range(len(there)), threads, ahead=threads)):
         part = slice(first_row[p], first_row[p] + rows[p])
         scale = 1.0 if solid_level is None else FULL / solid_level
         samples = dense if solid_level is None else np.minimum(np.rint(dense * np.float32(scale)), FULL).astype(kind)
@@ -287,20 +283,6 @@ def build_bank(
         data,
         solid_level,
     )
-
-
-def _in_threads(function: Callable[[int], _T], count: int, threads: int) -> Iterator[_T]:
-    """``function(0), function(1), ...`` in order; at most `threads` results wait beside the one in use."""
-    if threads == 1 or count == 1:
-        yield from map(function, range(count))
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        ahead = deque(pool.submit(function, i) for i in range(min(threads, count)))
-        for following in range(len(ahead), len(ahead) + count):
-            result = ahead.popleft().result()
-            if following < count:
-                ahead.append(pool.submit(function, following))
-            yield result
 
 
 @jit

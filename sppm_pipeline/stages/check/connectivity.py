@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.grid import cell_centers
@@ -34,21 +35,13 @@ class CheckConnectivity(Stage):
     )
     bicontinuous: bool = option(False, help="reject a structure whose solid or void does not run through in x, y and z")
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.costs import field_seconds
-
-        facts = given["field"]
-        x, y, z = facts["box"]
-        voxels = x * y * z * self.resolution**3
-        return Estimate(
-            makes=facts, memory=12 * voxels, seconds=field_seconds(voxels, facts["kernels"]) + 1e-8 * voxels,
-            voxels=voxels, advice="lower `resolution`",
-        )  # fmt: skip
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        return field.grid(self.resolution)
 
     def run(self, context: Context, field: ScalarField) -> ScalarField:
         """Label both phases; the result is the field, without islands if they are removed."""
+        from sppm_pipeline.numerics.connectivity.components import phase_report
         from sppm_pipeline.numerics.connectivity.islands import keep_largest, loose_parts
-        from sppm_pipeline.numerics.connectivity.percolation import phase_report
 
         n = self.resolution
         solid = field.solid(cell_centers(n, field.cells), context.threads)

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 
@@ -32,6 +33,7 @@ class CheckMesh(Stage):
     """
 
     name: ClassVar[str] = "check.mesh"
+    advice: ClassVar[str] = "extract with a lower `resolution`"
 
     thin: Length | None = option(None, help="walls thinner than this are thin", unit="mm", above=0, maximum=1e6)
     thin_share: float = option(
@@ -57,15 +59,8 @@ class CheckMesh(Stage):
         if "thin_walls" in self.reject and self.thin is None:
             raise ConfigError("`reject: [thin_walls]` needs `thin`, the thickness that a wall must have")
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["mesh"]
-        triangles = facts["triangles"]
-        return Estimate(
-            makes=facts,
-            memory=450 * triangles + 20e6,
-            seconds=0.3 + 9e-6 * triangles,
-            advice="extract with a lower `resolution`",
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(triangles=mesh.triangles, geometry=mesh.geometry)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Measure everything, then say what is wrong."""

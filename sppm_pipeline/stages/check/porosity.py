@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Rejected, Stage, option
@@ -21,16 +22,8 @@ class CheckPorosity(Stage):
     minimum: float = option(0.0, help="smallest porosity accepted", minimum=0, maximum=1)
     maximum: float = option(1.0, help="largest porosity accepted", minimum=0, maximum=1)
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.costs import field_seconds
-
-        facts = given["field"]
-        x, y, z = facts["box"]
-        voxels = x * y * z * self.resolution**3
-        return Estimate(
-            memory=6 * voxels / z, seconds=field_seconds(voxels, facts["kernels"]) + 1e-8 * voxels,
-            voxels=voxels, advice="lower `resolution`",
-        )  # fmt: skip
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        return field.grid(self.resolution, at_once=field.body.samples(self.resolution) / field.body.box[2])
 
     def run(self, context: Context, field: ScalarField) -> None:
         """Count, one layer of cells after the other."""

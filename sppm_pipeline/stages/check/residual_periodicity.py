@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.wrapped import RepeatedField
@@ -25,16 +26,8 @@ class CheckResidualPeriodicity(Stage):
 
     resolution: int = option(16, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=128)
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.costs import field_seconds
-
-        facts = given["tiling"]
-        x, y, z = facts["box"]
-        voxels = x * y * z * self.resolution**3
-        return Estimate(
-            memory=6 * voxels, seconds=field_seconds(voxels, facts["kernels"]) + 1e-8 * voxels,
-            voxels=voxels, advice="lower `resolution`",
-        )  # fmt: skip
+    def estimate(self, palette: Palette, tiling: Size) -> Size:
+        return tiling.grid(self.resolution)
 
     def run(self, context: Context, tiling: Tiling | RepeatedField) -> None:
         """Sample the whole assembly and compare its cells."""

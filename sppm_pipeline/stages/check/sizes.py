@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, ResourceError
 from sppm_pipeline.fields.scalar_field import ScalarField
@@ -36,20 +37,12 @@ class CheckSizes(Stage):
 
     resolution: int = option(64, help="voxels along a cell edge, for a field", unit="voxels", minimum=8, maximum=512)
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.costs import field_seconds
-
-        facts, n = given["source"], self.resolution
-        image = "shape" in facts
-        voxels = float(np.prod(facts["shape"] if image else facts["box"])) * (1 if image else n**3)
+    def estimate(self, palette: Palette, source: Size) -> Size:
+        grid = source if source.voxels else source.grid(self.resolution)
+        voxels = source.voxels or grid.samples
         # balls grow with the resolution, and so does the number of voxels that each of them covers
-        along = voxels ** (1 / 3) if image else n
-        return Estimate(
-            memory=24 * voxels,
-            seconds=0.1 + 4.2e-8 * along * voxels + (0.0 if image else field_seconds(voxels, facts["kernels"])),
-            voxels=0.0 if image else voxels,
-            advice="lower `resolution`",
-        )
+        along = voxels ** (1 / 3) if source.voxels else self.resolution
+        return Size(samples=grid.samples, sums=grid.sums, voxels=along * voxels, resident=voxels)
 
     def run(self, context: Context, source: ScalarField | Voxels) -> None:
         """Paint balls into both phases."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
@@ -56,16 +55,9 @@ class BoundedDegreeSubgraph(Connector):
     def edges_of_a_pore(self) -> float:
         return 1.05 * max(2.0, self.degree[0]) / 2
 
-    def seconds_of_a_piece(self, pores: float) -> float:
-        # a mixed-integer program grows faster than its pores
-        return {"greedy": 2e-3 + 8e-5 * pores, "lp_fix": 0.02 + 4e-4 * pores, "exact": 0.02 + 5e-6 * pores**2}[
-            self.mode
-        ]
-
-    def estimate(self, given: Given) -> Estimate:
-        found = super().estimate(given)
-        # the solver and its libraries
-        return found if self.mode == "greedy" else replace(found, memory=found.memory + 40e6)
+    @property
+    def rated_as(self) -> str:
+        return f"{self.name}.{self.mode}"
 
     def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         from sppm_pipeline.numerics.connecting.bounded import spanning_subgraph

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.field_surface import (
     FEWEST,
     MOST,
     FieldSurface,
-    body_facts,
-    foreseen_triangles,
-    foreseen_voxels,
+    expected_voxels,
     node_grid,
     on_torus,
     voxels_along_edge,
@@ -47,6 +45,7 @@ class ManifoldSdf(Stage):
     """
 
     name: ClassVar[str] = "extract.manifold_sdf"
+    advice: ClassVar[str] = "lower `resolution`, or use `extract.marching_cubes`"
 
     resolution: int | None = option(
         None,
@@ -82,26 +81,9 @@ class ManifoldSdf(Stage):
         if self.resolution is not None and self.spacing is not None:
             raise ConfigError("`resolution` and `spacing` exclude each other")
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast import costs
-        from sppm_pipeline.numerics.surface.level_set import lattice_bytes
-
-        facts = given["field"]
-        n = foreseen_voxels(facts, self.resolution, self.spacing)
-        x, y, z = (math.ceil(v * n) + 1 for v in facts["box"])
-        cubes = float(x * y * z)
-        triangles = COARSER * foreseen_triangles(facts, n)
-        cut = triangles if facts.get("is_part", False) else 0.0
-        lattice = lattice_bytes(Grid((0.0,) * 3, (1.0,) * 3, (x, y, z)))
-        return Estimate(
-            makes={"triangles": triangles, **body_facts(facts)},
-            keeps=24 * triangles,
-            memory=costs.CHILD_BYTES + max(lattice + 72 * cubes, costs.BOOLEAN_BYTES * cut),
-            seconds=costs.field_seconds(8 * cubes, facts["kernels"]) + 0.5 + 6e-6 * cubes
-            + (costs.boolean_seconds(cut) if cut else 0.0),
-            voxels=8 * cubes,
-            advice="lower `resolution`, or use `extract.marching_cubes`",
-        )  # fmt: skip
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        n = expected_voxels(field.body.edge_mm, self.resolution, self.spacing)
+        return field.grid(n, triangles=COARSER * field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample a grid of half the spacing, extract, cut, judge; in mm (cell edges for a cell without a size)."""

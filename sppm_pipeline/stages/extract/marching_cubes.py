@@ -8,18 +8,17 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.field_surface import (
     FEWEST,
     KEPT_SAMPLES,
     MOST,
     FieldSurface,
-    body_facts,
-    foreseen_triangles,
-    foreseen_voxels,
+    expected_voxels,
     node_grid,
     voxels_along_edge,
 )
@@ -38,6 +37,7 @@ class MarchingCubes(Stage):
     """
 
     name: ClassVar[str] = "extract.marching_cubes"
+    advice: ClassVar[str] = "lower `resolution`, or slice without a mesh (`slice.field`)"
     version: ClassVar[int] = 2
 
     resolution: int | None = option(
@@ -62,22 +62,9 @@ class MarchingCubes(Stage):
         if self.backend == "reference" and not self.caps:
             raise ConfigError("the reference implementation always closes the surface: leave out `caps: false`")
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast import costs
-
-        facts = given["field"]
-        n = foreseen_voxels(facts, self.resolution, self.spacing)
-        voxels = float(np.prod(facts["box"])) * n**3
-        part = facts.get("is_part", False)
-        triangles = foreseen_triangles(facts, n)
-        return Estimate(
-            makes={"triangles": triangles, **body_facts(facts)},
-            keeps=24 * triangles,
-            memory=(24 if part else 14) * min(voxels, KEPT_SAMPLES) + 60 * triangles,
-            seconds=5e-7 * triangles + costs.field_seconds(voxels, facts["kernels"]) + 8e-9 * voxels,
-            voxels=voxels,
-            advice="lower `resolution`, or slice without a mesh (`slice.field`)",
-        )
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        n = expected_voxels(field.body.edge_mm, self.resolution, self.spacing)
+        return field.grid(n, at_once=KEPT_SAMPLES, triangles=field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample the nodes of a grid and extract the surface, in mm (cell edges for a cell without a size)."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.mesh import RepeatedMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.fields.field_surface import KEPT_SAMPLES
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
@@ -33,16 +35,11 @@ class UnitCell(Stage):
     name: ClassVar[str] = "extract.unit_cell"
 
     resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=1024)
-    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["field"]
-        one = {**facts, "box": (1.0, 1.0, 1.0), "volume": 1.0, "envelope": 6.0, "is_part": False}
-        found = MarchingCubes(resolution=self.resolution, islands=self.islands).estimate(
-            Given(given.palette, {"field": one}, given.recipes)
-        )
-        copies = max(1.0, float(facts["volume"]))
-        return replace(found, makes={**found.makes, "copies": copies}, keeps=found.keeps + 24 * copies)
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        one, n = field.in_box((1.0, 1.0, 1.0)), self.resolution
+        return one.grid(n, at_once=KEPT_SAMPLES, triangles=one.body.triangles(n), copies=max(1.0, field.body.volume))
 
     def run(self, context: Context, field: ScalarField) -> RepeatedMesh:
         """Extract one cell, in mm, and list the cells."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.fields.scalar_field import ScalarField
@@ -25,27 +26,11 @@ class ExtractVoxels(Stage):
 
     resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=2, maximum=1024)
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.costs import field_seconds
-
-        facts, n = given["field"], self.resolution
-        shape = tuple(math.ceil(v) * n for v in facts["box"])
-        voxels = float(math.prod(shape))
-        edge = facts["cell_mm"] or 1.0
-        return Estimate(
-            makes={
-                "shape": shape,
-                "bytes": 1,
-                "porosity": 1 - (1 - facts["porosity"]) * facts["volume"] * n**3 / voxels,
-                "outline": facts["surface"] * facts["volume"] * n**2,
-                "size_mm": tuple(edge * v / n for v in shape),
-            },
-            keeps=voxels,
-            memory=6 * voxels / max(1, math.ceil(facts["box"][2])),
-            seconds=field_seconds(voxels, facts["kernels"]) + 2e-9 * voxels,
-            voxels=voxels,
-            advice="lower `resolution`",
-        )
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        n, body = self.resolution, field.body
+        x, y, z = (float(math.ceil(v)) for v in body.box)
+        grid = replace(field, geometry=replace(body, box=(x, y, z))).grid(n)
+        return replace(grid, voxels=grid.samples, outline=body.outline(1 / n, 1 / n), layers=n * z)
 
     def run(self, context: Context, field: ScalarField) -> Voxels:
         """Sample, one layer of cells after the other."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
-from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.length import Cell, Length
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph
@@ -58,56 +59,28 @@ class GaussianField(Stage):
         if (self.tunnel_radius is None) == (self.mu is None):
             raise ConfigError("give the size of the tunnels by one of `tunnel_radius` and `mu`")
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.structure import kernels_at_a_point, structure_of
+    def estimate(self, palette: Palette, graph: Size) -> Size:
         from sppm_pipeline.numerics.kernels import parameters as p
+        from sppm_pipeline.numerics.porosity.boolean_model import expected_structure, kernels_at_a_point
 
-        facts, squared = given["graph"], self.tunnel == "squared"
-        edge = facts["edge_mm"] or facts["edge"]
-
-        def fraction(length: Length) -> float:
-            return float((length.mm() if length.unit else length.value) / edge)
-
-        omega = self.omega * edge**2 if self.omega is not None else 0.0
-        if self.pore_radius is not None:
-            omega = p.omega_from_radius(fraction(self.pore_radius), self.level)
-        mu = self.mu * edge ** (2 if squared else 1) if self.mu is not None else 0.0
-        if self.tunnel_radius is not None:
-            mu = p.mu_from_radius(fraction(self.tunnel_radius), self.level, squared)
-        pores, tunnels = facts["pores"] + facts["face_pores"], facts["tunnels"]
-        radii = p.pore_radius(omega, self.level), p.tunnel_radius(mu, self.level, squared)
-        found = structure_of(pores, tunnels, *radii)
-        reach = max((-math.log(CUTOFF) / omega) ** 0.5, (-math.log(CUTOFF) / mu) ** (0.5 if squared else 1.0))
-        makes = {
-            **facts,
-            "structure": (pores, tunnels, *radii),
-            "porosity": found.porosity,
-            "surface": found.surface,
-            "kernels": kernels_at_a_point(pores, tunnels, omega, mu, squared),
-            "reach": reach,
-            "box": (1.0, 1.0, 1.0),
-            "volume": 1.0,
-            "envelope": 6.0,
-            "cell_mm": facts["edge_mm"],
-        }
-        total = facts["interiors"] * (pores + tunnels)
-        return Estimate(makes=makes, keeps=200 * total, memory=200 * total, seconds=2e-3 + 1e-6 * total)
+        cell, power = graph.cell, 0.5 if self.tunnel == "squared" else 1.0
+        omega, mu = self._parameters(Cell(cell.edge, cell.edge_mm is not None))
+        radii = p.pore_radius(omega, self.level), p.tunnel_radius(mu, self.level, self.tunnel == "squared")
+        reaches = (-math.log(CUTOFF) / omega) ** 0.5, (-math.log(CUTOFF) / mu) ** power
+        porosity, surface = expected_structure(cell.pores, cell.tunnels, *radii)
+        kernels = kernels_at_a_point(cell.pores, cell.tunnels, *reaches)
+        made = Geometry(edge_mm=cell.edge_mm, porosity=porosity, surface=surface, kernels=kernels, reach=max(reaches))
+        return Size(
+            pores=cell.interiors * cell.pores, tunnels=cell.interiors * cell.tunnels,
+            design=replace(cell, radii=radii), geometry=made,
+        )  # fmt: skip
 
     def run(self, context: Context, graph: TunnelGraph) -> Microstructure:
         """Give every pore and tunnel its kernel."""
         from sppm_pipeline.numerics.kernels import parameters as p
 
         cell, squared = graph.pores.cell, self.tunnel == "squared"
-        if self.omega is not None:
-            omega = p.omega_in_cell_units(self.omega, cell.edge)
-        else:
-            assert self.pore_radius is not None
-            omega = p.omega_from_radius(cell.fraction(self.pore_radius), self.level)
-        if self.mu is not None:
-            mu = p.mu_in_cell_units(self.mu, cell.edge, squared)
-        else:
-            assert self.tunnel_radius is not None
-            mu = p.mu_from_radius(cell.fraction(self.tunnel_radius), self.level, squared)
+        omega, mu = self._parameters(cell)
         all_omega = omega * _factors(context, 0, self.pore_spread, len(graph.pores.centers)) ** -2.0
         power = -2.0 if squared else -1.0
         all_mu = mu * _factors(context, 1, self.tunnel_spread, len(graph.edges)) ** power
@@ -120,6 +93,21 @@ class GaussianField(Stage):
             mu=mu,
         )
         return Microstructure(cell, graph, pieces_from_graph(graph, all_omega, all_mu, squared), self.level)
+
+    def _parameters(self, cell: Cell) -> tuple[float, float]:
+        """Omega and mu in cell sizes, from whichever option is there."""
+        from sppm_pipeline.numerics.kernels import parameters as p
+
+        squared = self.tunnel == "squared"
+        if self.omega is not None:
+            omega = p.omega_in_cell_units(self.omega, cell.edge)
+        else:
+            assert self.pore_radius is not None
+            omega = p.omega_from_radius(cell.fraction(self.pore_radius), self.level)
+        if self.mu is not None:
+            return omega, p.mu_in_cell_units(self.mu, cell.edge, squared)
+        assert self.tunnel_radius is not None
+        return omega, p.mu_from_radius(cell.fraction(self.tunnel_radius), self.level, squared)
 
     def _check_reach(self, name: str, parameters: NDArray[np.float64], power: float) -> None:
         """Refuse kernels that no grid shows, and kernels so wide that each is felt in hundreds of cells around it."""

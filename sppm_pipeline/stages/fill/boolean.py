@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.fields.field_surface import FEWEST, MOST, FieldSurface, foreseen_voxels, node_grid, voxels_along_edge
+from sppm_pipeline.fields.field_surface import FEWEST, MOST, FieldSurface, expected_voxels, node_grid, voxels_along_edge
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.process.memory import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
+
+BOOLEAN_BYTES = 600
+"""Bytes for each triangle that goes into a Boolean, its own arrays and those of the result included; measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +34,7 @@ class BooleanFill(Stage):
     """
 
     name: ClassVar[str] = "fill.boolean"
+    advice: ClassVar[str] = "lower `resolution`, or use `fill.implicit`, which needs no mesh"
 
     resolution: int | None = option(
         None, help="voxels along a cell edge; 32 if `spacing` is not given either", minimum=FEWEST, maximum=MOST
@@ -56,35 +60,16 @@ class BooleanFill(Stage):
         if self.resolution is not None and self.spacing is not None:
             raise ConfigError("`resolution` and `spacing` exclude each other")
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast import costs
-
-        facts, domain = given["field"], given["domain"]
-        edge, n = facts["cell_mm"], foreseen_voxels(facts, self.resolution, self.spacing)
-        volume, envelope = domain["volume_mm3"] / edge**3, domain["area_mm2"] / edge**2
-        pores = costs.surface_triangles(facts["surface"], n) * volume
-        # where the microstructure ends beyond the part, and where the skin ends within it
-        ends = costs.TRIANGLES * envelope * n**2 * ((1 - facts["porosity"]) + (1.0 if self.skin else 0.0))
-        entering = pores + ends + domain["triangles"]
-        voxels = math.prod(size / edge * n for size in domain["size_mm"])
-        solid = min(volume, volume * (1 - facts["porosity"]) + (envelope * self.skin.mm() / edge if self.skin else 0.0))
-        return Estimate(
-            makes={
-                "triangles": entering,
-                "size_mm": domain["size_mm"],
-                "volume_mm3": solid * edge**3,
-                "area_mm2": facts["surface"] * volume * edge**2 + domain["area_mm2"] * (1 - facts["porosity"]),
-            },
-            keeps=24 * entering,
-            memory=costs.CHILD_BYTES + costs.BOOLEAN_BYTES * entering,
-            seconds=costs.field_seconds(voxels, facts["kernels"]) + costs.boolean_seconds(entering),
-            voxels=voxels,
-            advice="lower `resolution`, or use `fill.implicit`, which needs no mesh",
-        )
+    def estimate(self, palette: Palette, field: Size, domain: Size) -> Size:
+        body, n = field.body, expected_voxels(field.body.edge_mm, self.resolution, self.spacing)
+        part = domain.body.in_unit(body.scale)
+        made = replace(part, porosity=body.porosity, surface=body.surface, kernels=body.kernels)
+        # a skin ends twice more, outward and inward
+        ends = 2 * part.envelope * n**2 if self.skin else 0.0
+        return replace(field, geometry=made).grid(n, triangles=made.triangles(n) + ends + domain.triangles)
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> SurfaceMesh:
         """Extract, predict the memory, intersect, judge."""
-        from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES
         from sppm_pipeline.numerics.meshcheck.bodies import find_shells, largest_body
         from sppm_pipeline.numerics.meshcheck.measures import volume
         from sppm_pipeline.numerics.meshcheck.solids import check_solid

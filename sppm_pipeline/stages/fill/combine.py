@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.process.memory import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stages.fill.boolean import BOOLEAN_BYTES
 
 ZERO = Length(0.0)
 
@@ -27,6 +29,7 @@ class Combine(Stage):
     """
 
     name: ClassVar[str] = "fill.combine"
+    advice: ClassVar[str] = "give meshes with fewer triangles"
 
     operation: str = option(
         help="union: mesh and tool; difference: mesh without tool; intersection: what both have in common",
@@ -55,31 +58,15 @@ class Combine(Stage):
         if not self.at:
             raise ConfigError("`at` names no place for the tool", hint="leave it out to take the tool where it is")
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES, CHILD_BYTES, boolean_seconds
-
-        mesh, tool, copies = given["mesh"], given["tool"], len(self.at)
-        tools = copies * tool["triangles"]
-        triangles = mesh["triangles"] + tools
-        sign = 1.0 if self.operation == "union" else 0.0
-        return Estimate(
-            # as much as can be: nobody knows how much of the tool lies within the mesh
-            makes={
-                "triangles": triangles,
-                "size_mm": mesh["size_mm"],
-                "volume_mm3": mesh["volume_mm3"] + sign * copies * tool["volume_mm3"] * self.scale**3,
-                "area_mm2": mesh["area_mm2"] + copies * tool["area_mm2"] * self.scale**2,
-            },
-            keeps=24 * triangles,
-            memory=CHILD_BYTES + BOOLEAN_BYTES * triangles,
-            # each copy meets all that were united before
-            seconds=boolean_seconds(triangles + tools * (copies - 1) / 2),
-            advice="give meshes with fewer triangles",
-        )
+    def estimate(self, palette: Palette, mesh: Size, tool: Size) -> Size:
+        # as much as can be: how much of the tool lies within the mesh is unknown; each copy meets all united before
+        copies, whole, part = len(self.at), mesh.body.in_unit(1.0), tool.body.in_unit(1 / self.scale)
+        added = copies * part.volume if self.operation == "union" else 0.0
+        made = replace(whole, volume=whole.volume + added, envelope=whole.envelope + copies * part.envelope)
+        return Size(triangles=mesh.triangles + copies * (copies + 1) / 2 * tool.triangles, geometry=made)
 
     def run(self, context: Context, mesh: SurfaceMesh, tool: SurfaceMesh) -> SurfaceMesh:
         """Place the copies of the tool, unite them, and combine."""
-        from sppm_pipeline.numerics.forecast.costs import BOOLEAN_BYTES
         from sppm_pipeline.numerics.meshcheck.measures import volume
         from sppm_pipeline.numerics.meshcheck.solids import check_solid
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation

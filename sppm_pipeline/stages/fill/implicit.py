@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
@@ -34,18 +35,10 @@ class ImplicitFill(Stage):
     )
     inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
 
-    def estimate(self, given: Given) -> Estimate:
-        facts, domain = given["field"], given["domain"]
-        edge = facts["cell_mm"]
-        return Estimate(
-            makes={
-                **facts,
-                "box": tuple(size / edge for size in domain["size_mm"]),
-                "volume": domain["volume_mm3"] / edge**3,
-                "envelope": domain["area_mm2"] / edge**2,
-                "is_part": True,
-            }
-        )
+    def estimate(self, palette: Palette, field: Size, domain: Size) -> Size:
+        body, part = field.body, domain.body.in_unit(field.body.scale)
+        made = replace(body, box=part.box, volume=part.volume, envelope=part.envelope)
+        return Size(nodes=domain.triangles / 2, design=field.design, geometry=made)
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> Part:
         """Put the two together."""

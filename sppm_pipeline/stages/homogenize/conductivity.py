@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.conductivity import ConductivityReport
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.homogenizer import Cell, VoxelHomogenizer
@@ -26,8 +28,6 @@ class HomogenizeConductivity(VoxelHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.conductivity"
-    seconds_of_a_voxel: ClassVar[float] = 9e-7
-
     of: str = option("solid", help="which phase conducts", choices=("solid", "void"))
     bulk: float | tuple[float, ...] = option(
         1.0, help="conductivity of that phase, or of each phase of the solid from 1 on", above=0, maximum=1e15
@@ -42,6 +42,9 @@ class HomogenizeConductivity(VoxelHomogenizer):
 
     def _bulk(self) -> tuple[float, ...]:
         return self.bulk if isinstance(self.bulk, tuple) else (self.bulk,)
+
+    def estimate(self, palette: Palette, source: Size) -> Size:
+        return self.solving(source, self.resolution)
 
     def bytes_of_a_voxel(self, threads: int) -> int:
         """Three potentials, their work space for each load case in progress, conductivities."""

@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.scalar_field import ScalarField
@@ -33,22 +34,14 @@ class HomogenizeRealizations(ElasticHomogenizer):
     samples: int = option(10, help="draws for each size", minimum=1, maximum=100_000)
     assemblies: tuple[int, ...] = option((1,), help="cells along the edge of each assembly", minimum=1, maximum=64)
 
-    def estimate(self, given: Given) -> Estimate:
-        recipe = given.recipes["recipe"](given.palette)
-        facts = recipe.makes
-        if "cells" in facts:  # a tile stage lays them
-            boxes = [{**facts, "box": (float(size),) * 3} for size in self.assemblies]
-        else:
-            boxes = [dict(facts)] * len(self.assemblies)
-        found = [self.solving(box, self.resolution) for box in boxes]
-        draws = self.samples * len(found)
-        return Estimate(
-            keeps=200 * draws,
-            memory=recipe.memory + recipe.keeps + max(one.memory for one in found),
-            seconds=draws * recipe.seconds + self.samples * sum(one.seconds for one in found),
-            voxels=draws * recipe.voxels + self.samples * sum(one.voxels for one in found),
-            advice=found[0].advice,
-        )
+    def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
+        made = recipe(palette, self.samples * len(self.assemblies))
+        boxes = [made if not made.cells else made.in_box((size,) * 3) for size in self.assemblies]
+        found = [self.solving(box, self.resolution, self.samples) for box in boxes]
+        return Size(
+            samples=sum(s.samples for s in found), sums=sum(s.sums for s in found),
+            voxels=sum(s.voxels for s in found), resident=max(s.resident for s in found),
+        )  # fmt: skip
 
     def run(self, context: Context, recipe: Recipe) -> Table:
         """Draw and homogenize."""

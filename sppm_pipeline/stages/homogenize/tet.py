@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
@@ -29,6 +30,7 @@ class HomogenizeTet(Stage):
     """
 
     name: ClassVar[str] = "homogenize.tet"
+    advice: ClassVar[str] = "mesh with a lower `resolution`, or with `order: 1`"
 
     young: float | tuple[float, ...] = option(
         1.0, help="Young's modulus of the solid, or of each material of the mesh", above=0, maximum=1e15
@@ -48,16 +50,8 @@ class HomogenizeTet(Stage):
     tolerance: float = option(1e-8, help="residual of a load case over its load", above=0, maximum=1e-2)
     iterations: int = option(2000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["mesh"]
-        nodes = facts["nodes"]
-        return Estimate(
-            makes={"porosity": facts["porosity"]},
-            keeps=2e3,
-            memory=40e6 + 7e3 * nodes,
-            seconds=0.5 + (4e-4 if facts["order"] == 1 else 1.4e-3) * nodes,
-            advice="mesh with a lower `resolution`, or with `order: 1`",
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
 
     def run(self, context: Context, mesh: VolumeMesh) -> StiffnessReport:
         """Solve the six load cases."""

@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
@@ -20,8 +21,6 @@ from sppm_pipeline.stage import Context, option
 @dataclass(frozen=True, kw_only=True)
 class ElasticHomogenizer(VoxelHomogenizer):
     """Base of stages that find effective stiffnesses on voxels: materials, and the way from a cell to its report."""
-
-    seconds_of_a_voxel: ClassVar[float] = 6e-6
 
     young: float | tuple[float, ...] = option(
         1.0,
@@ -167,10 +166,11 @@ class HomogenizeVoxel(ElasticHomogenizer):
 
     grids: int = option(1, help="grids over which the error is estimated, for fields: 1 for none", minimum=1, maximum=3)
 
-    def estimate(self, given: Given) -> Estimate:
+    def estimate(self, palette: Palette, source: Size) -> Size:
         """All grids; the finest needs most memory."""
-        found = [self.solving(given["source"], n) for n in self._resolutions()]
-        return replace(found[-1], seconds=sum(one.seconds for one in found), voxels=sum(one.voxels for one in found))
+        found = [self.solving(source, n) for n in self._resolutions()]
+        return replace(found[-1], samples=sum(s.samples for s in found), sums=sum(s.sums for s in found),
+                       voxels=sum(s.voxels for s in found))  # fmt: skip
 
     def _resolutions(self) -> list[int]:
         """Voxels along a cell edge of each grid, the coarsest first."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.stage import Context, Stage
 
@@ -19,17 +20,10 @@ class Boundary(Stage):
     """
 
     name: ClassVar[str] = "mesh.boundary"
+    advice: ClassVar[str] = "mesh with a lower `resolution`"
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["mesh"]
-        triangles = facts["triangles"]
-        return Estimate(
-            makes={name: facts[name] for name in ("triangles", "size_mm", "volume_mm3", "area_mm2")},
-            keeps=24 * triangles,
-            memory=150 * facts["cells"],
-            seconds=1e-6 * facts["cells"],
-            advice="mesh with a lower `resolution`",
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(triangles=mesh.triangles, tetrahedra=mesh.tetrahedra, geometry=mesh.geometry)
 
     def run(self, context: Context, mesh: VolumeMesh) -> SurfaceMesh:
         """Find the faces with a cell on one side only."""

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.fields.field_surface import body_facts
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
@@ -40,29 +39,16 @@ class IsosurfaceStuffing(Stage):
         1, help="1: straight tetrahedra; 2: quadratic, with a node in the middle of each edge", minimum=1, maximum=2
     )
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast import costs
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        from sppm_pipeline.numerics.tetrahedra.stuffing import expected_counts
 
-        facts, n = given["field"], self.resolution
-        cells, nodes, triangles = costs.tetrahedra(facts["surface"], facts["volume"], facts["porosity"], n, self.order)
-        cubes = math.prod(facts["box"]) * n**3
-        return Estimate(
-            makes={
-                "cells": cells,
-                "nodes": nodes,
-                "order": self.order,
-                "triangles": triangles,
-                "porosity": facts["porosity"],
-                **body_facts(facts),
-            },
-            keeps=24 * nodes + (16 if self.order == 1 else 40) * cells,
-            memory=230 * cells + 60 * cubes + 25e6,
-            seconds=0.1
-            + costs.field_seconds(2 * cubes, facts["kernels"])
-            + (2.6e-6 if self.order == 1 else 5e-6) * cells,
-            voxels=2 * cubes,
-            advice="lower `resolution`",
-        )
+        body, grid, n = field.body, field.grid(self.resolution), self.resolution
+        tetrahedra, nodes, triangles = expected_counts(body.surface, body.volume, body.porosity, n)
+        return Size(
+            samples=2 * grid.samples, sums=2 * grid.sums, resident=grid.samples, tetrahedra=tetrahedra, nodes=nodes,
+            mid_nodes=nodes + tetrahedra + triangles / 2 if self.order == 2 else 0.0,
+            triangles=triangles, geometry=body,
+        )  # fmt: skip
 
     def run(self, context: Context, field: ScalarField) -> VolumeMesh:
         """Sample the lattice and cut it; the mesh is in mm (cell edges for a cell without a size)."""

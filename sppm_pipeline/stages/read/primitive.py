@@ -6,9 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+import numpy as np
+from numpy.typing import NDArray
+
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.stage import Context, Stage, option
 
 SHAPES = ("box", "ball", "cylinder", "torus", "torus_knot")
@@ -19,6 +23,7 @@ class ReadPrimitive(Stage):
     """Make a watertight mesh of a simple body standing on the build plate, centered on the z axis."""
 
     name: ClassVar[str] = "read.primitive"
+    advice: ClassVar[str] = "lower `facets`"
 
     shape: str = option(help="which body", choices=SHAPES)
     size: tuple[Length, Length, Length] = option(
@@ -26,43 +31,26 @@ class ReadPrimitive(Stage):
     )
     facets: int = option(128, help="straight edges around a full turn of a round body", minimum=8, maximum=4096)
 
-    def estimate(self, given: Given) -> Estimate:
-        n = self.facets
-        sx, sy, sz = (length.mm() for length in self.size)
-        triangles = {
-            "box": 12,
-            "ball": 20 * 4 ** max(1, round(math.log2(n / 5))),
-            "cylinder": 4 * n,
-            "torus": n * n,
-            "torus_knot": 4 * n * n,
-        }[self.shape]
-        # shares of the box: of its volume, and of the surface of its six sides
-        filled, surface = {
-            "box": (1.0, 1.0),
-            "ball": (0.524, 0.524),
-            "cylinder": (0.785, 0.785),
-            "torus": (0.55, 0.9),
-            "torus_knot": (0.35, 1.1),
-        }[self.shape]
-        return Estimate(
-            makes={
-                "triangles": triangles,
-                "size_mm": (sx, sy, sz),
-                "volume_mm3": filled * sx * sy * sz,
-                "area_mm2": surface * 2 * (sx * sy + sy * sz + sz * sx),
-            },
-            keeps=24 * triangles,
-            memory=200 * triangles,
-            seconds=3e-7 * triangles,
-            advice="lower `facets`",
-        )
+    def estimate(self, palette: Palette) -> Size:
+        """From coarse meshes of the same body: the number of triangles grows with a power of `facets`."""
+        from sppm_pipeline.numerics.meshcheck.measures import surface_area, volume
+
+        fewer, more = self._mesh(min(self.facets, 16))[1], self._mesh(min(self.facets, 32))
+        growth = math.log2(len(more[1]) / len(fewer)) if self.facets >= 32 else 0.0
+        x, y, z = (length.mm() for length in self.size)
+        part = Geometry(edge_mm=1.0, box=(x, y, z), volume=volume(*more), envelope=surface_area(*more))
+        return Size(triangles=len(more[1]) * max(1.0, self.facets / 32) ** growth, geometry=part)
 
     def run(self, context: Context) -> SurfaceMesh:
         """Make the mesh."""
+        return SurfaceMesh(*self._mesh(self.facets), name=self.shape)
+
+    def _mesh(self, around: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Vertices and faces of the placed body with so many edges around a full turn."""
         from sppm_pipeline.numerics.domain import primitive_meshes as make
 
         sx, sy, sz = (length.mm() for length in self.size)
-        middle, around = (0.0, 0.0, 0.0), self.facets
+        middle = (0.0, 0.0, 0.0)
         if self.shape == "box":
             vertices, faces = make.box_mesh(middle, (1.0, 1.0, 1.0))
         elif self.shape == "ball":
@@ -76,4 +64,4 @@ class ReadPrimitive(Stage):
             vertices, faces = make.torus_knot_mesh(middle, tube=0.35, segments=4 * around, sides=around // 2)
         lower, upper = vertices.min(0), vertices.max(0)
         placed = (vertices - (lower + upper) / 2) / (upper - lower) * [sx, sy, sz] + [0, 0, sz / 2]
-        return SurfaceMesh(placed, faces, name=self.shape)
+        return placed, faces

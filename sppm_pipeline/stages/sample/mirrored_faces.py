@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families import start_of
+from sppm_pipeline.families import design_of, start_of
 from sppm_pipeline.stage import Context, Stage, option
 
 MOST_TOGETHER = 16
@@ -69,35 +70,22 @@ class MirroredFaces(Stage):
                 hint="for example `count: 18` and `spacing: 0.16`, or `total: 110` and `share: 0.5`",
             )
 
-    def estimate(self, given: Given) -> Estimate:
-        colors = given.palette.colors
-        before = given.ports["pores"] or {}
-        edge = self.edge
+    def estimate(self, palette: Palette, pores: Size | None) -> Size:
+        colors = palette.colors
+        cell = pores.cell if pores else design_of(self.edge)
         if self.total is None and self.count is None:
             from sppm_pipeline.numerics.sampling.split import split_between_faces_and_interior
 
-            cell = edge.value if edge else 1.0
+            spacing = None if self.spacing is None else self.spacing.value / cell.edge
             on_faces, _ = split_between_faces_and_interior(
-                total=None,
-                face_count=None,
-                spacing=None if self.spacing is None else self.spacing.value / cell,
-                share=self.share,
-                colors=max(colors),
+                total=None, face_count=None, spacing=spacing, share=self.share, colors=max(colors)
             )
         else:
             # of the paper's cells two fifths of all pores lie on the faces, three faces counted
             on_faces = self.count if self.count is not None else round(0.44 * (self.total or 0))
-        makes = {
-            "pores": 0.0,
-            "edge": edge.value if edge else 1.0,
-            "edge_mm": edge.mm() if edge and edge.unit else None,
-            **before,
-            "face_pores": float(on_faces),
-            "interiors": given.palette.interiors,
-            "colors": colors,
-        }
         thrown = on_faces / 3 * sum(colors)
-        return Estimate(makes=makes, keeps=40 * thrown, memory=20e3 * thrown, seconds=2e-5 * thrown + 1e-7 * thrown**2)
+        cell = replace(cell, face_pores=float(on_faces), interiors=palette.interiors, colors=colors)
+        return Size(pores=thrown, design=cell)
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the patterns of all colors."""

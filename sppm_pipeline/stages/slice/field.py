@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.field_slices import FieldSlices
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -26,6 +27,7 @@ class SliceField(Stage):
     """
 
     name: ClassVar[str] = "slice.field"
+    advice: ClassVar[str] = "give a larger `pixel` or `layer`"
 
     pixel: Length | None = option(None, help="pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
     layer: Length | None = option(
@@ -53,27 +55,12 @@ class SliceField(Stage):
         if self.resolution is not None and self.layer is not None:
             raise ConfigError("`layer` goes with `pixel`; with `resolution` layers are as high as pixels are wide")
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["field"]
-        edge = facts["cell_mm"]
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        edge = field.body.scale
         pixel = self.pixel.mm() if self.pixel is not None else edge / (self.resolution or 1)
         layer = self.layer.mm() if self.layer is not None else pixel
-        bx, by, bz = facts["box"]
-        nx, ny, nz = (max(1, round(size * edge / pitch)) for size, pitch in ((bx, pixel), (by, pixel), (bz, layer)))
-        return Estimate(
-            makes={
-                "shape": (nx, ny, nz),
-                "pixels": nx * ny,
-                "layers": nz,
-                "inside": facts["volume"] * (edge / pixel) ** 2 * edge / layer,
-                "along": edge / pixel,
-                "commensurate": abs(edge / pixel - round(edge / pixel)) < 1e-6 and layer == pixel,
-                "gray": self.gray,
-                "two_passes": self.islands == "remove",
-                "field": facts,
-            },
-            advice="give a larger `pixel` or `layer`",
-        )
+        made = stack_size(field.body, pixel, layer, self.gray, passes=2 if self.islands == "remove" else 1)
+        return replace(made, design=field.design)
 
     def run(self, context: Context, field: ScalarField) -> SliceStack:
         """Place the pixels; nothing is computed yet."""

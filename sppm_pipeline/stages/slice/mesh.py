@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
 from sppm_pipeline.fields.mesh_slices import MeshSlices
-from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
 from sppm_pipeline.stage import Context, Stage, option
 
 MOST_PIXELS = 2**31
@@ -28,6 +29,7 @@ class SliceMesh(Stage):
     """
 
     name: ClassVar[str] = "slice.mesh"
+    advice: ClassVar[str] = "give a larger `pixel` or `layer`"
 
     pixel: Length = option(help="pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
     layer: Length | None = option(
@@ -48,30 +50,10 @@ class SliceMesh(Stage):
     )
     inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
 
-    def estimate(self, given: Given) -> Estimate:
-        facts, pixel = given["mesh"], self.pixel.mm()
-        layer = self.layer.mm() if self.layer is not None else pixel
-        box = math.prod(facts["size_mm"])
-        nx, ny, nz = (
-            max(1, round(size / pitch)) for size, pitch in zip(facts["size_mm"], (pixel, pixel, layer), strict=True)
-        )
-        return Estimate(
-            makes={
-                "shape": (nx, ny, nz),
-                "pixels": nx * ny,
-                "layers": nz,
-                "inside": nx * ny * nz,
-                "along": 1 / pixel,
-                "commensurate": False,
-                "gray": self.gray,
-                "two_passes": False,
-                # to the writer of layers, a body of one cell of a millimeter that fills its box evenly
-                "field": {"surface": facts["area_mm2"] / box, "kernels": 0.0, "reach": 0.0},
-            },
-            memory=60 * facts["triangles"],
-            seconds=0.05 + 5e-7 * facts["triangles"],
-            advice="give a larger `pixel` or `layer`",
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        layer = self.layer if self.layer is not None else self.pixel
+        made = stack_size(mesh.body.in_unit(1.0), self.pixel.mm(), layer.mm(), self.gray)
+        return replace(made, triangles=mesh.triangles)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:
         """Judge the mesh and place the pixels; no layer is computed yet."""

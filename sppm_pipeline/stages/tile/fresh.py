@@ -8,12 +8,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families import foreseen_tiling, lattice_for
+from sppm_pipeline.families import lattice_for, tiling_size
 from sppm_pipeline.families.tiler import check_repeats
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
@@ -32,6 +32,7 @@ class FreshTiling(Stage):
     """
 
     name: ClassVar[str] = "tile.fresh"
+    advice: ClassVar[str] = "give larger cells, or use `tileset.free_faces` with many interiors"
 
     cell: Length | None = option(
         None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
@@ -50,22 +51,12 @@ class FreshTiling(Stage):
     )
     limit: int = option(5000, help="most cells that are drawn", minimum=1, maximum=1_000_000)
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.structure import structure_of
-
-        one = given.recipes["recipe"](Palette())
-        makes, lattice = foreseen_tiling(self.cell, self.cells, given.ports["cover"], one.makes)
-        if self.porosity is not None:
-            makes["porosity"], makes["surface"] = structure_of(*makes["structure"], porosity=self.porosity)
-        cells = makes["cells"]
-        return Estimate(
-            makes={**makes, "kind": "fresh", "pieces": 7 * cells},
-            keeps=cells * one.keeps + 16 * lattice,
-            memory=one.memory + cells * 3 * one.keeps + 40 * lattice,
-            seconds=cells * one.seconds + 0.2,
-            voxels=min(cells, 64) * self.resolution**3 if self.porosity is not None else 0,
-            advice="give larger cells, or use `tileset.free_faces` with many interiors",
-        )
+    def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
+        made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
+        recipe(palette, made.cells)
+        trial = min(made.cells, 64) * float(self.resolution) ** 3 if self.porosity is not None else 0.0
+        counts = {"cells": made.cells, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
+        return made.at_porosity(self.porosity, **counts)
 
     def check_options(self) -> None:
         check_repeats(self.periodic, self.cells)

@@ -7,11 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families import foreseen_tiling, lattice_for
+from sppm_pipeline.families import lattice_for, tiling_size
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
@@ -26,6 +27,7 @@ class PeriodicTiling(Stage):
     """Repeat one periodic cell, or one tile of the paper's set, through a part."""
 
     name: ClassVar[str] = "tile.periodic"
+    advice: ClassVar[str] = "give larger cells or fewer of them"
 
     cell: Length | None = option(
         None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
@@ -35,12 +37,8 @@ class PeriodicTiling(Stage):
     )
     tile: int = option(0, help="which tile of a tile set is repeated", minimum=0, maximum=511)
 
-    def estimate(self, given: Given) -> Estimate:
-        makes, lattice = foreseen_tiling(self.cell, self.cells, given.ports["cover"], given["source"])
-        return Estimate(
-            makes={**makes, "pieces": 1, "repeats": True}, keeps=16 * lattice, memory=40 * lattice,
-            seconds=5e-3 + 1e-7 * lattice, advice="give larger cells or fewer of them",
-        )  # fmt: skip
+    def estimate(self, palette: Palette, source: Size, cover: Size | None) -> Size:
+        return tiling_size(self.cell, self.cells, cover, source, patches=1.0)
 
     def run(self, context: Context, source: TileSet | ScalarField, cover: SurfaceMesh | None) -> Tiling | RepeatedField:
         """Lay the cells."""

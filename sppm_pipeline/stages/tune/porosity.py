@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.scalar_field import ScalarField
@@ -51,24 +52,16 @@ class TunePorosity(Stage):
     tolerance: float = option(0.001, help="largest error of the porosity, checked on a finer grid", above=0, below=0.5)
     evaluations: int = option(40, help="most cells drawn while the gap is searched", minimum=3, maximum=1000)
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast.costs import field_seconds
-        from sppm_pipeline.numerics.forecast.structure import structure_of
-
-        recipe = given.recipes["recipe"](given.palette)
-        facts, n = dict(recipe.makes), self.resolution
-        finer, coarse = n + n // 2 + 1, max(24, n // 2)
-        facts["porosity"], facts["surface"] = structure_of(*facts["structure"], porosity=self.target)
-        trials = 8 * self.samples if self.fit_count else 0
-        draws = trials + (self.evaluations // 3 if self.by == "gap" else 1)
-        voxels = trials * coarse**3 + (draws - trials) * (n**3 + finer**3)
-        return Estimate(
-            makes=facts,
-            keeps=recipe.keeps,
-            memory=recipe.memory + 9 * finer**3,
-            seconds=draws * recipe.seconds + field_seconds(voxels, facts["kernels"]) + 0.15,
-            voxels=voxels,
-            advice="lower `resolution`",
+    def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
+        n, trials = self.resolution, 8 * self.samples if self.fit_count else 0
+        draws = self.evaluations // 3 if self.by == "gap" else 1
+        made = recipe(palette, trials + draws)
+        grids = [(trials, made.grid(max(24, n // 2))), (draws, made.grid(n)), (draws, made.grid(n + n // 2 + 1))]
+        return made.at_porosity(
+            self.target,
+            samples=sum(times * grid.samples for times, grid in grids),
+            sums=sum(times * grid.sums for times, grid in grids),
+            resident=grids[-1][1].resident,
         )
 
     def run(self, context: Context, recipe: Recipe) -> Any:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
 
@@ -22,9 +23,10 @@ class Retry(Stage):
 
     attempts: int = option(20, help="most draws", minimum=1, maximum=100_000)
 
-    def estimate(self, given: Given) -> Estimate:
+    def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
         # how often a check rejects is not known beforehand
-        return given.recipes["recipe"](given.palette)
+        made = recipe(palette)
+        return Size(design=made.design, geometry=made.geometry)
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Draw until accepted."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.homogenization.stiffness.surrogate import parameter_for
@@ -45,18 +46,11 @@ class TuneStiffness(ElasticHomogenizer):
         if not self.low < self.high:
             raise ConfigError(f"`low` is {self.low:g} and `high` {self.high:g}; they should rise")
 
-    def estimate(self, given: Given) -> Estimate:
+    def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
         """The first trials, and the two that usually follow; the porosity that is found is not known beforehand."""
-        recipe = given.recipes["recipe"](given.palette)
-        found, trials = self.solving(recipe.makes, self.resolution), self.first + 2
-        return Estimate(
-            makes=recipe.makes,
-            keeps=trials * recipe.keeps,
-            memory=recipe.memory + found.memory,
-            seconds=trials * (recipe.seconds + found.seconds),
-            voxels=trials * (recipe.voxels + found.voxels),
-            advice=found.advice,
-        )
+        trials = self.first + 2
+        made = recipe(palette, trials)
+        return replace(self.solving(made, self.resolution, trials), design=made.design)
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Sample, propose, correct."""

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import sppm_pipeline
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families.mesh_writer import foreseen_mesh, write_mesh
+from sppm_pipeline.families.mesh_writer import ADVICE, write_mesh, written
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -26,6 +27,7 @@ class WriteThreeMf(Stage):
     """
 
     name: ClassVar[str] = "write.3mf"
+    advice: ClassVar[str] = ADVICE
 
     path: str = option("mesh.3mf", help="file to write", output=True)
     title: str | None = option(None, help="title of the file; the name of the mesh if omitted")
@@ -38,8 +40,8 @@ class WriteThreeMf(Stage):
             if text is not None and not text.isprintable():
                 raise ConfigError(f"`{name}` has characters that cannot be printed: {text!r}")
 
-    def estimate(self, given: Given) -> Estimate:
-        return foreseen_mesh(given["mesh"], bytes_of_a_triangle=13, bytes_of_a_copy=15, seconds_of_a_triangle=1.5e-6)
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return written(mesh)
 
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
         """Write the file."""

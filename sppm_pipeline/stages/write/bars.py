@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
@@ -37,8 +38,8 @@ class WriteBars(Stage):
         """Columns, and a heading for each."""
         check_columns(self.columns, self.headings)
 
-    def estimate(self, given: Given) -> Estimate:
-        return Estimate(disk=100e3, memory=60e6, seconds=0.5)
+    def estimate(self, palette: Palette, table: Size) -> Size:
+        return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the panels."""

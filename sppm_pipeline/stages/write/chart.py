@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
@@ -35,8 +36,8 @@ class WriteChart(Stage):
     x_label: str = option("", help="text below the axis; the column's name if empty")
     y_label: str = option("", help="text beside the axis; the column's name if empty")
 
-    def estimate(self, given: Given) -> Estimate:
-        return Estimate(disk=60e3, memory=30e6, seconds=0.5)
+    def estimate(self, palette: Palette, table: Size) -> Size:
+        return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the diagram."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
-from sppm_pipeline.families.mesh_writer import foreseen_mesh, write_mesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
+from sppm_pipeline.families.mesh_writer import ADVICE, write_mesh, written
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -19,17 +20,17 @@ class WriteGlb(Stage):
     """
 
     name: ClassVar[str] = "write.glb"
+    advice: ClassVar[str] = ADVICE
 
     path: str = option("mesh.glb", help="file to write", output=True)
     normals: bool = option(False, help="whether each vertex gets a normal, so that viewers shade smoothly")
 
-    def estimate(self, given: Given) -> Estimate:
-        return foreseen_mesh(
-            given["mesh"],
-            bytes_of_a_triangle=24 if self.normals else 18,
-            bytes_of_a_copy=60,
-            seconds_of_a_triangle=1e-6 if self.normals else 4e-7,
-        )
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return written(mesh)
+
+    @property
+    def rated_as(self) -> str:
+        return f"{self.name}.normals" if self.normals else self.name
 
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
         """Write the file."""

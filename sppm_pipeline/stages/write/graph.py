@@ -6,7 +6,8 @@ import json
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.microstructure import Microstructure
@@ -25,10 +26,8 @@ class WriteGraph(Stage):
         if not self.path.endswith((".graphml", ".json")):
             raise ConfigError(f"option 'path': expected a name that ends in .graphml or .json, got {self.path!r}")
 
-    def estimate(self, given: Given) -> Estimate:
-        facts = given["source"]
-        size = facts["pores"] + facts["face_pores"] + facts["tunnels"]
-        return Estimate(disk=160 * size, memory=20e6 + 2e3 * size, seconds=0.05 + 1e-4 * size)
+    def estimate(self, palette: Palette, source: Size) -> Size:
+        return Size(pores=source.cell.pores, tunnels=source.cell.tunnels)
 
     def run(self, context: Context, source: TunnelGraph | Microstructure) -> None:
         """Write the file."""

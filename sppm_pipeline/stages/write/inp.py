@@ -29,11 +29,6 @@ class WriteInp(VolumeMeshWriter):
 
     name: ClassVar[str] = "write.inp"
 
-    bytes_of_a_node: ClassVar[float] = 43.0
-    bytes_of_a_corner: ClassVar[float] = 8.5
-    bytes_of_a_cell: ClassVar[float] = 0.0
-    seconds_of_a_cell: ClassVar[float] = 1.2e-6
-    memory_of_a_cell: ClassVar[float] = 100.0
     path: str = option("mesh.inp", help="file to write", output=True)
     periodic: bool = option(
         False,

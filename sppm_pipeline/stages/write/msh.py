@@ -21,11 +21,6 @@ class WriteMsh(VolumeMeshWriter):
 
     name: ClassVar[str] = "write.msh"
 
-    bytes_of_a_node: ClassVar[float] = 43.0
-    bytes_of_a_corner: ClassVar[float] = 8.5
-    bytes_of_a_cell: ClassVar[float] = 0.0
-    seconds_of_a_cell: ClassVar[float] = 2e-6
-    memory_of_a_cell: ClassVar[float] = 100.0
     path: str = option("mesh.msh", help="file to write", output=True)
 
     def encode(self, mesh: VolumeMesh) -> Iterator[bytes]:

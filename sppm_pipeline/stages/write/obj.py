@@ -17,7 +17,6 @@ class WriteObj(MeshWriter):
 
     name: ClassVar[str] = "write.obj"
 
-    bytes_of_a_triangle: ClassVar[float] = 40.0
     path: str = option("mesh.obj", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterator[bytes | memoryview]:

@@ -17,7 +17,6 @@ class WriteOff(MeshWriter):
 
     name: ClassVar[str] = "write.off"
 
-    bytes_of_a_triangle: ClassVar[float] = 35.0
     path: str = option("mesh.off", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterator[bytes | memoryview]:

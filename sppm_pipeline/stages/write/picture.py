@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
@@ -31,6 +32,7 @@ class WritePicture(Stage):
     """Render a mesh, a cell, a tiling or a part as PNG; a tile set becomes a sheet of all its tiles."""
 
     name: ClassVar[str] = "write.picture"
+    advice: ClassVar[str] = "lower `resolution` or `size`"
 
     path: str = option("picture.png", help="file to write", output=True)
     resolution: int = option(
@@ -45,37 +47,20 @@ class WritePicture(Stage):
         None, help="keep only this share along y, the far side, to look inside", above=0, maximum=1
     )
 
-    def estimate(self, given: Given) -> Estimate:
-        from sppm_pipeline.numerics.forecast import costs
-
-        facts = given["what"]
-        pixels, advice = float(self.size[0] * self.size[1]), "lower `resolution` or `size`"
-        if "kernels" not in facts:
-            return Estimate(
-                disk=costs.PICTURE_BYTES * pixels,
-                memory=costs.picture_memory(pixels, facts["triangles"], 0, part=False),
-                seconds=costs.picture_seconds(pixels, facts["triangles"], part=False),
-                advice=advice,
-            )
-        n, tiles, box, volume = self.resolution, 1, facts["box"], facts["volume"]
-        if "palette_colors" in facts and "cells" not in facts:  # a sheet of a tile set
-            tiles, pixels = min(facts["interiors"], MOST_TILES), 300.0 * 270
-        share = self.section or 1.0
-        while n > 4 and float(np.prod(box)) * share * n**3 > MOST_SAMPLES:
+    def estimate(self, palette: Palette, what: Size) -> Size:
+        pixels, n, tiles, share = float(self.size[0] * self.size[1]), self.resolution, 1.0, self.section or 1.0
+        if what.triangles:
+            return Size(pixels=pixels, triangles=what.triangles)
+        body = what.body
+        if what.cells > body.volume:  # a sheet of a tile set
+            tiles, pixels = min(what.cells, MOST_TILES), 300.0 * 270
+        while n > 4 and body.samples(n) * share > MOST_SAMPLES:
             n -= 1
-        part = facts.get("is_part", False)
-        voxels = float(np.prod(box)) * share * n**3
-        inner = costs.surface_triangles(facts["surface"], n) * volume * share
-        outer = 2 * facts["envelope"] * (1 - facts["porosity"]) * n**2
-        triangles = inner + outer
-        return Estimate(
-            disk=costs.PICTURE_BYTES * pixels * tiles,
-            memory=25e6 + costs.picture_memory(pixels, triangles, voxels, part=part) + 4 * pixels * (tiles - 1),
-            seconds=tiles
-            * (costs.picture_seconds(pixels, triangles, part=part) + costs.field_seconds(voxels, facts["kernels"])),
-            voxels=tiles * voxels,
-            advice=advice,
-        )
+        grid, shown = what.grid(n), share * tiles
+        return Size(
+            pixels=tiles * pixels, triangles=shown * body.triangles(n), samples=shown * grid.samples,
+            sums=shown * grid.sums, resident=share * grid.samples,
+        )  # fmt: skip
 
     def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet) -> None:
         """Render and write."""

@@ -17,7 +17,6 @@ class WritePly(MeshWriter):
 
     name: ClassVar[str] = "write.ply"
 
-    bytes_of_a_triangle: ClassVar[float] = 25.0
     path: str = option("mesh.ply", help="file to write", output=True)
 
     def encode(self, mesh: SurfaceMesh, threads: int) -> Iterator[bytes | memoryview]:

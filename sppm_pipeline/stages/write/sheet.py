@@ -11,7 +11,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import RunFile, Table
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.stage import Context, Stage, option
@@ -28,6 +29,7 @@ class WriteSheet(Stage):
     """
 
     name: ClassVar[str] = "write.sheet"
+    advice: ClassVar[str] = "lower `width`"
 
     path: str = option("sheet.png", help="picture to write", output=True)
     picture: str = option("picture.png", help="name of the picture in the folder of each run")
@@ -40,8 +42,8 @@ class WriteSheet(Stage):
     )
     title: str = option("", help="text above the sheet")
 
-    def estimate(self, given: Given) -> Estimate:
-        return Estimate(disk=2e6, memory=200e6, seconds=2.0, advice="lower `width`")
+    def estimate(self, palette: Palette, table: Size) -> Size:
+        return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Collect the pictures."""

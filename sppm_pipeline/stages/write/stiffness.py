@@ -10,7 +10,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
@@ -26,6 +27,7 @@ class WriteStiffness(Stage):
     """
 
     name: ClassVar[str] = "write.stiffness"
+    advice: ClassVar[str] = "give a smaller `size`"
 
     path: str = option("stiffness", help="folder to write", output=True)
     material: str = option("SPPM", help="name of the material in the card")
@@ -37,15 +39,8 @@ class WriteStiffness(Stage):
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", self.material):
             raise ConfigError(f"`material` is {self.material!r}; allowed are letters, digits, _ and -, a letter first")
 
-    def estimate(self, given: Given) -> Estimate:
-        width, height = self.size
-        pixels = float(width * height)
-        return Estimate(
-            disk=540e3 + 0.22 * pixels,
-            memory=10e6 + 110 * pixels,
-            seconds=0.4 + 8e-7 * pixels,
-            advice="give a smaller `size`",
-        )
+    def estimate(self, palette: Palette, report: Size) -> Size:
+        return Size(pixels=float(self.size[0] * self.size[1]))
 
     def run(self, context: Context, report: StiffnessReport) -> None:
         """Write everything."""

@@ -7,7 +7,8 @@ import io
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline.data.estimate import Estimate, Given
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
@@ -37,8 +38,8 @@ class WriteTable(Stage):
         if not self.path.lower().endswith((".md", ".csv")):
             raise ConfigError(f"a table is written as .md or .csv, not as {self.path!r}")
 
-    def estimate(self, given: Given) -> Estimate:
-        return Estimate(disk=20e3, memory=1e6, seconds=0.01)
+    def estimate(self, palette: Palette, table: Size) -> Size:
+        return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Write the rows."""

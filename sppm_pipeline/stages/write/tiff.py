@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.estimate import Facts
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.families import VoxelWriter
 from sppm_pipeline.stage import option
@@ -21,10 +20,6 @@ class WriteTiff(VoxelWriter):
     name: ClassVar[str] = "write.tiff"
 
     path: str = option("voxels.tiff", help="file to write", output=True)
-
-    def foreseen_bytes(self, facts: Facts, values: float) -> float:
-        """What is one phase is compressed, which leaves the outlines; a page has a head."""
-        return values if facts["bytes"] > 1 else 0.7 * facts["outline"] + 100 * facts["shape"][2]
 
     def encode(self, voxels: Voxels) -> Iterator[bytes]:
         from sppm_pipeline.formats.image_stack import encode_tiff

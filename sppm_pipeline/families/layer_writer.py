@@ -1,0 +1,142 @@
+"""Base class of stages that write printing layers: one method encodes a layer, one more stores them in a container."""
+
+from __future__ import annotations
+
+import json
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
+from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.numerics.threads import ordered_map
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayerWriter(Stage):
+    """Base of writers of layers: implement `encode`, and `store` for a container instead of a folder of files.
+
+    Layers are evaluated slab by slab and encoded by threads beside the evaluation of the next slab; only a few of them
+    are in memory at once. `encode` runs in several threads at once, `store` in one. What must be refused before the
+    first layer is computed is checked in `check_options`, or in `run` before it calls this one.
+
+    A container in a few lines::
+
+        @dataclass(frozen=True, kw_only=True)
+        class WriteZip(LayerWriter):
+            '''Write layers as PNG files in a ZIP archive.'''
+
+            name: ClassVar[str] = "write.zip"
+            path: str = option("layers.zip", help="file to write", output=True)
+
+            def encode(self, image, stack):
+                return png_of(image)
+
+            def store(self, target, stack, layers):
+                with zipfile.ZipFile(target, "w") as archive:
+                    for number, data in enumerate(layers):
+                        archive.writestr(f"{number}.png", data)
+    """
+
+    advice: ClassVar[str] = "slice with a larger `pixel` or `layer`"
+    suffix: ClassVar[str] = ""  # ends the names of the files that `store` makes in its folder
+
+    path: str
+    sheet: int = option(
+        6, help="layers shown together in an overview picture beside the output; 0 for none", minimum=0, maximum=100
+    )
+
+    def estimate(self, palette: Palette, stack: Size) -> Size:
+        return replace(stack, triangles=0.0, pixels=stack.pixels * self.sheet)
+
+    @abstractmethod
+    def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes:
+        """One layer as bytes; called by several threads at once.
+
+        Parameters
+        ----------
+        image : (ny, nx) uint8, C-contiguous
+            255 where solid, 0 elsewhere, values between only if ``stack.gray``. The first row is the side of largest
+            y, as one looks down on the build plate; the first column is the side of smallest x.
+        stack : SliceStack
+            Pixel pitch, layer height, size and position of the part.
+        """
+
+    def store(self, target: Path, stack: SliceStack, layers: Iterable[bytes]) -> None:
+        """Write all layers: by default a folder with a file for each and ``manifest.json``.
+
+        Parameters
+        ----------
+        target : Path
+            The file or folder to make.
+        stack : SliceStack
+            The stack that is written; ``stack.findings()`` is complete when the last layer has been taken.
+        layers : iterable of bytes
+            The results of `encode`, the lowest layer first; all of them have to be taken.
+        """
+        target.mkdir(parents=True)
+        digits = max(5, len(str(stack.shape[2] - 1)))
+        for number, data in enumerate(layers):
+            (target / f"{number:0{digits}d}{self.suffix}").write_bytes(data)
+        nx, ny, nz = stack.shape
+        manifest = {
+            "format": 1,
+            "layers": nz,
+            "width_px": nx,
+            "height_px": ny,
+            "pixel_mm": stack.pixel_mm,
+            "layer_mm": stack.layer_mm,
+            "origin_mm": list(stack.origin_mm),
+            **self.encoding(stack),
+            "first_file": f"{0:0{digits}d}{self.suffix}",
+            "solid_value": 255,
+            "section": "mid-height of the layer",
+            "row_0": "+y",
+            "column_0": "-x",
+            **stack.findings(),
+        }
+        (target / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+
+    def encoding(self, stack: SliceStack) -> dict[str, Any]:
+        """Entries of ``manifest.json`` that tell how `encode` writes a pixel."""
+        return {}
+
+    def run(self, context: Context, stack: SliceStack) -> None:
+        """Evaluate, encode and store layer after layer."""
+        nz, threads, sizes = stack.shape[2], context.threads, []
+        shown = set(np.linspace(0, nz - 1, self.sheet + 2).round().astype(int)[1:-1].tolist()) if self.sheet else set()
+        overview: list[NDArray[np.uint8]] = []
+
+        def images() -> Iterator[NDArray[np.uint8]]:
+            for start, slab in stack.slabs(threads):
+                for number, layer in enumerate(slab, start):
+                    image = layer[::-1].copy()  # the stack may reuse its slab
+                    if number in shown:
+                        overview.append(image)
+                    yield image
+                context.progress(min(start + len(slab), nz), nz, "layers")
+
+        def encoded() -> Iterator[bytes]:
+            for data in ordered_map(lambda image: self.encode(image, stack), images(), threads, ahead=4 * threads):
+                sizes.append(len(data))
+                yield data
+
+        target = context.output(self.path)
+        self.store(target, stack, encoded())
+        if len(sizes) != nz:
+            raise RuntimeError(f"`store` of {self.name} has taken {len(sizes)} of {nz} layers")
+        context.report(bytes=sum(sizes), layers=nz, **stack.findings())
+        if overview:
+            from PIL import Image
+
+            from sppm_pipeline.render.plates import layer_sheet
+
+            stem = self.path.rstrip("/") if target.is_dir() else str(PurePosixPath(self.path).with_suffix(""))
+            Image.fromarray(layer_sheet(overview)).save(context.output(f"{stem}-overview.png"))

@@ -1,1 +1,0 @@
-"""Sizes and times foretold from counts, without computing anything."""

@@ -1,0 +1,96 @@
+"""The base class of layer writers, as authors of printer containers use it."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.families import LayerWriter
+from sppm_pipeline.stage import option
+from sppm_pipeline.stages.slice.field import SliceField
+from sppm_pipeline.testing.plain_context import PlainContext
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteRaw(LayerWriter):
+    """A folder of raw layers: only the method that every writer needs."""
+
+    name: ClassVar[str] = "write.raw"
+    suffix: ClassVar[str] = ".raw"
+
+    path: str = option("layers", help="folder to write", output=True)
+
+    def encode(self, image, stack):
+        assert image.flags.c_contiguous
+        return image.tobytes()
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteContainer(WriteRaw):
+    """A file that holds the size of a pixel, all layers and, known only at the end, how much is solid."""
+
+    name: ClassVar[str] = "write.container"
+
+    path: str = option("part.v1.zip", help="file to write", output=True)
+
+    def store(self, target, stack, layers):
+        with zipfile.ZipFile(target, "w") as archive:
+            archive.writestr("head", json.dumps([stack.pixel_mm, stack.layer_mm, stack.shape]))
+            for number, data in enumerate(layers):
+                archive.writestr(str(number), data)
+            archive.writestr("end", json.dumps(stack.findings()))
+
+
+class Forgetful(WriteRaw):
+    """Takes the first layer only."""
+
+    def store(self, target, stack, layers):
+        target.write_bytes(next(iter(layers)))
+
+
+@pytest.fixture
+def stack(wang_tiling):
+    return SliceField(resolution=7).run(PlainContext(), wang_tiling)
+
+
+def write(writer, stack, folder, threads=2):
+    context = PlainContext(directory=folder, threads=threads)
+    writer.run(context, stack)
+    return context
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_one_method_makes_a_folder_of_layers(stack, tmp_path, threads):
+    context = write(WriteRaw(sheet=0), stack, tmp_path, threads)
+    nx, ny, nz = stack.shape
+    layers = np.concatenate([slab.copy() for _, slab in stack.slabs()])
+    for number in range(nz):
+        data = (tmp_path / f"layers/{number:05d}.raw").read_bytes()
+        assert np.array_equal(np.frombuffer(data, np.uint8).reshape(ny, nx), layers[number, ::-1])
+    manifest = json.loads((tmp_path / "layers/manifest.json").read_text())
+    assert (manifest["first_file"], manifest["layers"]) == ("00000.raw", nz)
+    assert "bits" not in manifest
+    assert len(list((tmp_path / "layers").iterdir())) == nz + 1
+    assert context.reported["bytes"] == nx * ny * nz
+    assert context.progress_calls[-1][:2] == (nz, nz)
+
+
+def test_a_container_holds_all_layers_and_what_is_known_at_the_end(stack, tmp_path):
+    write(WriteContainer(), stack, tmp_path)
+    write(WriteRaw(), stack, tmp_path)
+    with zipfile.ZipFile(tmp_path / "part.v1.zip") as archive:
+        assert json.loads(archive.read("head")) == [stack.pixel_mm, stack.layer_mm, list(stack.shape)]
+        for number in range(stack.shape[2]):
+            assert archive.read(str(number)) == (tmp_path / f"layers/{number:05d}.raw").read_bytes()
+        assert json.loads(archive.read("end"))["solid_voxels"] == stack.findings()["solid_voxels"]
+    assert (tmp_path / "part.v1-overview.png").read_bytes() == (tmp_path / "layers-overview.png").read_bytes()
+
+
+def test_a_writer_that_leaves_layers_out_is_found(stack, tmp_path):
+    with pytest.raises(RuntimeError, match=r"write\.raw has taken 1 of 21 layers"):
+        write(Forgetful(), stack, tmp_path)
