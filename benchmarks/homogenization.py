@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from benchmarks.measure import table
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.numerics.homogenization.conduction.homogenize import conductivity
-from sppm_pipeline.numerics.homogenization.elasticity.homogenize import Homogenized, lame, stiffness
+from sppm_pipeline.numerics.homogenization.conduction import conductivity
+from sppm_pipeline.numerics.homogenization.elasticity import Homogenized, stiffness
+from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing

@@ -20,7 +20,7 @@ def paper_cell() -> Kernels:
     pores = rng.random((148, 3))
     a = rng.integers(0, 148, 590)
     near = np.argsort(((pores[a][:, None] - pores[None]) ** 2).sum(-1), 1)[np.arange(590), rng.integers(1, 6, 590)]
-    return Kernels(pores, np.full(148, 120.0), pores[a], pores[near], np.full(590, 60.0), False)
+    return Kernels(pores, np.full(148, 120.0), pores[a], pores[near], np.full(590, 60.0), "linear")
 
 
 def obvious_field(kernels: Kernels, n: int) -> np.ndarray:

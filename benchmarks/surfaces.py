@@ -17,7 +17,7 @@ from benchmarks.kernels import paper_cell
 from benchmarks.measure import repeat_in_process, table
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.splat import add_kernels
-from sppm_pipeline.numerics.meshcheck.solids import check_solid, run_boolean
+from sppm_pipeline.numerics.surface.booleans import check_solid, run_boolean
 from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
 from sppm_pipeline.numerics.surface.level_set import run_level_set
 from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes

@@ -56,7 +56,7 @@ def main() -> None:
         order = np.log2(before / abs(error)) if before else ""
         before = abs(error)
         rows.append(
-            [n, len(mesh.cells), len(mesh.nodes), wall, cpu, shape.least_dihedral, shape.greatest_dihedral,
+            [n, len(mesh.cells), len(mesh.nodes), wall, cpu, shape.minimum_dihedral, shape.maximum_dihedral,
              shape.radius_ratio, 100 * error, order]
         )  # fmt: skip
         shares = 100 * dihedral_histogram(mesh.nodes, mesh.cells, 18) / (6 * len(mesh.cells))

@@ -55,7 +55,7 @@ def _execute(args: Namespace) -> int:
 
     monitor: Monitor = Monitor() if args.quiet or sys.stderr is None else ProgressLines(sys.stderr)
     if isinstance(monitor, ProgressLines):
-        from sppm_pipeline.numerics.notice import on_first_compilation
+        from sppm_pipeline.numerics.kernel_cache import on_first_compilation
 
         on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
     session = open_from(args)

@@ -142,8 +142,9 @@ def optional_module(name: str) -> Any:
 
 def _feed(h: Any, value: Any) -> None:
     """Hash `value` with its type and length in front, so that different structures can't collide by concatenation."""
-    if is_dataclass(value) or (isinstance(value, tuple) and hasattr(value, "_fields")):
-        names = [f.name for f in fields(value) if f.compare] if is_dataclass(value) else list(value._fields)
+    record = isinstance(value, tuple) and hasattr(value, "_fields")
+    if record or (is_dataclass(value) and not isinstance(value, type)):
+        names = list(value._fields) if record else [f.name for f in fields(value) if f.compare]
         h.update(f"{type(value).__name__}{len(names)};".encode())
         for name in names:
             h.update(f"{name}=".encode())

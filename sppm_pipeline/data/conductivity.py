@@ -37,7 +37,7 @@ class ConductivityReport(Artifact):
         As in `StiffnessReport`.
     converged : bool
     wraps : (3,) bool
-        Whether the conductor runs through along x, y, z, across faces of voxels.
+        Whether the conductor percolates along x, y, z, across faces of voxels.
     warnings : tuple of str
     """
 

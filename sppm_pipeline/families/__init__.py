@@ -1,4 +1,4 @@
-"""Base classes of the families whose members share work: a new sampler, connector or tile rule is one method.
+"""Base classes of the families whose members share work: a new sampler, connector, formula or tile rule is one method.
 
 A sampler in a few lines::
 
@@ -11,11 +11,24 @@ A sampler in a few lines::
 
         def throw(self, rng, box):
             return box.lower + rng.random((self.count, 3)) * (box.upper - box.lower)
+
+and a formula of a periodic cell::
+
+    @dataclass(frozen=True, kw_only=True)
+    class Primitive(FieldMaker):
+        '''The primitive surface of Schwarz: solid where the sum of three cosines lies below a level.'''
+
+        name: ClassVar[str] = "field.primitive"
+        level: float = option(0.0, help="value of the sum at the surface", minimum=-3, maximum=3)
+
+        def evaluate(self, x, y, z):
+            return np.cos(2 * np.pi * x) + np.cos(2 * np.pi * y) + np.cos(2 * np.pi * z) - self.level
 """
 
 from __future__ import annotations
 
 from sppm_pipeline.families.connector import Connector, Piece
+from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
 from sppm_pipeline.families.homogenizer import VoxelHomogenizer
 from sppm_pipeline.families.layer_writer import LayerWriter
 from sppm_pipeline.families.mesh_writer import MeshWriter
@@ -27,10 +40,12 @@ from sppm_pipeline.families.voxel_writer import VoxelWriter
 
 __all__ = [
     "Connector",
+    "FieldMaker",
     "InteriorBox",
     "Lattice",
     "LayerWriter",
     "MeshWriter",
+    "PartFieldMaker",
     "Piece",
     "Sampler",
     "TileSetMaker",

@@ -1,10 +1,10 @@
-"""What stages that homogenize voxels have in common: from a field or an image to the shares of the phases."""
+"""Base of stages that homogenize voxels: options, the way from a field or an image to a cell, warnings."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.process.memory import require_memory
 from sppm_pipeline.stage import Context, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved
 
 
 class Cell(NamedTuple):
@@ -67,7 +70,7 @@ class VoxelHomogenizer(Stage):
     )
     fractions: str = option(
         "auto",
-        help="auto: voxels at the surface count by the share of them that is solid; binary: as their center does",
+        help="auto: voxels at the surface count by their solid fraction; binary: by their center",
         choices=("auto", "binary"),
     )
     tolerance: float = option(
@@ -76,7 +79,7 @@ class VoxelHomogenizer(Stage):
     residual: float | None = option(
         None, help="stop at this residual over the right-hand side instead", minimum=1e-14, maximum=0.1
     )
-    iterations: int = option(1000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
+    iterations: int = option(1000, help="maximum number of iterations of a load case", minimum=1, maximum=1_000_000)
     precision: str = option("single", help="precision of the solver's vectors", choices=("single", "double"))
 
     advice: ClassVar[str] = "lower `resolution`, or take `precision: single`"
@@ -137,6 +140,28 @@ class VoxelHomogenizer(Stage):
             lambda grid, start, stop: source.sample_layers(grid, start, stop, context.threads), (x, y, z), n
         )
         return Cell(None, share, edges)
+
+    def solver_options(self, threads: int) -> dict[str, Any]:
+        """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""
+        return {
+            "residual": self.residual or 0.0,
+            "tolerance": self.tolerance if self.residual is None else 0.0,
+            "iterations": self.iterations,
+            "precision": np.float32 if self.precision == "single" else np.float64,
+            "threads": threads,
+        }
+
+    def solver_warnings(self, solved: tuple[Solved, ...], precision: str) -> list[str]:
+        """Whether the load cases converged, and in the requested precision."""
+        warnings = []
+        if not all(case.converged for case in solved):
+            warnings.append(
+                f"after {self.iterations} iterations a load case has an estimated error of "
+                f"{max(case.error for case in solved):.1g}; allow more `iterations`"
+            )
+        if precision == "float64" and self.precision == "single":
+            warnings.append("single precision was not enough for this cell; it was solved in double precision")
+        return warnings
 
     def _check_memory(self, context: Context, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
         wanted = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)

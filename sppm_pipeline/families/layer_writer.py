@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar
@@ -14,9 +14,37 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.fields.slice_stack import Slabs, SliceStack
 from sppm_pipeline.numerics.threads import ordered_map
 from sppm_pipeline.stage import Context, Stage, option
+
+
+class EncodedLayers:
+    """Encoded layers in one pass from the lowest, and what is known when the last of them was taken.
+
+    Attributes
+    ----------
+    taken : int
+        Number of layers taken so far.
+    bytes : int
+        Their size.
+    findings : dict
+        Empty until the last layer was taken; then what the stack found out on the way, such as the solid volume.
+    """
+
+    def __init__(self, layers: Iterator[bytes], slabs: Slabs) -> None:
+        self._layers, self._slabs = layers, slabs
+        self.taken = self.bytes = 0
+
+    def __iter__(self) -> Iterator[bytes]:
+        for data in self._layers:
+            self.taken += 1
+            self.bytes += len(data)
+            yield data
+
+    @property
+    def findings(self) -> dict[str, Any]:
+        return self._slabs.findings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +97,7 @@ class LayerWriter(Stage):
             Pixel pitch, layer height, size and position of the part.
         """
 
-    def store(self, target: Path, stack: SliceStack, layers: Iterable[bytes]) -> None:
+    def store(self, target: Path, stack: SliceStack, layers: EncodedLayers) -> None:
         """Write all layers: by default a folder with a file for each and ``manifest.json``.
 
         Parameters
@@ -77,9 +105,10 @@ class LayerWriter(Stage):
         target : Path
             The file or folder to make.
         stack : SliceStack
-            The stack that is written; ``stack.findings()`` is complete when the last layer has been taken.
-        layers : iterable of bytes
-            The results of `encode`, the lowest layer first; all of them have to be taken.
+            The stack that is written.
+        layers : EncodedLayers
+            An iterable of the results of `encode`, the lowest layer first; all of them have to be taken. Its `findings`
+            are complete then.
         """
         target.mkdir(parents=True)
         digits = max(5, len(str(stack.shape[2] - 1)))
@@ -100,7 +129,7 @@ class LayerWriter(Stage):
             "section": "mid-height of the layer",
             "row_0": "+y",
             "column_0": "-x",
-            **stack.findings(),
+            **layers.findings,
         }
         (target / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
 
@@ -110,12 +139,14 @@ class LayerWriter(Stage):
 
     def run(self, context: Context, stack: SliceStack) -> None:
         """Evaluate, encode and store layer after layer."""
-        nz, threads, sizes = stack.shape[2], context.threads, []
+        nz, threads = stack.shape[2], context.threads
         shown = set(np.linspace(0, nz - 1, self.sheet + 2).round().astype(int)[1:-1].tolist()) if self.sheet else set()
         overview: list[NDArray[np.uint8]] = []
 
+        slabs = stack.slabs(threads)
+
         def images() -> Iterator[NDArray[np.uint8]]:
-            for start, slab in stack.slabs(threads):
+            for start, slab in slabs:
                 for number, layer in enumerate(slab, start):
                     image = layer[::-1].copy()  # the stack may reuse its slab
                     if number in shown:
@@ -123,16 +154,13 @@ class LayerWriter(Stage):
                     yield image
                 context.progress(min(start + len(slab), nz), nz, "layers")
 
-        def encoded() -> Iterator[bytes]:
-            for data in ordered_map(lambda image: self.encode(image, stack), images(), threads, ahead=4 * threads):
-                sizes.append(len(data))
-                yield data
-
+        encoded = ordered_map(lambda image: self.encode(image, stack), images(), threads, ahead=4 * threads)
+        layers = EncodedLayers(encoded, slabs)
         target = context.output(self.path)
-        self.store(target, stack, encoded())
-        if len(sizes) != nz:
-            raise RuntimeError(f"`store` of {self.name} has taken {len(sizes)} of {nz} layers")
-        context.report(bytes=sum(sizes), layers=nz, **stack.findings())
+        self.store(target, stack, layers)
+        if layers.taken != nz:
+            raise RuntimeError(f"`store` of {self.name} has taken {layers.taken} of {nz} layers")
+        context.report(bytes=layers.bytes, layers=nz, **layers.findings)
         if overview:
             from PIL import Image
 

@@ -58,7 +58,7 @@ def lattice_for(
         )
     if edge is None:
         raise ConfigError("the size of a cell is missing", hint="give `cell: 7.5 mm`, or `edge` on the sampling stage")
-    from sppm_pipeline.numerics.domain.cover import cells_touched
+    from sppm_pipeline.numerics.domain.inside import cells_touched
 
     lower, upper = cover.lower, cover.upper
     # centered, so that opposite sides of a symmetric part are cut alike
@@ -133,7 +133,7 @@ class Tiler(Stage):
 
     def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
         """Lay the cells."""
-        from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+        from sppm_pipeline.numerics.assembly.contents import TilingArrays
 
         if tileset.kind not in self.kinds:
             raise ConfigError(

@@ -16,7 +16,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 

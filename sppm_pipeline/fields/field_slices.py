@@ -87,7 +87,7 @@ class FieldSlices(SliceStack):
         for start, solid in self._cleaned(threads, findings):
             count += int(np.count_nonzero(solid))
             if self.subsamples > 1:
-                from sppm_pipeline.numerics.domain.coverage import gray_by_coverage
+                from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage
 
                 factor = (self.subsamples, self.subsamples)
                 yield start, np.stack([gray_by_coverage(layer, factor) for layer in solid])

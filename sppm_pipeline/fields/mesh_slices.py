@@ -77,8 +77,8 @@ class MeshSlices(SliceStack):
         return Grid((x + h / 2, y + h / 2, z + self.layer / 2), (h, h, self.layer), (nx * k, ny * k, nz))
 
     def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
-        from sppm_pipeline.numerics.domain.coverage import gray_by_coverage
         from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
+        from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage
 
         grid = self.samples()
         nx, ny, nz = grid.shape

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,10 +13,10 @@ from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.wrapped import WrappedField
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, lone_periodic_cell
 from sppm_pipeline.numerics.grid import Grid, sample_one_period
 from sppm_pipeline.numerics.kernels.kernels import Kernels
+from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
@@ -63,11 +62,11 @@ class Microstructure(ScalarField):
     def finest_radius(self) -> float | None:
         pieces = self.pieces
         parts = [*pieces.interiors, *(k for axis in pieces.faces for k in axis), *pieces.connectors.values()]
-        mu = max((float(k.mu.max()) for k in parts if len(k.mu)), default=0.0)
-        if not mu or self.level >= 1:
+        tunnels = [(float(k.mu.max()), k.profile) for k in parts if len(k.mu)]
+        if not tunnels or self.level >= 1:
             return None
-        radius = -math.log(self.level) / mu
-        return math.sqrt(radius) if pieces.squared else radius
+        mu, profile = max(tunnels)
+        return TUNNEL_PROFILES[profile].radius(mu, self.level)
 
     @property
     def edge_mm(self) -> float | None:
@@ -137,7 +136,7 @@ class PeriodicTile(WrappedField):
         return lone_periodic_cell(self.interior, self.base.face_ids(self.colors))
 
 
-def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], squared: bool) -> Pieces:
+def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArray[np.float64], profile: str) -> Pieces:
     """Sort the kernels of all pores and tunnels by the piece they belong to.
 
     Parameters
@@ -145,10 +144,10 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     graph : TunnelGraph
     omega : (n,) float64, 1 / cell edge^2
         One for each pore.
-    mu : (m,) float64, 1 / cell edge, or 1 / cell edge^2 if `squared`
+    mu : (m,) float64, 1 / cell edge^power of the profile
         One for each tunnel.
-    squared : bool
-        Whether tunnel distances are squared.
+    profile : str
+        Name of the tunnels' profile.
     """
     pores = graph.pores
     starts, ends = graph.segments()
@@ -163,7 +162,7 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
             frozen(starts[tunnels]),
             frozen(ends[tunnels]),
             frozen(mu[tunnels]),
-            squared,
+            profile,
         )
 
     inside = np.flatnonzero(a == b)

@@ -100,7 +100,7 @@ class Part(WrappedField):
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint8]:
-        from sppm_pipeline.numerics.domain.spans import row_spans
+        from sppm_pipeline.numerics.domain.occupancy import row_spans
 
         if not self.skin_mm:
             inside = self._in_domain(grid).inside(start, stop)

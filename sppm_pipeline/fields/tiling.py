@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.fields.microstructure import CUTOFF
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, check_tiling
 from sppm_pipeline.numerics.grid import Grid, sample_one_period
 
 if TYPE_CHECKING:
@@ -58,6 +57,10 @@ class Tiling(ScalarField):
     arrays: TilingArrays
     edge: float | None
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def check(self) -> None:
+        """Faces fit the cells, and every interior and color exists."""
+        check_tiling(self.arrays, self.tileset.micro.pieces)
 
     @property
     def cells(self) -> tuple[int, int, int]:

@@ -1,19 +1,20 @@
 """How kernels are compiled: one decorator, so that every kernel is cached on disk and releases the GIL.
 
 Kernels are compiled on their first call, not on import, and the machine code is kept in Numba's cache; a caller
-that wants to tell its user about the wait registers a callback with `sppm_pipeline.numerics.notice`.
+that notifies its user of the wait registers a callback with `sppm_pipeline.numerics.kernel_cache`.
 """
 
 from __future__ import annotations
 
+import hashlib
+import types
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import config, event
 
-from sppm_pipeline.numerics.kernel_cache import kernel_cache_folder
-from sppm_pipeline.numerics.notice import first_compilation
+from sppm_pipeline.numerics.kernel_cache import first_compilation, kernel_cache_folder
 
 
 def _load_numba_without_scipy() -> None:
@@ -55,6 +56,29 @@ def _compiled(function: F, fastmath: set[str] | bool) -> F:
     setattr(config, "CACHE_DIR", str(kernel_cache_folder(function.__code__.co_filename)))  # noqa: B010
     wrapped: Any = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
     return wrapped  # type: ignore[no-any-return]
+
+
+def specialized(function: F, name: str, **replaced: Callable[..., Any]) -> F:
+    """A copy of a function, not yet compiled, in which some global names mean other functions.
+
+    Parameters
+    ----------
+    function : callable
+        A plain function at the top of its module.
+    name : str
+        Tells the copies of one function apart; with the code of what is replaced it becomes part of the name under
+        which Numba keeps the compiled copy.
+    **replaced : callable
+        Compiled functions by the global name they take over.
+    """
+    h = hashlib.sha256()
+    for other in replaced.values():
+        plain = other.py_func  # type: ignore[attr-defined]
+        code = plain.__code__
+        h.update(repr((plain.__qualname__, code.co_code, code.co_consts, code.co_names)).encode())
+    copied = types.FunctionType(function.__code__, {**function.__globals__, **replaced})
+    copied.__qualname__ = f"{function.__name__}_{name}_{h.hexdigest()[:8]}"
+    return cast(F, copied)
 
 
 class _Compilation(event.Listener):

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept between runs.
+"""Where compiled kernels are kept between runs, and a notice when one is not there.
 
 Numba keys a kept kernel by its own source file alone, so a kernel that inlines one from another file, or a constant,
 would be reused after that file has changed. Therefore each module has folders of its own, one for each state of the
@@ -15,6 +15,7 @@ import re
 import shutil
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 KEPT_STATES = 4
@@ -113,3 +114,18 @@ def _prune(base: Path, current: Path) -> None:
     others.sort(key=lambda f: f.stat().st_mtime, reverse=True)
     for old in others[KEPT_STATES:]:
         shutil.rmtree(old, ignore_errors=True)
+
+
+waiting: list[Callable[[], None]] = []
+"""Callbacks that have not been called."""
+
+
+def on_first_compilation(callback: Callable[[], None]) -> None:
+    """Call `callback` once, at the moment when a kernel is not found in the cache and has to be compiled."""
+    waiting.append(callback)
+
+
+def first_compilation() -> None:
+    """Call what waits; `sppm_pipeline.numerics.compiled` does so when Numba starts to compile."""
+    while waiting:
+        waiting.pop(0)()

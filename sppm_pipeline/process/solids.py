@@ -69,7 +69,7 @@ def manifold_combine(
     *,
     places: Sequence[NDArray[np.float64]] = (),
 ) -> Combined:
-    """Union, difference or intersection of two solids, by `numerics.surface.solids.boolean` in a child process.
+    """Union, difference or intersection of two solids, by `numerics.surface.booleans.boolean` in a child process.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def manifold_combine(
 def combine_in_child(arrays: Arrays, options: Mapping[str, Any]) -> tuple[Values, Values]:
     """Unite the copies of the second solid, then combine both."""
     from sppm_pipeline.numerics.meshcheck.measures import volume
-    from sppm_pipeline.numerics.meshcheck.solids import boolean
+    from sppm_pipeline.numerics.surface.booleans import boolean
 
     first, second = (arrays["first_vertices"], arrays["first_faces"]), (arrays["vertices"], arrays["faces"])
     operation, (name, tool) = options["operation"], options["names"]

@@ -49,6 +49,7 @@ BUILT_IN = {
     "check.porosity": "CheckPorosity",
     "check.sizes": "CheckSizes",
     "check.residual_periodicity": "CheckResidualPeriodicity",
+    "check.tiling": "CheckTiling",
     "check.volume_mesh": "CheckVolumeMesh",
     "homogenize.voxel": "HomogenizeVoxel",
     "homogenize.conductivity": "HomogenizeConductivity",

@@ -9,7 +9,7 @@ import pytest
 from sppm_pipeline.cli import progress
 from sppm_pipeline.cli.progress import ProgressLines
 from sppm_pipeline.hookspecs import StageEvent
-from sppm_pipeline.numerics import notice
+from sppm_pipeline.numerics import kernel_cache
 
 
 class Terminal(io.StringIO):
@@ -87,11 +87,11 @@ def test_a_stream_that_was_closed_does_no_harm():
 
 
 def test_the_notice_about_compilation_is_given_once(monkeypatch):
-    monkeypatch.setattr(notice, "waiting", [])
+    monkeypatch.setattr(kernel_cache, "waiting", [])
     told = []
-    notice.on_first_compilation(lambda: told.append(1))
-    notice.first_compilation()
-    notice.first_compilation()
+    kernel_cache.on_first_compilation(lambda: told.append(1))
+    kernel_cache.first_compilation()
+    kernel_cache.first_compilation()
     assert told == [1]
 
 
@@ -100,8 +100,8 @@ def test_numba_gives_the_notice(monkeypatch):
 
     import sppm_pipeline.numerics.compiled  # noqa: F401 - listens to Numba
 
-    monkeypatch.setattr(notice, "waiting", [])
+    monkeypatch.setattr(kernel_cache, "waiting", [])
     told = []
-    notice.on_first_compilation(lambda: told.append(1))
+    kernel_cache.on_first_compilation(lambda: told.append(1))
     assert numba.njit(lambda x: x + 1)(1) == 2
     assert told == [1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -11,13 +11,27 @@ import pytest
 from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
-from sppm_pipeline.families import Connector, Sampler, Tiler, TileSetMaker, lattice_for, start_of
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import (
+    Connector,
+    FieldMaker,
+    PartFieldMaker,
+    Sampler,
+    Tiler,
+    TileSetMaker,
+    lattice_for,
+    start_of,
+)
 from sppm_pipeline.families.tiler import KIND_TO_RULE
-from sppm_pipeline.numerics.assembly.tiling_arrays import lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import lone_periodic_cell
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.stage import option
 from sppm_pipeline.stages import BUILT_IN
+from sppm_pipeline.stages.read.primitive import ReadPrimitive
 from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
-from sppm_pipeline.testing.plain_context import PlainContext
+from sppm_pipeline.stages.tune.porosity import TunePorosity
+from sppm_pipeline.testing.contracts import StageContract
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,3 +194,113 @@ def test_starts():
 
 def test_every_kind_names_a_rule_that_exists():
     assert all(f"tile.{rule}" in BUILT_IN for rule in KIND_TO_RULE.values())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Primitive(FieldMaker):
+    """The primitive surface of Schwarz."""
+
+    name: ClassVar[str] = "field.primitive"
+    level: float = option(0.0, help="value of the sum at the surface")
+
+    def evaluate(self, x, y, z):
+        return np.cos(2 * np.pi * x) + np.cos(2 * np.pi * y) + np.cos(2 * np.pi * z) - self.level
+
+
+@dataclass(frozen=True, kw_only=True)
+class Levelled(Primitive):
+    """The same, with a name for what tuning changes."""
+
+    name: ClassVar[str] = "field.levelled"
+
+    def cut_at(self, value):
+        return replace(self, level=self.level + value)
+
+    @property
+    def finest_radius(self):
+        return 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shell(PartFieldMaker):
+    """A shell around the low corner of the part."""
+
+    name: ClassVar[str] = "field.shell"
+    radius: Length = option(Length(1.2), help="radius", unit="cell size")
+
+    def evaluate(self, x, y, z):
+        return np.abs(np.sqrt(x * x + y * y + z * z) - self.in_cells(self.radius)) - 0.1
+
+
+class TestFieldMakerContract(StageContract):
+    def stages(self):
+        return [Primitive(), Levelled(level=0.3, edge=Length(5.0)), Primitive(edge=Length(2.0, "mm"))]
+
+
+class TestPartFieldMakerContract(StageContract):
+    def stages(self):
+        return [Shell(cells=(2, 2, 1)), Shell(cells=(3, 1, 1), edge=Length(3.0), radius=Length(4.0, "mm"))]
+
+
+@pytest.mark.parametrize("made", [(Primitive(),), (Shell(cells=(2, 2, 2)), None)])
+def test_a_formula_gives_the_same_bytes_in_slabs_and_threads(made):
+    stage, *ports = made
+    field = stage.run(PlainContext(), *ports)
+    grid = Grid((0.013, 0.2, 0.07), (1 / 37,) * 3, (90, 70, 40))
+    whole = field.sample(grid)
+    assert whole.dtype == np.float32
+    assert np.array_equal(field.sample(grid, 3), whole)
+    assert np.array_equal(field.sample_layers(grid, 11, 29, 2), whole[11:29])
+    assert np.array_equal(field.solid(grid), whole < 0)
+
+
+def test_a_formula_repeats_to_the_last_bit():
+    field = Primitive().run(PlainContext())
+    assert (field.periodic, field.cells, field.edge_mm) == (True, (1, 1, 1), None)
+    here, there = (field.sample(Grid((at + 0.1, -at, 7 * at), (0.1, 0.07, 0.03), (9, 8, 7))) for at in (0.0, 3.0))
+    assert np.array_equal(here, there)
+
+
+@pytest.mark.parametrize("stage", [Primitive(), Levelled()])
+def test_a_formula_is_tuned(stage):
+    recipe = recipe_of(stage)
+    tuned = TunePorosity(target=0.6).run(PlainContext(), recipe)
+    assert np.mean(tuned.sample(cell_centers(50)) >= 0) == pytest.approx(0.6, abs=2e-3)
+    if isinstance(stage, Levelled):
+        assert tuned.maker.level < 0 == tuned.offset
+        assert "9 or more" in tuned.coarseness(0.2)
+    else:
+        assert tuned.maker.level == 0 > tuned.offset
+        assert tuned.coarseness(0.2) is None
+
+
+def test_a_formula_of_a_part():
+    field = Shell(cells=(2, 2, 2), edge=Length(4.0)).run(PlainContext(), None)
+    assert (field.periodic, field.cells, field.edge_mm) == (False, (2, 2, 2), 4.0)
+    assert field.sample(Grid((1.2, 0.0, 0.0), (1.0,) * 3, (1, 1, 1))).item() == pytest.approx(-0.1)
+    ball = ReadPrimitive(shape="ball", size=(Length(10.0),) * 3).run(PlainContext())
+    covered = Shell(edge=Length(4.0)).run(PlainContext(), ball)
+    assert covered.cells == (3, 3, 3)
+    assert covered.origin_mm == pytest.approx(ball.lower - 1)
+    with pytest.raises(ConfigError, match="size of a cell"):
+        Shell().run(PlainContext(), ball)
+    with pytest.raises(ConfigError, match="no physical size"):
+        Shell(cells=(1, 1, 1), radius=Length(2.0, "mm")).run(PlainContext(), None).sample(cell_centers(2))
+
+
+def test_a_formula_is_stored(tmp_path):
+    field = Levelled(level=0.2, edge=Length(3.0)).run(PlainContext()).cut_at(0.1)
+    assert "<locals>" not in type(field.maker).__qualname__
+    assert field.digest() == Levelled(level=0.2, edge=Length(3.0)).run(PlainContext()).cut_at(0.1).digest()
+    assert field.digest() != Levelled(level=0.2).run(PlainContext()).digest()
+
+
+def test_a_formula_without_its_method_says_so():
+    @dataclass(frozen=True, kw_only=True)
+    class Empty(FieldMaker):
+        """Nothing."""
+
+        name: ClassVar[str] = "field.empty"
+
+    with pytest.raises(NotImplementedError, match="Empty needs the method `evaluate`"):
+        Empty().run(PlainContext()).sample(cell_centers(2))

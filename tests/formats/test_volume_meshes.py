@@ -7,7 +7,7 @@ import pytest
 from sppm_pipeline.formats import inp, msh, vtk, vtu
 from sppm_pipeline.numerics.tetrahedra.node_sets import SIDES, boundary_surfaces, box_copies, box_node_sets
 from sppm_pipeline.numerics.tetrahedra.periodic import matched_nodes
-from sppm_pipeline.numerics.tetrahedra.quadratic import least_jacobian, with_mid_nodes
+from sppm_pipeline.numerics.tetrahedra.quadratic import minimum_jacobian, with_mid_nodes
 from sppm_pipeline.numerics.tetrahedra.stuffing import stuff
 
 N = 6
@@ -80,7 +80,7 @@ def test_msh(mesh, tmp_path):
     found, blocks = tetrahedra(read)
     assert np.array_equal(found, cells[np.argsort(materials, kind="stable")])
     if cells.shape[1] == 10:
-        assert (least_jacobian(read.points, found) > 0).all()
+        assert (minimum_jacobian(read.points, found) > 0).all()
     tags = np.concatenate([read.cell_data["gmsh:physical"][k] for k in blocks])
     assert np.array_equal(tags, np.sort(materials))
     assert {"XMIN", "ZMAX", "SURFACE", "material1", "material2"} <= set(read.field_data)

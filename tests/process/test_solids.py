@@ -11,7 +11,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import DesignError, InputError, NativeCrash, ResourceError
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh
 from sppm_pipeline.numerics.meshcheck.measures import volume
-from sppm_pipeline.numerics.meshcheck.solids import boolean
+from sppm_pipeline.numerics.surface.booleans import boolean
 from sppm_pipeline.numerics.surface.level_set import run_level_set
 from sppm_pipeline.process import solids
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine, manifold_extract

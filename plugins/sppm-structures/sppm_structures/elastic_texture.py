@@ -9,9 +9,9 @@ import numpy as np
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import FieldMaker
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, Stage, option
-from sppm_structures.cell_field import in_cell_edges
+from sppm_pipeline.stage import Context, option
 from sppm_structures.struts import StrutField
 from sppm_structures.textures import TEXTURES, Texture, read_pattern, read_weights, texture_graph
 
@@ -20,7 +20,7 @@ LARGEST_RADIUS = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
-class ElasticTexture(Stage):
+class ElasticTexture(FieldMaker):
     """A truss given by a graph in one tetrahedron, mirrored by the 48 symmetries of the cube.
 
     After Panetta et al. 2015, "Elastic textures for additive fabrication". The tetrahedron has its corners at the
@@ -41,10 +41,9 @@ class ElasticTexture(Stage):
     pattern: str | None = option(None, help="edges of a pattern of one's own, such as `c-ev ev-f`")
     weights: str = option("", help="weights of the pattern's nodes, such as `ev=1:2`; equal where there are none")
     radii: str = option("", help="radii at the pattern's nodes over `radius`, such as `ev=1.5`; 1 where there are none")
-    radius: Length = option(Length(0.05), help="radius of the struts", unit="cell edges", above=0)
-    blend: Length = option(Length(0.02), help="length over which joints are rounded", unit="cell edges", minimum=0)
+    radius: Length = option(Length(0.05), help="radius of the struts", unit="cell size", above=0)
+    blend: Length = option(Length(0.02), help="length over which joints are rounded", unit="cell size", minimum=0)
     repeat: int = option(1, help="copies along the cell edge", minimum=1, maximum=64)
-    edge: Length | None = option(None, help="edge of the cell", unit="mm", above=0)
 
     def check_options(self) -> None:
         self._texture()
@@ -66,8 +65,7 @@ class ElasticTexture(Stage):
     def run(self, context: Context) -> ScalarField:
         """Mirror the graph; the field is evaluated where somebody samples it."""
         texture = self._texture()
-        edge = self.edge.mm() if self.edge is not None else None
-        radius, blend = in_cell_edges(self.radius, edge), in_cell_edges(self.blend, edge)
+        radius, blend = self.in_cells(self.radius), self.in_cells(self.blend)
         thickest, most = radius * max([1.0, *texture.radii.values()]), LARGEST_RADIUS / self.repeat
         if not (thickest < most and blend < most):
             raise ConfigError(
@@ -82,5 +80,5 @@ class ElasticTexture(Stage):
             radius=radius,
             blend=blend,
             repeat=self.repeat,
-            edge=edge,
+            edge=self.edge_mm,
         )

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, ResourceError
+from sppm_pipeline.families import PartFieldMaker
+from sppm_pipeline.fields.formula import PlacedField
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels
-from sppm_pipeline.stage import Context, Stage, option
-from sppm_structures.brick_field import region_of
-from sppm_structures.cell_field import in_cell_edges
+from sppm_pipeline.stage import Context, option
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum."""
@@ -29,16 +28,11 @@ MOST_PORES = 3_000_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class OrganicField(ScalarField):
+class OrganicField(PlacedField):
     """Sum of pore and tunnel kernels less the level, in a box of cells that is not repeated.
 
     Attributes
     ----------
-    edge : float or None
-        Edge of a cell, mm.
-    region : tuple of 3 ints
-    origin : tuple of 3 floats
-        World position of the low corner, mm.
     pores : (n, 3) float64
         Centers from the low corner, cell edges.
     tunnels : (m, 2) int64
@@ -48,9 +42,6 @@ class OrganicField(ScalarField):
     level : float
     """
 
-    edge: float | None
-    region: tuple[int, int, int]
-    origin: tuple[float, float, float]
     pores: NDArray[np.float64]
     tunnels: NDArray[np.int64]
     omega: float
@@ -59,27 +50,8 @@ class OrganicField(ScalarField):
     kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @property
-    def cells(self) -> tuple[int, int, int]:
-        return self.region
-
-    @property
-    def periodic(self) -> bool:
-        return False
-
-    @property
-    def edge_mm(self) -> float | None:
-        return self.edge
-
-    @property
-    def origin_mm(self) -> tuple[float, float, float]:
-        return self.origin
-
-    @property
     def finest_radius(self) -> float | None:
         return -math.log(self.level) / self.mu if 0 < self.level < 1 else None
-
-    def sample(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        return self.sample_layers(grid, 0, grid.shape[2], threads)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
@@ -94,10 +66,10 @@ class OrganicField(ScalarField):
 
     def _sorted_by_cell(self) -> tuple[Pieces, TilingArrays]:
         """Kernels by the cell they lie in, or that is next to them, so that a slab finds its own at once."""
-        shape = np.array(self.region)
+        shape = np.array(self.cells)
         starts, ends = self.pores[self.tunnels[:, 0]], self.pores[self.tunnels[:, 1]]
         of_pore, of_tunnel = (np.clip(np.floor(p).astype(np.int64), 0, shape - 1) for p in (self.pores, starts))
-        number = np.arange(math.prod(self.region), dtype=np.int32).reshape(self.region)
+        number = np.arange(math.prod(self.cells), dtype=np.int32).reshape(self.cells)
         pore_cell, tunnel_cell = number[tuple(of_pore.T)], number[tuple(of_tunnel.T)]
         pore_order, tunnel_order = np.argsort(pore_cell, kind="stable"), np.argsort(tunnel_cell, kind="stable")
         bounds = np.arange(number.size + 1)
@@ -114,12 +86,11 @@ class OrganicField(ScalarField):
                     starts[t] - corner,
                     ends[t] - corner,
                     np.full(len(t), self.mu),
-                    False,
                 )
             )
         faces = []
         for axis in range(3):
-            planes = list(self.region)
+            planes = list(self.cells)
             planes[axis] += 1
             faces.append(np.full(planes, -1, np.int32))
         return Pieces(tuple(interiors), ((), (), ()), {}), TilingArrays(number, (faces[0], faces[1], faces[2]), False)
@@ -130,7 +101,7 @@ class OrganicField(ScalarField):
     def summary(self) -> dict[str, Any]:
         """Numbers of pores and tunnels and the level."""
         return {
-            "cells": list(self.region),
+            "cells": list(self.cells),
             "pores": len(self.pores),
             "tunnels": len(self.tunnels),
             "level": self.level,
@@ -138,7 +109,7 @@ class OrganicField(ScalarField):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Organic(Stage):
+class Organic(PartFieldMaker):
     """Organic pores: thrown over the whole part, near ones joined by tunnels, nothing repeats.
 
     After Tian et al. 2020, "Organic open-cell porous structure modeling", whose design space is the whole part. Darts
@@ -156,29 +127,24 @@ class Organic(Stage):
 
     name: ClassVar[str] = "field.organic"
 
-    spacing: Length = option(Length(0.25), help="smallest distance between pores", unit="cell edges", above=0)
+    spacing: Length = option(Length(0.25), help="smallest distance between pores", unit="cell size", above=0)
     pore_radius: Length | None = option(
-        None, help="radius of a lone pore; 0.45 spacings if omitted", unit="cell edges", above=0
+        None, help="radius of a lone pore; 0.45 spacings if omitted", unit="cell size", above=0
     )
     tunnel_radius: Length | None = option(
-        None, help="radius of a lone tunnel; 0.16 spacings if omitted", unit="cell edges", above=0
+        None, help="radius of a lone tunnel; 0.16 spacings if omitted", unit="cell size", above=0
     )
     level: float = option(0.25, help="the level C at which the sum is cut", above=0, below=1)
-    cells: tuple[int, int, int] | None = option(
-        None, help="size of a box along x, y, z instead of a part", unit="cells", minimum=1, maximum=4096
-    )
-    edge: Length | None = option(None, help="edge of a cell", unit="mm", above=0)
 
     def run(self, context: Context, cover: SurfaceMesh | None) -> ScalarField:
         """Throw and join the pores; the field is evaluated where somebody samples it."""
-        from sppm_pipeline.numerics.kernels.parameters import mu_from_radius, omega_from_radius
+        from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
         from sppm_pipeline.numerics.sampling.darts import throw
 
-        edge = self.edge.mm() if self.edge is not None else None
-        region, origin = region_of(edge, self.cells, cover)
-        spacing = in_cell_edges(self.spacing, edge)
-        pore = in_cell_edges(self.pore_radius, edge) if self.pore_radius is not None else 0.45 * spacing
-        tunnel = in_cell_edges(self.tunnel_radius, edge) if self.tunnel_radius is not None else 0.16 * spacing
+        region, origin = self.region(cover)
+        spacing = self.in_cells(self.spacing)
+        pore = self.in_cells(self.pore_radius) if self.pore_radius is not None else 0.45 * spacing
+        tunnel = self.in_cells(self.tunnel_radius) if self.tunnel_radius is not None else 0.16 * spacing
         if max(pore, tunnel) > 4 * spacing or not 1e-3 < spacing <= max(region):
             raise ConfigError(
                 f"pores of radius {pore:g} and tunnels of {tunnel:g} cell edges don't fit a spacing of {spacing:g}",
@@ -201,13 +167,13 @@ class Organic(Stage):
         )
         tunnels = near_pairs(pores, 2 * spacing)
         return OrganicField(
-            edge=edge,
+            edge=self.edge_mm,
             region=region,
             origin=origin,
             pores=pores,
             tunnels=tunnels,
             omega=omega_from_radius(pore, self.level),
-            mu=mu_from_radius(tunnel, self.level),
+            mu=TUNNEL_PROFILES["linear"].mu(tunnel, self.level),
             level=self.level,
         )
 

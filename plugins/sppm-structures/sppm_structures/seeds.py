@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_structures.brick_field import Brick
+from sppm_pipeline.fields.formula import CellIndex
 
 MOST_SEEDS = 5000
 """Seeds of one cell."""
@@ -40,30 +40,30 @@ class HashedSeeds(NamedTuple):
         """No point is further than this from the nearest seed, cell edges."""
         return float(np.sqrt(3.0) * (1 + self.jitter) / (2 * self.along))
 
-    def near(self, brick: Brick, margin: float, periodic: bool) -> tuple[NDArray[np.float64], int]:
-        """Seeds in a brick, and those of all places nearer to it than `margin`.
+    def near(self, cell: CellIndex, margin: float, periodic: bool) -> tuple[NDArray[np.float64], int]:
+        """Seeds in a cell, and those of all places nearer to it than `margin`.
 
         Returns
         -------
         seeds : (n, 3) float64
-            Relative to the low corner of the brick; its own come first.
+            Relative to the low corner of the cell; its own come first.
         own : int
-            How many are the brick's.
+            How many are the cell's.
         """
         n = self.along
         beyond = int(np.ceil(margin * n))
         inside = np.ogrid[:n, :n, :n]
-        own = self._at([axis.reshape(-1) for axis in np.broadcast_arrays(*inside)], brick, periodic)
+        own = self._at([axis.reshape(-1) for axis in np.broadcast_arrays(*inside)], cell, periodic)
         if not beyond:
             return own, len(own)
         around = [axis.reshape(-1) - beyond for axis in np.indices((n + 2 * beyond,) * 3)]
         out = np.logical_or.reduce([(axis < 0) | (axis >= n) for axis in around])
-        others = self._at([axis[out] for axis in around], brick, periodic)
+        others = self._at([axis[out] for axis in around], cell, periodic)
         return np.concatenate([own, others]), len(own)
 
-    def _at(self, places: list[NDArray[np.int64]], brick: Brick, periodic: bool) -> NDArray[np.float64]:
-        """Seeds of some places, counted from the low corner of the brick."""
-        index = [axis + self.along * at for axis, at in zip(places, brick, strict=True)]
+    def _at(self, places: list[NDArray[np.int64]], cell: CellIndex, periodic: bool) -> NDArray[np.float64]:
+        """Seeds of some places, counted from the low corner of the cell."""
+        index = [axis + self.along * at for axis, at in zip(places, cell, strict=True)]
         if periodic:
             index = [axis % self.along for axis in index]
         low = np.stack(places, 1).astype(np.float64)
@@ -82,7 +82,7 @@ class HashedSeeds(NamedTuple):
         return 0.5 + self.jitter * (drawn - 0.5)
 
     def _uniform(self, index: list[NDArray[np.int64]], stream: int) -> NDArray[np.float64]:
-        from sppm_pipeline.numerics.tiling.hashing import hash_places
+        from sppm_pipeline.numerics.tiling.lattice import hash_places
 
         bits = hash_places(self.seed, _STREAM + stream, *index)
         return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53

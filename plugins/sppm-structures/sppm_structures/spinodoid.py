@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import FieldMaker
+from sppm_pipeline.fields.formula import FormulaField
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, Stage, option
-from sppm_structures.cell_field import CellField
+from sppm_pipeline.stage import Context, option
 from sppm_structures.waves import Waves, half_space, sum_of_waves, waves_of
 
 SMALLEST_CONE = 15.0
@@ -20,7 +20,7 @@ SMALLEST_CONE = 15.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SpinodoidField(CellField):
+class SpinodoidField(FormulaField):
     """The solid where a sum of waves lies below a level.
 
     Attributes
@@ -49,7 +49,7 @@ class SpinodoidField(CellField):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spinodoid(Stage):
+class Spinodoid(FieldMaker):
     """A Gaussian random field ``sqrt(2/n) sum cos(2 pi k.x + phase)`` cut at a level: a spinodoid.
 
     After Kumar, Tan, Zheng and Kochmann 2020, "Inverse-designed spinodoid metamaterials". Wave vectors lie near a
@@ -80,7 +80,6 @@ class Spinodoid(Stage):
     waves: int | None = option(None, help="number of waves, drawn from those there are; all if omitted", minimum=1)
     density: float = option(0.5, help="expected share of solid, which sets the level", above=0, below=1)
     repeat: int = option(1, help="copies along the cell edge", minimum=1, maximum=64)
-    edge: Length | None = option(None, help="edge of the cell", unit="mm", above=0)
 
     def check_options(self) -> None:
         if not any(self.cones):
@@ -110,7 +109,7 @@ class Spinodoid(Stage):
             waves=waves_of(vectors, phases, np.sqrt(2 / len(vectors))),
             level=NormalDist().inv_cdf(self.density),
             repeat=self.repeat,
-            edge=self.edge.mm() if self.edge is not None else None,
+            edge=self.edge_mm,
         )
 
 

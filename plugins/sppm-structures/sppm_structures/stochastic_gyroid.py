@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.length import Length
+from sppm_pipeline.families import FieldMaker
+from sppm_pipeline.fields.formula import FormulaField
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, Stage, option
-from sppm_structures.cell_field import CellField
+from sppm_pipeline.stage import Context, option
 from sppm_structures.waves import Waves, half_space, sum_of_waves, waves_of
 
 LID = 2.0
@@ -19,7 +19,7 @@ LID = 2.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class BentGyroid(CellField):
+class BentGyroid(FormulaField):
     """``max(f - w - lid, -f - w)`` of a gyroid f at bent positions: solid where ``-w < f < w + lid``.
 
     Attributes
@@ -76,7 +76,7 @@ class BentGyroid(CellField):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StochasticGyroid(Stage):
+class StochasticGyroid(FieldMaker):
     """A sheet gyroid ``|sin X cos Y + sin Y cos Z + sin Z cos X| < w``, bent, uneven and in places closed, at random.
 
     After the sheet-based stochastic gyroid of Al-Ketan et al. 2021, which varies the cells and closes some pores so
@@ -101,7 +101,6 @@ class StochasticGyroid(Stage):
     longest: float = option(
         2.0, help="longest wave vector of the random functions", unit="periods a cell edge", minimum=1, maximum=8
     )
-    edge: Length | None = option(None, help="edge of the cell", unit="mm", above=0)
 
     def run(self, context: Context) -> ScalarField:
         """Draw the random functions."""
@@ -123,7 +122,7 @@ class StochasticGyroid(Stage):
             closing=self._drawn(context, 4, 1.0),
             closed_from=NormalDist().inv_cdf(1 - self.closed) if self.closed else None,
             half_width=self.half_width,
-            edge=self.edge.mm() if self.edge is not None else None,
+            edge=self.edge_mm,
         )
 
     def _drawn(self, context: Context, number: int, deviation: float) -> Waves:

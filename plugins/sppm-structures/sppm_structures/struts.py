@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.families import FieldMaker
+from sppm_pipeline.fields.formula import FormulaField
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, Stage, option
-from sppm_structures.cell_field import CellField, in_cell_edges
+from sppm_pipeline.stage import Context, option
 from sppm_structures.graphs import LATTICES, StrutGraph, strut_graph
 
 LARGEST_FILE = 1 << 24
@@ -23,7 +24,7 @@ MOST_STRUTS = 5000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class StrutField(CellField):
+class StrutField(FormulaField):
     """Distance from the surface of struts, less where several are near, so that joints are round.
 
     Attributes
@@ -76,7 +77,7 @@ class StrutField(CellField):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Struts(Stage):
+class Struts(FieldMaker):
     """Round struts along the edges of a periodic graph, joined smoothly.
 
     The field is the distance d from the nearest strut's surface. With a blend length b, struts that are further away by
@@ -92,15 +93,13 @@ class Struts(Stage):
 
     lattice: str = option("octet", help="which lattice, unless there is a file", choices=tuple(LATTICES))
     path: Path | None = option(None, help="graph of one's own, .json or .csv")
-    radius: Length = option(Length(0.05), help="radius of the struts", unit="cell edges", above=0)
-    blend: Length = option(Length(0.02), help="length over which joints are rounded", unit="cell edges", minimum=0)
+    radius: Length = option(Length(0.05), help="radius of the struts", unit="cell size", above=0)
+    blend: Length = option(Length(0.02), help="length over which joints are rounded", unit="cell size", minimum=0)
     repeat: int = option(1, help="copies along the cell edge", minimum=1, maximum=64)
-    edge: Length | None = option(None, help="edge of the cell", unit="mm", above=0)
 
     def run(self, context: Context) -> ScalarField:
         """Lay the graph out; the field is evaluated where somebody samples it."""
-        edge = self.edge.mm() if self.edge is not None else None
-        radius, blend = in_cell_edges(self.radius, edge), in_cell_edges(self.blend, edge)
+        radius, blend = self.in_cells(self.radius), self.in_cells(self.blend)
         if not (radius < 0.5 and blend < 0.5):
             raise ConfigError(f"radius {radius:g} and blend {blend:g} must be less than half a cell edge")
         graph = LATTICES[self.lattice]() if self.path is None else read_graph(self.path)
@@ -112,7 +111,7 @@ class Struts(Stage):
             radius=radius,
             blend=blend,
             repeat=self.repeat,
-            edge=edge,
+            edge=self.edge_mm,
         )
 
 

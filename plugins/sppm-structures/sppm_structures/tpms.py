@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import FieldMaker
+from sppm_pipeline.fields.formula import FormulaField
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, Stage, option
-from sppm_structures.cell_field import CellField, in_cell_edges
+from sppm_pipeline.stage import Context, option
 from sppm_structures.nodal import SURFACES
 
 SHALLOW = 1e-3
@@ -21,7 +22,7 @@ far from the surface."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TpmsField(CellField):
+class TpmsField(FormulaField):
     """The solid on one side of a nodal surface, or around it.
 
     Attributes
@@ -77,7 +78,7 @@ class TpmsField(CellField):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tpms(Stage):
+class Tpms(FieldMaker):
     """A triply periodic minimal surface by its nodal approximation f, as a solid network or a sheet.
 
     A network is the solid on one side of ``f = level``. A sheet is either all points with ``|f - level|`` below a half
@@ -96,11 +97,10 @@ class Tpms(Stage):
     level: float = option(0.0, help="value of f at the surface")
     side: str = option("low", help="side of a network that is solid: where f is low, or high", choices=("low", "high"))
     thickness: Length | None = option(
-        None, help="wall thickness of a sheet; 0.1 if neither this nor half_width is given", unit="cell edges", above=0
+        None, help="wall thickness of a sheet; 0.1 if neither this nor half_width is given", unit="cell size", above=0
     )
     half_width: float | None = option(None, help="half the width of a sheet in values of f", above=0)
     repeat: int = option(1, help="periods along the cell edge", minimum=1, maximum=64)
-    edge: Length | None = option(None, help="edge of the cell", unit="mm", above=0)
 
     def check_options(self) -> None:
         if self.thickness is not None and self.half_width is not None:
@@ -110,13 +110,12 @@ class Tpms(Stage):
 
     def run(self, context: Context) -> ScalarField:
         """Name the surface; it is evaluated where somebody samples it."""
-        edge = self.edge.mm() if self.edge is not None else None
         form, width = self.form, 0.0
         if form == "sheet":
             if self.half_width is not None:
                 width = self.half_width
             else:
-                form, width = "wall", in_cell_edges(self.thickness or Length(0.1), edge) / 2
+                form, width = "wall", self.in_cells(self.thickness or Length(0.1)) / 2
         return TpmsField(
             surface=self.surface,
             repeat=self.repeat,
@@ -124,5 +123,5 @@ class Tpms(Stage):
             turned=self.side == "high",
             level=self.level,
             width=width,
-            edge=edge,
+            edge=self.edge_mm,
         )

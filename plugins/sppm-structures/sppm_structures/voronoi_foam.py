@@ -15,10 +15,10 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.families import PartFieldMaker
+from sppm_pipeline.fields.formula import CellIndex, CellwiseField
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, Stage, option
-from sppm_structures.brick_field import Brick, BrickField, region_of
-from sppm_structures.cell_field import in_cell_edges
+from sppm_pipeline.stage import Context, option
 from sppm_structures.seeds import MOST_SEEDS, HashedSeeds, blue_noise, images_near
 
 MOST_SHARED = np.sqrt(3.0) / 2
@@ -26,7 +26,7 @@ MOST_SHARED = np.sqrt(3.0) / 2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class VoronoiFoam(BrickField):
+class VoronoiFoam(CellwiseField):
     """Distance from the surface of a foam.
 
     Attributes
@@ -53,34 +53,34 @@ class VoronoiFoam(BrickField):
         """No point is further than this from the nearest seed, cell edges."""
         return min(self.hashed.furthest, MOST_SHARED if self.periodic else np.inf) if self.hashed else MOST_SHARED
 
-    def seeds_near(self, brick: Brick, margin: float) -> tuple[NDArray[np.float64], int]:
-        """Seeds in a brick, first, and those nearer to it than `margin`; relative to its low corner."""
+    def seeds_near(self, cell: CellIndex, margin: float) -> tuple[NDArray[np.float64], int]:
+        """Seeds in a cell, first, and those nearer to it than `margin`; relative to its low corner."""
         if self.hashed is not None:
-            return self.hashed.near(brick, margin, self.periodic)
+            return self.hashed.near(cell, margin, self.periodic)
         return images_near(self.given, margin)
 
-    def edges_of(self, brick: Brick) -> NDArray[np.float64]:
-        """Voronoi edges of a brick's seeds, (m, 6), relative to its low corner; each edge belongs to one brick."""
+    def edges_of(self, cell: CellIndex) -> NDArray[np.float64]:
+        """Voronoi edges of a cell's seeds, (m, 6), relative to its low corner; each edge belongs to one cell."""
         from sppm_structures.voronoi_kernels import voronoi_edges
 
         most = 2 * self.furthest
-        seeds, own = self.seeds_near(brick, most)
+        seeds, own = self.seeds_near(cell, most)
         return voronoi_edges(seeds, own, min(most, 2.0 * max(own, 1) ** (-1 / 3)), most)
 
-    def prepare(self, brick: Brick) -> Any:
+    def prepare(self, cell: CellIndex) -> Any:
         from sppm_structures.strut_kernels import REACH, table_of_struts
         from sppm_structures.voronoi_kernels import wall_table
 
         if self.form == "closed":
             # a wall is nearer than the furthest seed, and who bounds it nearer than three times as much
-            return wall_table(self.seeds_near(brick, 3 * self.furthest + 0.25)[0])
+            return wall_table(self.seeds_near(cell, 3 * self.furthest + 0.25)[0])
         # a point p is a mean of the corners v of its Voronoi cell, with seed s, and the same mean of |v - p|^2 is that
         # of |v - s|^2 less |p - s|^2; so one of them, where edges end, is nearer than the furthest corner of all cells
         margin = self.furthest + REACH * self.blend
         ring = range(-int(np.ceil(margin)), int(np.ceil(margin)) + 1)
         parts = []
         for shift in product(ring, repeat=3):
-            other = (0, 0, 0) if self.periodic else (brick[0] + shift[0], brick[1] + shift[1], brick[2] + shift[2])
+            other = (0, 0, 0) if self.periodic else (cell[0] + shift[0], cell[1] + shift[1], cell[2] + shift[2])
             edges = self.kept.get(("edges", other), partial(self.edges_of, other)) + np.tile(shift, 2)
             low, high = np.minimum(edges[:, :3], edges[:, 3:]), np.maximum(edges[:, :3], edges[:, 3:])
             parts.append(edges[((low <= 1 + margin) & (high >= -margin)).all(axis=1)])
@@ -115,7 +115,7 @@ class VoronoiFoam(BrickField):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Voronoi(Stage):
+class Voronoi(PartFieldMaker):
     """A foam of Voronoi cells: round struts along their edges, or walls at their faces.
 
     Evaluated where it is sampled, after Martinez, Dumas and Lefebvre 2016, "Procedural Voronoi foams for additive
@@ -130,9 +130,9 @@ class Voronoi(Stage):
     name: ClassVar[str] = "field.voronoi_foam"
 
     form: str = option("open", help="struts along the edges, or walls at the faces", choices=("open", "closed"))
-    radius: Length | None = option(None, help="radius of the struts; 0.03 if omitted", unit="cell edges", above=0)
-    thickness: Length | None = option(None, help="thickness of the walls; 0.03 if omitted", unit="cell edges", above=0)
-    blend: Length = option(Length(0.01), help="length over which joints are rounded", unit="cell edges", minimum=0)
+    radius: Length | None = option(None, help="radius of the struts; 0.03 if omitted", unit="cell size", above=0)
+    thickness: Length | None = option(None, help="thickness of the walls; 0.03 if omitted", unit="cell size", above=0)
+    blend: Length = option(Length(0.01), help="length over which joints are rounded", unit="cell size", minimum=0)
     seeds: int = option(4, help="seeds along the cell edge, if no pores are given", minimum=1, maximum=16)
     pattern: str = option(
         "jittered", help="seeds drawn each in a place of its own, or by dart throwing", choices=("jittered", "darts")
@@ -144,10 +144,6 @@ class Voronoi(Stage):
     layout: str = option(
         "cell", help="one cell that repeats, or all cells of a part, none like another", choices=("cell", "part")
     )
-    cells: tuple[int, int, int] | None = option(
-        None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
-    )
-    edge: Length | None = option(None, help="edge of a cell", unit="mm", above=0)
 
     def check_options(self) -> None:
         if self.form == "open" and self.thickness is not None:
@@ -163,13 +159,13 @@ class Voronoi(Stage):
 
     def run(self, context: Context, pores: PoreSet | None, cover: SurfaceMesh | None) -> ScalarField:
         """Choose the seeds; the field is evaluated where somebody samples it."""
-        edge = self.edge.mm() if self.edge is not None else None
+        edge = self.edge_mm
         if edge is None and pores is not None and pores.cell.physical:
             edge = pores.cell.edge
-        region, origin = region_of(edge, self.cells, cover) if self.layout == "part" else (None, (0.0, 0.0, 0.0))
+        region, origin = self.region(cover, edge) if self.layout == "part" else (None, (0.0, 0.0, 0.0))
         size = self.radius if self.form == "open" else self.thickness
-        half = in_cell_edges(size or Length(0.03), edge) / (1 if self.form == "open" else 2)
-        blend = in_cell_edges(self.blend, edge) if self.form == "open" else 0.0
+        half = self.in_cells(size or Length(0.03), edge) / (1 if self.form == "open" else 2)
+        blend = self.in_cells(self.blend, edge) if self.form == "open" else 0.0
         if not (half < 0.5 and blend < 0.1):
             raise ConfigError(
                 f"half thickness {half:g} must be less than 0.5, blend {blend:g} less than 0.1 cell edges"

@@ -11,13 +11,13 @@ from sppm_structures.organic import Organic, near_pairs
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, ResourceError
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.exact import exact_sum
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.read.primitive import ReadPrimitive
 from sppm_pipeline.stages.tune.porosity import TunePorosity
 from sppm_pipeline.testing.contracts import StageContract
+from sppm_pipeline.testing.exact_sum import exact_sum
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 
@@ -58,7 +58,7 @@ def test_values_are_the_sum_of_all_kernels():
     grid = Grid((-0.02, 0.1, 0.3), (0.13, 0.11, 0.09), (16, 8, 7))
     points = np.stack(np.meshgrid(*(grid.axis(a) for a in range(3)), indexing="ij"), -1).reshape(-1, 3)
     n, (starts, ends) = len(field.pores), (field.pores[field.tunnels[:, end]] for end in range(2))
-    kernels = Kernels(field.pores, np.full(n, field.omega), starts, ends, np.full(len(starts), field.mu), False)
+    kernels = Kernels(field.pores, np.full(n, field.omega), starts, ends, np.full(len(starts), field.mu))
     expected = exact_sum(kernels, points) - field.level
     assert field.sample(grid).T.reshape(-1) == pytest.approx(expected, abs=5e-4)
 

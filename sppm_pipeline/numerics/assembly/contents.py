@@ -1,4 +1,4 @@
-"""Numbers for the pieces, and which of them stand at a lattice site.
+"""What cells are put together from, where it stands in a tiling, and which pieces meet at a lattice site.
 
 A *site* is a place of the lattice of cells: its cell, if there is one, and the faces in its three low planes. Every
 face belongs to exactly one site, which is how shared faces are counted once.
@@ -6,14 +6,99 @@ face belongs to exactly one site, which is how shared faces are counted once.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.kernels.kernels import Kernels
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Kernel sets from which every cell of a tiling is put together; all lengths in cell edges.
+
+    Attributes
+    ----------
+    interiors : tuple of K Kernels
+        Pores and tunnels inside a cell, relative to its low corner.
+    faces : tuple of 3 tuples of c Kernels
+        ``faces[axis][color]``: pores and tunnels in the plane ``coordinate[axis] = 0``, relative to the low corner of
+        the cell on the high side of the plane.
+    connectors : mapping of (interior, axis, side, color) to Kernels
+        Tunnels that join interior `interior` to the face of that color on its low (side 0) or high (side 1) side,
+        relative to the low corner of the cell; those of side 1 end in the plane ``coordinate[axis] = 1``. Absent means
+        none.
+    """
+
+    interiors: tuple[Kernels, ...]
+    faces: tuple[tuple[Kernels, ...], tuple[Kernels, ...], tuple[Kernels, ...]]
+    connectors: Mapping[tuple[int, int, int, int], Kernels]
+
+    @property
+    def colors(self) -> int:
+        """Number of face colors, c."""
+        return len(self.faces[0])
+
+
+class TilingArrays(NamedTuple):
+    """Content of a box of nx x ny x nz cells; cell (i, j, k) fills [i, i+1] x [j, j+1] x [k, k+1].
+
+    Attributes
+    ----------
+    interior : (nx, ny, nz) int32
+        Interior of each cell, -1 = no cell.
+    faces : tuple of 3 int32 arrays
+        ``faces[axis]`` has the shape of `interior`, but one more along `axis`: the color of the face in lattice
+        plane i of that axis, which is the low side of cell i; -1 = no face.
+    periodic : bool
+        Everything repeats for ever, and the last plane of faces is the first one.
+    """
+
+    interior: NDArray[np.int32]
+    faces: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+    periodic: bool
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of cells along x, y, z."""
+        nx, ny, nz = self.interior.shape
+        return nx, ny, nz
+
+
+def lone_periodic_cell(interior: int = 0, colors: tuple[int, int, int] = (0, 0, 0)) -> TilingArrays:
+    """One cell whose opposite faces are the same: a periodic tiling of 1 x 1 x 1 cells."""
+    faces = []
+    for axis in range(3):
+        shape = [1, 1, 1]
+        shape[axis] = 2
+        faces.append(np.full(shape, colors[axis], dtype=np.int32))
+    return TilingArrays(np.full((1, 1, 1), interior, dtype=np.int32), (faces[0], faces[1], faces[2]), True)
+
+
+def check_tiling(tiling: TilingArrays, pieces: Pieces | None = None) -> None:
+    """Check shapes, and with `pieces` that every interior and color exists.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, the first and last plane of faces of a periodic tiling differ, or a number names no
+        piece.
+    """
+    shape = tiling.shape
+    for axis, faces in enumerate(tiling.faces):
+        expected = tuple(size + (a == axis) for a, size in enumerate(shape))
+        if faces.shape != expected:
+            raise ValueError(f"faces of axis {axis} have the shape {faces.shape}, expected {expected}")
+        if tiling.periodic and (np.take(faces, 0, axis) != np.take(faces, -1, axis)).any():
+            raise ValueError(f"the tiling is periodic, but the first and last faces of axis {axis} differ")
+        if pieces is not None and faces.max(initial=-1) >= len(pieces.faces[axis]):
+            raise ValueError(f"a face of axis {axis} has color {faces.max()}, of {len(pieces.faces[axis])} colors")
+    if pieces is not None and tiling.interior.max(initial=-1) >= len(pieces.interiors):
+        raise ValueError(f"a cell has interior {tiling.interior.max()}, of {len(pieces.interiors)} interiors")
+
 
 #: An interior, three faces, six connectors.
 PIECES_A_SITE = 10

@@ -5,26 +5,26 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.assembly.contents import (
     PIECES_A_SITE,
     PieceNumbers,
+    Pieces,
+    TilingArrays,
     number_pieces,
     site_pieces,
     sites_between,
 )
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
-from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, reach_boxes
+from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels, reach_boxes
+from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
 # Sites whose kernels are gathered at a time: some 10^5 kernels, 50 MB with all temporary arrays.
+_SITES = 600
 # Samples that count as a small grid.
 _SMALL = 2**20
-_SITES = 600
 
 
 class Catalog(NamedTuple):
@@ -38,31 +38,6 @@ class Catalog(NamedTuple):
     tunnel_boxes: tuple[NDArray[np.float64], NDArray[np.float64]]
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
-
-
-def kernels_in_box(
-    pieces: Pieces, tiling: TilingArrays, lower: ArrayLike, upper: ArrayLike, cutoff: float = DEFAULT_CUTOFF
-) -> Kernels:
-    """All kernels of a tiling that reach a box; only cells near the box are looked at.
-
-    Parameters
-    ----------
-    pieces : Pieces
-        The kernel sets.
-    tiling : TilingArrays
-        Which of them stands where; a periodic tiling repeats for ever.
-    lower, upper : (3,) array_like
-        Corners of the box in cell units; may lie outside of the tiling.
-    cutoff : float
-        A kernel is left out where it stays below the cut-off in the whole box.
-
-    Returns
-    -------
-    Kernels
-        In a fixed order: by lattice site (z, y, x), interior, faces, connectors, place in the piece. The order of two
-        kernels does not depend on the box.
-    """
-    return _gather(make_catalog(pieces, cutoff), tiling, np.asarray(lower, float), np.asarray(upper, float))
 
 
 def sample_exact(
@@ -83,8 +58,9 @@ def sample_exact(
 
     Parameters
     ----------
-    pieces, tiling
-        See `kernels_in_box`.
+    pieces : Pieces
+    tiling : TilingArrays
+        Which piece stands where; a periodic tiling repeats for ever.
     grid : Grid
         Samples in cell units; the spacing need not divide the cell edge.
     cutoff : float
@@ -123,7 +99,7 @@ def sample_exact(
             span = part.layers(start, stop)
             lower = np.array(span.origin)
             upper = lower + np.array(span.spacing) * (np.array(span.shape) - 1)
-            kernels = _gather(catalog, tiling, lower, upper)
+            kernels = kernels_in_box(catalog, tiling, lower, upper)
             block = out[start - layer_start : stop - layer_start]
             target = block if band == ny else np.zeros((stop - start, band, nx), dtype=np.float32)
             asked = None
@@ -141,8 +117,8 @@ def sample_exact(
 def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
     """All kernels of a tile set with their boxes of reach, piece by piece; worth keeping between calls."""
     numbers = number_pieces(pieces)
-    kernels = [k._replace(squared=pieces.squared) if len(k.starts) == 0 else k for k in numbers.kernels]
-    every = concatenated(kernels) if kernels else empty_kernels(pieces.squared)
+    kernels = numbers.kernels
+    every = concatenated(kernels)
     pore_lower, pore_upper, tunnel_lower, tunnel_upper = reach_boxes(every, cutoff)
     first_pore = np.cumsum([0] + [len(k.centers) for k in kernels])
     first_tunnel = np.cumsum([0] + [len(k.starts) for k in kernels])
@@ -156,10 +132,29 @@ def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
     )
 
 
-def _gather(catalog: Catalog, tiling: TilingArrays, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> Kernels:
+def kernels_in_box(
+    catalog: Catalog, tiling: TilingArrays, lower: NDArray[np.float64], upper: NDArray[np.float64]
+) -> Kernels:
+    """All kernels of a tiling that reach a box, up to the cut-off of the catalog; only cells near the box are visited.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        Of the tile set.
+    tiling : TilingArrays
+        Which piece stands where; a periodic tiling repeats for ever.
+    lower, upper : (3,) float64
+        Corners of the box in cell sizes; may lie outside of the tiling.
+
+    Returns
+    -------
+    Kernels
+        In a fixed order: by lattice site (z, y, x), interior, faces, connectors, place in the piece. The order of two
+        kernels does not depend on the box.
+    """
     reaching = np.isfinite(catalog.lower).all(axis=1)
     if not reaching.any():
-        return empty_kernels(catalog.kernels.squared)
+        return empty_kernels()
     # Site s is near if the box of reach of a piece, moved by s, meets the box.
     first = np.ceil(lower - catalog.upper[reaching].max(axis=0)).astype(np.int64)
     stop = np.floor(upper - catalog.lower[reaching].min(axis=0)).astype(np.int64) + 1
@@ -180,7 +175,7 @@ def _gather(catalog: Catalog, tiling: TilingArrays, lower: NDArray[np.float64], 
         every.starts[tunnel] + tunnel_shift,
         every.ends[tunnel] + tunnel_shift,
         every.mu[tunnel],
-        every.squared,
+        every.profile,
     )
 
 

@@ -12,8 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.assembly.patches import FULL, PatchBank, patches_at
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
 from sppm_pipeline.numerics.compiled import inline_jit, jit
 
 # Samples that are summed at a time: 512 kB of float32 stay in the second level cache beside the patches.

@@ -16,13 +16,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.assembly.contents import PieceNumbers, Sites, number_pieces, site_pieces, sites_between
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import (
+    PieceNumbers,
+    Pieces,
+    Sites,
+    TilingArrays,
+    number_pieces,
+    site_pieces,
+    sites_between,
+)
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
-from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, check_cutoff, reach_boxes
+from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, reach_boxes
+from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF, check_cutoff
 from sppm_pipeline.numerics.kernels.rows import LANES
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 from sppm_pipeline.numerics.threads import ordered_map
@@ -82,31 +88,6 @@ class PatchBank(NamedTuple):
         return self.data.nbytes + self.row_low.nbytes + self.row_blocks.nbytes + self.row_start.nbytes
 
 
-def used_combinations(tiling: TilingArrays) -> NDArray[np.int32]:
-    """The combinations of interior and face colors that occur in a tiling.
-
-    Returns
-    -------
-    (m, 7) int32
-        Interior, then the colors of the low and high faces of x, of y, of z; sorted, each once; cells that are
-        not there are left out.
-    """
-    columns = [tiling.interior.ravel()]
-    for axis, faces in enumerate(tiling.faces):
-        last = faces.shape[axis] - 1
-        columns += [np.take(faces, range(last), axis).ravel(), np.take(faces, range(1, last + 1), axis).ravel()]
-    there = columns[0] >= 0
-    rows = np.stack([column[there] for column in columns], axis=-1).astype(np.int64)
-    base = int(rows[:, 1:].max(initial=0)) + 2
-    codes = np.unique(_encode(rows, base))
-    found = np.empty((len(codes), 7), dtype=np.int32)
-    for column in range(6, 0, -1):
-        found[:, column] = codes % base - 1
-        codes = codes // base
-    found[:, 0] = codes - 1
-    return found
-
-
 def _encode(rows: NDArray[np.int64], base: int) -> NDArray[np.int64]:
     """One number for an interior and six colors -1 <= color < base - 1; sorts as the rows do."""
     if (float(rows[..., 0].max(initial=0)) + 2.0) * float(base) ** 6 > 2.0**62:
@@ -133,17 +114,8 @@ def _parts(pieces: Pieces, combinations: NDArray[np.int32] | None) -> tuple[Piec
             low, high = colors[2 * axis : 2 * axis + 2]
             members += [numbers.face[axis, low], numbers.connector[interior, axis, 0, low]]
             members += [numbers.connector[interior, axis, 1, high]]
-        merged.append(_joined([numbers.kernels[i] for i in members if i >= 0], pieces.squared))
+        merged.append(concatenated(numbers.kernels[i] for i in members if i >= 0))
     return numbers, sorted(int(i) for i in numbers.face[:, :-1].ravel()), merged
-
-
-def _joined(parts: list[Kernels], squared: bool) -> Kernels:
-    """The kernels of several pieces; pieces without tunnels have no form of their own."""
-    return (
-        concatenated([p._replace(squared=squared) if len(p.starts) == 0 else p for p in parts])
-        if parts
-        else (empty_kernels(squared))
-    )
 
 
 def _box(kernels: Kernels, n: int, offset: float, cutoff: float) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
@@ -199,7 +171,7 @@ def build_bank(
     n : int
         Voxels along a cell edge.
     combinations : (m, 7) int32, optional
-        Combinations of an interior and six colors to merge, see `used_combinations`. The bank then serves tilings with
+        Combinations of an interior and six colors to merge, each once. The bank then serves tilings with
         these combinations only. Without it every piece has a patch of its own, and the bank serves any tiling.
     offset : float
         0.5 samples voxel centers, 0 voxel corners.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.connecting.degrees import feasible_degrees
 from sppm_pipeline.numerics.connecting.greedy import greedy_subgraph
-from sppm_pipeline.numerics.connecting.images import as_points, images_per_pair, periodic_axes
+from sppm_pipeline.numerics.connecting.trees import as_points, images_per_pair, periodic_axes
 
 MODES = ("exact", "lp_fix", "greedy")
 

@@ -8,8 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connecting.images import as_points, canonical_edges, periodic_axes, wrapped
-from sppm_pipeline.numerics.connecting.trees import component_labels, find_root, nearest_shifts, squared_distance
+from sppm_pipeline.numerics.connecting.trees import (
+    as_points,
+    canonical_edges,
+    component_labels,
+    find_root,
+    nearest_shifts,
+    periodic_axes,
+    squared_distance,
+    wrapped,
+)
 
 
 def candidate_graph(

@@ -8,12 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.connecting.bridges import bridge_mask
 from sppm_pipeline.numerics.connecting.candidates import candidate_graph
 from sppm_pipeline.numerics.connecting.clearance import close_pairs
 from sppm_pipeline.numerics.connecting.greedy import Edges, all_images, greedy_subgraph, merged_edges
-from sppm_pipeline.numerics.connecting.images import edge_lengths
-from sppm_pipeline.numerics.connecting.trees import component_labels, kruskal, minimum_spanning_tree
+from sppm_pipeline.numerics.connecting.trees import (
+    bridge_mask,
+    component_labels,
+    edge_lengths,
+    kruskal,
+    minimum_spanning_tree,
+)
 
 # a relaxed variable this near to 0 or 1 counts as decided
 _DECIDED = 1e-6

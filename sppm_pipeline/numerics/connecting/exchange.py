@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connecting.bridges import mark_bridges
-from sppm_pipeline.numerics.connecting.trees import find_root
+from sppm_pipeline.numerics.connecting.trees import find_root, mark_bridges
 
 CHOSEN, CLASH_FROM, CLASH_TO = 2, 3, 4
 DEGREE, FROM, TO, SEEN, QUEUE, SLOTS = 0, 1, 2, 3, 4, 5

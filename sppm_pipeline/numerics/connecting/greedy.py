@@ -18,8 +18,7 @@ from sppm_pipeline.numerics.connecting.exchange import (
     make_loops,
     node_table,
 )
-from sppm_pipeline.numerics.connecting.images import canonical_edges, edge_lengths
-from sppm_pipeline.numerics.connecting.trees import minimum_spanning_tree
+from sppm_pipeline.numerics.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree
 
 Edges = tuple[NDArray[np.int64], NDArray[np.int64]]
 

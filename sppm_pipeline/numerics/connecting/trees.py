@@ -1,4 +1,8 @@
-"""Minimum spanning trees: Prim over all pairs, Kruskal and components by union-find over given edges."""
+"""Graphs among periodic images: canonical edges and their lengths, minimum spanning trees, components and bridges.
+
+Trees are found by Prim over all pairs, or by Kruskal with union-find over given edges; bridges, the edges whose loss
+would cut a graph in two, by Tarjan's low-link search.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,77 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connecting.images import as_points, canonical_edges, periodic_axes, wrapped
+
+
+def as_points(points: ArrayLike) -> NDArray[np.float64]:
+    """The points as a C-contiguous (n, 3) float64 array.
+
+    Raises
+    ------
+    ValueError
+        If the shape is not (n, 3) or a coordinate is not finite.
+    """
+    array = np.ascontiguousarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"points must have the shape (n, 3), not {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError("points must be finite")
+    return array
+
+
+def periodic_axes(periodic: bool | Sequence[bool]) -> NDArray[np.bool_]:
+    """Which of x, y, z repeat with period 1: one flag for all, or three."""
+    axes = np.asarray(periodic, dtype=np.bool_)
+    if axes.shape not in ((), (3,)):
+        raise ValueError("periodic must be one flag or three")
+    return np.ascontiguousarray(np.broadcast_to(axes, 3))
+
+
+def images_per_pair(periodic: bool | Sequence[bool]) -> int:
+    """How many tunnels two pores may always share.
+
+    No tunnel is longer than the cell along a periodic axis, which leaves two images of a pore along each such axis.
+    """
+    return int(2 ** int(periodic_axes(periodic).sum()))
+
+
+def wrapped(points: NDArray[np.float64], axes: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points moved into the cell along the periodic axes, and the whole cells (n, 3) that were taken off."""
+    cells = np.where(axes, np.floor(points), 0.0)
+    return points - cells, cells.astype(np.int64)
+
+
+def canonical_edges(edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Each edge with i < j, sorted by (i, j, shift), without duplicates.
+
+    Turning an edge round changes the sign of its shift: i -> j + s is the same tunnel as j -> i - s.
+    """
+    turned = edges[:, 0] > edges[:, 1]
+    rows = np.empty((len(edges), 5), dtype=np.int64)
+    rows[:, :2] = np.where(turned[:, None], edges[:, ::-1], edges)
+    rows[:, 2:] = np.where(turned[:, None], -shifts, shifts)
+    rows = rows[np.lexsort(rows.T[::-1])]
+    fresh = np.ones(len(rows), dtype=np.bool_)
+    fresh[1:] = (rows[1:] != rows[:-1]).any(axis=1)
+    rows = rows[fresh]
+    return np.ascontiguousarray(rows[:, :2]), np.ascontiguousarray(rows[:, 2:])
+
+
+def segments(
+    points: NDArray[np.float64], edges: NDArray[np.int64], shifts: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Start ``points[i]`` and end ``points[j] + shift`` of every edge, each (m, 3)."""
+    return points[edges[:, 0]], points[edges[:, 1]] + shifts
+
+
+def edge_lengths(
+    points: NDArray[np.float64], edges: NDArray[np.int64], shifts: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Length of every tunnel, (m,)."""
+    starts, ends = segments(points, edges, shifts)
+    steps = ends - starts
+    lengths: NDArray[np.float64] = np.sqrt(steps[:, 0] ** 2 + steps[:, 1] ** 2 + steps[:, 2] ** 2)
+    return lengths
 
 
 def minimum_spanning_tree(
@@ -133,3 +207,72 @@ def component_labels(n: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
         else:
             labels[i] = labels[root]
     return labels
+
+
+def bridge_mask(n: int, edges: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which edges (m, 2) are bridges, (m,) bool; parallel edges are none, as each stands in for the other."""
+    degree = np.bincount(edges.ravel(), minlength=n).astype(np.int64)
+    node = np.zeros((n + 1, 1 + int(degree.max(initial=0))), dtype=np.int64)
+    node[:n, 0] = degree
+    ends = edges.ravel()
+    order = np.argsort(ends, kind="stable")
+    slot = np.arange(len(ends)) - np.repeat(np.cumsum(degree) - degree, degree)
+    node[ends[order], 1 + slot] = order // 2
+    mask = np.zeros(len(edges), dtype=np.bool_)
+    mark_bridges(np.ascontiguousarray(edges, dtype=np.int64), node, 1, mask)
+    return mask
+
+
+@jit
+def mark_bridges(
+    edges: NDArray[np.int64], node: NDArray[np.int64], slots: int, mask: NDArray[np.bool_]
+) -> tuple[int, bool]:
+    """Set `mask` at every bridge; returns the number of bridges and whether the graph is connected.
+
+    ``node[v, 0]`` is the degree of v, its edges stand from column `slots` on; the last row of `node` belongs to no
+    vertex. The first two columns of `edges` are the ends. Tarjan's low-link search with a stack of its own; the edge by
+    which a vertex was entered is skipped by its index, so that a parallel edge counts as a way back.
+    """
+    n = node.shape[0] - 1
+    found = np.full(n, -1, np.int64)
+    low = np.empty(n, np.int64)
+    entry = np.full(n, -1, np.int64)
+    next_slot = np.zeros(n, np.int64)
+    stack = np.empty(n, np.int64)
+    clock = 0
+    bridges = 0
+    parts = 0
+    for root in range(n):
+        if found[root] >= 0:
+            continue
+        parts += 1
+        stack[0] = root
+        found[root] = low[root] = clock
+        clock += 1
+        top = 1
+        while top > 0:
+            v = stack[top - 1]
+            if next_slot[v] < node[v, 0]:
+                e = node[v, slots + next_slot[v]]
+                next_slot[v] += 1
+                if e == entry[v]:
+                    continue
+                w = edges[e, 0] + edges[e, 1] - v
+                if found[w] >= 0:
+                    low[v] = min(low[v], found[w])
+                else:
+                    found[w] = low[w] = clock
+                    clock += 1
+                    entry[w] = e
+                    stack[top] = w
+                    top += 1
+            else:
+                top -= 1
+                e = entry[v]
+                if e >= 0:
+                    u = edges[e, 0] + edges[e, 1] - v
+                    low[u] = min(low[u], low[v])
+                    if low[v] > found[u]:
+                        mask[e] = True
+                        bridges += 1
+    return bridges, parts <= 1

@@ -1,4 +1,4 @@
-"""Which voxels are inside a part: one way for meshes that close, two others for those that do not."""
+"""The inside test: which voxels and cells are inside a part, for meshes that close and for those that do not."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, prepare_scan, scan_layers
 from sppm_pipeline.numerics.domain.spanned import SpannedScan, prepare_spanned, spanned_layers
 from sppm_pipeline.numerics.domain.three_axis import ThreeAxisScan, prepare_three_axis, vote_layers
@@ -18,11 +19,11 @@ Method = Literal["scanline", "winding", "vote"]
 """How it is decided what is inside: rays along x, the generalized winding number, or rays along all three axes."""
 
 PROBED = 48
-"""Samples along the longest side of the box on which a mesh is judged."""
+"""Samples along the longest side of the box on which a mesh is tested."""
 
 
-class Judgement(NamedTuple):
-    """What `judge` makes of a mesh.
+class InsideTest(NamedTuple):
+    """What `inside_test` finds.
 
     Attributes
     ----------
@@ -32,7 +33,7 @@ class Judgement(NamedTuple):
         How many of them were turned.
     method : Method
     closed : bool
-        Whether they bound a solid; then nothing is open to judgement.
+        Whether they bound a solid; then nothing is undecided.
     undecided_share : float
         Voxels about which the method is not sure, over those inside; at most 1.
     disagreement : float
@@ -52,7 +53,7 @@ def way_for(closed: bool) -> Method:
     return "scanline" if closed else "winding"
 
 
-def judge(vertices: NDArray[np.float64], faces: NDArray[np.int32], method: Method | None = None) -> Judgement:
+def inside_test(vertices: NDArray[np.float64], faces: NDArray[np.int32], method: Method | None = None) -> InsideTest:
     """Wind a mesh outwards, choose how its inside is told, and find out on a coarse grid how sure that is.
 
     Parameters
@@ -66,7 +67,7 @@ def judge(vertices: NDArray[np.float64], faces: NDArray[np.int32], method: Metho
     closed = edge_counts(wound.faces).bounds_solid
     chosen = method or way_for(closed)
     if closed:
-        return Judgement(wound.faces, wound.turned, chosen, True, 0.0, 0.0)
+        return InsideTest(wound.faces, wound.turned, chosen, True, 0.0, 0.0)
     low, high = bounds(vertices, wound.faces)
     h = float((high - low).max()) / PROBED
     nx, ny, nz = (int(v) for v in np.ceil((high - low) / h) + 1)
@@ -85,7 +86,7 @@ def judge(vertices: NDArray[np.float64], faces: NDArray[np.int32], method: Metho
     one, other = found["winding"].mask, found["vote"].mask
     either = max(1, int(np.count_nonzero(one | other)))
     apart = int(np.count_nonzero(one != other))
-    return Judgement(wound.faces, wound.turned, chosen, False, min(1.0, doubt / inside), apart / either)
+    return InsideTest(wound.faces, wound.turned, chosen, False, min(1.0, doubt / inside), apart / either)
 
 
 def prepare_inside(
@@ -119,3 +120,65 @@ def inside_layers(scan: Scan | SpannedScan | ThreeAxisScan, start: int, stop: in
     if isinstance(scan, ThreeAxisScan):
         return vote_layers(scan, start, stop)
     return spanned_layers(scan, start, stop) if isinstance(scan, SpannedScan) else scan_layers(scan, start, stop)
+
+
+def cells_touched(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    origin: NDArray[np.float64],
+    edge: float,
+    shape: tuple[int, int, int],
+    closed: bool = True,
+) -> NDArray[np.bool_]:
+    """The cells that contain a piece of the part: those met by the box of a triangle, and those inside.
+
+    A cell met only by the box of a triangle, not by the triangle, may be listed in vain; none is left out.
+
+    Parameters
+    ----------
+    vertices : (n, 3) floats
+    faces : (m, 3) integers
+        Wound outwards, if they bound a solid; others are turned first.
+    origin : (3,) float64
+        Low corner of cell (0, 0, 0).
+    edge : float
+    shape : tuple of 3 ints
+    closed : bool
+        Whether the mesh bounds a solid (`EdgeCounts.bounds_solid`).
+
+    Returns
+    -------
+    (nx, ny, nz) bool
+    """
+    points = np.ascontiguousarray(vertices, np.float64)
+    if not closed:
+        faces = orient(points, np.asarray(faces, np.int32)).faces
+    # a cell that no triangle touches lies wholly inside or outside, so its center decides; but where a mesh is open,
+    # the border of the inside runs through cells without a triangle
+    n = 1 if closed else 4
+    (nx, ny, nz), h = (n * s for s in shape), edge / n
+    x, y, z = (float(o) + h / 2 for o in origin)
+    samples = Grid((x, y, z), (h, h, h), (nx, ny, nz))
+    found = inside_layers(prepare_inside(points, faces, samples, way_for(closed)), 0, nz).mask.transpose(2, 1, 0)
+    inside = found.reshape(shape[0], n, shape[1], n, shape[2], n).any(axis=(1, 3, 5))
+    touched = np.zeros(shape, np.bool_)
+    _touch(points[np.asarray(faces, np.int64)], np.asarray(origin, np.float64), edge, touched)
+    touched |= inside
+    return touched
+
+
+@jit
+def _touch(
+    triangles: NDArray[np.float64], origin: NDArray[np.float64], edge: float, touched: NDArray[np.bool_]
+) -> None:
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for f in range(triangles.shape[0]):
+        for a in range(3):
+            least = min(triangles[f, 0, a], triangles[f, 1, a], triangles[f, 2, a])
+            most = max(triangles[f, 0, a], triangles[f, 1, a], triangles[f, 2, a])
+            low[a] = min(max(np.int64(np.floor((least - origin[a]) / edge)), 0), touched.shape[a] - 1)
+            high[a] = min(max(np.int64(np.floor((most - origin[a]) / edge)), 0), touched.shape[a] - 1)
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                for k in range(low[2], high[2] + 1):
+                    touched[i, j, k] = True

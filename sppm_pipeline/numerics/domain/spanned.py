@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.domain.mesh_arrays import as_mesh
-from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, as_mesh, prepare_scan, scan_layers
 from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.box_tree import DEPTH, box_tree

@@ -8,11 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF, PORE_PROFILE, TUNNEL_PROFILES
+
 
 class Kernels(NamedTuple):
-    """Point kernels ``exp(-omega |p - c|^2)`` and segment kernels ``exp(-mu d)`` or ``exp(-mu d^2)`` (paper, eq. 1-2).
+    """Point kernels ``exp(-omega |p - c|^2)`` and segment kernels, say ``exp(-mu d)`` (paper, eq. 1-2).
 
-    ``d`` is the distance of p from the segment. All lengths are in one unit (inside a tile set: cell edges).
+    ``d`` is the distance of p from the segment. All lengths are in one unit (inside a tile set: the cell size).
 
     Attributes
     ----------
@@ -23,9 +25,9 @@ class Kernels(NamedTuple):
     starts, ends : (m, 3) float64
         End points of the tunnels.
     mu : (m,) float64
-        Tunnel size parameter, 1 / length, or 1 / length^2 for squared tunnels.
-    squared : bool
-        Whether the distance of the tunnels is squared. The paper prints the unsquared form.
+        Tunnel size parameter, in the unit of the profile.
+    profile : str
+        Name of the tunnels' profile, a key of `TUNNEL_PROFILES`.
     """
 
     centers: NDArray[np.float64]
@@ -33,37 +35,60 @@ class Kernels(NamedTuple):
     starts: NDArray[np.float64]
     ends: NDArray[np.float64]
     mu: NDArray[np.float64]
-    squared: bool
+    profile: str = "linear"
 
     def shifted(self, offset: NDArray[np.float64]) -> Kernels:
         """The same kernels moved by `offset` (3,)."""
         return self._replace(centers=self.centers + offset, starts=self.starts + offset, ends=self.ends + offset)
 
 
-def empty_kernels(squared: bool = False) -> Kernels:
+def empty_kernels() -> Kernels:
     """No kernel at all."""
     points, values = np.zeros((0, 3)), np.zeros(0)
-    return Kernels(points, values, points, points, values, squared)
+    return Kernels(points, values, points, points, values)
 
 
 def concatenated(parts: Iterable[Kernels]) -> Kernels:
-    """All kernels of several sets in order; the tunnel form must agree.
+    """All kernels of several sets in order; the profile of the tunnels must agree. Sets without tunnels fit any.
 
     Raises
     ------
     ValueError
-        If the sets mix both tunnel forms.
+        If the sets mix tunnel profiles.
     """
     parts = list(parts)
     if not parts:
         return empty_kernels()
-    if len({part.squared for part in parts}) > 1:
-        raise ValueError("a kernel set has one tunnel form")
+    profiles = sorted({part.profile for part in parts if len(part.starts)})
+    if len(profiles) > 1:
+        raise ValueError(f"a kernel set has one tunnel profile, not {' and '.join(profiles)}")
     return Kernels(
         np.concatenate([part.centers for part in parts]),
         np.concatenate([part.omega for part in parts]),
         np.concatenate([part.starts for part in parts]),
         np.concatenate([part.ends for part in parts]),
         np.concatenate([part.mu for part in parts]),
-        parts[0].squared,
+        profiles[0] if profiles else parts[0].profile,
+    )
+
+
+def reach_boxes(
+    kernels: Kernels, cutoff: float = DEFAULT_CUTOFF
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Axis-parallel boxes outside of which the kernels lie below the cut-off.
+
+    Returns
+    -------
+    pore_lower, pore_upper : (n, 3) float64
+        Corners of the boxes of the pores.
+    tunnel_lower, tunnel_upper : (m, 3) float64
+        Corners of the boxes of the tunnels.
+    """
+    pores = PORE_PROFILE.reach(kernels.omega, cutoff)[:, None]
+    tunnels = TUNNEL_PROFILES[kernels.profile].reach(kernels.mu, cutoff)[:, None]
+    return (
+        kernels.centers - pores,
+        kernels.centers + pores,
+        np.minimum(kernels.starts, kernels.ends) - tunnels,
+        np.maximum(kernels.starts, kernels.ends) + tunnels,
     )

@@ -2,10 +2,10 @@
 
 The loops have a constant length, unsigned indices and a polynomial exponential: only so does the compiler turn them
 into vector instructions without a scalar remainder (0.3 ns a sample for a tunnel; a call of the C library's
-exponential alone takes 2 ns). All lengths are scaled by the caller so that a kernel is ``2^-r`` or ``2^-(r^2)``.
+exponential alone takes 2 ns). All lengths are scaled by the caller so that a kernel is ``2^-(r^power)``.
 
 Rows are prepared in groups of sixteen: `point_rows` and `tunnel_rows` write into a small table what the sample loops
-need to know of each row. The table has `LANES` columns; whole numbers in it are exact in float32.
+need to know of each row. The table has `LANES` columns; integers in it are exact in float32.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SHIFT = np.uint64(4)
 # Rows of the table: first sample, number of blocks, then three numbers of the kernel.
 _FIRST, _BLOCKS, _ACROSS, _ALONG, _REST = (np.uint64(LANES * row) for row in range(5))
 _FACTOR = _ACROSS
-# Then the first and the last sample of the row that anybody wants.
+# Then the first and the last sample of the row that is wanted.
 _WANTED_FROM, _WANTED_TO = np.uint64(5 * LANES), np.uint64(6 * LANES)
 #: Length of the table of a group of rows.
 TABLE = 7 * LANES
@@ -43,7 +43,7 @@ _P5 = np.float32(-0.00093811647)
 _LAST = np.float32(125.0)
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
-# Stands for "no chord"; far outside of any grid, and still a whole number of samples.
+# Stands for "no chord"; far outside of any grid, and still an integral number of samples.
 _FAR = np.float32(1e12)
 
 
@@ -55,6 +55,11 @@ def _exp2_minus(r: np.float32) -> np.float32:
     f = r - np.float32(whole)
     p = ((((_P5 * f + _P4) * f + _P3) * f + _P2) * f + _P1) * f + _P0
     return np.int32(np.float32(p).view(np.int32) - np.int32(whole << np.int32(23))).view(np.float32)
+
+
+def exponent(squared_distance: np.float32) -> np.float32:
+    """Stands for the exponent of a tunnel profile in the loops that are compiled for each profile."""
+    raise NotImplementedError
 
 
 @inline_jit
@@ -172,7 +177,7 @@ def tunnel_rows(
         ``ua = sqrt(uy^2 + uz^2)``, the unit vector (ny, nz) = (uy, uz) / ua, 1 where 1/ua is usable
         (the segment is not parallel to x).
     start, first, step_x, inverse, nx : float32
-        Sample `start` (a whole number) lies at `first` from the start of the segment; spacing, its inverse, and the
+        Sample `start` (an integer) lies at `first` from the start of the segment; spacing, its inverse, and the
         number of samples of a row.
     """
     ux = axis[0]
@@ -211,7 +216,6 @@ def tunnel_rows(
         table[_REST + i] = rest
 
 
-@inline_jit
 def add_tunnel_rows(
     out: NDArray[np.float32],
     start: int,
@@ -221,9 +225,9 @@ def add_tunnel_rows(
     axis: NDArray[np.float32],
     step: np.float32,
 ) -> None:
-    """Add ``2^-d`` to the prepared rows; d is the distance from the segment, `step` the spacing along x.
+    """Add ``2^-exponent(d^2)`` to the prepared rows; d is the distance from the segment, `step` the spacing along x.
 
-    Row i of the group begins at ``out[start + i stride]``.
+    Row i of the group begins at ``out[start + i stride]``. Compiled once for each tunnel profile by `tunnel_adder`.
     """
     across_step = axis[1] * step
     along_step = axis[0] * step
@@ -238,31 +242,4 @@ def add_tunnel_rows(
             v = across + across_step * x
             s = along + along_step * x
             beyond = s - min(max(s, _ZERO), length)
-            out[target + i] += _exp2_minus(np.float32(math.sqrt(v * v + rest + beyond * beyond)))
-
-
-@inline_jit
-def add_squared_tunnel_rows(
-    out: NDArray[np.float32],
-    start: int,
-    stride: int,
-    rows: int,
-    table: NDArray[np.float32],
-    axis: NDArray[np.float32],
-    step: np.float32,
-) -> None:
-    """Add ``2^-(d^2)`` to the prepared rows; see `add_tunnel_rows`."""
-    across_step = axis[1] * step
-    along_step = axis[0] * step
-    length = axis[6]
-    for row in range(np.uint64(rows)):
-        target = np.uint64(start + np.int64(row) * stride + np.int64(table[_FIRST + row]))
-        across = table[_ACROSS + row]
-        along = table[_ALONG + row]
-        rest = table[_REST + row]
-        for i in range(np.uint64(table[_BLOCKS + row]) << _SHIFT):
-            x = np.float32(np.int32(i))
-            v = across + across_step * x
-            s = along + along_step * x
-            beyond = s - min(max(s, _ZERO), length)
-            out[target + i] += _exp2_minus(v * v + rest + beyond * beyond)
+            out[target + i] += _exp2_minus(exponent(np.float32(v * v + rest + beyond * beyond)))

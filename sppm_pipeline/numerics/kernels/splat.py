@@ -1,6 +1,6 @@
 """The fast sum of kernels on a regular grid: each kernel is added to the rows that its reach touches.
 
-A kernel is dropped where it falls below the cut-off; `bounds.cutoff_bound` states what that costs. Every sample is
+A kernel is dropped where it falls below the cut-off; the tests bound what that costs (`cutoff_bound`). Every sample is
 the sum of its kernels in the order in which they are given, whatever the number of threads, and whatever part of
 the layers is asked for.
 """
@@ -8,20 +8,27 @@ the layers is asked for.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.compiled import inline_jit, jit, specialized
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels
-from sppm_pipeline.numerics.kernels.parameters import DEFAULT_CUTOFF, check_cutoff, reach_boxes
+from sppm_pipeline.numerics.kernels.kernels import Kernels, reach_boxes
+from sppm_pipeline.numerics.kernels.profiles import (
+    DEFAULT_CUTOFF,
+    PORE_PROFILE,
+    TUNNEL_PROFILES,
+    TunnelProfile,
+    check_cutoff,
+)
 from sppm_pipeline.numerics.kernels.rows import (
     LANES,
     TABLE,
     add_gauss_rows,
-    add_squared_tunnel_rows,
     add_tunnel_rows,
     fill_gauss,
     point_rows,
@@ -76,19 +83,21 @@ def add_kernels(
         raise ValueError(f"out must be a C-contiguous float32 array (layers, {ny}, {nx})")
     if first_layer < 0 or first_layer + layers > nz:
         raise ValueError(f"layers {first_layer} to {first_layer + layers} are not all in a grid of {nz} layers")
-    points, tunnels = _packed(kernels, check_cutoff(cutoff))
+    check_cutoff(cutoff)
+    points, tunnels = _packed(kernels)
     if out.size == 0 or len(points) + len(tunnels) == 0:
         return
-    reach = math.log2(1.0 / cutoff)
+    profile = TUNNEL_PROFILES[kernels.profile]
+    pore_reach, tunnel_reach = PORE_PROFILE.scaled_reach(cutoff), profile.scaled_reach(cutoff)
+    add_tunnels = tunnel_adder(profile)
     points, tunnels = _reaching(points, tunnels, kernels, grid.layers(first_layer, first_layer + layers), cutoff)
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
     spans = np.zeros((0, 2), np.int32) if wanted is None else wanted.reshape(-1, 2)
-    tunnel_reach = math.sqrt(reach) if kernels.squared else reach
     height = max(1, min(layers, _BLOCK_SAMPLES // (nx * ny)))
     # Balance: at least four blocks a thread, as long as there are layers.
     height = max(1, min(height, -(-layers // (4 * threads)))) if threads > 1 else height
 
-    width = 2 * int(math.sqrt(reach) / (points[:, 3].min(initial=math.inf) * grid.spacing[0]) + 4 * LANES)
+    width = 2 * int(pore_reach / (points[:, 3].min(initial=math.inf) * grid.spacing[0]) + 4 * LANES)
 
     def add_block(start: int) -> None:
         block = out[start : start + height]
@@ -99,8 +108,8 @@ def add_kernels(
         # Blocks of samples may run over the end of a row: rows of an odd length are summed in padded rows.
         target = block if whole else np.zeros((len(block), ny, nx + LANES - nx % LANES), dtype=np.float32)
         arguments = (target.reshape(-1), target.shape, first_layer + start, origin, spacing)
-        _add_points(*arguments, rows, points, math.sqrt(reach), table, np.empty(width, np.float32))
-        _add_tunnels(*arguments, rows, tunnels, tunnel_reach, kernels.squared, table, np.empty(7, np.float32))
+        _add_points(*arguments, rows, points, pore_reach, table, np.empty(width, np.float32))
+        add_tunnels(*arguments, rows, tunnels, tunnel_reach, table, np.empty(7, np.float32))
         if not whole:
             block += target[:, :, :nx]
 
@@ -113,7 +122,7 @@ def add_kernels(
             add_block(start)
 
 
-def _packed(kernels: Kernels, cutoff: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _packed(kernels: Kernels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points as rows cx cy cz k, tunnels as rows ax ay az ux uy uz length k; k scales lengths to powers of 2."""
     for values in kernels[:5]:
         if not np.isfinite(values).all():
@@ -122,7 +131,7 @@ def _packed(kernels: Kernels, cutoff: float) -> tuple[NDArray[np.float64], NDArr
         raise ValueError("omega and mu must be positive")
     points = np.empty((len(kernels.centers), 4))
     points[:, :3] = kernels.centers
-    points[:, 3] = np.sqrt(kernels.omega * math.log2(math.e))
+    points[:, 3] = PORE_PROFILE.scale(kernels.omega)
     tunnels = np.empty((len(kernels.starts), 8))
     along = kernels.ends - kernels.starts
     length = np.sqrt(np.einsum("ij,ij->i", along, along))
@@ -130,8 +139,7 @@ def _packed(kernels: Kernels, cutoff: float) -> tuple[NDArray[np.float64], NDArr
     tunnels[:, 3:6] = (1.0, 0.0, 0.0)
     np.divide(along, length[:, None], out=tunnels[:, 3:6], where=length[:, None] > 0.0)
     tunnels[:, 6] = length
-    scale = kernels.mu * math.log2(math.e)
-    tunnels[:, 7] = np.sqrt(scale) if kernels.squared else scale
+    tunnels[:, 7] = TUNNEL_PROFILES[kernels.profile].scale(kernels.mu)
     return points, tunnels
 
 
@@ -201,7 +209,17 @@ def _add_points(
                 add_gauss_rows(out, offset, nx, min(LANES, y1 + 1 - y), table, along_x, half - start)
 
 
-@jit
+@cache
+def tunnel_adder(profile: TunnelProfile) -> Callable[..., None]:
+    """`_add_tunnels` compiled for one profile, its exponent inlined into the loop over samples.
+
+    A function that is handed to a compiled one would be called through a pointer for every sample, or be compiled
+    anew in every process; copies under names of their own are neither, and Numba keeps them on disk.
+    """
+    add_rows = inline_jit(specialized(add_tunnel_rows, profile.name, exponent=inline_jit(profile.exponent)))
+    return jit(specialized(_add_tunnels, profile.name, add_tunnel_rows=add_rows))
+
+
 def _add_tunnels(
     out: NDArray[np.float32],
     shape: tuple[int, int, int],
@@ -211,7 +229,6 @@ def _add_tunnels(
     wanted: NDArray[np.int32],
     tunnels: NDArray[np.float64],
     reach: float,
-    squared: bool,
     table: NDArray[np.float32],
     axis: NDArray[np.float32],
 ) -> None:
@@ -267,7 +284,4 @@ def _add_tunnels(
                 )
                 offset = ((z - first_layer) * ny + y) * nx
                 rows = min(LANES, y1 + 1 - y)
-                if squared:
-                    add_squared_tunnel_rows(out, offset, nx, rows, table, axis, np.float32(step_x))
-                else:
-                    add_tunnel_rows(out, offset, nx, rows, table, axis, np.float32(step_x))
+                add_tunnel_rows(out, offset, nx, rows, table, axis, np.float32(step_x))

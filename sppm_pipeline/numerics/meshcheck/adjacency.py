@@ -1,8 +1,8 @@
-"""Who meets whom in a triangle mesh: triangles across edges, corners around vertices, rims of holes.
+"""Adjacency of a triangle mesh: opposite half-edges, vertex fans, connected surfaces, boundary loops.
 
-Half-edge 3 f + c runs from corner c of triangle f to the next corner. Two half-edges of one edge are *mates* if no
-third one shares the edge; whether they run against each other, as they should, is not asked here. The corners of the
-triangles that a walk across mates reaches around a vertex make a *fan*; a vertex with two fans is not manifold.
+Half-edge 3 f + c runs from corner c of triangle f to the next corner. Two half-edges of one edge are *opposite* if no
+third one shares the edge; whether they run against each other, as they should, is not asked here. The corners around a
+vertex that are connected across opposite half-edges make a *vertex fan*; a vertex with two fans is non-manifold.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 
-RIM = -1
-"""Mate of a half-edge whose edge no other triangle shares."""
+BOUNDARY = -1
+"""In place of an opposite half-edge: no other triangle shares the edge."""
 
-CROWDED = -2
-"""Mate of a half-edge whose edge three or more triangles share."""
+NON_MANIFOLD = -2
+"""In place of an opposite half-edge: three or more triangles share the edge."""
 
 
 class Adjacency(NamedTuple):
@@ -26,35 +26,35 @@ class Adjacency(NamedTuple):
 
     Attributes
     ----------
-    mates : (3 m,) int64
-        The other half-edge of the edge; `RIM` or `CROWDED` if there is no single one.
+    opposite : (3 m,) int64
+        The other half-edge of the edge; `BOUNDARY` or `NON_MANIFOLD` if there is no single one.
     fans : (3 m,) int64
         The fan of each corner, numbered from 0 in the order of their first corners.
     fan_count : int
     surfaces : (m,) int64
-        The surface of each triangle, that is, what a walk across mates reaches, numbered likewise.
+        The surface of each triangle, that is, what is connected across opposite half-edges, numbered likewise.
     surface_count : int
-    split_vertices : int
-        Vertices with more than one fan: surfaces touch there, in the vertex alone or along a crowded edge.
+    non_manifold_vertices : int
+        Vertices with more than one fan: surfaces touch there, in the vertex alone or along a non-manifold edge.
     """
 
-    mates: NDArray[np.int64]
+    opposite: NDArray[np.int64]
     fans: NDArray[np.int64]
     fan_count: int
     surfaces: NDArray[np.int64]
     surface_count: int
-    split_vertices: int
+    non_manifold_vertices: int
 
 
-class Rims(NamedTuple):
-    """The rims of the holes, each a closed line of edges; a rim that touches itself is cut apart there.
+class BoundaryLoops(NamedTuple):
+    """The boundaries of the holes, each a closed loop of edges; a loop that touches itself is split there.
 
     Attributes
     ----------
     edges : (k,) int64
-        Number of edges of each rim.
+        Number of edges of each loop.
     lengths, sizes : (k,) float64
-        Length along the rim, and diagonal of the box around it.
+        Length along the loop, and diagonal of its bounding box.
     """
 
     edges: NDArray[np.int64]
@@ -63,9 +63,9 @@ class Rims(NamedTuple):
 
 
 def adjacency(faces: NDArray[np.integer]) -> Adjacency:
-    """Find mates and fans of triangles (m, 3); vertex numbers are from 0 to 2^31 - 1.
+    """Opposite half-edges and vertex fans of triangles (m, 3); vertex numbers are from 0 to 2^31 - 1.
 
-    An edge from a vertex to itself, which a triangle has that names a vertex twice, is crowded.
+    An edge from a vertex to itself, as of a triangle that names a vertex twice, counts as non-manifold.
     """
     triangles = np.ascontiguousarray(faces, np.int64).reshape(-1, 3)
     if triangles.size == 0:
@@ -75,19 +75,19 @@ def adjacency(faces: NDArray[np.integer]) -> Adjacency:
     n = int(triangles.max()) + 1
     keys = (np.minimum(triangles, ahead) * n + np.maximum(triangles, ahead)).ravel()
     order = np.argsort(keys, kind="stable")
-    mates = _mates(keys, order, triangles)
-    fans, count, split = _fans(triangles, mates, n)
-    surfaces, surface_count = _surfaces(mates)
-    return Adjacency(mates, fans, int(count), surfaces, int(surface_count), int(split))
+    opposite = _opposite(keys, order, triangles)
+    fans, count, split = _fans(triangles, opposite, n)
+    surfaces, surface_count = _surfaces(opposite)
+    return Adjacency(opposite, fans, int(count), surfaces, int(surface_count), int(split))
 
 
-def rims(vertices: NDArray[np.float64], faces: NDArray[np.integer], found: Adjacency) -> Rims:
-    """The rims of the holes of a mesh, the one with the longest way around first."""
+def boundary_loops(vertices: NDArray[np.float64], faces: NDArray[np.integer], found: Adjacency) -> BoundaryLoops:
+    """The boundary loops of a mesh, the longest first."""
     triangles = np.ascontiguousarray(faces, np.int64).reshape(-1, 3)
-    half_edges = np.flatnonzero(found.mates == RIM)
+    half_edges = np.flatnonzero(found.opposite == BOUNDARY)
     if half_edges.size == 0:
-        return Rims(np.empty(0, np.int64), np.empty(0), np.empty(0))
-    labels, count = _rims(half_edges, found.fans, found.fan_count)
+        return BoundaryLoops(np.empty(0, np.int64), np.empty(0), np.empty(0))
+    labels, count = _boundary_loops(half_edges, found.fans, found.fan_count)
     ahead = half_edges - half_edges % 3 + (half_edges + 1) % 3
     points = np.asarray(vertices, np.float64)
     starts, ends = points[triangles.ravel()[half_edges]], points[triangles.ravel()[ahead]]
@@ -98,12 +98,12 @@ def rims(vertices: NDArray[np.float64], faces: NDArray[np.integer], found: Adjac
         np.minimum.at(low, labels, side)
         np.maximum.at(high, labels, side)
     longest = np.argsort(-lengths, kind="stable")
-    return Rims(edges[longest], lengths[longest], np.linalg.norm(high - low, axis=1)[longest])
+    return BoundaryLoops(edges[longest], lengths[longest], np.linalg.norm(high - low, axis=1)[longest])
 
 
 @jit
-def _mates(keys: NDArray[np.int64], order: NDArray[np.int64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    mates = np.full(keys.size, -1, np.int64)
+def _opposite(keys: NDArray[np.int64], order: NDArray[np.int64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    opposite = np.full(keys.size, -1, np.int64)
     i = 0
     while i < order.size:
         j = i + 1
@@ -113,12 +113,12 @@ def _mates(keys: NDArray[np.int64], order: NDArray[np.int64], faces: NDArray[np.
         loop = faces[h // 3, h % 3] == faces[h // 3, (h + 1) % 3]
         if loop or j - i > 2:
             for k in range(i, j):
-                mates[order[k]] = -2
+                opposite[order[k]] = -2
         elif j - i == 2:
-            mates[order[i]] = order[i + 1]
-            mates[order[i + 1]] = order[i]
+            opposite[order[i]] = order[i + 1]
+            opposite[order[i + 1]] = order[i]
         i = j
-    return mates
+    return opposite
 
 
 @jit
@@ -153,10 +153,10 @@ def _number(parent: NDArray[np.int64]) -> int:
 
 
 @jit
-def _fans(faces: NDArray[np.int64], mates: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], int, int]:
-    parent = np.arange(mates.size)
-    for h in range(mates.size):
-        g = mates[h]
+def _fans(faces: NDArray[np.int64], opposite: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], int, int]:
+    parent = np.arange(opposite.size)
+    for h in range(opposite.size):
+        g = opposite[h]
         if g < h:
             continue
         h_next, g_next = h - h % 3 + (h + 1) % 3, g - g % 3 + (g + 1) % 3
@@ -181,19 +181,21 @@ def _fans(faces: NDArray[np.int64], mates: NDArray[np.int64], n: int) -> tuple[N
 
 
 @jit
-def _surfaces(mates: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    parent = np.arange(mates.size // 3)
-    for h in range(mates.size):
-        if mates[h] > h:
-            _join(parent, h // 3, mates[h] // 3)
+def _surfaces(opposite: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+    parent = np.arange(opposite.size // 3)
+    for h in range(opposite.size):
+        if opposite[h] > h:
+            _join(parent, h // 3, opposite[h] // 3)
     for i in range(parent.size):
         parent[i] = _root(parent, i)
     return parent, _number(parent)
 
 
 @jit
-def _rims(half_edges: NDArray[np.int64], fans: NDArray[np.int64], fan_count: int) -> tuple[NDArray[np.int64], int]:
-    """The rim of each half-edge; the rim of an open fan goes on where it ends."""
+def _boundary_loops(
+    half_edges: NDArray[np.int64], fans: NDArray[np.int64], fan_count: int
+) -> tuple[NDArray[np.int64], int]:
+    """The loop of each boundary half-edge; it continues at the other end of an open vertex fan."""
     last = np.full(fan_count, -1, np.int64)
     parent = np.arange(half_edges.size)
     for i in range(half_edges.size):

@@ -24,11 +24,11 @@ class EdgeCounts(NamedTuple):
     edges : int
         Different edges.
     boundary : int
-        Edges of one triangle: the rims of holes.
+        Edges of one triangle: the boundaries of holes.
     non_manifold : int
         Edges of three or more triangles.
     unbalanced : int
-        Edges that do not run as often in one direction as in the other: rims, and edges where the winding flips.
+        Edges that do not run as often in one direction as in the other: at boundaries, and where the winding flips.
     """
 
     edges: int
@@ -43,7 +43,7 @@ class EdgeCounts(NamedTuple):
 
     @property
     def consistent(self) -> bool:
-        """Whether neighbors turn the same way wherever two triangles meet (rims of holes are allowed)."""
+        """Whether neighbors turn the same way wherever two triangles meet (boundaries are allowed)."""
         return self.non_manifold == 0 and self.unbalanced == self.boundary
 
     @property
@@ -105,7 +105,7 @@ def components(faces: NDArray[np.integer]) -> tuple[int, NDArray[np.int32]]:
 
 
 def genus(faces: NDArray[np.integer]) -> int:
-    """Number of handles of a closed surface, all components together: components - Euler number / 2.
+    """Genus of a closed surface, all components together: components - Euler number / 2.
 
     Raises
     ------

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.adjacency import adjacency
 from sppm_pipeline.numerics.meshcheck.box_tree import BoxTree, box_tree
-from sppm_pipeline.numerics.meshcheck.crossing_rays import exits_along, layers_around
 from sppm_pipeline.numerics.meshcheck.measures import components, edge_counts, volume
+from sppm_pipeline.numerics.meshcheck.rays import exits_along, layers_around
 
 RAYS = 256
 """Rays sent from each side of an open patch."""
@@ -119,13 +119,13 @@ def orient(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Orientati
     patches, one_sided = 0, 0
     counts = edge_counts(given)
     if not counts.bounds_solid:
-        mates = adjacency(given).mates
-        flips, labels, patches, one_sided = _agree(np.ascontiguousarray(given, np.int64), mates)
+        opposite = adjacency(given).opposite
+        flips, labels, patches, one_sided = _agree(np.ascontiguousarray(given, np.int64), opposite)
         areas = _areas(points[given])
         against = np.bincount(labels, areas * flips, patches) > np.bincount(labels, areas, patches) / 2
         flips ^= against[labels]
         wound[flips] = wound[flips][:, ::-1]
-        _turn_patches(points, wound, mates, labels, patches)
+        _turn_patches(points, wound, opposite, labels, patches)
     if edge_counts(wound).bounds_solid:
         if volume(points, wound) < 0:
             wound = np.ascontiguousarray(wound[:, ::-1])
@@ -152,11 +152,15 @@ def _volumes(triangles: NDArray[np.float64], labels: NDArray[np.int32], count: i
 
 
 def _turn_patches(
-    points: NDArray[np.float64], faces: NDArray[np.int32], mates: NDArray[np.int64], labels: NDArray[np.int32], n: int
+    points: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    opposite: NDArray[np.int64],
+    labels: NDArray[np.int32],
+    n: int,
 ) -> None:
     """Turn, in place, patches that are wound inwards as a whole: first the open ones, then the closed ones."""
     is_open = np.zeros(n, np.bool_)
-    is_open[labels[np.flatnonzero(mates < 0) // 3]] = True
+    is_open[labels[np.flatnonzero(opposite < 0) // 3]] = True
     if is_open.any():
         triangles = points[faces]
         tree = box_tree(triangles)
@@ -213,7 +217,9 @@ def _around(normals: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @jit
-def _agree(faces: NDArray[np.int64], mates: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.int32], int, int]:
+def _agree(
+    faces: NDArray[np.int64], opposite: NDArray[np.int64]
+) -> tuple[NDArray[np.bool_], NDArray[np.int32], int, int]:
     """Which triangles to turn so that all agree with the first of their patch; patches; and how many are one-sided."""
     flips = np.zeros(faces.shape[0], np.bool_)
     labels = np.full(faces.shape[0], -1, np.int32)
@@ -230,7 +236,7 @@ def _agree(faces: NDArray[np.int64], mates: NDArray[np.int64]) -> tuple[NDArray[
             f = queue[done]
             done += 1
             for c in range(3):
-                h = mates[3 * f + c]
+                h = opposite[3 * f + c]
                 if h < 0:
                     continue
                 g = h // 3

@@ -1,12 +1,15 @@
-"""The level that gives a wished porosity: a quantile of the field.
+"""Find what gives a target porosity: the level as a quantile of the field, or any other argument by a search.
 
-Porosity is the share of samples where the kernel sum G reaches the level C, so the C that gives a porosity is an order
-statistic of G. Changing C changes the radii of pores and tunnels a little; `radius_scale` says by how much.
+Porosity is the fraction of samples where the kernel sum G reaches the level C, so the C that gives a porosity is an
+order statistic of G. The search is meant for the gap d between faces and interior (paper, section 2.3), where each
+evaluation draws and measures a whole microstructure. Porosity falls with d only on the branch d >= l; below it is not
+monotone, so the caller's interval has to start at l.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,32 +86,101 @@ def cut_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target:
     return LevelFit(float(level), np.count_nonzero(flat >= level) / flat.size)
 
 
-def radius_scale(level: float, nominal: float, power: int = 2) -> float:
-    """By what factor a lone kernel's radius changes when the level does.
+class SearchResult(NamedTuple):
+    """The best that was found.
 
-    A kernel exp(-omega r^2) meets the level C at r = sqrt(ln(1/C) / omega), a tunnel exp(-mu r) at ln(1/C) / mu. Near a
-    porosity of one half, one point of porosity costs about 1 % of the pore radius.
+    Attributes
+    ----------
+    x : float
+        The argument.
+    value : float
+        The function there.
+    met : bool
+        Whether the value is within the tolerance of the target.
+    bracketed : bool
+        Whether the values at the ends of the interval lie on both sides of the target (or on it).
+    evaluations : int
+        How often the function was called.
+    """
+
+    x: float
+    value: float
+    met: bool
+    bracketed: bool
+    evaluations: int
+
+
+def search_monotone(
+    function: Callable[[float], float],
+    low: float,
+    high: float,
+    target: float,
+    tolerance: float,
+    max_evaluations: int = 20,
+) -> SearchResult:
+    """Find x in [low, high] with |function(x) - target| <= tolerance.
+
+    Regula falsi with the Illinois weights, guarded by bisection whenever two steps did not halve the bracket. So a
+    smooth function takes a handful of evaluations, and a staircase (a porosity counted in voxels) no more than three
+    times those of bisection. A function that is not monotone costs the guarantee, not the result: the best x that was
+    met is returned.
 
     Parameters
     ----------
-    level : float
-        The new level, positive.
-    nominal : float
-        The level for which the radius was meant, in (0, 1).
-    power : {1, 2}
-        Power of the distance in the exponent: 2 for pores and squared tunnels, 1 for tunnels as the paper prints them.
+    function : callable
+        Repeatable: the same x gives the same value.
+    low, high : float
+        Interval, low < high.
+    target : float
+        Wished value.
+    tolerance : float
+        How far from the target is near enough; not negative.
+    max_evaluations : int
+        Bound on the number of calls, at least 2.
 
     Returns
     -------
-    float
-        New radius over nominal radius; 0 from level 1 on, where a lone kernel makes no void.
+    SearchResult
+        If the target is not bracketed, the better end of the interval after two evaluations.
 
     Raises
     ------
     ValueError
-        If an argument is out of its range.
+        If the interval is empty, the tolerance negative or the bound below 2.
     """
-    if not level > 0.0 or not 0.0 < nominal < 1.0 or power not in (1, 2):
-        raise ValueError(f"no radius for level {level}, nominal level {nominal}, power {power}")
-    ratio = max(0.0, math.log(1.0 / level)) / math.log(1.0 / nominal)
-    return math.sqrt(ratio) if power == 2 else ratio
+    if not low < high or tolerance < 0 or max_evaluations < 2:
+        raise ValueError(f"can't search [{low}, {high}] to {tolerance} in {max_evaluations} evaluations")
+    x_a, x_b = low, high
+    excess_a = function(x_a) - target
+    best_x, best_excess = x_a, excess_a
+    if abs(excess_a) <= tolerance:
+        return SearchResult(x_a, target + excess_a, True, True, 1)
+    excess_b = function(x_b) - target
+    evaluations = 2
+    if abs(excess_b) < abs(best_excess):
+        best_x, best_excess = x_b, excess_b
+    bracketed = excess_a * excess_b <= 0
+    # the weights are what the secant sees: an end that stays twice counts half, so that the other end moves as well
+    weight_a, weight_b = excess_a, excess_b
+    stayed = 0
+    widths = [math.inf, math.inf]  # of the bracket, one and two steps ago
+    while bracketed and abs(best_excess) > tolerance and evaluations < max_evaluations:
+        x = x_a + (x_b - x_a) * weight_a / (weight_a - weight_b)
+        if x_b - x_a > widths[1] / 2 or not x_a < x < x_b:
+            x = x_a + (x_b - x_a) / 2
+            if not x_a < x < x_b:
+                break  # the ends are neighboring numbers
+        widths = [x_b - x_a, widths[0]]
+        excess = function(x) - target
+        evaluations += 1
+        if abs(excess) < abs(best_excess):
+            best_x, best_excess = x, excess
+        if (excess < 0) == (excess_a < 0):
+            x_a, excess_a, weight_a = x, excess, excess
+            weight_b = weight_b / 2 if stayed == 1 else excess_b
+            stayed = 1
+        else:
+            x_b, excess_b, weight_b = x, excess, excess
+            weight_a = weight_a / 2 if stayed == -1 else excess_a
+            stayed = -1
+    return SearchResult(best_x, target + best_excess, abs(best_excess) <= tolerance, bracketed, evaluations)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.sampling.cell_list import CellList, add_point, is_free
-from sppm_pipeline.numerics.sampling.stream import next_uniform
+from sppm_pipeline.numerics.sampling.cell_list import CellList, add_point, is_free, next_uniform
 
 _SPOT = (0.0, 0.0, 0.0)
 # Voxels below this share of the spacing can't be told from round-off: what is left of them counts as covered.

@@ -69,14 +69,6 @@ def box_capacity(side: float | Sequence[float], spacing: float, periodic: bool |
     return _region_capacity(sides, spacing, _as_flags(periodic, 3))
 
 
-def square_capacity(sides: float | Sequence[float], spacing: float, periodic: bool | Sequence[bool] = False) -> float:
-    """Mean number of pores of a saturated rectangle, .6966 prod((a_i + .64 l) / l); see `box_capacity`."""
-    pair = (float(sides),) * 2 if isinstance(sides, int | float) else tuple(float(a) for a in sides)
-    if len(pair) != 2:
-        raise ValueError(f"a rectangle has 2 sides, got {len(pair)}")
-    return _region_capacity(pair, spacing, _as_flags(periodic, 2))
-
-
 def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) -> float:
     """Mean number of pores of one face pattern when the mirrored patterns of all three axes are saturated together.
 

@@ -1,4 +1,6 @@
-"""A bucket grid (cell list) over points: "is this spot free?" at a cost that does not grow with the number of points.
+"""What samplers are compiled from: a stream of uniform numbers, and a bucket grid (cell list) over points.
+
+The grid answers "is this spot free?" at a cost that does not grow with the number of points.
 
 Each bucket is at least one spacing wide, so that only a bucket and its neighbors have to be searched. A periodic axis
 has period 1, and distances along it are measured to the nearest image; with fewer than three buckets along an axis
@@ -18,6 +20,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
+
+# A kernel draws one uniform number after another from one word of state, so that no chunk size, buffer or thread count
+# enters the result: SplitMix64 (Steele, Lea and Flood 2014), whose output function is a bijection of a counter.
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+
+
+def new_stream(rng: np.random.Generator) -> NDArray[np.uint64]:
+    """State (1,) of a stream whose start is drawn from `rng` (one 64-bit draw)."""
+    return rng.integers(0, 2**64, size=1, dtype=np.uint64)
+
+
+@jit
+def next_uniform(stream: NDArray[np.uint64]) -> float:
+    """Advance `stream` and return a number in [0, 1) with 53 random bits."""
+    stream[0] += _STEP
+    word = stream[0]
+    word = (word ^ (word >> _S30)) * _FIRST
+    word = (word ^ (word >> _S27)) * _SECOND
+    word = word ^ (word >> _S31)
+    return np.float64(word >> _S11) * 2.0**-53
+
 
 # Distances are sums of a few rounded coordinates below 2; this much is added to the spacing that is asked for, so that
 # no later measurement, in whatever order it subtracts, finds less than the spacing.

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.sampling.active_voxels import fill_active_voxels, throw_darts
 from sppm_pipeline.numerics.sampling.capacity import box_capacity, check_capacity
-from sppm_pipeline.numerics.sampling.cell_list import add_points, empty_cell_list
-from sppm_pipeline.numerics.sampling.stream import new_stream
+from sppm_pipeline.numerics.sampling.cell_list import add_points, empty_cell_list, new_stream
 
 # Share of the capacity up to which plain darts are cheaper than keeping a list of voxels (some 20 darts a pore).
 NAIVE_SHARE = 0.75

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.surface.joining import joined_mesh
-from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN, Mesh, marching_cubes_slabs
+from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN, Mesh, joined_mesh, marching_cubes_slabs
 
 Border = Literal["samples", "voxels"]
 Axes = tuple[bool, bool, bool]

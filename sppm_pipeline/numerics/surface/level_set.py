@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.meshcheck.kissing import parted_vertices
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
+
+STEP = 2.0**-8
+"""How far a vertex is moved, as a share of the way to the middle of its neighbors."""
 
 
 def run_level_set(
@@ -66,7 +68,7 @@ def run_level_set(
     arrays = made.to_mesh64()
     vertices = np.array(arrays.vert_properties[:, :3], np.float64)
     faces = np.array(arrays.tri_verts, np.int32).reshape(-1, 3)
-    vertices = parted_vertices(vertices, faces, np.array(box[:3]), np.array(box[3:]))
+    vertices = separate_coincident_vertices(vertices, faces, np.array(box[:3]), np.array(box[3:]))
     return (vertices, faces), str(made.status().name)
 
 
@@ -81,6 +83,56 @@ def lattice_bytes(grid: Grid) -> int:
     nx, ny, nz = grid.shape
     padded: int = 1 << (1 + (ny + 2).bit_length() + (nz + 2).bit_length())
     return 8 * (nx + 3) * padded
+
+
+def coincident_vertices(vertices: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Indices of the vertices (n, 3) whose coordinates, in single precision, are those of another one."""
+    _, place, count = np.unique(vertices.astype(np.float32), axis=0, return_inverse=True, return_counts=True)
+    return np.flatnonzero(count[place.reshape(-1)] > 1)
+
+
+def separate_coincident_vertices(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The vertices, coincident ones moved apart, each a little towards its own neighbors.
+
+    Where two tips touch, a mesh that is manifold by its indices has two vertices at one place. A file that keeps no
+    indices (STL), or a reader that merges coincident vertices, makes one non-manifold vertex of them, or of two edges a
+    non-manifold edge. A tip of solid is drawn back into the solid and a tip of void into the void, so that nothing
+    overlaps.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+    faces : (m, 3) int32
+        A closed manifold.
+    low, high : (3,) float64
+        Corners of a box: coordinates that lie in one of its faces stay.
+
+    Returns
+    -------
+    (n, 3) float64
+    """
+    moved = vertices.copy()
+    for _ in range(8):
+        coincident = coincident_vertices(moved)
+        if not len(coincident):
+            break
+        concerned = np.zeros(len(vertices), np.bool_)
+        concerned[coincident] = True
+        near = faces[concerned[faces].any(axis=1)]
+        total, count = np.zeros_like(vertices), np.zeros(len(vertices))
+        for corner in range(3):
+            for other in (1, 2):
+                np.add.at(total, near[:, corner], moved[near[:, (corner + other) % 3]])
+                np.add.at(count, near[:, corner], 1)
+        step = STEP * (total[coincident] / count[coincident, None] - moved[coincident])
+        step[(moved[coincident] == low) | (moved[coincident] == high)] = 0.0
+        moved[coincident] += step
+    return moved
 
 
 @jit

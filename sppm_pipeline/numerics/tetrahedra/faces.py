@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 
-BOUNDARY, CROWDED = -1, -2
+BOUNDARY, NON_MANIFOLD = -1, -2
 
 FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)], np.int64)
 """Corners of the face opposite of each corner, counterclockwise for a viewer outside."""
@@ -27,7 +27,7 @@ def face_neighbors(tets: NDArray[np.integer]) -> NDArray[np.int32]:
     Returns
     -------
     (m, 4) int32
-        Behind the face opposite of each corner; `BOUNDARY` if there is none, `CROWDED` if three or more tetrahedra
+        Behind the face opposite of each corner; `BOUNDARY` if there is none, `NON_MANIFOLD` if three or more tetrahedra
         share the face.
     """
     corners = _corners(tets)
@@ -118,7 +118,7 @@ def _match(
                 neighbors[faces[p]], neighbors[faces[p + 1]] = faces[p + 1] // 4, faces[p] // 4
             elif q - p > 2:
                 for r in range(p, q):
-                    neighbors[faces[r]] = CROWDED
+                    neighbors[faces[r]] = NON_MANIFOLD
             p = q
 
 

@@ -24,14 +24,14 @@ class FaceMatch(NamedTuple):
         Pairs of triangles that are copies of each other.
     free : (3,) int64
         Triangles without a copy that have nothing on the other side: there the surface of the solid lies in the face.
-    clashing : (3,) int64
+    mismatched : (3,) int64
         Triangles without a copy that overlap some on the other side; the mesh does not repeat there.
     """
 
     area: NDArray[np.float64]
     matched: NDArray[np.int64]
     free: NDArray[np.int64]
-    clashing: NDArray[np.int64]
+    mismatched: NDArray[np.int64]
 
 
 def on_faces(
@@ -130,8 +130,8 @@ def face_match(
         _, index, times = np.unique(np.concatenate(keys), axis=0, return_inverse=True, return_counts=True)
         alone = times[index.ravel()] == 1
         lone = [sides[0][alone[: len(sides[0])]], sides[1][alone[len(sides[0]) :]]]
-        clashing = sum(int(_covered(plane[one].mean(1), plane[other]).sum()) for one, other in (lone, lone[::-1]))
-        counts[:, axis] = (times == 2).sum(), len(lone[0]) + len(lone[1]) - clashing, clashing
+        mismatched = sum(int(_covered(plane[one].mean(1), plane[other]).sum()) for one, other in (lone, lone[::-1]))
+        counts[:, axis] = (times == 2).sum(), len(lone[0]) + len(lone[1]) - mismatched, mismatched
     return FaceMatch(area, counts[0], counts[1], counts[2])
 
 

@@ -35,7 +35,7 @@ def with_mid_nodes(
     return np.concatenate([points, middles]), cells.astype(np.int32)
 
 
-def least_jacobian(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> NDArray[np.float64]:
+def minimum_jacobian(nodes: NDArray[np.floating], tets: NDArray[np.integer]) -> NDArray[np.float64]:
     """The smallest Jacobian determinant of each quadratic tetrahedron at its ten nodes, (m,).
 
     Six times the volume for one with straight edges and nodes in their middles. Positive values at the nodes do not

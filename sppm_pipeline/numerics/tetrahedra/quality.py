@@ -18,7 +18,7 @@ class Quality(NamedTuple):
 
     Attributes
     ----------
-    least_dihedral, greatest_dihedral : float
+    minimum_dihedral, maximum_dihedral : float
         Over all cells and their six edges, degrees.
     radius_ratio : float
         The largest circumradius over three times the inradius; 1 for a regular tetrahedron.
@@ -26,19 +26,19 @@ class Quality(NamedTuple):
         The largest longest edge over shortest edge of a cell.
     volume : float
         Sum, with sign.
-    least_volume, greatest_volume : float
+    minimum_volume, maximum_volume : float
         Of a cell, with sign.
     inverted : int
         Cells without positive volume.
     """
 
-    least_dihedral: float
-    greatest_dihedral: float
+    minimum_dihedral: float
+    maximum_dihedral: float
     radius_ratio: float
     edge_ratio: float
     volume: float
-    least_volume: float
-    greatest_volume: float
+    minimum_volume: float
+    maximum_volume: float
     inverted: int
 
 

@@ -10,7 +10,6 @@ A face with no cell on either side is -1.
 * `corners`: colored lattice corners, from which faces and interiors follow.
 * `fresh`: a content of its own for every cell and face.
 * `lattice`, `hashing`: the lattice of cells and faces, and the integer hash of its places.
-* `rule_check`: counts broken adjacencies.
-* `layouts`: how many layouts a rule allows.
+* `statistics`: broken rules, alike neighbors, scores of Rule 2, and the entropy that a rule leaves.
 * `residual`: how much of an assembled image still repeats from cell to cell.
 """

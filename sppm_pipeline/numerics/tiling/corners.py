@@ -10,66 +10,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.tiling.hashing import CORNER, INTERIOR, hash_places
-from sppm_pipeline.numerics.tiling.lattice import Faces, check_count, checked_mask, face_presence
+from sppm_pipeline.numerics.tiling.lattice import (
+    CORNER,
+    INTERIOR,
+    Faces,
+    check_count,
+    checked_mask,
+    face_presence,
+    hash_places,
+)
 
 _MOST_COLORS_OF_FACES = 215  # 215^4 < 2^31
 _MOST_COLORS_OF_CELLS = 14  # 14^8 < 2^31
-
-
-def corner_colors_at(
-    seed: int, corners: ArrayLike, colors: int, period: tuple[int, int, int] | None = None
-) -> NDArray[np.int32]:
-    """Color of any lattice corner.
-
-    Parameters
-    ----------
-    seed : int
-        Same seed, same tiling.
-    corners : (..., 3) int
-        Corner (i, j, k) is the low corner of cell (i, j, k).
-    colors : int
-        Number of corner colors c.
-    period : (nx, ny, nz), optional
-        Number of cells after which the assembly repeats.
-
-    Returns
-    -------
-    (...) int32
-        Colors 0..c-1.
-
-    Raises
-    ------
-    DesignError
-        If c is below 1.
-    """
-    check_count("corner colors", colors)
-    places = np.asarray(corners, np.int64)
-    if period is not None:
-        places = places % np.asarray(period, np.int64)
-    drawn = hash_places(seed, CORNER, places[..., 0], places[..., 1], places[..., 2])
-    return (drawn % np.uint64(colors)).astype(np.int32).reshape(places.shape[:-1])
-
-
-def corners_of_ids(ids: ArrayLike, colors: int, corners: int) -> NDArray[np.int32]:
-    """Colors of the corners that a face (4 corners) or an interior (8 corners) is named by.
-
-    Parameters
-    ----------
-    ids : (...) int
-        Numbers of faces, 0..c^4-1, or of interiors, 0..c^8-1.
-    colors : int
-        Number of corner colors c.
-    corners : int
-        4 for faces, 8 for interiors.
-
-    Returns
-    -------
-    (..., corners) int32
-        Bit b of the position n of a corner says whether it lies at the high end of the b-th axis: for interiors the
-        axes are x, y, z; for faces those of x, y, z in which the face extends, in this order.
-    """
-    return (np.asarray(ids, np.int64)[..., None] // colors ** np.arange(corners) % colors).astype(np.int32)
 
 
 def _combined(corners: NDArray[np.int32], colors: int, axes: tuple[int, ...]) -> NDArray[np.int32]:
@@ -107,8 +59,10 @@ def tile_corners(
     interior : (nx, ny, nz) int32
         0..interiors-1 or 0..c^8-1; -1 where there is no cell.
     faces : three int32 arrays
-        0..c^4-1, numbered as `corners_of_ids` reads them; shape n_a + 1 along axis a; -1 where there is no cell on
-        either side.
+        0..c^4-1; shape n_a + 1 along axis a; -1 where there is no cell on either side.
+
+    Digit n in base c of a number is the color of the corner at position n: bit b of n says whether that corner lies at
+    the high end of the b-th axis, for interiors of x, y, z, for faces of those in which the face extends.
 
     Raises
     ------

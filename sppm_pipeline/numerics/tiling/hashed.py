@@ -10,72 +10,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.tiling.hashing import FACE, INTERIOR, hash_places
-from sppm_pipeline.numerics.tiling.lattice import Faces, check_count, checked_mask, face_presence
-
-
-def interior_at(seed: int, cells: ArrayLike, interiors: int) -> NDArray[np.int32]:
-    """Interior of any cell.
-
-    Parameters
-    ----------
-    seed : int
-        Same seed, same tiling.
-    cells : (..., 3) int
-        Indices of cells, negative ones included.
-    interiors : int
-        Number of interiors K.
-
-    Returns
-    -------
-    (...) int32
-        Interiors 0..K-1.
-
-    Raises
-    ------
-    DesignError
-        If K is below 1.
-    """
-    check_count("interiors", interiors)
-    places = np.asarray(cells, np.int64)
-    drawn = hash_places(seed, INTERIOR, places[..., 0], places[..., 1], places[..., 2])
-    return (drawn % np.uint64(interiors)).astype(np.int32).reshape(places.shape[:-1])
-
-
-def face_at(
-    seed: int, axis: int, faces: ArrayLike, colors: int, period: tuple[int, int, int] | None = None
-) -> NDArray[np.int32]:
-    """Color of any face.
-
-    Parameters
-    ----------
-    seed : int
-        Same seed, same tiling.
-    axis : int
-        Axis across which the face lies: 0, 1, 2 for x, y, z.
-    faces : (..., 3) int
-        Face (i, j, k) is the low side of cell (i, j, k) along `axis`; its high side is the low side of the next cell.
-    colors : int
-        Number of colors c.
-    period : (nx, ny, nz), optional
-        Number of cells after which the assembly repeats.
-
-    Returns
-    -------
-    (...) int32
-        Colors 0..c-1.
-
-    Raises
-    ------
-    DesignError
-        If c is below 1.
-    """
-    check_count("face colors", colors)
-    places = np.asarray(faces, np.int64)
-    if period is not None:
-        places = places % np.asarray(period, np.int64)
-    drawn = hash_places(seed, FACE + axis, places[..., 0], places[..., 1], places[..., 2])
-    return (drawn % np.uint64(colors)).astype(np.int32).reshape(places.shape[:-1])
+from sppm_pipeline.numerics.tiling.lattice import (
+    FACE,
+    INTERIOR,
+    Faces,
+    check_count,
+    checked_mask,
+    face_presence,
+    hash_places,
+)
 
 
 def tile_hashed(
@@ -97,9 +40,9 @@ def tile_hashed(
     Returns
     -------
     interior : (nx, ny, nz) int32
-        0..K-1 as `interior_at` gives them; -1 where there is no cell.
+        0..K-1; -1 where there is no cell.
     faces : three int32 arrays
-        0..c-1 as `face_at` gives them; shape n_a + 1 along axis a; -1 where there is no cell on either side.
+        0..c-1; shape n_a + 1 along axis a; -1 where there is no cell on either side.
 
     Raises
     ------

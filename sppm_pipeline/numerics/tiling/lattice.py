@@ -1,4 +1,4 @@
-"""The lattice of an assembly: its cells and the faces between them."""
+"""The lattice of an assembly: its cells, the faces between them, their numbers, and a hash of their places."""
 
 from __future__ import annotations
 
@@ -98,3 +98,89 @@ def faces_of_cells(colors: Faces, mask: NDArray[np.bool_], periodic: bool = Fals
             planes[-1] = planes[0]
         faces.append(np.ascontiguousarray(np.moveaxis(planes, 0, axis)))
     return faces[0], faces[1], faces[2]
+
+
+#: Streams keep draws made for different purposes at the same place independent. FACE + axis is used for axis 0, 1, 2.
+INTERIOR, FACE, CORNER, TIE = 1, 2, 5, 6
+
+# 2^64 / golden ratio, and the two multipliers of variant 13 of D. Stafford's 64-bit finalizers, as in SplitMix64
+# (Steele, Lea and Flood 2014, "Fast splittable pseudorandom number generators").
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
+
+
+def _absorbed(state: NDArray[np.uint64], word: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    # For a fixed state this is a bijection of the word, and the other way round: no two places of a row collide.
+    bits = (state ^ word) + _GOLDEN
+    bits ^= bits >> np.uint64(30)
+    bits *= _FIRST
+    bits ^= bits >> np.uint64(27)
+    bits *= _SECOND
+    bits ^= bits >> np.uint64(31)
+    return bits
+
+
+def hash_places(seed: int, stream: int, i: ArrayLike, j: ArrayLike, k: ArrayLike) -> NDArray[np.uint64]:
+    """Hash the lattice places (i, j, k).
+
+    Parameters
+    ----------
+    seed : int
+        Taken modulo 2^64.
+    stream : int
+        Purpose of the draw, one of this module's constants.
+    i, j, k : integer array_like
+        Indices along x, y, z, negative ones included; broadcast against each other. Open index arrays
+        (`numpy.ogrid`) are cheapest.
+
+    Returns
+    -------
+    (broadcast shape) uint64
+        At least one-dimensional. Uniform over all 64-bit numbers; ``% n`` gives a draw from range(n) whose bias is
+        below n / 2^64.
+    """
+    # One-element arrays instead of scalars: array arithmetic wraps modulo 2^64 silently, scalar arithmetic warns.
+    state = _absorbed(np.zeros(1, np.uint64), np.array([seed % 2**64], np.uint64))
+    state = _absorbed(state, np.array([stream], np.uint64))
+    for index in (k, j, i):
+        # int64 -> uint64 keeps the bits, so that negative indices are places like any other.
+        state = _absorbed(state, np.atleast_1d(np.asarray(index, np.int64)).astype(np.uint64))
+    return state
+
+
+def _numbered(there: NDArray[np.bool_]) -> NDArray[np.int32]:
+    numbers = np.full(there.shape[::-1], -1, np.int32)
+    stored = there.transpose(2, 1, 0)
+    numbers[stored] = np.arange(np.count_nonzero(there), dtype=np.int32)
+    return np.ascontiguousarray(numbers.transpose(2, 1, 0))
+
+
+def tile_fresh(mask: ArrayLike, *, periodic: bool = False) -> tuple[NDArray[np.int32], Faces]:
+    """Number cells and faces consecutively in raster order, x fastest.
+
+    Parameters
+    ----------
+    mask : (nx, ny, nz) bool
+        Cells to be filled.
+    periodic : bool
+        Whether the last plane of faces of each axis is the first one again.
+
+    Returns
+    -------
+    interior : (nx, ny, nz) int32
+        0..(number of cells)-1; -1 where there is no cell.
+    faces : three int32 arrays
+        For each axis its own numbers 0..(number of faces across this axis)-1, planes that are one counted once; shape
+        n_a + 1 along axis a; -1 where there is no cell on either side.
+    """
+    cells = checked_mask(mask)
+    faces = []
+    for axis, there in enumerate(face_presence(cells, periodic)):
+        if periodic:
+            low = np.take(there, range(cells.shape[axis]), axis)
+            numbers = _numbered(low)
+            faces.append(np.concatenate([numbers, np.take(numbers, [0], axis)], axis))
+        else:
+            faces.append(_numbered(there))
+    return _numbered(cells), (faces[0], faces[1], faces[2])

@@ -21,7 +21,7 @@ order two parts of one run can be given different colors before the cell between
 used here, x fastest, so that a run is known from the low neighbor, and in a periodic assembly from the cell at its
 low end.
 
-The price is that a box of nx * ny * nz cells has only nx ny + ny nz + nz nx runs; see `layouts`.
+The price is that a box of nx * ny * nz cells has only nx ny + ny nz + nz nx runs; see `statistics.entropy_per_cell`.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.tiling.hashing import TIE, hash_places
-from sppm_pipeline.numerics.tiling.lattice import Faces, check_count, checked_mask, faces_of_cells
+from sppm_pipeline.numerics.tiling.lattice import TIE, Faces, check_count, checked_mask, faces_of_cells, hash_places
 
 _MOST_COLORS = 1290  # 1290^3 is the largest cube below 2^31
 
@@ -55,10 +54,11 @@ def _run_mate(
 
 
 @jit
-def _add_sameness(tiles: NDArray[np.int32], k: int, j: int, i: int, periodic: bool, sameness: NDArray[np.int64]) -> int:
-    """Add to ``sameness[T]`` the weights of placed neighbors that are tile T; return the weight of all of them."""
+def _add_sameness(
+    tiles: NDArray[np.int32], k: int, j: int, i: int, periodic: bool, sameness: NDArray[np.int64]
+) -> None:
+    """Add to ``sameness[T]`` the weights of placed neighbors that are tile T."""
     nz, ny, nx = tiles.shape
-    total = 0
     for dk in range(-1, 2):
         for dj in range(-1, 2):
             for di in range(-1, 2):
@@ -70,8 +70,6 @@ def _add_sameness(tiles: NDArray[np.int32], k: int, j: int, i: int, periodic: bo
                     continue
                 if steps > 0 and tiles[kk, jj, ii] >= 0:
                     sameness[tiles[kk, jj, ii]] += 4 - steps
-                    total += 4 - steps
-    return total
 
 
 @jit
@@ -191,31 +189,3 @@ def tile_wang(
     interior = np.ascontiguousarray(tiles.transpose(2, 1, 0))
     shown = (interior // colors**2, interior // colors % colors, interior % colors)
     return interior, faces_of_cells(shown, cells, periodic)
-
-
-def rule2_scores(
-    tiles: ArrayLike, cell: tuple[int, int, int], colors: int = 3, *, periodic: bool = False
-) -> NDArray[np.int64]:
-    """Score of every tile of the set for one cell, as Rule 2 of the paper defines it.
-
-    Parameters
-    ----------
-    tiles : (nx, ny, nz) int
-        Numbers of the tiles placed so far, -1 where there is none.
-    cell : (i, j, k)
-        The cell to be filled.
-    colors : int
-        Number of face colors c.
-    periodic : bool
-        Whether the assembly repeats.
-
-    Returns
-    -------
-    (c^3,) int64
-        Scores, Rule 1 left aside.
-    """
-    stored = np.ascontiguousarray(np.asarray(tiles, np.int32).transpose(2, 1, 0))
-    sameness = np.zeros(colors**3, np.int64)
-    i, j, k = cell
-    total = _add_sameness(stored, k, j, i, periodic, sameness)
-    return np.asarray(total - sameness, np.int64)

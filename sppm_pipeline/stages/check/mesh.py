@@ -15,7 +15,7 @@ from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 if TYPE_CHECKING:
-    from sppm_pipeline.numerics.meshcheck.survey import Survey
+    from sppm_pipeline.numerics.meshcheck.report import MeshReport
 
 LISTED = 20
 """Components and holes that are listed one by one, the largest first."""
@@ -64,11 +64,11 @@ class CheckMesh(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Measure everything, then say what is wrong."""
-        from sppm_pipeline.numerics.meshcheck.survey import survey
+        from sppm_pipeline.numerics.meshcheck.report import mesh_report
 
         if not len(mesh.faces):
             raise InputError(f"{mesh.name} has no triangles")
-        found = survey(mesh.vertices, mesh.faces)
+        found = mesh_report(mesh.vertices, mesh.faces)
         thin = self.thin.mm() if self.thin is not None else None
         problems = self._problems(found, thin)
         facts = f"{_count(found.measures.components, 'component')}, {_count(found.measures.faces, 'triangle')}"
@@ -91,22 +91,22 @@ class CheckMesh(Stage):
             )
         return mesh
 
-    def _problems(self, found: Survey, thin: float | None) -> dict[str, str]:
+    def _problems(self, found: MeshReport, thin: float | None) -> dict[str, str]:
         """A sentence for each thing that is wrong, by the word that `reject` knows it by."""
         edges, oriented, hit = found.measures.edges, found.orientation, found.intersections
         problems = {}
         if not found.watertight:
-            holes = len(found.rims.edges)
+            holes = len(found.boundary_loops.edges)
             text = f"it is not watertight: {_count(holes, 'hole')} with {_count(edges.boundary, 'open edge')}"
             if holes:
-                text += f", the largest {found.rims.sizes[0]:.3g} mm wide"
-            if found.seam_vertices:
-                text += f"; {found.seam_vertices} vertices there lie on others and were not merged with them"
+                text += f", the largest {found.boundary_loops.sizes[0]:.3g} mm wide"
+            if found.unmerged_vertices:
+                text += f"; {found.unmerged_vertices} vertices there lie on others and were not merged with them"
             problems["open"] = text
         if not found.manifold:
             problems["non_manifold"] = (
                 f"it is not manifold: {_count(edges.non_manifold, 'edge')} of three or more triangles, "
-                f"{found.split_vertices} vertices in which surfaces touch"
+                f"{found.non_manifold_vertices} vertices in which surfaces touch"
             )
         if not found.outward:
             text = f"{_count(oriented.turned, 'triangle')} of {found.measures.faces} should be turned to face outwards"
@@ -144,7 +144,7 @@ def _count(n: int, artifact: str) -> str:
     return f"{n:,} {artifact}{'' if n == 1 else 's'}"
 
 
-def _numbers(found: Survey, thin: float | None) -> dict[str, Any]:
+def _numbers(found: MeshReport, thin: float | None) -> dict[str, Any]:
     """All measures under plain names."""
     m, walls = found.measures, found.walls
     numbers: dict[str, Any] = {
@@ -154,20 +154,20 @@ def _numbers(found: Survey, thin: float | None) -> dict[str, Any]:
         "watertight": found.watertight,
         "manifold": found.manifold,
         "non_manifold_edges": m.edges.non_manifold,
-        "non_manifold_vertices": found.split_vertices,
+        "non_manifold_vertices": found.non_manifold_vertices,
         "winding_consistent": m.edges.consistent,
         "winding_outward": found.outward,
         "triangles_to_turn": found.orientation.turned,
         "one_sided_surfaces": found.orientation.one_sided,
         "open_edges": m.edges.boundary,
-        "unmerged_vertices": found.seam_vertices,
-        "holes": len(found.rims.edges),
-        "hole_edges": found.rims.edges[:LISTED],
-        "hole_lengths_mm": found.rims.lengths[:LISTED],
-        "hole_sizes_mm": found.rims.sizes[:LISTED],
+        "unmerged_vertices": found.unmerged_vertices,
+        "holes": len(found.boundary_loops.edges),
+        "hole_edges": found.boundary_loops.edges[:LISTED],
+        "hole_lengths_mm": found.boundary_loops.lengths[:LISTED],
+        "hole_sizes_mm": found.boundary_loops.sizes[:LISTED],
         "components": m.components,
         "euler_number": m.euler,
-        "genus": None if found.handles is None else int(found.handles.sum()),
+        "genus": None if found.genus is None else int(found.genus.sum()),
         "degenerate_triangles": m.degenerate,
         "duplicate_triangles": found.duplicates,
         "self_intersecting_triangles": int(found.intersections.faces.sum()),
@@ -178,8 +178,8 @@ def _numbers(found: Survey, thin: float | None) -> dict[str, Any]:
         "lower_mm": m.low,
         "upper_mm": m.high,
     }
-    if found.handles is not None:
-        numbers["genus_of_surfaces"] = np.sort(found.handles)[::-1][:LISTED]
+    if found.genus is not None:
+        numbers["genus_of_surfaces"] = np.sort(found.genus)[::-1][:LISTED]
     if found.shells is not None:
         volumes = found.shells.volumes
         numbers["component_volumes_mm3"] = volumes[np.argsort(-np.abs(volumes), kind="stable")][:LISTED]

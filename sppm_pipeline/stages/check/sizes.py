@@ -70,7 +70,7 @@ class CheckSizes(Stage):
 
 
 def _described(phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool], spacing: float) -> dict[str, Any] | None:
-    from sppm_pipeline.numerics.sizes.local_thickness import local_thickness, size_distribution
+    from sppm_pipeline.numerics.local_thickness import local_thickness, size_distribution
 
     found = size_distribution(local_thickness(phase, periodic), spacing)
     return None if found is None else {**found._asdict(), "quantiles": list(found.quantiles)}

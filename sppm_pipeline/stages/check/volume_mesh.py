@@ -17,7 +17,7 @@ BINS = 18
 
 @dataclass(frozen=True, kw_only=True)
 class CheckVolumeMesh(Stage):
-    """Report the shape of the cells and how they fit together; reject a mesh that finite elements would choke on.
+    """Report the shape of the cells and how they fit together; reject a mesh unfit for finite elements.
 
     Rejected are cells without positive volume (for quadratic ones: without positive Jacobian at a node), faces of
     three or more cells, a boundary that does not close, opposite faces of a matched cell that differ, and dihedral
@@ -26,10 +26,15 @@ class CheckVolumeMesh(Stage):
 
     name: ClassVar[str] = "check.volume_mesh"
 
-    least_angle: float = option(
-        5.0, help="smallest dihedral angle that is accepted", unit="degrees", minimum=0, below=70
+    minimum_angle: float = option(
+        5.0,
+        help="smallest dihedral angle that is accepted",
+        unit="degrees",
+        minimum=0,
+        below=70,
+        formerly="least_angle",
     )
-    one_piece: bool = option(False, help="reject a mesh of several parts that hang together by no face")
+    one_piece: bool = option(False, help="reject a mesh with several components, which share no face")
     accept: str = option(
         "sound", help="sound: reject a mesh with faults; any: only report them", choices=("sound", "any")
     )
@@ -38,7 +43,7 @@ class CheckVolumeMesh(Stage):
         """Measure, and pass the mesh on."""
         from sppm_pipeline.numerics.meshcheck.measures import edge_counts
         from sppm_pipeline.numerics.tetrahedra import faces, periodic
-        from sppm_pipeline.numerics.tetrahedra.quadratic import least_jacobian
+        from sppm_pipeline.numerics.tetrahedra.quadratic import minimum_jacobian
         from sppm_pipeline.numerics.tetrahedra.quality import dihedral_histogram, quality
 
         if not len(mesh.cells):
@@ -49,34 +54,37 @@ class CheckVolumeMesh(Stage):
             cells=len(mesh.cells),
             nodes=len(mesh.nodes),
             volume_mm3=shape.volume,
-            least_dihedral_degrees=shape.least_dihedral,
-            greatest_dihedral_degrees=shape.greatest_dihedral,
-            greatest_radius_ratio=shape.radius_ratio,
-            greatest_edge_ratio=shape.edge_ratio,
-            least_volume_mm3=shape.least_volume,
+            minimum_dihedral_degrees=shape.minimum_dihedral,
+            maximum_dihedral_degrees=shape.maximum_dihedral,
+            maximum_radius_ratio=shape.radius_ratio,
+            maximum_edge_ratio=shape.edge_ratio,
+            minimum_volume_mm3=shape.minimum_volume,
             inverted=shape.inverted,
             dihedral_histogram=dihedral_histogram(mesh.nodes, mesh.cells, BINS).tolist(),
         )
         if shape.inverted:
             faults.append(f"{shape.inverted} cells have no positive volume")
-        elif shape.least_dihedral < self.least_angle:
+        elif shape.minimum_dihedral < self.minimum_angle:
             faults.append(
-                f"the smallest dihedral angle is {shape.least_dihedral:.3g} degrees, below {self.least_angle:g}"
+                f"the smallest dihedral angle is {shape.minimum_dihedral:.3g} degrees, below {self.minimum_angle:g}"
             )
         if mesh.cells.shape[1] == 10:
-            folded = int((least_jacobian(mesh.nodes, mesh.cells) <= 0).sum())
+            folded = int((minimum_jacobian(mesh.nodes, mesh.cells) <= 0).sum())
             context.report(folded=folded)
             if folded and not shape.inverted:
                 faults.append(f"{folded} quadratic cells have no positive Jacobian at one of their nodes")
         neighbors = faces.face_neighbors(mesh.cells)
-        crowded = int((neighbors == faces.CROWDED).sum())
+        shared = int((neighbors == faces.NON_MANIFOLD).sum())
         edges = edge_counts(faces.boundary_triangles(mesh.cells, neighbors))
         unused = len(mesh.nodes) - len(np.unique(mesh.cells))
         context.report(
-            crowded_faces=crowded, boundary_closed=edges.bounds_solid, pinched_edges=edges.non_manifold, unused=unused
+            non_manifold_faces=shared,
+            boundary_closed=edges.bounds_solid,
+            non_manifold_edges=edges.non_manifold,
+            unused_nodes=unused,
         )
-        if crowded:
-            faults.append(f"{crowded} faces of cells are shared by three or more")
+        if shared:
+            faults.append(f"{shared} faces of cells are shared by three or more")
         elif not edges.bounds_solid:
             faults.append(f"the boundary does not close: {edges.unbalanced} edges have no partner")
         joined: NDArray[np.integer] = mesh.cells[:, :4]
@@ -85,18 +93,18 @@ class CheckVolumeMesh(Stage):
             context.report(
                 matched_triangles=match.matched.tolist(),
                 free_triangles=match.free.tolist(),
-                clashing_triangles=match.clashing.tolist(),
+                mismatched_triangles=match.mismatched.tolist(),
             )
-            if match.clashing.any():
+            if match.mismatched.any():
                 faults.append(
-                    f"{match.clashing.sum()} triangles in opposite faces of the box are no copies of each other"
+                    f"{match.mismatched.sum()} triangles in opposite faces of the box are no copies of each other"
                 )
             else:
                 joined = periodic.matched_nodes(mesh.nodes, mesh.box)[joined]
         parts = faces.components(faces.face_neighbors(joined))[0]
         context.report(components=parts)
         if self.one_piece and parts > 1:
-            faults.append(f"the mesh falls into {parts} parts")
+            faults.append(f"the mesh has {parts} components, which share no face")
         if faults and self.accept == "sound":
             raise Rejected("; ".join(faults), hint="`accept: any` only reports")
         for fault in faults:

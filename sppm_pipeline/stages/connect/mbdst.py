@@ -81,7 +81,7 @@ class BoundedDegreeSubgraph(Connector):
     ) -> NDArray[np.int64]:
         if self.connector_clearance is None:
             return super().connect(face_points, interior_points, cell)
-        from sppm_pipeline.numerics.connecting.connectors import nearest_connectors
+        from sppm_pipeline.numerics.connecting.clearance import nearest_connectors
 
         return nearest_connectors(face_points, interior_points, clearance=cell.fraction(self.connector_clearance))
 

@@ -68,7 +68,7 @@ class ManifoldSdf(Stage):
         above=0,
         maximum=1e6,
     )
-    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
     time_limit: float = option(
         600.0,
         help="each child process, one for every surface and every cut, is ended after this time",
@@ -87,7 +87,7 @@ class ManifoldSdf(Stage):
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample a grid of half the spacing, extract, cut, judge; in mm (cell edges for a cell without a size)."""
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
 
         part = field if isinstance(field, Part) else None
         if part is not None:
@@ -110,7 +110,7 @@ class ManifoldSdf(Stage):
 
     def _level_set(self, context: Context, samples: NDArray[np.float32], field: ScalarField, grid: Grid) -> Mesh:
         """The surface of one field, placed in the world and judged."""
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
         from sppm_pipeline.numerics.surface.level_set import lattice_samples
 
         if not (samples < 0).any():
@@ -162,7 +162,7 @@ class ManifoldSdf(Stage):
         """The field on the grid of half the spacing; of a part without its domain, which a Boolean adds."""
         half = _half(grid)
         if not on_torus(field):
-            # what hangs on nothing is known when the surface is there
+            # disconnected solid is known when the surface is there
             return (
                 field.base.sample(half, context.threads)
                 if isinstance(field, Part)

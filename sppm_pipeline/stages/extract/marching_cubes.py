@@ -53,7 +53,7 @@ class MarchingCubes(Stage):
     caps: bool = option(
         True, help="close the surface at the border of a cell or tiling; without, it ends there in open rims"
     )
-    islands: str = option("remove", help="what becomes of solid that hangs on nothing", choices=("remove", "keep"))
+    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
     backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
 
     def check_options(self) -> None:

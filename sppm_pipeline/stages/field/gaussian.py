@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -15,10 +14,11 @@ from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph
+from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 from sppm_pipeline.stage import Context, Stage, option
 
 NARROWEST, WIDEST = 1e-3, 8.0
-"""Cell edges from the axis of a kernel to where it is cut off."""
+"""Cell sizes from the axis of a kernel to where it is cut off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,22 +32,20 @@ class GaussianField(Stage):
 
     name: ClassVar[str] = "field.gaussian"
 
-    pore_radius: Length | None = option(
-        None, help="radius of a lone pore", unit="cell lengths", minimum=1e-9, maximum=1e6
-    )
+    pore_radius: Length | None = option(None, help="radius of a lone pore", unit="cell size", minimum=1e-9, maximum=1e6)
     tunnel_radius: Length | None = option(
-        None, help="radius of a lone tunnel", unit="cell lengths", minimum=1e-9, maximum=1e6
+        None, help="radius of a lone tunnel", unit="cell size", minimum=1e-9, maximum=1e6
     )
-    omega: float | None = option(None, help="pore size parameter", unit="1 / cell length^2", minimum=1e-9, maximum=1e15)
+    omega: float | None = option(None, help="pore size parameter", unit="1 / cell size^2", minimum=1e-9, maximum=1e15)
     mu: float | None = option(
         None,
         help="tunnel size parameter",
-        unit="1 / cell length (linear) or 1 / cell length^2 (squared)",
+        unit="1 / cell size (linear) or 1 / cell size^2 (squared)",
         minimum=1e-9,
         maximum=1e15,
     )
     level: float = option(0.25, help="the level C at which the sum is cut", minimum=0.001, maximum=0.999)
-    tunnel: str = option("linear", help="how the distance enters the tunnel kernel", choices=("linear", "squared"))
+    tunnel: str = option("linear", help="how the distance enters the tunnel kernel", choices=tuple(TUNNEL_PROFILES))
     pore_spread: float = option(0.0, help="standard deviation of the logarithm of the pore radii", minimum=0, maximum=1)
     tunnel_spread: float = option(
         0.0, help="standard deviation of the logarithm of the tunnel radii", minimum=0, maximum=1
@@ -60,13 +58,13 @@ class GaussianField(Stage):
             raise ConfigError("give the size of the tunnels by one of `tunnel_radius` and `mu`")
 
     def estimate(self, palette: Palette, graph: Size) -> Size:
-        from sppm_pipeline.numerics.kernels import parameters as p
+        from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE
         from sppm_pipeline.numerics.porosity.boolean_model import expected_structure, kernels_at_a_point
 
-        cell, power = graph.cell, 0.5 if self.tunnel == "squared" else 1.0
+        cell, profile = graph.cell, TUNNEL_PROFILES[self.tunnel]
         omega, mu = self._parameters(Cell(cell.edge, cell.edge_mm is not None))
-        radii = p.pore_radius(omega, self.level), p.tunnel_radius(mu, self.level, self.tunnel == "squared")
-        reaches = (-math.log(CUTOFF) / omega) ** 0.5, (-math.log(CUTOFF) / mu) ** power
+        radii = PORE_PROFILE.radius(omega, self.level), profile.radius(mu, self.level)
+        reaches = float(PORE_PROFILE.reach(omega, CUTOFF)), float(profile.reach(mu, CUTOFF))
         porosity, surface = expected_structure(cell.pores, cell.tunnels, *radii)
         kernels = kernels_at_a_point(cell.pores, cell.tunnels, *reaches)
         made = Geometry(edge_mm=cell.edge_mm, porosity=porosity, surface=surface, kernels=kernels, reach=max(reaches))
@@ -77,48 +75,46 @@ class GaussianField(Stage):
 
     def run(self, context: Context, graph: TunnelGraph) -> Microstructure:
         """Give every pore and tunnel its kernel."""
-        from sppm_pipeline.numerics.kernels import parameters as p
+        from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE
 
-        cell, squared = graph.pores.cell, self.tunnel == "squared"
+        cell, profile = graph.pores.cell, TUNNEL_PROFILES[self.tunnel]
         omega, mu = self._parameters(cell)
-        all_omega = omega * _factors(context, 0, self.pore_spread, len(graph.pores.centers)) ** -2.0
-        power = -2.0 if squared else -1.0
-        all_mu = mu * _factors(context, 1, self.tunnel_spread, len(graph.edges)) ** power
-        self._check_reach("pore_radius" if self.omega is None else "omega", all_omega, 0.5)
-        self._check_reach("tunnel_radius" if self.mu is None else "mu", all_mu, 0.5 if squared else 1.0)
+        pore_factors = _factors(context, 0, self.pore_spread, len(graph.pores.centers))
+        tunnel_factors = _factors(context, 1, self.tunnel_spread, len(graph.edges))
+        all_omega = omega * PORE_PROFILE.scaled_radius(pore_factors)
+        all_mu = mu * profile.scaled_radius(tunnel_factors)
+        self._check_reach("pore_radius" if self.omega is None else "omega", PORE_PROFILE.reach(all_omega, CUTOFF))
+        self._check_reach("tunnel_radius" if self.mu is None else "mu", profile.reach(all_mu, CUTOFF))
         context.report(
-            pore_radius=p.pore_radius(omega, self.level),
-            tunnel_radius=p.tunnel_radius(mu, self.level, squared),
+            pore_radius=PORE_PROFILE.radius(omega, self.level),
+            tunnel_radius=profile.radius(mu, self.level),
             omega=omega,
             mu=mu,
         )
-        return Microstructure(cell, graph, pieces_from_graph(graph, all_omega, all_mu, squared), self.level)
+        return Microstructure(cell, graph, pieces_from_graph(graph, all_omega, all_mu, self.tunnel), self.level)
 
     def _parameters(self, cell: Cell) -> tuple[float, float]:
         """Omega and mu in cell sizes, from whichever option is there."""
-        from sppm_pipeline.numerics.kernels import parameters as p
+        from sppm_pipeline.numerics.kernels.profiles import omega_from_radius, omega_in_cell_units
 
-        squared = self.tunnel == "squared"
+        profile = TUNNEL_PROFILES[self.tunnel]
         if self.omega is not None:
-            omega = p.omega_in_cell_units(self.omega, cell.edge)
+            omega = omega_in_cell_units(self.omega, cell.edge)
         else:
             assert self.pore_radius is not None
-            omega = p.omega_from_radius(cell.fraction(self.pore_radius), self.level)
+            omega = omega_from_radius(cell.fraction(self.pore_radius), self.level)
         if self.mu is not None:
-            return omega, p.mu_in_cell_units(self.mu, cell.edge, squared)
+            return omega, profile.in_cell_units(self.mu, cell.edge)
         assert self.tunnel_radius is not None
-        return omega, p.mu_from_radius(cell.fraction(self.tunnel_radius), self.level, squared)
+        return omega, profile.mu(cell.fraction(self.tunnel_radius), self.level)
 
-    def _check_reach(self, name: str, parameters: NDArray[np.float64], power: float) -> None:
+    def _check_reach(self, name: str, reach: NDArray[np.float64]) -> None:
         """Refuse kernels that no grid shows, and kernels so wide that each is felt in hundreds of cells around it."""
-        if not len(parameters):
-            return
-        reach = (-math.log(CUTOFF) / parameters) ** power
-        if not (reach.min() >= NARROWEST and reach.max() <= WIDEST):
+        if len(reach) and not (reach.min() >= NARROWEST and reach.max() <= WIDEST):
             raise ConfigError(
                 f"option {name!r} is {getattr(self, name)}, which makes kernels that reach {reach.min():.3g} to "
-                f"{reach.max():.3g} cell edges; allowed are {NARROWEST:g} to {WIDEST:g}",
-                hint="lengths are in cell edges unless the first sampling stage gives another `edge`",
+                f"{reach.max():.3g} cell sizes; allowed are {NARROWEST:g} to {WIDEST:g}",
+                hint="lengths are fractions of the cell size unless the first sampling stage gives another `edge`",
             )
 
 

@@ -50,7 +50,7 @@ class BooleanFill(Stage):
         None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0, maximum=1e6
     )
     islands: str = option(
-        "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
+        "remove", help="what becomes of disconnected solid in the finished part", choices=("remove", "keep")
     )
     time_limit: float = option(
         600.0, help="the child process of the Boolean is ended after this time", unit="s", above=0, maximum=1e7
@@ -72,7 +72,7 @@ class BooleanFill(Stage):
         """Extract, predict the memory, intersect, judge."""
         from sppm_pipeline.numerics.meshcheck.bodies import find_shells, largest_body
         from sppm_pipeline.numerics.meshcheck.measures import volume
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
 
         edge = field.physical_edge()
         check_solid(domain.vertices, domain.faces, domain.name)

@@ -68,7 +68,7 @@ class Combine(Stage):
     def run(self, context: Context, mesh: SurfaceMesh, tool: SurfaceMesh) -> SurfaceMesh:
         """Place the copies of the tool, unite them, and combine."""
         from sppm_pipeline.numerics.meshcheck.measures import volume
-        from sppm_pipeline.numerics.meshcheck.solids import check_solid
+        from sppm_pipeline.numerics.surface.booleans import check_solid
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation
 
         check_solid(mesh.vertices, mesh.faces, mesh.name)

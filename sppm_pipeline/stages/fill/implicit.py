@@ -9,7 +9,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
+from sppm_pipeline.families.inside_test import INSIDE, INSIDE_HELP, outward_mesh
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
@@ -20,7 +20,7 @@ class ImplicitFill(Stage):
     """Intersect the implicit fields of the microstructure and of the part (paper, "Mesh-free Slicing").
 
     The field is not evaluated here; layers, meshes and pictures evaluate the part where they need it. A part that is
-    not closed is judged on a coarse grid: its triangles are wound outwards, and it is filled where its winding number
+    not closed is tested on a coarse grid: its triangles are wound outwards, and it is filled where its winding number
     is above one half, or refused if too much of it is near one half.
     """
 
@@ -31,7 +31,7 @@ class ImplicitFill(Stage):
         None, help="thickness of a solid skin inside the surface of the part", unit="mm", minimum=1e-3, maximum=1e4
     )
     islands: str = option(
-        "remove", help="what becomes of solid that hangs on nothing in the finished part", choices=("remove", "keep")
+        "remove", help="what becomes of disconnected solid in the finished part", choices=("remove", "keep")
     )
     inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
 
@@ -43,5 +43,5 @@ class ImplicitFill(Stage):
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> Part:
         """Put the two together."""
         field.physical_edge()
-        domain, method = judged(context, domain, self.inside)
+        domain, method = outward_mesh(context, domain, self.inside)
         return Part(field, domain, self.skin.mm() if self.skin else 0.0, self.islands, method)

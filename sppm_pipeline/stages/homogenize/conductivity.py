@@ -24,7 +24,7 @@ class HomogenizeConductivity(VoxelHomogenizer):
 
     One phase conducts, the other insulates: the solid, or the void with ``of: void`` (diffusion in the pores). The
     result is a tensor, and the tortuosity along each axis. Voxels that touch at an edge or corner only conduct a
-    little there; if that is most of what flows, raise the resolution.
+    little there; if most of the flow passes there, raise the resolution.
     """
 
     name: ClassVar[str] = "homogenize.conductivity"
@@ -52,32 +52,17 @@ class HomogenizeConductivity(VoxelHomogenizer):
 
     def run(self, context: Context, source: ScalarField | Voxels) -> ConductivityReport:
         """Solve three load cases."""
-        from sppm_pipeline.numerics.connectivity.percolation import phase_report
-        from sppm_pipeline.numerics.homogenization.conduction.homogenize import conductivity, tortuosity
+        from sppm_pipeline.numerics.connectivity.components import phase_report
+        from sppm_pipeline.numerics.homogenization.conduction import conductivity, tortuosity
 
         cell = self.cell_of(context, source)
         k = self._conductivities(cell)
-        found = conductivity(
-            k,
-            cell.edges,
-            residual=self.residual or 0.0,
-            tolerance=self.tolerance if self.residual is None else 0.0,
-            iterations=self.iterations,
-            precision=np.float32 if self.precision == "single" else np.float64,
-            threads=context.threads,
-        )
+        found = conductivity(k, cell.edges, **self.solver_options(context.threads))
         connected = phase_report((k > 0).view(np.uint8))
-        warnings = []
-        if not all(case.converged for case in found.solved):
-            warnings.append(
-                f"after {self.iterations} iterations a load case has an estimated error of "
-                f"{max(case.error for case in found.solved):.1g}; allow more `iterations`"
-            )
-        if found.precision == "float64" and self.precision == "single":
-            warnings.append("single precision did not do for this cell; it was solved in double precision")
+        warnings = self.solver_warnings(found.solved, found.precision)
         without = [axis for axis, value in zip("xyz", np.diag(found.conductivity), strict=True) if value == 0]
         if without:
-            warnings.append(f"nothing flows along {', '.join(without)}: the {self.of} does not run through there")
+            warnings.append(f"no flow along {', '.join(without)}: the {self.of} does not percolate")
         for warning in warnings:
             context.warn(warning)
         return ConductivityReport(

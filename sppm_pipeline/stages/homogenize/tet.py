@@ -48,14 +48,14 @@ class HomogenizeTet(Stage):
         1e-6, help="how far nodes of a face may lie from the box, over its longest edge", above=0, maximum=0.05
     )
     tolerance: float = option(1e-8, help="residual of a load case over its load", above=0, maximum=1e-2)
-    iterations: int = option(2000, help="most iterations of a load case", minimum=1, maximum=1_000_000)
+    iterations: int = option(2000, help="maximum number of iterations of a load case", minimum=1, maximum=1_000_000)
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
         return Size(nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
 
     def run(self, context: Context, mesh: VolumeMesh) -> StiffnessReport:
         """Solve the six load cases."""
-        from sppm_pipeline.numerics.homogenization.finite_elements.homogenize import homogenize_tetrahedra
+        from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra
         from sppm_pipeline.numerics.tetrahedra.periodic import face_match, matched_nodes
 
         if mesh.box is None:
@@ -67,8 +67,8 @@ class HomogenizeTet(Stage):
         stand_in = None
         if self.faces == "auto":
             try:
-                clashing = face_match(mesh.nodes, mesh.cells[:, :4], mesh.box, MATCHED_TOLERANCE).clashing.any()
-                stand_in = None if clashing else matched_nodes(mesh.nodes, mesh.box, MATCHED_TOLERANCE)
+                mismatched = face_match(mesh.nodes, mesh.cells[:, :4], mesh.box, MATCHED_TOLERANCE).mismatched.any()
+                stand_in = None if mismatched else matched_nodes(mesh.nodes, mesh.box, MATCHED_TOLERANCE)
             except ValueError:  # nodes closer than the tolerance: whose copy they are can't be told
                 stand_in = None
         context.report(joined="nodes" if stand_in is not None else self.faces.replace("auto", "mortar"))

@@ -20,11 +20,11 @@ from sppm_pipeline.stage import Context, option
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticHomogenizer(VoxelHomogenizer):
-    """Base of stages that find effective stiffnesses on voxels: materials, and the way from a cell to its report."""
+    """Base of stages that compute effective stiffnesses on voxels: materials, and the stiffness report of a cell."""
 
     young: float | tuple[float, ...] = option(
         1.0,
-        help="Young's modulus of the solid, or of each phase from 1 on; 1: results are parts of it",
+        help="Young's modulus of the solid, or of each phase from 1 on; 1: results are relative to it",
         above=0,
         maximum=1e15,
     )
@@ -33,7 +33,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
     )
     unit: str = option("relative", help="unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
     ersatz: float = option(
-        0.0, help="stiffness of the void as a part of that of phase 1, for comparison with other codes",
+        0.0, help="stiffness of the void relative to phase 1, for comparison with other codes",
         minimum=0, maximum=1,
     )  # fmt: skip
 
@@ -57,37 +57,20 @@ class ElasticHomogenizer(VoxelHomogenizer):
 
     def stiffness_of(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Solve six load cases."""
-        from sppm_pipeline.numerics.connectivity.percolation import phase_report
-        from sppm_pipeline.numerics.homogenization.elasticity.homogenize import stiffness
+        from sppm_pipeline.numerics.connectivity.components import phase_report
+        from sppm_pipeline.numerics.homogenization.elasticity import stiffness
 
         cell = self.cell_of(context, source)
-        lam, mu = self._lame(cell)
-        found = stiffness(
-            lam,
-            mu,
-            cell.edges,
-            residual=self.residual or 0.0,
-            tolerance=self.tolerance if self.residual is None else 0.0,
-            iterations=self.iterations,
-            precision=np.float32 if self.precision == "single" else np.float64,
-            threads=context.threads,
-        )
+        found = stiffness(*self._lame(cell), cell.edges, **self.solver_options(context.threads))
         connected = phase_report(cell.occupied())
-        warnings = []
-        if not all(case.converged for case in found.solved):
-            warnings.append(
-                f"after {self.iterations} iterations a load case has an estimated error of "
-                f"{max(case.error for case in found.solved):.1g}; allow more `iterations`"
-            )
-        if found.precision == "float64" and self.precision == "single":
-            warnings.append("single precision did not do for this cell; it was solved in double precision")
+        warnings = self.solver_warnings(found.solved, found.precision)
         without = [word for word, value in zip(_STRAINS, np.diag(found.stiffness), strict=True) if value == 0]
         if without:
-            warnings.append(f"the solid carries nothing along {', '.join(without)}: it does not run through there")
+            warnings.append(f"the solid has no load path along {', '.join(without)}")
         if self.ersatz == 0 and connected.removed_share > 0:
             warnings.append(
-                f"{connected.removed_share:.2g} of the solid is not joined to the rest across faces of voxels; what "
-                "hangs on nothing carries nothing"
+                f"{connected.removed_share:.2g} of the solid is disconnected from the rest across faces of voxels "
+                "and has no load path"
             )
         for warning in warnings:
             context.warn(warning)
@@ -103,7 +86,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
                 "residuals": [float(case.residual) for case in found.solved],
                 "errors": [min(float(case.error), 1.0) for case in found.solved],
                 "converged": all(case.converged for case in found.solved),
-                "runs_through": list(connected.wraps),
+                "wraps": list(connected.wraps),
                 "components": connected.components,
             },
         )
@@ -120,7 +103,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
 
     def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
         """Lamé constants of all voxels."""
-        from sppm_pipeline.numerics.homogenization.elasticity.homogenize import lame
+        from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
 
         young, poisson = self._materials()
         constants = np.array([(0.0, 0.0), *(lame(e, v) for e, v in zip(young, poisson, strict=True))])

@@ -36,5 +36,5 @@ class Boundary(Stage):
         used, corners = np.unique(triangles, return_inverse=True)
         faces = corners.reshape(-1, 3).astype(np.int32)
         counts = edge_counts(faces)
-        context.report(closed=counts.bounds_solid, pinched_edges=counts.non_manifold)
+        context.report(closed=counts.bounds_solid, non_manifold_edges=counts.non_manifold)
         return SurfaceMesh(mesh.nodes[used], faces, name=f"surface of the {mesh.name}")

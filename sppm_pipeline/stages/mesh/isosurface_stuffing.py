@@ -33,7 +33,7 @@ class IsosurfaceStuffing(Stage):
 
     resolution: int = option(32, help="cubes along a cell edge", unit="cubes", minimum=4, maximum=512)
     islands: str = option(
-        "remove", help="what becomes of solid that hangs on nothing by a face", choices=("remove", "keep")
+        "remove", help="what becomes of solid that shares no face with the rest", choices=("remove", "keep")
     )
     order: int = option(
         1, help="1: straight tetrahedra; 2: quadratic, with a node in the middle of each edge", minimum=1, maximum=2
@@ -85,9 +85,9 @@ class IsosurfaceStuffing(Stage):
         nodes, box = ((low + v) * h * scale + origin for v in (made.nodes, np.array([[0, 0, 0], [nx, ny, nz]])))
         shape = quality(nodes, made.tets)
         context.report(
-            least_dihedral_degrees=shape.least_dihedral,
-            greatest_dihedral_degrees=shape.greatest_dihedral,
-            greatest_radius_ratio=shape.radius_ratio,
+            minimum_dihedral_degrees=shape.minimum_dihedral,
+            maximum_dihedral_degrees=shape.maximum_dihedral,
+            maximum_radius_ratio=shape.radius_ratio,
         )
         tets = made.tets
         if self.order == 2:

@@ -85,11 +85,11 @@ class ReadVolumeMesh(Stage):
 
             box = np.array([nodes.min(axis=0), nodes.max(axis=0)])
             match = face_match(nodes, cells, box)
-            matched = bool(match.matched.all() and not match.clashing.any())
+            matched = bool(match.matched.all() and not match.mismatched.any())
             if not matched:
                 context.warn(
                     f"opposite faces of the box do not match: {match.matched.tolist()} triangles have a copy across x, "
-                    f"y, z, {match.clashing.tolist()} overlap others"
+                    f"y, z, {match.mismatched.tolist()} overlap others"
                 )
         return VolumeMesh(nodes, cells, box, matched, materials, name=self.path.name)
 

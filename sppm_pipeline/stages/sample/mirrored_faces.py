@@ -74,7 +74,7 @@ class MirroredFaces(Stage):
         colors = palette.colors
         cell = pores.cell if pores else design_of(self.edge)
         if self.total is None and self.count is None:
-            from sppm_pipeline.numerics.sampling.split import split_between_faces_and_interior
+            from sppm_pipeline.numerics.sampling.faces import split_between_faces_and_interior
 
             spacing = None if self.spacing is None else self.spacing.value / cell.edge
             on_faces, _ = split_between_faces_and_interior(
@@ -89,8 +89,7 @@ class MirroredFaces(Stage):
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the patterns of all colors."""
-        from sppm_pipeline.numerics.sampling.faces import mirrored_faces
-        from sppm_pipeline.numerics.sampling.split import split_between_faces_and_interior
+        from sppm_pipeline.numerics.sampling.faces import mirrored_faces, split_between_faces_and_interior
 
         cell, base = start_of(self.edge, pores, context.palette.interiors)
         if base.has_faces:

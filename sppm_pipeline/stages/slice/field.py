@@ -38,7 +38,7 @@ class SliceField(Stage):
     )
     islands: str = option(
         "remove",
-        help="what becomes of solid that hangs on nothing; a part decides for itself",
+        help="what becomes of disconnected solid; a part decides for itself",
         choices=("remove", "keep"),
     )
     gray: int = option(

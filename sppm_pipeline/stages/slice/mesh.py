@@ -11,7 +11,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.families.judged_mesh import INSIDE, INSIDE_HELP, judged
+from sppm_pipeline.families.inside_test import INSIDE, INSIDE_HELP, outward_mesh
 from sppm_pipeline.fields.mesh_slices import MeshSlices
 from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
 from sppm_pipeline.stage import Context, Stage, option
@@ -25,7 +25,7 @@ class SliceMesh(Stage):
     """Cut a mesh into layers, each at its mid-height: a pixel is solid if its middle lies in the mesh.
 
     Shells that overlap are united. Layers are computed while they are written; memory does not grow with their number.
-    A mesh that is not closed is judged as `fill.implicit` does.
+    A mesh that is not closed is tested as `fill.implicit` does.
     """
 
     name: ClassVar[str] = "slice.mesh"
@@ -57,7 +57,7 @@ class SliceMesh(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:
         """Judge the mesh and place the pixels; no layer is computed yet."""
-        mesh, method = judged(context, mesh, self.inside)
+        mesh, method = outward_mesh(context, mesh, self.inside)
         pixel = self.pixel.mm()
         layer = self.layer.mm() if self.layer is not None else pixel
         pitch = (pixel, pixel, layer)

@@ -18,7 +18,7 @@ from sppm_pipeline.families.tiler import check_repeats
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 
@@ -64,7 +64,7 @@ class FreshTiling(Stage):
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Number the cells and faces, then draw them all."""
         from sppm_pipeline.numerics.porosity.level import level_for_porosity
-        from sppm_pipeline.numerics.tiling.fresh import tile_fresh
+        from sppm_pipeline.numerics.tiling.lattice import tile_fresh
 
         lattice = lattice_for(self.cell, self.cells, cover, None)
         wanted = int(lattice.mask.sum())

@@ -18,7 +18,7 @@ from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.wrapped import RepeatedField
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.stage import Context, Stage, option
 
 

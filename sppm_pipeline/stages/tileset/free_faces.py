@@ -9,7 +9,7 @@ import numpy as np
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.families import TileSetMaker
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.stage import option
 
 

@@ -164,7 +164,7 @@ class TunePorosity(Stage):
         return field.cut_at(cut_for_porosity(values, self.target).level)
 
     def _by_gap(self, context: Context, recipe: Recipe, options: Options) -> Microstructure:
-        from sppm_pipeline.numerics.porosity.bracket import search_monotone
+        from sppm_pipeline.numerics.porosity.level import search_monotone
 
         found: dict[float, Microstructure] = {}
         samplers = [i for i, values in recipe.options().items() if "gap" in values and "clear_faces" in values]

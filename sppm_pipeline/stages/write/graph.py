@@ -33,8 +33,7 @@ class WriteGraph(Stage):
         """Write the file."""
         import networkx
 
-        from sppm_pipeline.numerics.connecting.export import networkx_graph
-        from sppm_pipeline.numerics.connecting.statistics import graph_statistics
+        from sppm_pipeline.numerics.connecting.statistics import graph_statistics, networkx_graph
 
         graph = source.graph if isinstance(source, Microstructure) else source
         pores = graph.pores

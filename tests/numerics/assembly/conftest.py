@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.assembly.pieces import Pieces
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated
 
 
@@ -14,13 +13,13 @@ class Sets:
     """Makers of pieces and tilings, and the obvious list of all kernels of a tiling."""
 
     @staticmethod
-    def pieces(seed: int, interiors: int = 3, colors: int = 2, squared: bool = False, share: float = 0.7) -> Pieces:
+    def pieces(seed: int, interiors: int = 3, colors: int = 2, profile: str = "linear", share: float = 0.7) -> Pieces:
         """Random pieces; about `share` of the connectors are there."""
         rng = np.random.default_rng(seed)
 
         def kernels(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> Kernels:
             omega, mu = rng.uniform(80.0, 250.0, len(points)), rng.uniform(40.0, 90.0, len(starts))
-            return Kernels(points, omega, starts, ends, mu * 10 if squared else mu, squared)
+            return Kernels(points, omega, starts, ends, mu * 10 if profile == "squared" else mu, profile)
 
         inside = []
         for _ in range(interiors):
@@ -44,6 +43,16 @@ class Sets:
                             ends[:, axis] = side
                             connectors[t, axis, side, color] = kernels(np.zeros((0, 3)), inside[t].centers[:2], ends)
         return Pieces(tuple(inside), (faces[0], faces[1], faces[2]), connectors)
+
+    @staticmethod
+    def combinations(tiling: TilingArrays) -> np.ndarray:
+        """Interior and six face colors of every cell that is there, each combination once."""
+        rows = []
+        for i, j, k in np.argwhere(tiling.interior >= 0):
+            x, y, z = tiling.faces
+            colors = x[i, j, k], x[i + 1, j, k], y[i, j, k], y[i, j + 1, k], z[i, j, k], z[i, j, k + 1]
+            rows.append((tiling.interior[i, j, k], *colors))
+        return np.unique(np.array(rows, np.int32).reshape(-1, 7), axis=0)
 
     @staticmethod
     def tiling(

@@ -5,13 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.assembly.gather import kernels_in_box, sample_exact
-from sppm_pipeline.numerics.assembly.tiling_arrays import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.assembly.gather import kernels_in_box as _kernels_in_box
+from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
 from sppm_pipeline.numerics.grid import Grid, cell_centers
-from sppm_pipeline.numerics.kernels.bounds import cutoff_bound
-from sppm_pipeline.numerics.kernels.exact import exact_sum
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
-from sppm_pipeline.numerics.kernels.periodic import sample_periodic
+from sppm_pipeline.testing.exact_sum import cutoff_bound, exact_sum
+
+
+def kernels_in_box(pieces, tiling, lower, upper, cutoff=1e-5) -> Kernels:
+    return _kernels_in_box(make_catalog(pieces, cutoff), tiling, np.asarray(lower, float), np.asarray(upper, float))
 
 
 def points_of(grid: Grid) -> np.ndarray:
@@ -24,12 +27,12 @@ def points_of(grid: Grid) -> np.ndarray:
     seed=st.integers(0, 2**32),
     shape=st.tuples(*[st.integers(1, 4)] * 3),
     periodic=st.booleans(),
-    squared=st.booleans(),
+    profile=st.sampled_from(["linear", "squared"]),
     corner=st.tuples(*[st.floats(-1.5, 4.5)] * 3),
     size=st.tuples(*[st.floats(0.0, 2.0)] * 3),
 )
-def test_no_kernel_of_the_box_is_missed(sets, seed, shape, periodic, squared, corner, size) -> None:
-    pieces = sets.pieces(seed, squared=squared)
+def test_no_kernel_of_the_box_is_missed(sets, seed, shape, periodic, profile, corner, size) -> None:
+    pieces = sets.pieces(seed, profile=profile)
     tiling = sets.tiling(seed, shape, pieces, periodic)
     lower = np.array(corner)
     points = lower + np.random.default_rng(seed).random((30, 3)) * size
@@ -79,9 +82,9 @@ def test_a_far_box_of_a_huge_tiling(sets) -> None:
     )
 
 
-@pytest.mark.parametrize("squared", [False, True])
-def test_sample_exact_on_a_grid_that_does_not_fit_the_cells(sets, squared: bool) -> None:
-    pieces = sets.pieces(8, squared=squared)
+@pytest.mark.parametrize("profile", ["linear", "squared"])
+def test_sample_exact_on_a_grid_that_does_not_fit_the_cells(sets, profile: str) -> None:
+    pieces = sets.pieces(8, profile=profile)
     tiling = sets.tiling(9, (3, 2, 2), pieces)
     grid = Grid((-0.31, -0.2, -0.4), (0.083, 0.0713, 0.127), (47, 41, 25))
     field = sample_exact(pieces, tiling, grid)
@@ -111,7 +114,21 @@ def test_a_lone_cell_is_the_periodic_cell(sets) -> None:
     members = [pieces.interiors[1], *(pieces.faces[a][c] for a, c in enumerate((0, 1, 1)))]
     members += [pieces.connectors[1, a, s, c] for a, c in enumerate((0, 1, 1)) for s in (0, 1)]
     field = sample_exact(pieces, tiling, cell_centers(20))
-    assert field == pytest.approx(sample_periodic(concatenated(members), 20), abs=2e-4)
+    steps = [np.array(step, float) for step in np.ndindex(5, 5, 5)]
+    images = concatenated(concatenated(members).shifted(step - 2.0) for step in steps)
+    assert field.ravel() == pytest.approx(exact_sum(images, points_of(cell_centers(20))), abs=2e-4)
+
+
+def test_moving_a_lone_cell_by_a_voxel_moves_the_field(sets) -> None:
+    pieces, n = sets.pieces(13), 16
+    offset = np.array([3.0, 0.0, -2.0]) / n
+    moved = pieces._replace(
+        interiors=tuple(k.shifted(offset) for k in pieces.interiors),
+        faces=tuple(tuple(k.shifted(offset) for k in axis) for axis in pieces.faces),
+        connectors={key: k.shifted(offset) for key, k in pieces.connectors.items()},
+    )
+    there, here = (sample_exact(p, lone_periodic_cell(), cell_centers(n)) for p in (moved, pieces))
+    assert there == pytest.approx(np.roll(here, (-2, 3), (0, 2)), abs=1e-4)
 
 
 def test_nothing_anywhere(sets) -> None:

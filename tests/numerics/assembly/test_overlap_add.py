@@ -5,13 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sppm_pipeline.numerics.assembly.contents import lone_periodic_cell
 from sppm_pipeline.numerics.assembly.overlap_add import assemble, assemble_solid
-from sppm_pipeline.numerics.assembly.patches import build_bank, used_combinations
-from sppm_pipeline.numerics.assembly.tiling_arrays import lone_periodic_cell
-from sppm_pipeline.numerics.kernels.bounds import cutoff_bound
-from sppm_pipeline.numerics.kernels.exact import exact_sum
+from sppm_pipeline.numerics.assembly.patches import build_bank
 from sppm_pipeline.numerics.kernels.kernels import concatenated, empty_kernels
-from sppm_pipeline.numerics.kernels.periodic import sample_periodic
+from sppm_pipeline.testing.exact_sum import cutoff_bound, exact_sum
 
 # Patches that can lie over one voxel: sites within one cell, ten pieces each.
 MOST_PATCHES = 27 * 10
@@ -29,7 +27,7 @@ def samples(low: tuple[int, int, int], high: tuple[int, int, int], n: int, offse
     interiors=st.integers(1, 4),
     colors=st.integers(1, 3),
     periodic=st.booleans(),
-    squared=st.booleans(),
+    profile=st.sampled_from(["linear", "squared"]),
     merged=st.booleans(),
     n=st.integers(5, 18),
     offset=st.sampled_from([0.0, 0.5]),
@@ -37,11 +35,11 @@ def samples(low: tuple[int, int, int], high: tuple[int, int, int], n: int, offse
     size=st.tuples(*[st.integers(1, 9)] * 3),
 )
 def test_random_tilings_within_the_bound(
-    sets, seed, shape, interiors, colors, periodic, squared, merged, n, offset, corner, size
+    sets, seed, shape, interiors, colors, periodic, profile, merged, n, offset, corner, size
 ) -> None:
-    pieces = sets.pieces(seed, interiors, colors, squared)
+    pieces = sets.pieces(seed, interiors, colors, profile)
     tiling = sets.tiling(seed, shape, pieces, periodic)
-    bank = build_bank(pieces, n, used_combinations(tiling) if merged else None, offset=offset)
+    bank = build_bank(pieces, n, sets.combinations(tiling) if merged else None, offset=offset)
     stop = tuple(c + s for c, s in zip(corner, size, strict=True))
     field = assemble(bank, tiling, corner[2], stop[2], corner[0], stop[0], corner[1], stop[1])
     # One image on each side is enough: what lies a whole cell away is below 1e-15.
@@ -58,7 +56,7 @@ def test_merged_and_separate_patches_agree_far_below_the_worst_case(sets) -> Non
     tiling = sets.tiling(2, (3, 3, 3), pieces)
     box = (0, 60, 0, 60, 0, 60)
     separate = assemble(build_bank(pieces, 20), tiling, *box)
-    merged = assemble(build_bank(pieces, 20, used_combinations(tiling)), tiling, *box)
+    merged = assemble(build_bank(pieces, 20, sets.combinations(tiling)), tiling, *box)
     assert merged == pytest.approx(separate, abs=2e-4)
     assert separate.max() > 1.5
 
@@ -69,18 +67,20 @@ def test_a_lone_cell_is_an_assembly_of_itself(sets, offset: float) -> None:
     tiling = lone_periodic_cell(1, (0, 1, 1))
     members = [pieces.interiors[1], *(pieces.faces[a][c] for a, c in enumerate((0, 1, 1)))]
     members += [pieces.connectors[1, a, s, c] for a, c in enumerate((0, 1, 1)) for s in (0, 1)]
-    bank = build_bank(pieces, 24, used_combinations(tiling), offset=offset)
+    bank = build_bank(pieces, 24, sets.combinations(tiling), offset=offset)
     m = 24 if offset else 25
     field = assemble(bank, tiling, 0, m, 0, m, 0, m)
-    exact = sample_periodic(concatenated(members), 24, "centers" if offset else "nodes")
-    assert field == pytest.approx(exact, abs=3e-4)
+    steps = [np.array(step, float) for step in np.ndindex(5, 5, 5)]
+    images = concatenated(concatenated(members).shifted(step - 2.0) for step in steps)
+    exact = exact_sum(images, samples((0, 0, 0), (m, m, m), 24, offset))
+    assert field.ravel() == pytest.approx(exact, abs=3e-4)
 
 
 @pytest.mark.parametrize("merged", [False, True])
 def test_a_periodic_tiling_repeats_to_the_last_bit(sets, merged: bool) -> None:
     pieces = sets.pieces(4)
     tiling = sets.tiling(5, (2, 1, 3), pieces, periodic=True)
-    bank = build_bank(pieces, 10, used_combinations(tiling) if merged else None, offset=0.0)
+    bank = build_bank(pieces, 10, sets.combinations(tiling) if merged else None, offset=0.0)
     field = assemble(bank, tiling, 0, 31, 0, 21, 0, 11)
     assert field[0].tobytes() == field[30].tobytes()
     assert field[:, 0].tobytes() == field[:, 10].tobytes()
@@ -110,7 +110,7 @@ def test_same_bytes_for_any_slab_window_and_threads(whole_field, lower, size, th
 def whole_field(sets):
     pieces = sets.pieces(6)
     tiling = sets.tiling(7, (3, 4, 3), pieces)
-    banks = [build_bank(pieces, 13, combinations) for combinations in (None, used_combinations(tiling))]
+    banks = [build_bank(pieces, 13, combinations) for combinations in (None, sets.combinations(tiling))]
     return [(bank, tiling, assemble(bank, tiling, -9, 60, -9, 60, -9, 60)) for bank in banks]
 
 
@@ -140,7 +140,7 @@ def test_out_is_used_and_overwritten(whole_field) -> None:
 def test_empty_pieces(sets) -> None:
     pieces = replace(sets.pieces(8), interiors=(empty_kernels(),) * 3, connectors={})
     tiling = sets.tiling(9, (2, 2, 2), pieces, holes=0.0)
-    for combinations in (None, used_combinations(tiling)):
+    for combinations in (None, sets.combinations(tiling)):
         bank = build_bank(pieces, 8, combinations)
         points = samples((0, 0, 0), (16, 16, 16), 8, 0.5)
         exact = exact_sum(sets.every_kernel(pieces, tiling), points)
@@ -153,7 +153,7 @@ def test_empty_pieces(sets) -> None:
 def test_sixteen_bits_differ_only_beside_the_surface(sets, merged: bool) -> None:
     pieces = sets.pieces(10)
     tiling = sets.tiling(11, (3, 2, 3), pieces)
-    combinations = used_combinations(tiling) if merged else None
+    combinations = sets.combinations(tiling) if merged else None
     field = assemble(build_bank(pieces, 16, combinations), tiling, -5, 50, -5, 50, -5, 40)
     bank = build_bank(pieces, 16, combinations, solid_level=0.25)
     assert bank.data.dtype == np.int16

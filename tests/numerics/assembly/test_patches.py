@@ -1,29 +1,13 @@
-import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes, used_combinations
-from sppm_pipeline.numerics.assembly.tiling_arrays import lone_periodic_cell
-
-
-def test_used_combinations_are_what_a_loop_finds(sets) -> None:
-    pieces = sets.pieces(0)
-    tiling = sets.tiling(1, (4, 3, 5), pieces)
-    expected = set()
-    for i, j, k in np.ndindex(4, 3, 5):
-        if tiling.interior[i, j, k] >= 0:
-            x, y, z = tiling.faces
-            colors = x[i, j, k], x[i + 1, j, k], y[i, j, k], y[i, j + 1, k], z[i, j, k], z[i, j, k + 1]
-            expected.add((int(tiling.interior[i, j, k]), *map(int, colors)))
-    found = used_combinations(tiling)
-    assert [tuple(row) for row in found.tolist()] == sorted(expected)
-    assert used_combinations(lone_periodic_cell(2, (0, 1, 0))).tolist() == [[2, 0, 0, 1, 1, 0, 0]]
+from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes
 
 
 @pytest.mark.parametrize("level", [None, 0.25])
 @pytest.mark.parametrize("merged", [False, True])
 def test_prediction_is_an_upper_bound_and_not_a_wild_one(sets, merged: bool, level: float | None) -> None:
     pieces = sets.pieces(2)
-    combinations = used_combinations(sets.tiling(3, (2, 2, 2), pieces)) if merged else None
+    combinations = sets.combinations(sets.tiling(3, (2, 2, 2), pieces)) if merged else None
     for n in (12, 33):
         bank = build_bank(pieces, n, combinations, solid_level=level)
         assert bank.nbytes <= predicted_bytes(pieces, n, combinations, solid_level=level) < 6 * bank.nbytes

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.assembly.tiling_arrays import check_tiling, lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import check_tiling, lone_periodic_cell
 
 
 def test_good_tilings(sets) -> None:

@@ -12,7 +12,7 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.connecting.bounded import MODES, spanning_subgraph
 from sppm_pipeline.numerics.connecting.clearance import close_pairs
 from sppm_pipeline.numerics.connecting.degrees import clamped_degrees, feasible_degrees, harary_edges
-from sppm_pipeline.numerics.connecting.images import canonical_edges, edge_lengths, images_per_pair
+from sppm_pipeline.numerics.connecting.trees import canonical_edges, edge_lengths, images_per_pair
 
 
 def spaced_points(n: int, seed: int, share: float = 0.6) -> np.ndarray:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.numerics.connecting.candidates import candidate_graph
-from sppm_pipeline.numerics.connecting.images import canonical_edges
+from sppm_pipeline.numerics.connecting.trees import canonical_edges
 
 
 def nearest_by_enumeration(points, k, periodic):

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.connecting.clearance import segment_distance
-from sppm_pipeline.numerics.connecting.connectors import nearest_connectors
+from sppm_pipeline.numerics.connecting.clearance import nearest_connectors, segment_distance
 
 
 def connectors_by_sorting(face, interior, clearance):

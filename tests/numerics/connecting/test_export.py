@@ -7,7 +7,7 @@ import networkx
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.connecting.export import networkx_graph
+from sppm_pipeline.numerics.connecting.statistics import networkx_graph
 
 POINTS = np.array([[0.1, 0.2, 0.3], [0.9, 0.2, 0.3], [0.5, 0.5, 0.5]])
 EDGES = np.array([[0, 1], [0, 1], [1, 2]])

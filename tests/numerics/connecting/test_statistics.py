@@ -7,9 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.numerics.connecting.bounded import spanning_subgraph
-from sppm_pipeline.numerics.connecting.bridges import bridge_mask
-from sppm_pipeline.numerics.connecting.images import edge_lengths
 from sppm_pipeline.numerics.connecting.statistics import graph_statistics, wraps
+from sppm_pipeline.numerics.connecting.trees import bridge_mask, edge_lengths
 
 
 def random_edges(n: int, m: int, seed: int) -> np.ndarray:

@@ -8,8 +8,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.csgraph import minimum_spanning_tree as csgraph_tree
 
-from sppm_pipeline.numerics.connecting.images import edge_lengths
-from sppm_pipeline.numerics.connecting.trees import component_labels, kruskal, minimum_spanning_tree
+from sppm_pipeline.numerics.connecting.trees import component_labels, edge_lengths, kruskal, minimum_spanning_tree
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)

@@ -8,9 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from sppm_pipeline.numerics.connectivity.components import find_components
-from sppm_pipeline.numerics.connectivity.percolation import phase_report
-from sppm_pipeline.numerics.connectivity.torus import label
+from sppm_pipeline.numerics.connectivity.components import find_components, phase_report
 
 
 def slow_components(mask, periodic, connectivity):
@@ -55,7 +53,7 @@ def slow_components(mask, periodic, connectivity):
     st.tuples(st.booleans(), st.booleans(), st.booleans()),
     st.sampled_from([6, 26]),
 )
-def test_components_equal_a_walk_over_voxels(seed, shape, share, periodic, connectivity):
+def test_components_equal_a_walk_over_voxels(label, seed, shape, share, periodic, connectivity):
     mask = np.random.default_rng(seed).random(shape) < share
     expected = slow_components(mask, periodic, connectivity)
     labels, sizes = label(mask, periodic, connectivity)
@@ -96,7 +94,7 @@ def test_threads_that_cross_the_seams_many_times_wrap_where_the_walk_says(seed, 
 
 @settings(deadline=None, derandomize=True, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 0.6), st.sampled_from([6, 26]))
-def test_box_labels_equal_scipy_at_a_size_where_rows_span_words(seed, share, connectivity):
+def test_box_labels_equal_scipy_at_a_size_where_rows_span_words(label, seed, share, connectivity):
     mask = np.random.default_rng(seed).random((9, 11, 150)) < share
     structure = ndimage.generate_binary_structure(3, 1 if connectivity == 6 else 3)
     theirs, count = ndimage.label(mask, structure)
@@ -117,7 +115,7 @@ def test_shifting_a_torus_changes_no_size_and_no_wrap():
         assert a.wraps[0].tolist() == b.wraps[0].tolist()
 
 
-def test_numbers_go_by_size_and_then_by_the_first_voxel():
+def test_numbers_go_by_size_and_then_by_the_first_voxel(label):
     mask = np.zeros((1, 1, 9), np.uint8)
     mask[0, 0, [0, 2, 4, 5, 7]] = 1
     labels, sizes = label(mask, (False, False, False))
@@ -164,7 +162,7 @@ def test_shares_of_the_phase():
 
 
 @pytest.mark.parametrize("connectivity", [6, 26])
-def test_empty_and_full(connectivity):
+def test_empty_and_full(label, connectivity):
     empty = np.zeros((3, 4, 5), bool)
     assert phase_report(empty, connectivity=connectivity) == (0, 0.0, (False, False, False), 0.0)
     assert phase_report(~empty, connectivity=connectivity) == (1, 1.0, (True, True, True), 0.0)

@@ -7,12 +7,11 @@ from hypothesis import strategies as st
 from sppm_pipeline.numerics.connectivity.components import components_of_runs
 from sppm_pipeline.numerics.connectivity.islands import keep_largest, loose_parts, negate_runs
 from sppm_pipeline.numerics.connectivity.runs import find_runs
-from sppm_pipeline.numerics.connectivity.torus import label
 
 
 @settings(deadline=None, derandomize=True, max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 0.8), st.booleans(), st.sampled_from([6, 26]))
-def test_what_stays_is_label_one(seed, share, periodic, connectivity):
+def test_what_stays_is_label_one(label, seed, share, periodic, connectivity):
     mask = (np.random.default_rng(seed).random((6, 7, 8)) < share).astype(np.uint8) * 200
     before = mask.copy()
     kept = keep_largest(mask, (periodic,) * 3, connectivity)

@@ -9,7 +9,6 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.numerics.connectivity.components import find_components
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
 from sppm_pipeline.numerics.connectivity.streaming import IslandFilter
-from sppm_pipeline.numerics.connectivity.torus import label
 
 BOX = (False, False, False)
 
@@ -39,7 +38,7 @@ def both_passes(mask, sizes, connectivity, keep):
     st.sampled_from([6, 26]),
     st.sampled_from(["largest", 0.05, 0.3, 1.0]),
 )
-def test_slabs_equal_the_whole_array(seed, shape, share, sizes, connectivity, keep):
+def test_slabs_equal_the_whole_array(label, seed, shape, share, sizes, connectivity, keep):
     mask = (np.random.default_rng(seed).random(shape) < share).astype(np.uint8) * 255
     cleared, statistics = both_passes(mask, sizes, connectivity, keep)
     labels, voxels = label(mask, BOX, connectivity)

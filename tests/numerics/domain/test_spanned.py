@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.domain.inside import inside_layers, judge, prepare_inside
+from sppm_pipeline.numerics.domain.inside import inside_layers, inside_test, prepare_inside
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_knot_mesh
 from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
 from sppm_pipeline.numerics.domain.signed_distance import signed_distance
@@ -145,21 +145,21 @@ def test_winding_is_nearer_to_the_truth_than_the_vote(seed):
 
 
 def test_judgement():
-    found = judge(*KNOT)
+    found = inside_test(*KNOT)
     assert (found.method, found.closed, found.turned, found.undecided_share) == ("scanline", True, 0, 0.0)
     vertices, faces = pierced(KNOT, 1, 4, 0.12)
     flip = np.random.default_rng(0).random(len(faces)) < 0.4
-    found = judge(vertices, np.where(flip[:, None], faces[:, ::-1], faces))
+    found = inside_test(vertices, np.where(flip[:, None], faces[:, ::-1], faces))
     assert (found.method, found.closed, found.turned) == ("winding", False, flip.sum())
     assert np.array_equal(found.faces, faces)
     assert 0 < found.undecided_share < 0.1
     assert 0 < found.disagreement < 0.1
-    assert judge(vertices, faces, "vote").undecided_share > 0
-    assert judge(vertices, faces, "scanline").undecided_share > judge(*KNOT, "scanline").undecided_share
+    assert inside_test(vertices, faces, "vote").undecided_share > 0
+    assert inside_test(vertices, faces, "scanline").undecided_share > inside_test(*KNOT, "scanline").undecided_share
     rng = np.random.default_rng(0)
-    soup = judge(rng.random((120, 3)), np.arange(120, dtype=np.int32).reshape(40, 3))
+    soup = inside_test(rng.random((120, 3)), np.arange(120, dtype=np.int32).reshape(40, 3))
     assert soup.undecided_share > 0.5
-    bowl = judge(BALL[0], BALL[1][BALL[0][BALL[1]].max(1)[:, 2] < 0.2])
+    bowl = inside_test(BALL[0], BALL[1][BALL[0][BALL[1]].max(1)[:, 2] < 0.2])
     assert bowl.undecided_share > 0.25
 
 

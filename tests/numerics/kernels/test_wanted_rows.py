@@ -10,19 +10,19 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
 
-def some_kernels(squared):
+def some_kernels(profile):
     rng = np.random.default_rng(5)
     starts = rng.random((40, 3))
     ends = starts + rng.normal(0, 0.2, (40, 3))
-    mu = np.full(40, 900.0 if squared else 60.0)
-    return Kernels(rng.random((30, 3)), np.full(30, 120.0), starts, ends, mu, squared)
+    mu = np.full(40, 900.0 if profile == "squared" else 60.0)
+    return Kernels(rng.random((30, 3)), np.full(30, 120.0), starts, ends, mu, profile)
 
 
-@pytest.mark.parametrize("squared", [False, True])
+@pytest.mark.parametrize("profile", ["linear", "squared"])
 @pytest.mark.parametrize("nx", [64, 45])
-def test_wanted_samples_are_those_of_the_whole_sum(squared, nx):
+def test_wanted_samples_are_those_of_the_whole_sum(profile, nx):
     grid = Grid((0.01, 0.02, 0.03), (1 / nx, 1 / 40, 1 / 20), (nx, 40, 20))
-    kernels = some_kernels(squared)
+    kernels = some_kernels(profile)
     whole = np.zeros((20, 40, nx), np.float32)
     add_kernels(whole, grid, kernels)
     rng = np.random.default_rng(1)
@@ -38,7 +38,7 @@ def test_wanted_samples_are_those_of_the_whole_sum(squared, nx):
 
 def test_parts_of_rows_depend_neither_on_threads_nor_on_slabs():
     grid = Grid((0.0, 0.0, 0.0), (1 / 64, 1 / 40, 1 / 20), (64, 40, 20))
-    kernels = some_kernels(False)
+    kernels = some_kernels("linear")
     ends = np.sort(np.random.default_rng(2).integers(0, 65, (20, 40, 2)), axis=2).astype(np.int32)
     once = np.zeros((20, 40, 64), np.float32)
     add_kernels(once, grid, kernels, wanted=ends)

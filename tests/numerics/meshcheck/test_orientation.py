@@ -1,15 +1,14 @@
-"""Neighbors, rims, winding and walls of meshes about which everything is known."""
+"""Neighbors, boundary loops, winding and walls of meshes about which everything is known."""
 
 import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_knot_mesh, torus_mesh
-from sppm_pipeline.numerics.meshcheck.adjacency import CROWDED, RIM, adjacency, rims
+from sppm_pipeline.numerics.meshcheck.adjacency import BOUNDARY, NON_MANIFOLD, adjacency, boundary_loops
 from sppm_pipeline.numerics.meshcheck.box_tree import box_tree
-from sppm_pipeline.numerics.meshcheck.crossing_rays import layers_around
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 from sppm_pipeline.numerics.meshcheck.orientation import orient, shells
-from sppm_pipeline.numerics.meshcheck.thickness import wall_thickness
+from sppm_pipeline.numerics.meshcheck.rays import layers_around, wall_thickness
 
 BALL = ball_mesh((0, 0, 0), 1.0, 3)
 TORUS = torus_mesh((0, 0, 0), 1.0, 0.4)
@@ -32,22 +31,22 @@ def inward(mesh):
 def test_mates_are_the_two_sides_of_an_edge():
     faces = BALL[1]
     found = adjacency(faces)
-    assert (found.mates[found.mates] == np.arange(3 * len(faces))).all()
+    assert (found.opposite[found.opposite] == np.arange(3 * len(faces))).all()
     ends = np.stack([faces, np.roll(faces, -1, 1)], 2).reshape(-1, 2)
-    assert np.array_equal(ends[found.mates], ends[:, ::-1])
-    assert (found.fan_count, found.surface_count, found.split_vertices) == (len(BALL[0]), 1, 0)
+    assert np.array_equal(ends[found.opposite], ends[:, ::-1])
+    assert (found.fan_count, found.surface_count, found.non_manifold_vertices) == (len(BALL[0]), 1, 0)
 
 
-def test_crowded_edges_and_split_vertices():
+def test_crowded_edges_and_non_manifold_vertices():
     book = np.array([(0, 1, 2), (1, 0, 3), (0, 1, 4)])
     found = adjacency(book)
-    assert np.count_nonzero(found.mates == CROWDED) == 3
-    assert np.count_nonzero(found.mates == RIM) == 6
-    assert (found.surface_count, found.split_vertices) == (3, 2)
+    assert np.count_nonzero(found.opposite == NON_MANIFOLD) == 3
+    assert np.count_nonzero(found.opposite == BOUNDARY) == 6
+    assert (found.surface_count, found.non_manifold_vertices) == (3, 2)
     hourglass = adjacency(np.array([(0, 1, 2), (0, 3, 4)]))
-    assert hourglass.split_vertices == 1
+    assert hourglass.non_manifold_vertices == 1
     loop = adjacency(np.array([(0, 0, 1)]))
-    assert loop.mates[0] == CROWDED
+    assert loop.opposite[0] == NON_MANIFOLD
     assert adjacency(np.empty((0, 3), int)).fan_count == 0
 
 
@@ -57,15 +56,15 @@ def test_rims_of_holes():
     other = np.flatnonzero((faces == 100).any(1))
     assert not np.isin(corner, other).any()
     left = np.delete(faces, np.concatenate([corner, other]), 0)
-    found = rims(vertices, left, adjacency(left))
+    found = boundary_loops(vertices, left, adjacency(left))
     assert sorted(found.edges) == sorted([len(corner), len(other)])
     assert found.lengths[0] >= found.lengths[1] > 0
     radius = np.linalg.norm(vertices[np.unique(faces[corner])] - vertices[0], axis=1).max()
     assert radius < min(found.sizes) < 2 * 3**0.5 * radius
     # two holes that meet in a vertex are two holes, also where the winding is spoilt
     triangle = np.array([(0, 1, 2), (0, 3, 4), (5, 6, 7)])
-    assert list(rims(np.eye(8, 3), triangle, adjacency(triangle)).edges) == [3, 3, 3]
-    assert len(rims(vertices, faces, adjacency(faces)).edges) == 0
+    assert list(boundary_loops(np.eye(8, 3), triangle, adjacency(triangle)).edges) == [3, 3, 3]
+    assert len(boundary_loops(vertices, faces, adjacency(faces)).edges) == 0
 
 
 @pytest.mark.parametrize("mesh", [BALL, TORUS, KNOT, box_mesh((0, 0, 0), (1, 1, 1))])

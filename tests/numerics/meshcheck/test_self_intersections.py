@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_knot_mesh
 from sppm_pipeline.numerics.meshcheck.box_tree import box_tree
-from sppm_pipeline.numerics.meshcheck.exact_side import side_of_line, side_of_plane
-from sppm_pipeline.numerics.meshcheck.self_intersections import self_intersections
-from sppm_pipeline.numerics.meshcheck.triangle_pair import is_flat, triangles_meet
+from sppm_pipeline.numerics.meshcheck.predicates import side_of_line, side_of_plane
+from sppm_pipeline.numerics.meshcheck.self_intersections import is_flat, self_intersections, triangles_meet
 
 LATTICE = st.integers(-2, 2)
 POINT = st.tuples(LATTICE, LATTICE, LATTICE)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.porosity.bracket import search_monotone
+from sppm_pipeline.numerics.porosity.level import search_monotone
 
 
 class Counted:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.porosity.level import level_for_porosity, radius_scale
+from sppm_pipeline.numerics.porosity.level import level_for_porosity
 
 
 @settings(derandomize=True, deadline=None)
@@ -61,19 +61,3 @@ def test_samples_must_be_finite():
         level_for_porosity(np.array([1.0, np.nan]), 0.5)
     with pytest.raises(ValueError, match="finite"):
         level_for_porosity(np.zeros(0), 0.5)
-
-
-@settings(derandomize=True)
-@given(st.floats(0.01, 0.99), st.floats(0.01, 0.99))
-def test_the_scaled_radius_meets_the_new_level(level, nominal):
-    pore = math.sqrt(math.log(1 / nominal) / 30) * radius_scale(level, nominal)
-    assert math.exp(-30 * pore**2) == pytest.approx(level)
-    tunnel = math.log(1 / nominal) / 30 * radius_scale(level, nominal, power=1)
-    assert math.exp(-30 * tunnel) == pytest.approx(level)
-
-
-def test_a_level_above_the_kernel_leaves_no_lone_pore():
-    assert radius_scale(1.3, 0.25) == 0.0
-    for wrong in [(0.0, 0.25, 2), (0.5, 1.0, 2), (0.5, 0.25, 3)]:
-        with pytest.raises(ValueError, match="no radius"):
-            radius_scale(*wrong)

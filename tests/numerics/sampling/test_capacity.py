@@ -15,7 +15,6 @@ from sppm_pipeline.numerics.sampling.capacity import (
     check_capacity,
     face_capacity,
     largest_spacing,
-    square_capacity,
 )
 from sppm_pipeline.numerics.sampling.darts import throw
 from sppm_pipeline.numerics.sampling.faces import mirrored_faces
@@ -24,21 +23,23 @@ from sppm_pipeline.numerics.sampling.faces import mirrored_faces
 def test_formulas_of_the_method() -> None:
     assert box_capacity(0.6, 0.1) == pytest.approx(0.7336 * 6.64**3)
     assert box_capacity((0.6, 0.4, 0.5), 0.1) == pytest.approx(0.7336 * 6.64 * 4.64 * 5.64)
-    assert square_capacity(1.0, 0.1) == pytest.approx(0.6966 * 10.64**2)
+    assert box_capacity((1.0, 1.0, 0.0), 0.1) == pytest.approx(0.6966 * 10.64**2)
     assert box_capacity(1.0, 0.1, True) == pytest.approx(733.6)
     assert box_capacity(1.0, 0.1, (True, False, True)) == pytest.approx(0.7336 * 100 * 10.64)
-    assert square_capacity((1.0, 0.5), 0.1, (True, False)) == pytest.approx(0.6966 * 10 * 5.64)
+    assert box_capacity((1.0, 0.5, 0.0), 0.1, (True, False, False)) == pytest.approx(0.6966 * 10 * 5.64)
 
 
 def test_jammed_fractions() -> None:
     spacing = 0.01
     assert box_capacity(1.0, spacing, True) * math.pi / 6 * spacing**3 == pytest.approx(0.3841, rel=1e-3)
-    assert square_capacity(1.0, spacing, True) * math.pi / 4 * spacing**2 == pytest.approx(0.5470, rel=1e-3)
+    assert box_capacity((1.0, 1.0, 0.0), spacing, (True, True, False)) * math.pi / 4 * spacing**2 == pytest.approx(
+        0.5470, rel=1e-3
+    )
 
 
 def test_flat_and_small_boxes() -> None:
-    assert box_capacity((1.0, 0.0, 1.0), 0.1) == square_capacity(1.0, 0.1)
-    assert box_capacity((1.0, 1.0, 1e-6), 0.1) == pytest.approx(square_capacity(1.0, 0.1))
+    assert box_capacity((1.0, 0.0, 1.0), 0.1) == box_capacity((1.0, 1.0, 0.0), 0.1)
+    assert box_capacity((1.0, 1.0, 1e-6), 0.1) == pytest.approx(box_capacity((1.0, 1.0, 0.0), 0.1))
     assert box_capacity(0.0, 0.1) == 1.0
     assert box_capacity(0.1, 5.0) == 1.0
     assert box_capacity(1.0, 1.1, True) == 0.0
@@ -111,8 +112,6 @@ def test_own_image_is_named() -> None:
 def test_wrong_numbers_of_sides() -> None:
     with pytest.raises(ValueError, match="3 sides"):
         box_capacity((1.0, 1.0), 0.1)
-    with pytest.raises(ValueError, match="2 sides"):
-        square_capacity((1.0, 1.0, 1.0), 0.1)
     with pytest.raises(ValueError, match="flags"):
         box_capacity(1.0, 0.1, (True, False))
     with pytest.raises(ValueError, match="positive"):

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.sampling.darts import throw
-from sppm_pipeline.numerics.sampling.spacing import min_spacing, nearest_distances, pair_correlation
+from sppm_pipeline.numerics.sampling.spacing import min_spacing, nearest_distances
 
 
 def slow_nearest(points: np.ndarray, periodic: tuple[bool, ...]) -> np.ndarray:
@@ -43,29 +42,3 @@ def test_few_points() -> None:
     assert min_spacing([[0.3, 0.3, 0.3]], (False, False, False)) == math.inf
     assert min_spacing([[0.1, 0.5, 0.5], [2.9, 0.5, 0.5]]) == pytest.approx(0.2)
     assert min_spacing([[0.5, 0.5, 0.5]] * 2) == 0.0
-
-
-def test_pair_correlation_counts_every_pair_once() -> None:
-    points = [[0.05, 0.5, 0.5], [0.95, 0.5, 0.5]]
-    radii, correlation = pair_correlation(points, bins=5, reach=0.5)
-    np.testing.assert_allclose(radii, [0.05, 0.15, 0.25, 0.35, 0.45])
-    shell = 4 / 3 * math.pi * (0.2**3 - 0.1**3)
-    np.testing.assert_allclose(correlation, [0.0, 1 / shell, 0.0, 0.0, 0.0], atol=1e-12)
-
-
-def test_pair_correlation_of_random_and_of_spaced_points() -> None:
-    _, random = pair_correlation(np.random.default_rng(0).random((2000, 3)), bins=10)
-    np.testing.assert_allclose(random[2:], 1.0, atol=0.05)
-    points = throw(np.random.default_rng(0), None, 0.1, [0] * 3, [1] * 3, periodic=(True,) * 3, share=1.0)
-    radii, spaced = pair_correlation(points, bins=50)
-    assert np.all(spaced[radii < 0.1] == 0.0)
-    assert spaced[10] > 2.0  # the contact peak of saturated random addition
-    np.testing.assert_allclose(spaced[30:], 1.0, atol=0.1)
-
-
-@pytest.mark.parametrize("options", [{"bins": 0}, {"reach": 0.6}, {"reach": 0.0}])
-def test_pair_correlation_refuses(options: dict) -> None:
-    with pytest.raises(ValueError, match="reach"):
-        pair_correlation(np.random.default_rng(0).random((5, 3)), **options)
-    with pytest.raises(ValueError, match="two points"):
-        pair_correlation([[0.0, 0.0, 0.0]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sppm_pipeline.numerics.sampling.stream import new_stream, next_uniform
+from sppm_pipeline.numerics.sampling.cell_list import new_stream, next_uniform
 
 
 def test_reference_values() -> None:

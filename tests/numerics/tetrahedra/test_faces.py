@@ -7,7 +7,13 @@ import pytest
 from scipy.spatial import Delaunay
 
 from sppm_pipeline.numerics.meshcheck.measures import measure_surface
-from sppm_pipeline.numerics.tetrahedra.faces import BOUNDARY, CROWDED, boundary_triangles, components, face_neighbors
+from sppm_pipeline.numerics.tetrahedra.faces import (
+    BOUNDARY,
+    NON_MANIFOLD,
+    boundary_triangles,
+    components,
+    face_neighbors,
+)
 
 
 def triangulated(count, seed):
@@ -56,7 +62,7 @@ def test_the_boundary_is_closed_and_points_outward():
 def test_crowded_faces():
     tets = np.array([[0, 1, 2, 3], [0, 2, 1, 4], [0, 1, 2, 5]])
     neighbors = face_neighbors(tets)
-    assert (neighbors == CROWDED).sum() == 3
+    assert (neighbors == NON_MANIFOLD).sum() == 3
     assert components(neighbors)[0] == 3
 
 

@@ -32,7 +32,7 @@ def test_a_grid():
     match = face_match(nodes, tets, BOX)
     assert match.matched.tolist() == [18, 18, 18]
     assert not match.free.any()
-    assert not match.clashing.any()
+    assert not match.mismatched.any()
     assert np.allclose(match.area, [4, 8, 2])
 
 
@@ -65,8 +65,8 @@ def test_faces_that_do_not_match_clash():
     moved = nodes.copy()
     moved[index[2, 1, 1]] += [0, 0.2, 0.3]
     match = face_match(moved, tets, BOX)
-    assert match.clashing[0] == 12
-    assert match.clashing[1:].tolist() == [0, 0]
+    assert match.mismatched[0] == 12
+    assert match.mismatched[1:].tolist() == [0, 0]
 
 
 def test_a_surface_in_a_face_of_the_box_is_free():
@@ -74,7 +74,7 @@ def test_a_surface_in_a_face_of_the_box_is_free():
     kept = tets[nodes[tets].mean(1)[:, 0] < 0]  # the half at low x
     match = face_match(nodes, kept, BOX)
     assert match.free.tolist() == [8, 0, 0]
-    assert not match.clashing.any()
+    assert not match.mismatched.any()
 
 
 def test_coinciding_nodes_are_refused():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.tetrahedra.periodic import matched_nodes
-from sppm_pipeline.numerics.tetrahedra.quadratic import EDGES, least_jacobian, with_mid_nodes
+from sppm_pipeline.numerics.tetrahedra.quadratic import EDGES, minimum_jacobian, with_mid_nodes
 from sppm_pipeline.numerics.tetrahedra.quality import volumes
 from sppm_pipeline.numerics.tetrahedra.stuffing import stuff
 
@@ -18,7 +18,7 @@ def test_each_edge_gets_one_node_in_its_middle(noise):
     assert len(nodes) == len(mesh.nodes) + len(edges)
     assert np.array_equal(cells[:, :4], mesh.tets)
     # six times the volume everywhere, as the edges are straight
-    assert np.allclose(least_jacobian(nodes, cells), 6 * volumes(nodes, cells))
+    assert np.allclose(minimum_jacobian(nodes, cells), 6 * volumes(nodes, cells))
     box = np.array([[0, 0, 0], [6, 6, 6.0]])
     standing = matched_nodes(nodes, box)
     apart = nodes - nodes[standing]
@@ -27,8 +27,8 @@ def test_each_edge_gets_one_node_in_its_middle(noise):
 
 def test_a_bent_edge_lowers_the_jacobian():
     nodes, cells = with_mid_nodes(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]), np.array([[0, 1, 2, 3]]))
-    assert least_jacobian(nodes, cells) == pytest.approx(1)
+    assert minimum_jacobian(nodes, cells) == pytest.approx(1)
     for reach, positive in ((0.1, True), (0.3, False)):
         bent = nodes.copy()
         bent[cells[0, 4], 0] += reach  # towards the end of its edge; a quarter is where it folds
-        assert (least_jacobian(bent, cells)[0] > 0) == positive
+        assert (minimum_jacobian(bent, cells)[0] > 0) == positive

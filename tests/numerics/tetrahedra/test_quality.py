@@ -12,8 +12,8 @@ ONE = np.array([[0, 1, 2, 3]])
 
 def test_the_regular_tetrahedron():
     found = quality(REGULAR * 3.7 + 100, ONE)
-    assert found.least_dihedral == pytest.approx(np.degrees(np.arccos(1 / 3)))
-    assert found.greatest_dihedral == pytest.approx(np.degrees(np.arccos(1 / 3)))
+    assert found.minimum_dihedral == pytest.approx(np.degrees(np.arccos(1 / 3)))
+    assert found.maximum_dihedral == pytest.approx(np.degrees(np.arccos(1 / 3)))
     assert found.radius_ratio == pytest.approx(1)
     assert found.edge_ratio == pytest.approx(1)
     assert found.volume == pytest.approx(8 / 3 * 3.7**3)
@@ -22,8 +22,8 @@ def test_the_regular_tetrahedron():
 
 def test_the_corner_of_a_cube():
     found = quality(CORNER, ONE)
-    assert found.least_dihedral == pytest.approx(np.degrees(np.arctan(np.sqrt(2))))
-    assert found.greatest_dihedral == pytest.approx(90)
+    assert found.minimum_dihedral == pytest.approx(np.degrees(np.arctan(np.sqrt(2))))
+    assert found.maximum_dihedral == pytest.approx(90)
     # circumradius sqrt(3)/2, inradius 3 V / A = 0.5 / (1.5 + sqrt(3)/2)
     assert found.radius_ratio == pytest.approx(np.sqrt(3) / 2 * (1.5 + np.sqrt(3) / 2) / 1.5)
     assert found.edge_ratio == pytest.approx(np.sqrt(2))

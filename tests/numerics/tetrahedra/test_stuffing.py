@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
-from sppm_pipeline.numerics.tetrahedra import faces, periodic, warping
+from sppm_pipeline.numerics.tetrahedra import faces, periodic
 from sppm_pipeline.numerics.tetrahedra.quality import dihedral_extremes, quality, volumes
-from sppm_pipeline.numerics.tetrahedra.stuffing import ANGLES, require_room, stuff, without_islands
+from sppm_pipeline.numerics.tetrahedra.stuffing import ANGLES, TOO_CLOSE, require_room, stuff, without_islands
 
 
 def box_of(n):
@@ -21,7 +21,7 @@ def box_of(n):
 def conforms(mesh):
     """No face of three tetrahedra; the faces of one bound the same volume, and meet in pairs along edges."""
     neighbors = faces.face_neighbors(mesh.tets)
-    assert not (neighbors == faces.CROWDED).any()
+    assert not (neighbors == faces.NON_MANIFOLD).any()
     surface = faces.boundary_triangles(mesh.tets, neighbors)
     assert edge_counts(surface).bounds_solid
     assert volume(mesh.nodes, surface) == pytest.approx(volumes(mesh.nodes, mesh.tets).sum(), rel=1e-12)
@@ -43,7 +43,7 @@ def test_a_full_box_is_filled_exactly(repeats):
     # all of the boundary lies in the six faces of the box
     low, high = periodic.on_faces(mesh.nodes, np.array([[0, 0, 0], [4, 6, 5.0]]))
     assert (low[surface].all(1) | high[surface].all(1)).any(1).all()
-    assert quality(mesh.nodes, mesh.tets).least_dihedral == pytest.approx(45)
+    assert quality(mesh.nodes, mesh.tets).minimum_dihedral == pytest.approx(45)
 
 
 @pytest.mark.parametrize("repeats", [True, False])
@@ -75,7 +75,7 @@ def test_opposite_faces_are_copies(noise):
     assert set(np.unique(apart)) == {0.0, float(n)}
     match = periodic.face_match(mesh.nodes, mesh.tets, box_of(n))
     assert (match.matched > 50).all()
-    assert not match.clashing.any()
+    assert not match.mismatched.any()
     # with copies taken as one, no face of the box is left as a boundary but where the surface lies in it
     wrapped = faces.face_neighbors(mesh.twins[mesh.tets])
     plain = faces.face_neighbors(mesh.tets)
@@ -166,7 +166,7 @@ def test_unmoved_points_can_never_spoil_the_angles():
                 for (a, b), where in zip(cut, shares, strict=True):
                     other = b if a == top else a
                     square = int(((corners[a] - corners[b]) ** 2).sum())
-                    limit = warping.TOO_CLOSE[square]
+                    limit = TOO_CLOSE[square]
                     share = limit + where * (1 - 2 * limit)
                     points[other] = corners[top] + share * (corners[other] - corners[top])
                 tet = np.array([[0, 1, 2, 3]])

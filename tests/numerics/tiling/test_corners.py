@@ -9,11 +9,20 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.tiling.corners import corner_colors_at, corners_of_ids, tile_corners
-from sppm_pipeline.numerics.tiling.hashed import interior_at
-from sppm_pipeline.numerics.tiling.rule_check import face_violations
+from sppm_pipeline.numerics.tiling.corners import tile_corners
+from sppm_pipeline.numerics.tiling.lattice import CORNER, INTERIOR, hash_places
+from sppm_pipeline.numerics.tiling.statistics import face_violations
 
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=3, max_dims=3, min_side=1, max_side=5))
+
+
+def corner_color(seed, corner, colors, period):
+    place = corner if period is None else corner % period
+    return hash_places(seed, CORNER, *place)[0] % np.uint64(colors)
+
+
+def digits(number, base, count):
+    return [number // base**n % base for n in range(count)]
 
 
 @settings(deadline=None, derandomize=True, max_examples=40)
@@ -24,18 +33,18 @@ def test_faces_and_interiors_name_their_corners(mask, seed, colors, periodic):
     assert np.array_equal(interior >= 0, mask)
     assert not face_violations(interior, faces, periodic=periodic).any()
     for cell in np.argwhere(mask):
-        named = corners_of_ids(interior[tuple(cell)], colors, 8)
+        named = digits(int(interior[tuple(cell)]), colors, 8)
         for position in range(8):
             corner = cell + np.array([position & 1, position >> 1 & 1, position >> 2 & 1])
-            assert named[position] == corner_colors_at(seed, corner, colors, period)
+            assert named[position] == corner_color(seed, corner, colors, period)
     for axis in range(3):
         along = [a for a in range(3) if a != axis]
         for face in np.argwhere(faces[axis] >= 0):
-            named = corners_of_ids(faces[axis][tuple(face)], colors, 4)
+            named = digits(int(faces[axis][tuple(face)]), colors, 4)
             for position in range(4):
                 corner = face.copy()
                 corner[along] += [position & 1, position >> 1]
-                assert named[position] == corner_colors_at(seed, corner, colors, period)
+                assert named[position] == corner_color(seed, corner, colors, period)
 
 
 def test_all_combinations_occur():
@@ -50,7 +59,7 @@ def test_all_combinations_occur():
 def test_given_number_of_interiors_is_drawn_as_for_free_faces():
     mask = np.ones((5, 4, 3), bool)
     interior, _ = tile_corners(mask, 6, 2, interiors=40)
-    assert np.array_equal(interior.ravel(), interior_at(6, np.argwhere(mask), 40))
+    assert np.array_equal(interior.ravel(), hash_places(6, INTERIOR, *np.argwhere(mask).T) % np.uint64(40))
 
 
 @pytest.mark.parametrize(("colors", "interiors"), [(0, None), (15, None), (216, 4), (2, 0)])

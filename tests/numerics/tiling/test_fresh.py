@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sppm_pipeline.numerics.tiling.fresh import tile_fresh
-from sppm_pipeline.numerics.tiling.rule_check import face_violations
+from sppm_pipeline.numerics.tiling.lattice import tile_fresh
+from sppm_pipeline.numerics.tiling.statistics import face_violations
 
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=3, max_dims=3, min_side=1, max_side=6))
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.tiling.hashed import face_at, interior_at, tile_hashed
-from sppm_pipeline.numerics.tiling.rule_check import face_violations
+from sppm_pipeline.numerics.tiling.hashed import tile_hashed
+from sppm_pipeline.numerics.tiling.lattice import FACE, INTERIOR, hash_places
+from sppm_pipeline.numerics.tiling.statistics import face_violations
 
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=3, max_dims=3, min_side=1, max_side=6))
 
@@ -24,14 +25,15 @@ def chi_square(values, bins):
 
 @settings(deadline=None, derandomize=True, max_examples=50)
 @given(masks, st.integers(0, 2**64 - 1), st.integers(1, 70), st.integers(1, 20), st.booleans())
-def test_arrays_equal_random_access(mask, seed, interiors, colors, periodic):
+def test_every_cell_and_face_is_drawn_by_its_place_alone(mask, seed, interiors, colors, periodic):
     interior, faces = tile_hashed(mask, seed, interiors, colors, periodic=periodic)
     assert np.array_equal(interior >= 0, mask)
     assert not face_violations(interior, faces, periodic=periodic).any()
-    assert np.array_equal(interior[mask], interior_at(seed, np.argwhere(mask), interiors))
+    drawn = hash_places(seed, INTERIOR, *np.argwhere(mask).T) % np.uint64(interiors)
+    assert np.array_equal(interior[mask], drawn)
     for axis in range(3):
         there = np.argwhere(faces[axis] >= 0)
-        drawn = face_at(seed, axis, there, colors, mask.shape if periodic else None)
+        drawn = hash_places(seed, FACE + axis, *(there % mask.shape if periodic else there).T) % np.uint64(colors)
         assert np.array_equal(faces[axis][faces[axis] >= 0], drawn)
 
 
@@ -64,17 +66,6 @@ def test_a_part_of_a_larger_tiling_is_the_same_tiling():
     small, _ = tile_hashed(np.ones((3, 4, 5), bool), 2, 9, 3)
     large, _ = tile_hashed(np.ones((9, 8, 7), bool), 2, 9, 3)
     assert np.array_equal(small, large[:3, :4, :5])
-
-
-def test_random_access_far_away_and_below_zero():
-    far = np.array([[10**15, -(10**15), 3], [-1, -1, -1]])
-    assert interior_at(1, far, 10**6).shape == (2,)
-    assert interior_at(1, far[0], 10**6).shape == ()
-    assert len(set(interior_at(1, far, 10**6).tolist())) == 2
-
-
-def test_period_wraps_indices():
-    assert face_at(1, 2, [-1, 5, 4], 1000, (4, 4, 4)) == face_at(1, 2, [3, 1, 0], 1000)
 
 
 @pytest.mark.parametrize(("interiors", "colors"), [(0, 3), (3, 0)])

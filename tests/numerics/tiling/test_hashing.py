@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.tiling.hashing import CORNER, FACE, INTERIOR, TIE, hash_places
+from sppm_pipeline.numerics.tiling.lattice import CORNER, FACE, INTERIOR, TIE, hash_places
 
 WORD = 2**64
 GOLDEN = [10609624906511340155, 1610224618062420470, 15476670969338587572]

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.tiling.corners import tile_corners
-from sppm_pipeline.numerics.tiling.fresh import tile_fresh
 from sppm_pipeline.numerics.tiling.hashed import tile_hashed
-from sppm_pipeline.numerics.tiling.lattice import face_presence
+from sppm_pipeline.numerics.tiling.lattice import face_presence, tile_fresh
 from sppm_pipeline.numerics.tiling.wang import tile_wang
 
 

@@ -1,5 +1,7 @@
 """Connectivity, porosity and residual periodicity."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -12,6 +14,7 @@ from sppm_pipeline.stage import Rejected
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.check.porosity import CheckPorosity
 from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity
+from sppm_pipeline.stages.check.tiling import CheckTiling
 from sppm_pipeline.testing.plain_context import PlainContext
 
 
@@ -109,3 +112,51 @@ def test_residual_periodicity_needs_a_full_box_of_several_cells(cell, wang, ball
     part = WangTiling(cell=Length(1, "mm")).run(PlainContext(), wang, ball)
     with pytest.raises(DesignError, match="full box"):
         CheckResidualPeriodicity().run(PlainContext(), part)
+
+
+def tiling_report(tiling, **options):
+    context = PlainContext()
+    CheckTiling(**options).run(context, tiling)
+    return context.reported
+
+
+def test_a_tiling_by_the_papers_rules(wang_tiling):
+    report = tiling_report(wang_tiling)
+    nx, ny, nz = wang_tiling.cells
+    c = wang_tiling.tileset.palette_colors
+    assert report["rule1_violations"] == 0
+    assert report["interiors"] == len(np.unique(wang_tiling.arrays.interior)) > 1
+    assert report["entropy_per_cell"] == pytest.approx((nx * ny + ny * nz + nz * nx) * np.log2(c) / (nx * ny * nz))
+    assert 0 < report["interior_entropy"] <= np.log2(c**3)
+    assert 0 <= report["alike_across_faces"] < 1
+    assert 0 < report["rule2_fraction"] <= 1
+
+
+def test_one_tile_everywhere_is_alike_everywhere(wang_tiling):
+    arrays = wang_tiling.arrays
+    same = replace(
+        wang_tiling,
+        arrays=arrays._replace(
+            interior=np.zeros_like(arrays.interior), faces=tuple(np.zeros_like(f) for f in arrays.faces)
+        ),
+    )
+    report = tiling_report(same)
+    assert report["rule1_violations"] == 0
+    assert [report[f"alike_across_{where}"] for where in ("faces", "edges", "corners")] == [1.0, 1.0, 1.0]
+    assert (report["rule2_score"], report["rule2_fraction"], report["interior_entropy"]) == (0.0, 0.0, 0.0)
+    assert (report["interiors"], report["colors"]) == (1, [1, 1, 1])
+
+
+def test_a_tiling_that_breaks_rule_1_is_refused_with_its_number_of_faces(wang_tiling):
+    arrays = wang_tiling.arrays
+    wrong = arrays.faces[1].copy()
+    wrong[0, 1, 0] = 1 - min(1, wrong[0, 1, 0])  # another color than that of the cells on both sides
+    broken = replace(wang_tiling, arrays=arrays._replace(faces=(arrays.faces[0], wrong, arrays.faces[2])))
+    with pytest.raises(DesignError, match="at 0, 2 and 0 faces across x, y and z; allowed are 0"):
+        CheckTiling().run(PlainContext(), broken)
+    assert tiling_report(broken, violations=2)["rule1_violations"] == 2
+
+
+def test_a_tiling_of_fresh_cells_has_no_entropy_of_a_rule(wang_tiling):
+    fresh = replace(wang_tiling, tileset=replace(wang_tiling.tileset, kind="fresh"))
+    assert "entropy_per_cell" not in tiling_report(fresh)

@@ -29,9 +29,9 @@ def test_a_sound_mesh_passes(sound):
     assert reported["folded"] == 0
     assert reported["components"] == 1
     assert reported["boundary_closed"]
-    assert reported["crowded_faces"] == 0
-    assert reported["unused"] == 0
-    assert reported["clashing_triangles"] == [0, 0, 0]
+    assert reported["non_manifold_faces"] == 0
+    assert reported["unused_nodes"] == 0
+    assert reported["mismatched_triangles"] == [0, 0, 0]
     assert sum(reported["dihedral_histogram"]) == 6 * len(sound.cells)
     assert reported["dihedral_histogram"][0] == 0
     assert reported["volume_mm3"] == pytest.approx(sound.volume)
@@ -88,17 +88,17 @@ def test_faults_are_rejected_or_reported(sound, spoil, words):
 
 
 def test_the_limit_of_angles(sound):
-    least = check(sound).reported["least_dihedral_degrees"]
-    check(sound, least_angle=least - 0.01)
+    least = check(sound).reported["minimum_dihedral_degrees"]
+    check(sound, minimum_angle=least - 0.01)
     with pytest.raises(Rejected, match="dihedral"):
-        check(sound, least_angle=least + 0.01)
+        check(sound, minimum_angle=least + 0.01)
 
 
 def test_pieces_are_counted_on_the_torus():
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
     two = VolumeMesh(np.concatenate([corner, corner + 3]), np.arange(8).reshape(2, 4))
     assert check(two).reported["components"] == 2
-    with pytest.raises(Rejected, match="2 parts"):
+    with pytest.raises(Rejected, match="2 components"):
         check(two, one_piece=True)
 
 

@@ -1,4 +1,4 @@
-"""``homogenize.voxel``: inputs, materials, refusals, and what it says of cells that carry nothing."""
+"""``homogenize.voxel``: inputs, materials, refusals, warnings about cells without a load path."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,7 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError, ResourceError
 from sppm_pipeline.fields.part import Part
-from sppm_pipeline.numerics.homogenization.elasticity.homogenize import lame
-from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame
+from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame, lame
 from sppm_pipeline.process import memory
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
 from sppm_pipeline.testing.contracts import StageContract
@@ -52,7 +51,7 @@ def test_a_cell_of_the_paper(cell):
     assert "whole" in binary.method
     assert binary.stiffness[0, 0] == pytest.approx(report.stiffness[0, 0], rel=0.1)
     assert report.solver["converged"]
-    assert report.solver["runs_through"] == [True] * 3
+    assert report.solver["wraps"] == [True] * 3
     fine = homogenized(cell, resolution=40)
     assert report.stiffness[0, 0] == pytest.approx(fine.stiffness[0, 0], rel=0.06)
 
@@ -78,8 +77,8 @@ def test_axes_of_an_image_are_x_y_z():
     share = 6 / 30
     assert report.summary()["E"] == pytest.approx([share, 0, 0], rel=1e-5)
     assert np.isnan(report.summary()["nu"]["yx"])
-    assert report.solver["runs_through"] == [True, False, False]
-    assert any("carries nothing along yy, zz" in warning for warning in context.warnings)
+    assert report.solver["wraps"] == [True, False, False]
+    assert any("no load path along yy, zz" in warning for warning in context.warnings)
 
 
 def test_a_long_voxel():
@@ -108,17 +107,17 @@ def test_ersatz_material_fills_the_void():
     assert pytest.approx(homogenized(shares, ersatz=0.1).stiffness, rel=1e-4) == image.stiffness
 
 
-def test_what_hangs_on_nothing_is_said():
+def test_disconnected_solid_is_reported():
     values = np.zeros((8, 8, 8), np.uint8)
     values[2:5, 2:5, 2:5] = 1
     context = PlainContext()
     report = homogenized(voxels(values), context)
     assert not report.stiffness.any()
     assert report.summary()["E"].tolist() == [0.0, 0.0, 0.0]
-    assert any("carries nothing" in warning for warning in context.warnings)
+    assert any("no load path along" in warning for warning in context.warnings)
     values[6:, :, 6] = 1
     report = homogenized(voxels(values), context)
-    assert any("not joined" in warning for warning in context.warnings)
+    assert any("disconnected" in warning for warning in context.warnings)
 
 
 def test_too_few_iterations_are_said():

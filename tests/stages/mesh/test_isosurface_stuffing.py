@@ -23,8 +23,8 @@ def mesh(field, threads=1, **options):
     made.check()
     found = quality(made.nodes, made.cells)
     assert found.inverted == 0
-    assert found.least_dihedral >= ANGLES[0] - 1e-6
-    assert found.greatest_dihedral <= ANGLES[1] + 1e-6
+    assert found.minimum_dihedral >= ANGLES[0] - 1e-6
+    assert found.maximum_dihedral <= ANGLES[1] + 1e-6
     return made, context
 
 
@@ -45,7 +45,7 @@ def test_a_periodic_cell(cell):
     assert made.box.tolist() == [[0, 0, 0], [1, 1, 1]]
     match = face_match(made.nodes, made.cells, made.box)
     assert (match.matched > 100).all()
-    assert not match.clashing.any()
+    assert not match.mismatched.any()
     apart = made.nodes - made.nodes[matched_nodes(made.nodes, made.box)]
     assert set(np.unique(apart)) == {0.0, 1.0}
     assert any("cell edge" in warning for warning in context.warnings)
@@ -107,7 +107,7 @@ def test_quadratic_cells(cell):
     assert np.array_equal(curved.cells[:, :4], straight.cells)
     assert curved.volume == straight.volume
     assert curved.matched
-    assert not face_match(curved.nodes, curved.cells, curved.box).clashing.any()
+    assert not face_match(curved.nodes, curved.cells, curved.box).mismatched.any()
     surface(curved)
 
 

@@ -8,7 +8,7 @@ import pytest
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.numerics.tiling.fresh import tile_fresh
+from sppm_pipeline.numerics.tiling.lattice import tile_fresh
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
 from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
 from sppm_pipeline.stages.tile.fresh import _meetings

@@ -6,8 +6,8 @@ import pytest
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.wrapped import CleanedField, RepeatedField
+from sppm_pipeline.numerics.assembly.contents import check_tiling
 from sppm_pipeline.numerics.assembly.gather import sample_exact
-from sppm_pipeline.numerics.assembly.tiling_arrays import check_tiling
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity

@@ -80,9 +80,9 @@ def test_cells_inside_out_are_turned(mesh, tmp_path):
     assert read.volume == pytest.approx(mesh.volume)
     assert "inside out" in context.warnings[0]
     if kind == "tetra10":
-        from sppm_pipeline.numerics.tetrahedra.quadratic import least_jacobian
+        from sppm_pipeline.numerics.tetrahedra.quadratic import minimum_jacobian
 
-        assert (least_jacobian(read.nodes, read.cells) > 0).all()
+        assert (minimum_jacobian(read.nodes, read.cells) > 0).all()
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ class Level(Protocol):
     diagonal: NDArray[Any]
     weight: NDArray[Any]
 
-    def sweep(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
+    def apply(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
         """A pass over the grid, see `rows.APPLY` and its neighbors; vectors are flat."""
         ...
 
@@ -177,11 +177,11 @@ class Hierarchy:
             dense_product(self.inverse, r, z)
             return z, dot(r, z)
         weighted(r, level.weight, z)
-        level.sweep(RESIDUAL, z, r, q, work)
+        level.apply(RESIDUAL, z, r, q, work)
         restrict(q, work.r[depth + 1], self.transfers[depth], work.line)
         correction = self._correction(work, depth + 1)
         interpolate_add(correction, z, self.transfers[depth], work.line)
-        return q, level.sweep(SMOOTH, z, r, q, work)
+        return q, level.apply(SMOOTH, z, r, q, work)
 
     def _correction(self, work: Workspace, depth: int) -> NDArray[Any]:
         """The solution for ``work.r[depth]`` by one cycle, or two where they save more iterations than they cost."""
@@ -190,7 +190,7 @@ class Hierarchy:
         if not self.twice or max(level.shape) <= _TWICE:
             return once
         total[:] = once
-        level.sweep(RESIDUAL, total, r, rest, work)
+        level.apply(RESIDUAL, total, r, rest, work)
         again, _ = self.cycle(rest, work, depth)
         total += again
         return total
@@ -214,7 +214,7 @@ def _largest_eigenvalue(level: Level, work: Workspace) -> float:
         if not norm > 0:
             return 1.0
         v *= v.dtype.type(1 / norm)
-        level.sweep(APPLY, v, v, q, work)
+        level.apply(APPLY, v, v, q, work)
         weighted(q, level.weight, q)
         largest = np.sqrt(dot(q, q))
         v, q = q, v
@@ -228,7 +228,7 @@ def _inverse(level: Level, work: Workspace) -> NDArray[np.float64]:
     unit, column = np.zeros(size, level.weight.dtype), np.empty(size, level.weight.dtype)
     for i in range(size):
         unit[i] = 1
-        level.sweep(APPLY, unit, unit, column, work)
+        level.apply(APPLY, unit, unit, column, work)
         unit[i] = 0
         matrix[:, i] = column
     return np.asarray(np.linalg.pinv((matrix + matrix.T) / 2, rcond=_SINGULAR, hermitian=True), np.float64)

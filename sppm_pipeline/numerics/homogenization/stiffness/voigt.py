@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,16 +28,20 @@ def isotropic(young: float, poisson: float) -> NDArray[np.float64]:
     poisson : float
         Poisson's ratio, between -1 and 0.5.
     """
-    lame = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
-    shear = young / (2 * (1 + poisson))
-    return from_lame(lame, shear)
+    lam, mu = lame(young, poisson)
+    return from_lame(lam, mu)
 
 
-def from_lame(lame: float, shear: float) -> NDArray[np.float64]:
-    """The stiffness with these Lamé constants, (6, 6)."""
+def lame(young: Any, poisson: Any) -> tuple[Any, Any]:
+    """Lamé's constants λ and μ from Young's modulus and Poisson's ratio, scalars or arrays."""
+    return young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
+
+
+def from_lame(lam: float, mu: float) -> NDArray[np.float64]:
+    """The isotropic stiffness with Lamé's constants λ and μ, (6, 6)."""
     matrix = np.zeros((6, 6))
-    matrix[:3, :3] = lame
-    matrix[range(6), range(6)] += [2 * shear] * 3 + [shear] * 3
+    matrix[:3, :3] = lam
+    matrix[range(6), range(6)] += [2 * mu] * 3 + [mu] * 3
     return matrix
 
 

@@ -1,0 +1,65 @@
+"""The inside test of a mesh, for stages that fill or slice one: choose a method, report how sure it is, or refuse."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.stage import Context
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.domain.inside import Method
+
+MOST_UNDECIDED = 0.25
+"""Undecided voxels over those inside; above, what is inside is guesswork."""
+
+INSIDE = ("auto", "scanline", "winding", "vote")
+"""What the option `inside` may say."""
+
+INSIDE_HELP = (
+    "how the inside of the part is told: by rays along x, by the winding number, by a vote of rays along x, y and z; "
+    "auto takes rays for a closed part and the winding number for others"
+)
+
+_WORDS = {"scanline": "rays along x", "winding": "its winding number", "vote": "a vote of rays along x, y and z"}
+
+
+def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[SurfaceMesh, Method]:
+    """Wind a mesh outwards and choose its inside test; how sure that is goes into the run record.
+
+    Parameters
+    ----------
+    context : Context
+    mesh : SurfaceMesh
+    inside : str
+        One of `INSIDE`.
+
+    Raises
+    ------
+    InputError
+        If too much of the inside is undecided.
+    """
+    from sppm_pipeline.numerics.domain.inside import inside_test
+
+    if not len(mesh.faces):
+        raise InputError(f"{mesh.name} has no triangles, so it has no inside")
+    found = inside_test(mesh.vertices, mesh.faces, None if inside == "auto" else cast("Method", inside))
+    context.report(inside=found.method, closed=found.closed, turned_triangles=found.turned)
+    if found.turned:
+        mesh = SurfaceMesh(mesh.vertices, found.faces, name=mesh.name)
+        context.warn(f"{found.turned} of {len(found.faces)} triangles of {mesh.name} were turned to face outwards")
+    if found.closed:
+        return mesh, found.method
+    context.report(undecided_share=found.undecided_share, disagreement=found.disagreement)
+    what = (
+        f"{mesh.name} is not closed; its inside is told by {_WORDS[found.method]}, "
+        f"and {found.undecided_share:.1%} of it is doubtful"
+    )
+    if found.undecided_share > MOST_UNDECIDED:
+        raise InputError(
+            f"{what}: more than the {MOST_UNDECIDED:.0%} that are accepted, so there is no telling inside from outside",
+            hint="let `check.mesh` say what is wrong, then close the holes in a modeller or with a repair plugin",
+        )
+    context.warn(f"{what}; winding number and rays differ on {found.disagreement:.1%}: look at the layers")
+    return mesh, found.method

@@ -1,0 +1,92 @@
+"""Occupancy masks: gray pixels by their coverage, and the occupied span of each row."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.compiled import jit
+
+
+def gray_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tuple[int, int]) -> NDArray[np.uint8]:
+    """One gray layer from a finer occupancy.
+
+    Parameters
+    ----------
+    samples : (s, h * fy, w * fx) or (h * fy, w * fx) uint8 or bool
+        Occupancy, subsampled within the layer and, if there are s sheets, also along z; anything but 0 is inside.
+    factor : (int, int)
+        (fx, fy), subsamples per pixel along x and y.
+
+    Returns
+    -------
+    (h, w) uint8
+        255 times the share that is inside, rounded to the nearest integer, halves upwards.
+
+    Raises
+    ------
+    ValueError
+        If the samples are no whole number of pixels.
+    """
+    sheets = samples[None] if samples.ndim == 2 else samples
+    fx, fy = factor
+    if sheets.ndim != 3 or min(fx, fy) < 1 or 0 in sheets.shape or sheets.shape[1] % fy or sheets.shape[2] % fx:
+        raise ValueError(f"samples of shape {samples.shape} are no whole pixels of {fx} x {fy} subsamples")
+    if sheets.dtype not in (np.dtype(np.uint8), np.dtype(np.bool_)):
+        raise ValueError(f"an occupancy is uint8 or bool, not {sheets.dtype}")
+    if sheets.shape[0] * fy > 65535:
+        raise ValueError("more than 65535 subsamples along y and z in one pixel")
+    gray = np.empty((sheets.shape[1] // fy, sheets.shape[2] // fx), dtype=np.uint8)
+    _gray(np.ascontiguousarray(sheets).view(np.uint8), fx, fy, gray)
+    return gray
+
+
+def row_spans(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """First sample of each row that is set and the one after the last; (0, 0) for an empty row.
+
+    Parameters
+    ----------
+    mask : (nz, ny, nx) uint8
+
+    Returns
+    -------
+    (nz, ny, 2) int32
+    """
+    spans = np.zeros((*mask.shape[:2], 2), np.int32)
+    _spans(mask, spans)
+    return spans
+
+
+@jit
+def _gray(samples: NDArray[np.uint8], fx: int, fy: int, gray: NDArray[np.uint8]) -> None:
+    sheets = samples.shape[0]
+    per_pixel = sheets * fy * fx
+    columns = np.empty(samples.shape[2], np.uint16)
+    for y in range(gray.shape[0]):
+        columns[:] = 0
+        for s in range(sheets):
+            for i in range(fy):
+                row = samples[s, y * fy + i]
+                for x in range(row.size):
+                    columns[x] += np.uint16(row[x] != 0)
+        for x in range(gray.shape[1]):
+            count = 0
+            for i in range(fx):
+                count += columns[x * fx + i]
+            gray[y, x] = (510 * count + per_pixel) // (2 * per_pixel)
+
+
+@jit
+def _spans(mask: NDArray[np.uint8], spans: NDArray[np.int32]) -> None:
+    nz, ny, nx = mask.shape
+    for z in range(nz):
+        for y in range(ny):
+            first = 0
+            while first < nx and mask[z, y, first] == 0:
+                first += 1
+            if first < nx:
+                last = nx - 1
+                while mask[z, y, last] == 0:
+                    last -= 1
+                spans[z, y, 0] = first
+                spans[z, y, 1] = last + 1

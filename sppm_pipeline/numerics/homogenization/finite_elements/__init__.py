@@ -1,1 +1,0 @@
-"""Linear elasticity on tetrahedra of a periodic cell: stiffness matrices, periodicity, solution, homogenization."""

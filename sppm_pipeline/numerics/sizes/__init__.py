@@ -1,1 +1,0 @@
-"""How large pores and struts are: exact distances on voxels and the local thickness."""
