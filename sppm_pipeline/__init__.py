@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from typing import Any
 
     from sppm_pipeline.api.functions import (
+        SppmWarning,
         StageFunction,
         check,
         connect,
@@ -79,9 +80,12 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     )
     from sppm_pipeline.families import (
         Connector,
+        FieldMaker,
         InteriorBox,
         Lattice,
+        LayerWriter,
         MeshWriter,
+        PartFieldMaker,
         Piece,
         Sampler,
         Tiler,
@@ -89,6 +93,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         VoxelHomogenizer,
         lattice_for,
     )
+    from sppm_pipeline.fields.formula import CellIndex, CellwiseField, FormulaField, PlacedField
     from sppm_pipeline.fields.microstructure import Microstructure
     from sppm_pipeline.fields.part import Part
     from sppm_pipeline.fields.scalar_field import ScalarField
@@ -97,14 +102,29 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.fields.tiling import Tiling
     from sppm_pipeline.fields.wrapped import WrappedField
     from sppm_pipeline.hookspecs import hookimpl
+    from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
+    from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
     from sppm_pipeline.numerics.compiled import inline_jit, jit
     from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
+    from sppm_pipeline.numerics.kernels.kernels import Kernels
+    from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
+    from sppm_pipeline.numerics.meshcheck.measures import components as mesh_components
+    from sppm_pipeline.numerics.meshcheck.measures import edge_counts as mesh_edges
+    from sppm_pipeline.numerics.meshcheck.measures import measure_surface as mesh_measures
+    from sppm_pipeline.numerics.meshcheck.measures import surface_area as mesh_area
+    from sppm_pipeline.numerics.meshcheck.measures import volume as mesh_volume
+    from sppm_pipeline.numerics.sampling.capacity import largest_spacing
+    from sppm_pipeline.numerics.sampling.darts import throw as throw_darts
+    from sppm_pipeline.numerics.sampling.spacing import min_spacing as smallest_spacing
+    from sppm_pipeline.numerics.tiling.corners import tile_corners
+    from sppm_pipeline.numerics.tiling.hashed import tile_hashed
+    from sppm_pipeline.numerics.tiling.lattice import hash_places
     from sppm_pipeline.process import ArraySpec, NativeResult, run_native
     from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
 
 _PLACES = {
-    "api.functions": "StageFunction check connect extract field fill homogenize mesh read sample slice step tile "
-    "tileset tune write",
+    "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize mesh read sample "
+    "slice step tile tileset tune write",
     "api.pipeline": "Pipeline Run load run",
     "data.artifact": "Artifact frozen",
     "data.conductivity": "ConductivityReport",
@@ -117,10 +137,11 @@ _PLACES = {
     "data.tunnels": "TunnelGraph",
     "data.volume_mesh": "VolumeMesh",
     "data.voxels": "Voxels",
-    "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError ResourceError SppmError "
-    "WiringError",
-    "families": "Connector InteriorBox Lattice MeshWriter Piece Sampler TileSetMaker Tiler VoxelHomogenizer "
-    "lattice_for",
+    "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError ResourceError "
+    "SppmError WiringError",
+    "families": "Connector FieldMaker InteriorBox Lattice LayerWriter MeshWriter PartFieldMaker Piece "
+    "Sampler TileSetMaker Tiler VoxelHomogenizer lattice_for",
+    "fields.formula": "CellIndex CellwiseField FormulaField PlacedField",
     "fields.microstructure": "Microstructure",
     "fields.part": "Part",
     "fields.scalar_field": "ScalarField",
@@ -129,29 +150,52 @@ _PLACES = {
     "fields.tiling": "Tiling",
     "fields.wrapped": "WrappedField",
     "hookspecs": "hookimpl",
+    "numerics.assembly.contents": "Pieces TilingArrays",
+    "numerics.assembly.gather": "make_catalog sample_exact",
     "numerics.compiled": "inline_jit jit",
     "numerics.grid": "Grid cell_centers cell_nodes",
+    "numerics.kernels.kernels": "Kernels",
+    "numerics.kernels.profiles": "TUNNEL_PROFILES omega_from_radius",
+    "numerics.meshcheck.measures": "mesh_area=surface_area mesh_components=components mesh_edges=edge_counts "
+    "mesh_measures=measure_surface mesh_volume=volume",
+    "numerics.sampling.capacity": "largest_spacing",
+    "numerics.sampling.darts": "throw_darts=throw",
+    "numerics.sampling.spacing": "smallest_spacing=min_spacing",
+    "numerics.tiling.corners": "tile_corners",
+    "numerics.tiling.hashed": "tile_hashed",
+    "numerics.tiling.lattice": "hash_places",
     "process": "ArraySpec NativeResult run_native",
     "stage": "Context Recipe Rejected Stage option",
 }
-"""Modules below this package, and what the public face takes from each."""
+"""Modules below this package, and what the public face takes from each: ``name``, or ``public name=name there``."""
 
-_MODULE_OF = {name: module for module, names in _PLACES.items() for name in names.split()}
+_PLACE_OF = {
+    public: (module, name or public)
+    for module, names in _PLACES.items()
+    for public, _, name in (entry.partition("=") for entry in names.split())
+}
 
 __all__ = [
+    "TUNNEL_PROFILES",
     "ArraySpec",
     "Artifact",
     "Cell",
+    "CellIndex",
+    "CellwiseField",
     "ConductivityReport",
     "ConfigError",
     "ConfigErrors",
     "Connector",
     "Context",
     "DesignError",
+    "FieldMaker",
+    "FormulaField",
     "Grid",
     "InputError",
     "InteriorBox",
+    "Kernels",
     "Lattice",
+    "LayerWriter",
     "Length",
     "MeshWriter",
     "Microstructure",
@@ -159,8 +203,11 @@ __all__ = [
     "NativeResult",
     "Palette",
     "Part",
+    "PartFieldMaker",
     "Piece",
+    "Pieces",
     "Pipeline",
+    "PlacedField",
     "PluginError",
     "PoreSet",
     "Recipe",
@@ -172,6 +219,7 @@ __all__ = [
     "ScalarField",
     "SliceStack",
     "SppmError",
+    "SppmWarning",
     "Stage",
     "StageFunction",
     "StiffnessReport",
@@ -181,6 +229,7 @@ __all__ = [
     "TileSetMaker",
     "Tiler",
     "Tiling",
+    "TilingArrays",
     "TunnelGraph",
     "VolumeMesh",
     "VoxelHomogenizer",
@@ -195,21 +244,35 @@ __all__ = [
     "field",
     "fill",
     "frozen",
+    "hash_places",
     "homogenize",
     "hookimpl",
     "inline_jit",
     "jit",
+    "largest_spacing",
     "lattice_for",
     "load",
+    "make_catalog",
     "mesh",
+    "mesh_area",
+    "mesh_components",
+    "mesh_edges",
+    "mesh_measures",
+    "mesh_volume",
+    "omega_from_radius",
     "option",
     "read",
     "run",
     "run_native",
     "sample",
+    "sample_exact",
     "slice",
+    "smallest_spacing",
     "step",
+    "throw_darts",
     "tile",
+    "tile_corners",
+    "tile_hashed",
     "tileset",
     "tune",
     "write",
@@ -218,11 +281,12 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Load a public name when it is first used."""
-    if name not in _MODULE_OF:
+    if name not in _PLACE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+    module, there = _PLACE_OF[name]
+    value = globals()[name] = getattr(import_module(f"{__name__}.{module}"), there)
     return value
 
 

@@ -32,9 +32,10 @@ from sppm_pipeline.engine.plan.session import (
     refuse_unfit,
 )
 from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.engine.run.memory import MemoryRun, run_in_memory
 from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.record import error_entry
-from sppm_pipeline.engine.run.runner import MemoryRun, available_threads, run_in_memory, run_plan
+from sppm_pipeline.engine.run.runner import available_threads, run_plan
 from sppm_pipeline.engine.run.sweep import columns_of, numbers_of, run_sweep
 from sppm_pipeline.errors import ConfigError, InputError, SppmError
 
