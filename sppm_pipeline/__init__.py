@@ -62,6 +62,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
     from sppm_pipeline.data.palette import Palette
     from sppm_pipeline.data.pores import PoreSet
+    from sppm_pipeline.data.size import Size
     from sppm_pipeline.data.stiffness import StiffnessReport
     from sppm_pipeline.data.table import Table
     from sppm_pipeline.data.tunnels import TunnelGraph
@@ -119,7 +120,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.numerics.tiling.corners import tile_corners
     from sppm_pipeline.numerics.tiling.hashed import tile_hashed
     from sppm_pipeline.numerics.tiling.lattice import hash_places
-    from sppm_pipeline.process import ArraySpec, NativeResult, run_native
+    from sppm_pipeline.process import ArraySpec, NativeResult, run_native, tell
     from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
 
 _PLACES = {
@@ -132,6 +133,7 @@ _PLACES = {
     "data.mesh": "RepeatedMesh SurfaceMesh",
     "data.palette": "Palette",
     "data.pores": "PoreSet",
+    "data.size": "Size",
     "data.stiffness": "StiffnessReport",
     "data.table": "Table",
     "data.tunnels": "TunnelGraph",
@@ -164,7 +166,7 @@ _PLACES = {
     "numerics.tiling.corners": "tile_corners",
     "numerics.tiling.hashed": "tile_hashed",
     "numerics.tiling.lattice": "hash_places",
-    "process": "ArraySpec NativeResult run_native",
+    "process": "ArraySpec NativeResult run_native tell",
     "stage": "Context Recipe Rejected Stage option",
 }
 """Modules below this package, and what the public face takes from each: ``name``, or ``public name=name there``."""
@@ -217,6 +219,7 @@ __all__ = [
     "Run",
     "Sampler",
     "ScalarField",
+    "Size",
     "SliceStack",
     "SppmError",
     "SppmWarning",
@@ -269,6 +272,7 @@ __all__ = [
     "slice",
     "smallest_spacing",
     "step",
+    "tell",
     "throw_darts",
     "tile",
     "tile_corners",
