@@ -49,7 +49,7 @@ class Artifact:
             setattr(cls, "__repr__", Artifact.__repr__)  # noqa: B010 - assigned for a reason that types can't follow
 
     def __repr__(self) -> str:
-        shown = fields(self) if is_dataclass(self) else ()
+        shown: tuple[Any, ...] = fields(self) if is_dataclass(self) else ()
         parts = [f"{f.name}={_brief(getattr(self, f.name))}" for f in shown if f.repr]
         return f"{type(self).__name__}({', '.join(parts)})"
 
