@@ -49,7 +49,7 @@ LAYERS = """  - {stage: slice.field, resolution: "${voxels}"}
 GRAY = 15  # odd, so that no pixel is covered by exactly half of its samples
 COVERED = LAYERS.replace("{stage: slice.field,", f"{{stage: slice.field, gray: {GRAY},")
 SURFACE = """  - {stage: extract.marching_cubes, resolution: "${voxels}", islands: keep}
-  - {stage: write.stl, path: part.stl}
+  - {stage: write.mesh, path: part.stl}
 """
 # everything that makes a print better makes a comparison worse
 SLICER = """printer_technology = SLA

@@ -22,8 +22,8 @@ PAPER = {
     512: {"mesh": (344.0, 1945.0), "layers": (3.274, 10.5)},
 }
 LAYERS = '  - {stage: slice.field, resolution: "${voxels}"}\n  - {stage: write.png, path: out/slices, sheet: 0}\n'
-SURFACE = '  - {stage: extract.marching_cubes, resolution: "${voxels}"}\n  - {stage: write.ply, path: out/part.ply}\n'
-BOOLEAN = '  - {stage: fill.boolean, resolution: "${voxels}"}\n  - {stage: write.ply, path: out/part.ply}\n'
+SURFACE = '  - {stage: extract.marching_cubes, resolution: "${voxels}"}\n  - {stage: write.mesh, path: out/part.ply}\n'
+BOOLEAN = '  - {stage: fill.boolean, resolution: "${voxels}"}\n  - {stage: write.mesh, path: out/part.ply}\n'
 
 
 def best(command: list[str], runs: int) -> Run:

@@ -120,7 +120,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.numerics.tiling.corners import tile_corners
     from sppm_pipeline.numerics.tiling.hashed import tile_hashed
     from sppm_pipeline.numerics.tiling.lattice import hash_places
-    from sppm_pipeline.process import ArraySpec, NativeResult, run_native, tell
+    from sppm_pipeline.process import ArraySpec, NativeResult, notify, run_native
     from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
 
 _PLACES = {
@@ -166,7 +166,7 @@ _PLACES = {
     "numerics.tiling.corners": "tile_corners",
     "numerics.tiling.hashed": "tile_hashed",
     "numerics.tiling.lattice": "hash_places",
-    "process": "ArraySpec NativeResult run_native tell",
+    "process": "ArraySpec NativeResult notify run_native",
     "stage": "Context Recipe Rejected Stage option",
 }
 """Modules below this package, and what the public face takes from each: ``name``, or ``public name=name there``."""
@@ -262,6 +262,7 @@ __all__ = [
     "mesh_edges",
     "mesh_measures",
     "mesh_volume",
+    "notify",
     "omega_from_radius",
     "option",
     "read",
@@ -272,7 +273,6 @@ __all__ = [
     "slice",
     "smallest_spacing",
     "step",
-    "tell",
     "throw_darts",
     "tile",
     "tile_corners",

@@ -1,4 +1,4 @@
-"""The hooks through which stages and executors reach the program; built-in ones come through the same hooks."""
+"""The hooks through which stages, executors, verbs and observers reach the program; built-in ones use the same."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pluggy
 
 if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
     from concurrent.futures import Executor
 
     from sppm_pipeline.stage import Stage, StageAlias
@@ -36,7 +37,7 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
 
         @hookimpl
         def sppm_stages():
-            return {"sample.fcc": "sppm_fcc.sampler:FaceCenterdCubic"}
+            return {"sample.fcc": "sppm_fcc.sampler:FaceCenteredCubic"}
     """
 
 
@@ -51,6 +52,41 @@ def sppm_stage_aliases() -> Mapping[str, str | StageAlias]:  # type: ignore[empt
         @hookimpl
         def sppm_stage_aliases():
             return {"sample.fcc_lattice": "sample.fcc"}
+    """
+
+
+@dataclass(frozen=True)
+class Command:
+    """A verb of the command line.
+
+    Attributes
+    ----------
+    help : str
+        What it does, in a line that starts with a small letter.
+    configure : function of `argparse.ArgumentParser`, or "module:function"
+        Adds the verb's arguments.
+    execute : function of `argparse.Namespace` that returns the exit code, or "module:function"
+        Does the work; prints results on stdout, and raises `SppmError` for what the user can cure.
+    """
+
+    help: str
+    configure: Callable[[ArgumentParser], None] | str
+    execute: Callable[[Namespace], int] | str
+
+
+@hookspec
+def sppm_commands() -> Mapping[str, Command]:  # type: ignore[empty-body]
+    """Supply verbs of the command line: ``sppm VERB ...``.
+
+    Called with `sppm_stages` when plugins are loaded. Of installed plugins, that is also when somebody asks for a verb
+    that is not built in, or for ``sppm help --all``; ``sppm --help`` loads no plugin. Returns a mapping from the verb
+    to a `Command`, whose functions may be given as ``"module:function"``, which is imported only when the verb is used.
+    An empty mapping means: no verbs. A verb that is built in, or that another plugin supplies, is an error naming both.
+    Example::
+
+        @hookimpl
+        def sppm_commands():
+            return {"view": Command("show a run in a window", "sppm_view.cli:configure", "sppm_view.cli:execute")}
     """
 
 

@@ -132,7 +132,7 @@ class Context(ABC):
     memory : int
         Bytes that a stage which can choose should plan with; results must not depend on it.
     memory_limit : int or None
-        Bytes that the whole process may take, if the user set a limit (``--memory``); see `families.memory`.
+        Bytes that the whole process may take, if the user set a limit (``--memory``); see `process.budget`.
     """
 
     threads: int

@@ -28,7 +28,7 @@ pipeline:
   - {{stage: slice.field, resolution: {VOXELS}}}
   - {{stage: write.png, path: slices, sheet: 0}}
   - {{stage: extract.marching_cubes, resolution: "${{mesh_voxels}}", islands: remove}}
-  - {{stage: write.stl, path: part.stl}}
+  - {{stage: write.mesh, path: part.stl}}
 """
 
 

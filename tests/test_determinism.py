@@ -21,7 +21,7 @@ pipeline:
   - {stage: check.connectivity, resolution: 16}
   - {stage: write.graph, path: graph.json}
   - {stage: extract.marching_cubes, id: cell_mesh, resolution: 12}
-  - {stage: write.obj, path: cell.obj}
+  - {stage: write.mesh, id: cell_obj, path: cell.obj}
   - {stage: tileset.free_faces, recipe: cell, porosity: 0.6, colors: 2, interiors: 4, resolution: 12, tolerance: 0.05}
   - {stage: write.picture, id: sheet, path: sheet.png, resolution: 6}
   - {stage: read.primitive, shape: torus_knot, size: [12 mm, 12 mm, 6 mm], facets: 24}
@@ -33,8 +33,8 @@ pipeline:
   - {stage: write.png, id: exact, path: binary}
   - {stage: write.picture, id: view, path: part.png, resolution: 6, size: [160, 120]}
   - {stage: extract.marching_cubes, id: part_mesh, resolution: 8}
-  - {stage: write.stl, path: part.stl}
-  - {stage: write.ply, path: part.ply}
+  - {stage: write.mesh, id: part_stl, path: part.stl}
+  - {stage: write.mesh, id: part_ply, path: part.ply}
   - {stage: tile.fresh, recipe: cell, cells: [2, 2, 1], cell: 3 mm, porosity: 0.6, resolution: 12}
   - {stage: slice.field, id: fresh_layers, resolution: 10}
   - {stage: write.png, id: fresh_png, path: fresh}
@@ -99,7 +99,7 @@ pipeline:
   - {stage: slice.field, pixel: 0.25 mm}
   - {stage: write.png, path: slices}
   - {stage: extract.marching_cubes, resolution: 8}
-  - {stage: write.obj, path: part.obj}
+  - {stage: write.mesh, path: part.obj}
 """
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.plan.plugins import Plugins
+    from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
     from sppm_pipeline.engine.plan.session import RunRequest, Session
+    from sppm_pipeline.hookspecs import Command
 
 
 def allowed_from(args: Namespace) -> tuple[str, ...] | None:
@@ -41,7 +42,7 @@ def add_configuration(parser: ArgumentParser) -> None:
     parser.add_argument(
         "-s", "--set", action="append", default=[], metavar="STAGE.OPTION=VALUE", help="set an option of a stage"
     )
-    parser.add_argument("--seed", type=_seed, metavar="N", help="whole number that all random numbers come from")
+    parser.add_argument("--seed", type=_seed, metavar="N", help="integer that all random numbers come from")
     add_plugins(parser)
 
 
@@ -52,7 +53,7 @@ def _seed(text: str) -> int:
     return int(text)
 
 
-_seed.__name__ = "whole number from 0 to 2^63 - 1"  # argparse shows it: "invalid whole number ... value"
+_seed.__name__ = "integer from 0 to 2^63 - 1"  # argparse shows it: "invalid integer ... value"
 
 
 def request_from(args: Namespace) -> RunRequest:
@@ -102,6 +103,27 @@ def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:
         plugins.raise_broken()
         warn_of_failed_plugins(plugins)
     return plugins
+
+
+def commands_of_plugins(*, load: bool = True) -> tuple[dict[str, tuple[Plugin, Command]], list[Plugin]]:
+    """The verbs of installed plugins, each with its plugin, and the plugins that failed.
+
+    Raises
+    ------
+    PluginError
+        If a plugin breaks the contract, for instance by taking the name of a built-in verb.
+    """
+    from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins
+
+    plugins = load_plugins(distributions=load, allowed=allowed_plugins())
+    plugins.raise_broken()
+    found = {
+        verb: (plugin, command)
+        for plugin in plugins.plugins
+        if not plugin.builtin
+        for verb, command in plugin.commands.items()
+    }
+    return found, plugins.failed()
 
 
 def warn_of_failed_plugins(plugins: Plugins) -> None:

@@ -69,7 +69,7 @@ def _stages(estimate: PlanEstimate) -> list[dict[str, Any]]:
 
 
 def _print(stages: list[dict[str, Any]], total: dict[str, Any], unknown: tuple[str, ...]) -> None:
-    from sppm_pipeline.process.resources import words_for_bytes
+    from sppm_pipeline.process.budget import format_bytes
 
     width = max(len(stage["id"]) for stage in stages)
     print(f"{'':{width}s}     memory       disk    seconds     voxels")
@@ -78,12 +78,12 @@ def _print(stages: list[dict[str, Any]], total: dict[str, Any], unknown: tuple[s
             print(f"{stage['id']:{width}s}    unknown")
             continue
         layers = f"  {stage['layers']} layers" if stage["layers"] else ""
-        memory, disk = words_for_bytes(stage["memory_bytes"]), words_for_bytes(stage["disk_bytes"])
+        memory, disk = format_bytes(stage["memory_bytes"]), format_bytes(stage["disk_bytes"])
         numbers = f"{stage['seconds']:10.2f} {stage['voxels']:10.3g}{layers}"
         print(f"{stage['id']:{width}s} {memory:>10s} {disk:>10s} {numbers}")
     if total["runs"] > 1:
         print(f"that is the largest of {total['runs']} runs")
-    memory, disk = words_for_bytes(total["memory_bytes"]), words_for_bytes(total["disk_bytes"])
+    memory, disk = format_bytes(total["memory_bytes"]), format_bytes(total["disk_bytes"])
     least = "at least " if unknown else ""
     print(
         f"in all: {least}{memory} of memory, {least}{disk} on disk, {least}{total['seconds']:.3g} s on one core"

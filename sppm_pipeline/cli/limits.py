@@ -54,16 +54,16 @@ def _seconds(text: str) -> float:
 def limits_of(args: Namespace) -> Iterator[None]:
     """Put the limits into the environment, where stages of this and of worker processes find them."""
     from sppm_pipeline.engine.run.steps import CONTRACT
+    from sppm_pipeline.process.budget import MEMORY
     from sppm_pipeline.process.containment import STAGE_TIME
-    from sppm_pipeline.process.resources import MEMORY
 
-    wished = {
+    requested = {
         STAGE_TIME: repr(args.stage_time) if args.stage_time is not None else None,
         MEMORY: str(args.memory) if args.memory is not None else None,
         CONTRACT: "1" if args.contract else None,
     }
-    before = {name: os.environ.get(name) for name in wished}
-    os.environ.update({name: value for name, value in wished.items() if value is not None})
+    before = {name: os.environ.get(name) for name in requested}
+    os.environ.update({name: value for name, value in requested.items() if value is not None})
     try:
         yield
     finally:

@@ -82,7 +82,7 @@ pipeline:
   - {stage: tune.porosity, recipe: cell, target: "${porosity}"}
   - {stage: check.connectivity}
   - {stage: extract.marching_cubes, resolution: 48}
-  - {stage: write.ply, path: @name@.ply}
+  - {stage: write.mesh, path: @name@.ply}
 """
 
 _PYPROJECT = """\
@@ -203,5 +203,5 @@ pipeline:
   - {stage: connect.mbdst, degree: [3, 5]}
   - {stage: field.gaussian, pore_radius: 0.11, tunnel_radius: 0.03}
   - {stage: extract.marching_cubes, resolution: 48}
-  - {stage: write.ply, path: cell.ply}
+  - {stage: write.mesh, path: cell.ply}
 """

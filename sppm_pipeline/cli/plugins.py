@@ -1,4 +1,4 @@
-"""``sppm plugins``: where stages and executors come from; with ``--check``, whether they can be loaded."""
+"""``sppm plugins``: where stages, executors and verbs come from; with ``--check``, whether they can be loaded."""
 
 from __future__ import annotations
 
@@ -54,6 +54,7 @@ def _checked(args: Namespace) -> Iterator[dict[str, Any]]:
             **_entry(plugin),
             "stages": sorted(plugin.stages),
             "executors": sorted(plugin.executors),
+            "commands": sorted(plugin.commands),
             "error": "\n".join(findings_of(plugin, registry)) or None,
         }
 
@@ -92,6 +93,6 @@ def _print(plugin: dict[str, Any]) -> None:
     print(f"{plugin['name']} ({origin}){': FAILED' if plugin['error'] else ''}")
     if plugin["error"]:
         print("  " + plugin["error"].replace("\n", "\n  "))
-    for kind in ("stages", "executors"):
+    for kind in ("stages", "executors", "commands"):
         if plugin.get(kind):
             print(f"  {kind}: {', '.join(plugin[kind])}")

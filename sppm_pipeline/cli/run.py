@@ -32,7 +32,7 @@ def configure(parser: ArgumentParser) -> None:
 
 def _count(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 4096:
-        raise ArgumentTypeError(f"expected a whole number from 1 to 4096, got {text!r}")
+        raise ArgumentTypeError(f"expected an integer from 1 to 4096, got {text!r}")
     return int(text)
 
 

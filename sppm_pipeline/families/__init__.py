@@ -29,14 +29,12 @@ from __future__ import annotations
 
 from sppm_pipeline.families.connector import Connector, Piece
 from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
+from sppm_pipeline.families.file_writer import MeshWriter
 from sppm_pipeline.families.homogenizer import VoxelHomogenizer
 from sppm_pipeline.families.layer_writer import LayerWriter
-from sppm_pipeline.families.mesh_writer import MeshWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, design_of, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for, tiling_size
 from sppm_pipeline.families.tileset_maker import TileSetMaker
-from sppm_pipeline.families.volume_mesh_writer import VolumeMeshWriter
-from sppm_pipeline.families.voxel_writer import VoxelWriter
 
 __all__ = [
     "Connector",
@@ -50,9 +48,7 @@ __all__ = [
     "Sampler",
     "TileSetMaker",
     "Tiler",
-    "VolumeMeshWriter",
     "VoxelHomogenizer",
-    "VoxelWriter",
     "design_of",
     "lattice_for",
     "start_of",

@@ -1,7 +1,7 @@
-"""Running the code of strangers: what it raises is caught, what it prints kept apart, what it takes is limited.
+"""Running code of plugins: what it raises is caught, what it prints is kept apart, the time it takes is limited.
 
 A plugin is code and runs with the rights of the user; this module is no jail. It keeps an honest mistake in one plugin
-from becoming a riddle: whatever a plugin does wrong ends in one error that names it.
+from becoming a puzzle: whatever a plugin does wrong ends in one error that names it.
 """
 
 from __future__ import annotations
@@ -30,29 +30,29 @@ class _TimeUp(BaseException):
 
 
 @contextlib.contextmanager
-def contained(blame: Callable[[str], SppmError]) -> Iterator[None]:
+def contained(fault: Callable[[str], SppmError]) -> Iterator[None]:
     """Run code of a plugin: nothing but an `Exception` leaves, stdout stays clean, the working folder is put back.
 
     Parameters
     ----------
-    blame : callable
-        Makes the error from the words for what the plugin did.
+    fault : callable
+        Makes the error that names the plugin, from a description of what it did.
     """
     folder = _working_folder()
-    asked = _Asked()
-    with _printing_to_stderr(), asked:
+    interrupts = _Interrupts()
+    with _REDIRECTION, interrupts:
         try:
             yield
         except (Exception, _TimeUp):
             raise
         except KeyboardInterrupt:
-            if not (asked.interrupt or interruption.requested()):
-                raise blame("raised KeyboardInterrupt, though nobody interrupted it") from None
+            if not (interrupts.seen or interruption.requested()):
+                raise fault("raised KeyboardInterrupt, though nobody interrupted it") from None
             raise
         except SystemExit as error:
-            raise blame(f"tried to end the program (SystemExit: {error.code!r:.80})") from error
+            raise fault(f"tried to end the program (SystemExit: {error.code!r:.80})") from error
         except BaseException as error:
-            raise blame(f"raised {type(error).__name__}: {error!s:.200}") from error
+            raise fault(f"raised {type(error).__name__}: {error!s:.200}") from error
         finally:
             if folder is not None and _working_folder() != folder:
                 os.chdir(folder)
@@ -65,14 +65,14 @@ def _working_folder() -> str | None:
         return None
 
 
-class _Asked:
+class _Interrupts:
     """Notes whether an interrupt came from outside while a plugin ran."""
 
     def __init__(self) -> None:
-        self.interrupt = False
+        self.seen = False
         self._before: Any = None
 
-    def __enter__(self) -> _Asked:
+    def __enter__(self) -> _Interrupts:
         before = signal.getsignal(signal.SIGINT)
         if threading.current_thread() is threading.main_thread() and callable(before):
             self._before = before
@@ -80,7 +80,7 @@ class _Asked:
         return self
 
     def _note(self, number: int, frame: Any) -> None:
-        self.interrupt = True
+        self.seen = True
         self._before(number, frame)
 
     def __exit__(self, *error: object) -> None:
@@ -110,10 +110,6 @@ class _Redirection:
 
 
 _REDIRECTION = _Redirection()
-
-
-def _printing_to_stderr() -> _Redirection:
-    return _REDIRECTION
 
 
 def stage_seconds() -> float | None:
@@ -210,7 +206,7 @@ class _Watchdog:
             else:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), ctypes.py_object(_TimeUp))
         if not self._done.wait(GRACE):
-            interruption.abandon_all(self._error, self._thread)
+            interruption.cancel_all(self._error, self._thread)
             with contextlib.suppress(OSError, ValueError):
                 os.write(2, f"\nsppm: {self._error}\n  it could not be interrupted; the process is ended\n".encode())
             os._exit(self._error.exit_code)

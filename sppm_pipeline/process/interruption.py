@@ -1,9 +1,9 @@
-"""How a run is asked to stop, and what has to be done if it can't stop by itself in time.
+"""How a run is interrupted within two seconds, whatever it is doing, and what puts its records in order if it hangs.
 
-A stage may be deep inside of compiled code that hears of nothing. So runs go on in a thread of their own while the
-main thread waits for signals. When one comes, `request` makes the next call of a stage to its context raise
-`KeyboardInterrupt`; if that does not happen soon enough, `abandon_all` writes the records from outside, and the
-process is left as it is.
+A stage may be deep inside of compiled code that does not see signals. So work goes on in a thread of its own while the
+main thread waits for signals (`interruptibly`). When one comes, the next call of a stage to its context raises
+`KeyboardInterrupt` (`check`); if that does not happen soon enough, `cancel_all` writes the records from outside, and
+the process is ended.
 """
 
 from __future__ import annotations
@@ -13,26 +13,44 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from types import FrameType
+from typing import Protocol
 
 from sppm_pipeline.errors import SppmError
+from sppm_pipeline.process.tree import signal_below
+
+PATIENCE = 0.6
+"""Seconds that work is given to end by itself."""
+
+POLL = 0.1
+"""Seconds after which the main thread looks for signals that were handed to another thread, which do not wake it."""
+
+STACK = 16 << 20
+"""Bytes of stack; that of the main thread is smaller on some systems, and that of threads always is on macOS."""
 
 
-class Abandonable(Protocol):
-    """Something that leaves traces on disk while it runs."""
+class Cancelable(Protocol):
+    """Something that has records on disk while it runs."""
 
     def cancel(self, error: SppmError | None) -> None:
-        """Put the traces in order, from another thread; `error` is why, if it was no interrupt."""
+        """Put the records in order, from another thread; `error` is why, if it was no interrupt."""
 
 
-_PR_SET_PDEATHSIG = 1
+class Interrupted(KeyboardInterrupt):
+    """A signal has ended the work; `number` is the signal's."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
 
 _requested = threading.Event()
-_running: list[tuple[Abandonable, int]] = []
+_running: list[tuple[Cancelable, int]] = []
 """What runs, and in which thread."""
-_listeners: list[Callable[[Path], None]] = []
+_observers: list[Callable[[Path], None]] = []
 
 
 def request() -> None:
@@ -56,61 +74,134 @@ def reset() -> None:
     _requested.clear()
 
 
-def running(what: Abandonable, path: Path) -> None:
-    """Remember something that has to be put in order if it can't end by itself, and the directory it writes to."""
-    _running.append((what, threading.get_ident()))
-    for tell in _listeners:
-        tell(path)
+def register(run: Cancelable, path: Path) -> None:
+    """Remember a run that has to be canceled if it can't end by itself, and notify of the directory it writes to."""
+    _running.append((run, threading.get_ident()))
+    for notify in _observers:
+        notify(path)
 
 
-def tell_of_runs(listener: Callable[[Path], None]) -> None:
-    """Let somebody know of each run directory from now on."""
-    _listeners.append(listener)
+def unregister(run: Cancelable) -> None:
+    """Forget a run that has ended."""
+    _running[:] = [(other, thread) for other, thread in _running if other is not run]
 
 
-def stopped_running(what: Abandonable) -> None:
-    """Forget it."""
-    _running[:] = [(other, thread) for other, thread in _running if other is not what]
+def on_register(observer: Callable[[Path], None]) -> None:
+    """Call a function with each run directory from now on."""
+    _observers.append(observer)
 
 
-def abandon_all(error: SppmError | None = None, culprit: int | None = None) -> None:
-    """Put everything that runs in order; the last to begin comes first.
+def cancel_all(error: SppmError | None = None, offender: int | None = None) -> None:
+    """End the child processes and cancel everything that runs; the last to begin comes first.
 
     Parameters
     ----------
     error : SppmError, optional
         Why, if it was no interrupt.
-    culprit : int, optional
+    offender : int, optional
         The thread whose runs have failed by it; those of others are interrupted.
     """
-    end_children()
+    # workers of a sweep end by SIGTERM, supervisors of native children then end what is below them
+    signal_below(os.getpid(), signal.SIGTERM, recursive=False)
     while _running:
         with contextlib.suppress(Exception):
-            what, thread = _running.pop()
-            what.cancel(error if thread == culprit else None)
+            run, thread = _running.pop()
+            run.cancel(error if thread == offender else None)
 
 
-def end_children() -> None:
-    """End the processes that this one has started, such as the workers of a sweep."""
-    pids: set[int] = set()
-    if "multiprocessing" in sys.modules:
-        children: list[Any] = sys.modules["multiprocessing"].active_children()
-        pids |= {child.pid for child in children if child.pid is not None}
-    with contextlib.suppress(OSError, ValueError):  # Linux tells of the others as well
-        for task in Path("/proc/self/task").iterdir():
-            pids |= {int(word) for word in (task / "children").read_text().split()}
-    for pid in pids:
-        with contextlib.suppress(OSError):
-            os.kill(pid, signal.SIGTERM)
+def interruptibly(work: Callable[[], int], notify: Callable[[], None]) -> int:
+    """Do `work` in a thread, and end it when a signal comes.
+
+    The work is asked to stop: `KeyboardInterrupt` is raised in it at its next step of Python. If it is inside of
+    compiled code for longer than `PATIENCE`, its records are put in order from here, and the process is ended.
+
+    Parameters
+    ----------
+    work : function
+    notify : function
+        Tells the user, before the process is ended.
+
+    Raises
+    ------
+    Interrupted
+        If a signal came and the work has ended in time.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return work()
+    outcome: list[int | BaseException] = []
+    signals: list[int] = []
+    wake = threading.Event()
+
+    def target() -> None:
+        try:
+            outcome.append(work())
+        except BaseException as error:
+            outcome.append(error)
+        finally:
+            wake.set()
+
+    def arrived(number: int, frame: FrameType | None) -> None:
+        signals.append(number)
+        wake.set()
+
+    before = threading.stack_size(STACK)
+    thread = threading.Thread(target=target, name="sppm-work", daemon=True)
+    with _handled(arrived):
+        thread.start()
+        threading.stack_size(before)
+        while not wake.wait(POLL):
+            pass
+        if signals and not outcome:
+            _end(thread, outcome, signals, notify)
+        thread.join()
+    if signals:
+        raise Interrupted(signals[0])
+    result = outcome[0]
+    if isinstance(result, BaseException):
+        raise result
+    return result
 
 
-def die_with_parent(parent: int) -> None:
-    """Let the system end this process when its parent ends, where it can (Linux)."""
-    if sys.platform != "linux":
+@contextlib.contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle the signals that end programs, but those that were turned off, as `nohup` and shells do."""
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.getsignal(number) for number in numbers}
+    kept = {number: old for number, old in before.items() if old not in (signal.SIG_IGN, None)}
+    for number in kept:
+        signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, old in kept.items():
+            signal.signal(number, old)
+
+
+def _end(
+    thread: threading.Thread, outcome: list[int | BaseException], signals: list[int], notify: Callable[[], None]
+) -> None:
+    """Ask for an end, wait for a moment, and enforce it; a second signal enforces it at once."""
+    request()
+    _raise_in(thread)
+    deadline = time.monotonic() + PATIENCE
+    while not outcome and len(signals) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    cancel_all()
+    if outcome:
+        reset()
         return
+    notify()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    os._exit(128 + signals[0])
+
+
+def _raise_in(thread: threading.Thread) -> None:
+    """Raise `KeyboardInterrupt` in another thread, at its next step of Python."""
     import ctypes
 
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:  # it ended in between
-        os._exit(128 + signal.SIGKILL)
+    with contextlib.suppress(AttributeError):  # not every Python has it
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(
+            ctypes.c_ulong(thread.ident or 0), ctypes.py_object(KeyboardInterrupt)
+        )

@@ -1,7 +1,8 @@
-"""manifold3d in a child process: Booleans of solids and its extractor of surfaces, with the bytes of a call in place.
+"""Booleans of solids and extraction of surfaces by manifold3d in a child process, with the bytes of a direct call.
 
-manifold3d is careful code, but strange meshes have crashed it and kept it busy for hours. What is called in the child
-are the functions of `numerics.surface`, judgement included, so that its words are the same as well.
+manifold3d is careful code, but degenerate meshes have crashed it and kept it busy for hours. What is called in the
+child are the functions of `numerics.surface`, their checks included, so that messages are the
+same as well.
 """
 
 from __future__ import annotations
@@ -12,12 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.process.arrays import ArraySpec
-from sppm_pipeline.process.run import NativeResult, run_native
-from sppm_pipeline.process.telling import tell
-
-LEAST_MEMORY = 400 * 2**20
-"""Bytes that the child gets at least: an interpreter with NumPy, Numba and manifold3d, and a small mesh."""
+from sppm_pipeline.process.exchange import ArraySpec, notify
+from sppm_pipeline.process.native import NativeResult, run_native
 
 COMBINE, EXTRACT = "sppm_pipeline.process.solids:combine_in_child", "sppm_pipeline.process.solids:extract_in_child"
 
@@ -36,7 +33,7 @@ class ManifoldLimits(NamedTuple):
     ----------
     seconds : float
     memory : int or None
-        Bytes; None for most of what the machine has left.
+        Bytes; None for what is available.
     progress : callable or None
         Called as ``progress(done, total, step)``.
     """
@@ -77,7 +74,7 @@ def manifold_combine(
         Closed, wound outwards.
     operation : {"union", "difference", "intersection"}
     names : 2 strings
-        What messages call the solids.
+        Names of the solids in messages.
     limits : ManifoldLimits
     places : sequence of (3,) float64, optional
         Where copies of the second solid are put and united beforehand; if omitted, it stays where it is.
@@ -114,9 +111,9 @@ def combine_in_child(arrays: Arrays, options: Mapping[str, Any]) -> tuple[Values
         places = arrays["places"]
         second = (vertices + places[0], faces)
         for number, place in enumerate(places[1:], 1):
-            tell("union of copies", number, len(places))
+            notify("union of copies", number, len(places))
             second = boolean(second, (vertices + place, faces), "union", (tool, tool))
-    tell(operation)
+    notify(operation)
     vertices, faces = boolean(first, second, operation, (name, tool))
     return {"vertices": vertices, "faces": faces}, {"tool_volume": float(volume(*second))}
 
@@ -144,7 +141,7 @@ def extract_in_child(arrays: Arrays, options: Mapping[str, Any]) -> tuple[Values
     """Extract the surface."""
     from sppm_pipeline.numerics.surface.level_set import run_level_set
 
-    tell("level set")
+    notify("level set")
     (vertices, faces), status = run_level_set(
         arrays["samples"], options["origin"], options["spacing"], options["tolerance"]
     )
@@ -159,7 +156,7 @@ def _run(function: str, arrays: Arrays, options: Values, limits: ManifoldLimits)
         returns=_MESH,
         distribution="manifold3d",
         seconds=limits.seconds,
-        memory=None if limits.memory is None else max(LEAST_MEMORY, limits.memory),
+        memory=limits.memory,
         hint=_HINT,
         progress=limits.progress,
     )

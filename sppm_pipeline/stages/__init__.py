@@ -56,19 +56,10 @@ BUILT_IN = {
     "slice.field": "SliceField",
     "slice.mesh": "SliceMesh",
     "write.png": "WritePng",
-    "write.stl": "WriteStl",
-    "write.ply": "WritePly",
-    "write.obj": "WriteObj",
-    "write.npy": "WriteNpy",
-    "write.tiff": "WriteTiff",
-    "write.vti": "WriteVti",
+    "write.mesh": "WriteMesh",
+    "write.volume_mesh": "WriteVolumeMesh",
+    "write.voxels": "WriteVoxels",
     "write.stiffness": "WriteStiffness",
-    "write.vtu": "WriteVtu",
-    "write.inp": "WriteInp",
-    "write.msh": "WriteMsh",
-    "write.off": "WriteOff",
-    "write.3mf": "WriteThreeMf",
-    "write.glb": "WriteGlb",
     "write.graph": "WriteGraph",
     "write.picture": "WritePicture",
     "write.chart": "WriteChart",
@@ -78,10 +69,22 @@ BUILT_IN = {
 }
 """Stage name -> class name; the file follows from the name."""
 
-STAGE_ALIASES: dict[str, str | StageAlias] = {
+STAGE_ALIASES: dict[str, str] = {
     "homogenize.realisations": "homogenize.realizations",
+    "write.stl": "write.mesh",
+    "write.ply": "write.mesh",
+    "write.obj": "write.mesh",
+    "write.off": "write.mesh",
+    "write.3mf": "write.mesh",
+    "write.glb": "write.mesh",
+    "write.vtu": "write.volume_mesh",
+    "write.inp": "write.volume_mesh",
+    "write.msh": "write.volume_mesh",
+    "write.npy": "write.voxels",
+    "write.tiff": "write.voxels",
+    "write.vti": "write.voxels",
 }
-"""Former stage name -> current name, or a `StageAlias` with the options that the former name implied."""
+"""Former stage name -> current name."""
 
 
 @hookimpl
@@ -92,5 +95,13 @@ def sppm_stages() -> dict[str, str]:
 
 @hookimpl
 def sppm_stage_aliases() -> dict[str, str | StageAlias]:
-    """Former names of built-in stages."""
-    return STAGE_ALIASES
+    """Former names of built-in stages; writers that were named after a format keep that format by default."""
+    from sppm_pipeline.stage import StageAlias
+
+    def alias(former: str, name: str) -> str | StageAlias:
+        if not former.startswith("write."):
+            return name
+        stem = "voxels" if name == "write.voxels" else "mesh"
+        return StageAlias(name, {"path": f"{stem}.{former.removeprefix('write.')}"})
+
+    return {former: alias(former, name) for former, name in STAGE_ALIASES.items()}

@@ -58,7 +58,7 @@ class StageContract:
             family, dot, word = stage.name.partition(".")
             assert dot, f"{stage.name!r} must be family.name"
             assert family.isidentifier()
-            assert f"_{word}".isidentifier()  # it may begin with a digit, as `write.3mf` does
+            assert f"_{word}".isidentifier()  # it may begin with a digit
             assert stage.name == stage.name.lower()
 
     def test_says_what_it_does(self) -> None:

@@ -21,7 +21,7 @@ PART = """sppm: 1
 name: part
 pipeline:
   - {stage: read.primitive, shape: torus_knot, size: [9 mm, 9 mm, 9 mm], facets: 200}
-  - {stage: write.stl, path: part.stl}
+  - {stage: write.mesh, path: part.stl}
 """
 LAYERS = """sppm: 1
 name: layers
@@ -140,7 +140,7 @@ def small_disk(tmp_path):
 
 @pytest.mark.parametrize("name", ["part", "layers"])
 def test_a_full_disk(here, small_disk, name):
-    # the forecast would refuse the run at once; here the disk fills up while it goes on
+    # the estimate would refuse the run at once; here the disk fills up while it goes on
     code = (
         "import sys; from sppm_pipeline.engine.plan import estimate; estimate.free_disk = lambda folder: None\n"
         "from sppm_pipeline.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"
@@ -152,7 +152,7 @@ def test_a_full_disk(here, small_disk, name):
     assert left(small_disk / "out") == []
 
 
-def test_a_full_disk_is_foreseen(here, small_disk):
+def test_a_full_disk_is_estimated(here, small_disk):
     done = sppm("run", "part.yaml", "-q", "-o", str(small_disk / "out"), cwd=here)
     one_line(done, "would be written", "free where")
     assert not (small_disk / "out").exists()
@@ -264,7 +264,7 @@ def test_errors_of_the_system_in_a_stage(tmp_path, monkeypatch, capsys, number):
 
 
 def test_too_little_address_space(here):
-    """Memory that is refused while a stage works, where nothing was foretold."""
+    """Memory that is refused while a stage works, where nothing was estimated."""
     code = (
         "import resource, sys; from sppm_pipeline.engine.plan import checking\n"
         "checking.refuse_unfit = lambda *a, **k: None\n"

@@ -60,8 +60,8 @@ def test_block_passes_the_check(yaml_block, texts_of: Callable[[Path, str], list
 @pytest.mark.parametrize(
     ("text", "count"),
     [
-        ("- {stage: write.stl, path: a.stl}\n", 0),
-        ("- {stage: write.stl, pat: a.stl}\n", 1),
+        ("- {stage: write.mesh, path: a.stl}\n", 0),
+        ("- {stage: write.mesh, pat: a.stl}\n", 1),
         ("- {stage: write.slt}\n", 1),
         ("seed: 3\n", 0),
         ("sede: 3\n", 1),

@@ -1,13 +1,14 @@
-"""Run the example configurations and variants, and compare what was foretold with what they took.
+"""Run the example configurations and variants, and compare estimates with what they took.
 
     python tests/endurance/estimates.py [NAME ...]
 
-Memory and disk have to lie within a factor of .5 to 1.5 of the truth, the processor time within 3. It takes some
-minutes and is not part of the test suite; tests/cli/test_estimate.py holds a short form.
+Memory and disk have to be right within a factor of 2, the processor time within 3. It takes some minutes and is not
+part of the test suite; tests/cli/test_estimate.py holds a short form.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
@@ -17,11 +18,13 @@ import tempfile
 import time
 from pathlib import Path
 
+import psutil
+
 ROOT = Path(__file__).resolve().parents[2]
 KNOT = """sppm: 1
 pipeline:
   - {stage: read.primitive, shape: torus_knot, size: [46 mm, 60 mm, 60 mm], facets: 200}
-  - {stage: write.ply, path: knot.ply}
+  - {stage: write.mesh, path: knot.ply}
 """
 CELL = """sppm: 1
 seed: 3
@@ -37,9 +40,9 @@ OWN = {
   - {stage: write.stiffness}
   - {stage: homogenize.conductivity, resolution: 64}
   - {stage: extract.voxels, resolution: 64}
-  - {stage: write.npy}
-  - {stage: write.tiff}
-  - {stage: write.vti}
+  - {stage: write.voxels, id: npy, path: voxels.npy}
+  - {stage: write.voxels, id: tiff, path: voxels.tiff}
+  - {stage: write.voxels, id: vti, path: voxels.vti}
   - {stage: check.sizes}
 """,
     "boolean": """
@@ -47,17 +50,17 @@ OWN = {
   - {stage: tile.periodic, cell: 4 mm}
   - {stage: fill.boolean, resolution: 48}
   - {stage: check.mesh}
-  - {stage: write.off}
-  - {stage: write.glb}
-  - {stage: write.3mf}
+  - {stage: write.mesh, id: off, path: mesh.off}
+  - {stage: write.mesh, id: glb, path: mesh.glb}
+  - {stage: write.mesh, id: threemf, path: mesh.3mf}
   - {stage: slice.mesh, pixel: 0.05 mm}
   - {stage: write.png}
 """,
     "tetrahedra": """
   - {stage: mesh.isosurface_stuffing, resolution: 24}
-  - {stage: write.vtu}
-  - {stage: write.inp}
-  - {stage: write.msh}
+  - {stage: write.volume_mesh, id: vtu, path: mesh.vtu}
+  - {stage: write.volume_mesh, id: inp, path: mesh.inp}
+  - {stage: write.volume_mesh, id: msh, path: mesh.msh}
   - {stage: homogenize.tet}
 """,
 }
@@ -76,6 +79,8 @@ CASES = {
     "periodic_vs_stochastic": ["periodic_vs_stochastic", "-p", "cells=[4, 4, 4]"],
     "bunny": ["bunny", "-p", "mesh=KNOT"],
     "bunny, coarse": ["bunny", "-p", "mesh=KNOT", "-p", "voxels=50"],
+    "stiffness_map": ["stiffness_map", "-p", "pores=66", "--seed", "1"],
+    "representative_volume": ["representative_volume", "-p", "samples=2", "-p", "assemblies=[1, 2]"],
     **{name: [name] for name in OWN},
 }
 
@@ -98,17 +103,17 @@ def sppm(*words: str) -> tuple[str, float]:
 
 def held_by(pid: int) -> float:
     """Bytes resident in a process and in all that descend from it."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-        # each of its threads may have started some
-        children = [c for task in Path(f"/proc/{pid}/task").iterdir() for c in (task / "children").read_text().split()]
-    except (OSError, IndexError):  # it has ended
-        return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") + sum(held_by(int(child)) for child in children)
+    held = 0.0
+    with contextlib.suppress(psutil.NoSuchProcess):  # it has ended
+        process = psutil.Process(pid)
+        for one in (process, *process.children(recursive=True)):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                held += one.memory_info().rss
+    return held
 
 
 def compare(words: list[str], folder: Path) -> dict[str, tuple[float, float]]:
-    """Quantity -> (foretold, true)."""
+    """Quantity -> (estimate, true)."""
     file = ROOT / "configs" / f"{words[0]}.yaml"
     if words[0] in OWN:
         file = folder / "own.yaml"
@@ -117,7 +122,7 @@ def compare(words: list[str], folder: Path) -> dict[str, tuple[float, float]]:
         str(file),
         *(w.replace("KNOT", str(folder / "knot.ply")) for w in words[1:]),
     ]
-    foretold = json.loads(sppm("estimate", *words, "--json")[0])
+    estimate = json.loads(sppm("estimate", *words, "--json")[0])
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     printed, held = sppm("run", *words, "-q", "--no-cache", "--threads", "1", "-o", str(folder / "run"), "--json")
     record = json.loads(printed)
@@ -125,14 +130,14 @@ def compare(words: list[str], folder: Path) -> dict[str, tuple[float, float]]:
     size = sum(file.stat().st_size for file in (folder / "run").rglob("*") if file.is_file())
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return {
-        "memory MB": (foretold["memory_bytes"] / 1e6, max(held / 1e6, record["peak_memory_mb"])),
-        "disk MB": (foretold["disk_bytes"] / 1e6, size / 1e6),
-        "seconds": (foretold["seconds"], seconds),
+        "memory MB": (estimate["memory_bytes"] / 1e6, max(held / 1e6, record["peak_memory_mb"])),
+        "disk MB": (estimate["disk_bytes"] / 1e6, size / 1e6),
+        "seconds": (estimate["seconds"], seconds),
     }
 
 
 def main(names: list[str]) -> int:
-    os.environ["OMP_NUM_THREADS"] = "1"
+    os.environ |= {"OMP_NUM_THREADS": "1", "SPPM_CACHE": "off"}
     wrong = 0
     with tempfile.TemporaryDirectory() as place:
         (Path(place) / "knot.yaml").write_text(KNOT)
@@ -141,11 +146,11 @@ def main(names: list[str]) -> int:
             folder = Path(place) / name.replace(" ", "_")
             folder.mkdir()
             (folder / "knot.ply").symlink_to(Path(place) / "knot" / "knot.ply")
-            for what, (foretold, true) in compare(CASES[name], folder).items():
-                low, high = (1 / 3, 3.0) if what == "seconds" else (0.5, 1.5)
-                good = low <= foretold / true <= high
+            for what, (estimate, true) in compare(CASES[name], folder).items():
+                low, high = (1 / 3, 3.0) if what == "seconds" else (0.5, 2.0)
+                good = low <= estimate / true <= high
                 wrong += not good
-                print(f"{name:24s} {what:10s} foretold {foretold:9.3f} true {true:9.3f} ratio {foretold / true:5.2f}"
+                print(f"{name:24s} {what:10s} estimate {estimate:9.3f} true {true:9.3f} ratio {estimate / true:5.2f}"
                       + ("" if good else "  OUTSIDE"), flush=True)  # fmt: skip
     return 1 if wrong else 0
 

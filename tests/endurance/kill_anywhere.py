@@ -3,7 +3,7 @@
     python tests/endurance/kill_anywhere.py --kills 150 --concurrent 8
 
 A process is killed at a random time, or just before its n-th change to the disk (see `hooks/sitecustomize.py`): the
-whole group, the watchful parent alone, or the working child alone. Now and then the second run is killed as well.
+whole group, the supervising parent alone, or the working child alone. Now and then the second run is killed as well.
 Then the run directory has to be what it is in an undisturbed run, without a leftover in it or in the cache, and no
 process may be left. At last many runs share one cache while some are killed.
 
@@ -24,6 +24,8 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+
+import psutil
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -100,18 +102,12 @@ class Bench:
 
     def processes(self) -> list[int]:
         """Processes of this bench that are still there."""
-        mark = f"ENDURANCE={self.root}".encode()
-        found = []
-        for folder in Path("/proc").glob("[0-9]*"):
-            try:
-                if (
-                    mark in (folder / "environ").read_bytes().split(b"\0")
-                    and (folder / "stat").read_text().rpartition(")")[2].split()[0] != "Z"
-                ):
-                    found.append(int(folder.name))
-            except OSError:
-                continue
-        return found
+        return [
+            process.pid
+            for process in psutil.process_iter(["environ", "status"])
+            if (process.info["environ"] or {}).get("ENDURANCE") == str(self.root)
+            and process.info["status"] != psutil.STATUS_ZOMBIE
+        ]
 
     def kill_one(self, name: str, out: str, cache: str) -> str:
         """Start a run and kill it somewhere; what was done."""
@@ -130,9 +126,8 @@ class Bench:
             elif whom == "parent":
                 os.kill(process.pid, signal.SIGKILL)
             else:
-                children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-                os.kill(int(children[0]), signal.SIGKILL)
-        except (OSError, IndexError):
+                psutil.Process(process.pid).children()[0].kill()
+        except (OSError, IndexError, psutil.NoSuchProcess):
             whom = f"{whom}, which had ended"
         process.communicate()
         return f"killed after {after:.2f} s ({whom})"

@@ -18,8 +18,8 @@ pipeline:
   - {stage: write.png, path: slices}
   - {stage: write.picture, path: pictures/part.png, resolution: 12, size: [200, 150]}
   - {stage: extract.marching_cubes, resolution: 14}
-  - {stage: write.stl, path: meshes/part.stl}
-  - {stage: write.ply, path: meshes/part.ply}
+  - {stage: write.mesh, id: stl, path: meshes/part.stl}
+  - {stage: write.mesh, id: ply, path: meshes/part.ply}
 """
 
 CELL = """sppm: 1
@@ -36,7 +36,7 @@ pipeline:
   - {stage: write.graph, path: graph.graphml}
   - {stage: check.connectivity, resolution: 24}
   - {stage: extract.marching_cubes, resolution: 24}
-  - {stage: write.ply, path: cell.ply}
+  - {stage: write.mesh, path: cell.ply}
 """
 
 SWEEP = """sppm: 1

@@ -238,7 +238,7 @@ def test_a_stage_can_change_options_of_its_recipe(work, target):
         ("limti", "maximum", 1, "did you mean 'limit'"),
         ("limit", "maxumim", 1, "did you mean 'maximum'"),
         ("sample.random", "count", 0, "at least 1"),
-        ("sample.random", "count", 1.5, "a whole number"),
+        ("sample.random", "count", 1.5, "an integer"),
     ],
 )
 def test_options_that_a_stage_can_not_change(work, stage_, option, value, words):

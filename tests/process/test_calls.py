@@ -1,4 +1,4 @@
-"""A good function: what it is given, what it may return, what it tells."""
+"""A well-behaved function: what it takes, what it may return, what it reports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from sppm_pipeline import errors
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, PluginError, SppmError
-from sppm_pipeline.process import ArraySpec, run_native, tell
+from sppm_pipeline.process import ArraySpec, notify, run_native
 
 
 def test_arrays_and_values_come_back_as_they_were(call, numbers):
@@ -42,7 +42,7 @@ def test_the_child_is_alone(call, temporary, monkeypatch):
     assert os.environ["LC_ALL"] == "de_DE.UTF-8"
 
 
-def test_progress_is_told(call):
+def test_progress_is_reported(call):
     told = []
     call("steps", progress=lambda *words: told.append(words))
     assert told == [(float(i), 5.0, "count") for i in range(1, 6)]
@@ -53,8 +53,8 @@ def test_long_names_of_steps_are_cut(call):
         call("die", {"signal": 6, "step": "🧊" * 1000})
 
 
-def test_telling_outside_of_a_child_does_nothing():
-    tell("anything", 1, 2)
+def test_notifying_outside_of_a_child_does_nothing():
+    notify("anything", 1, 2)
 
 
 def test_an_error_of_the_callback_ends_the_child(call):
@@ -65,7 +65,7 @@ def test_an_error_of_the_callback_ends_the_child(call):
         call("steps", progress=refuse)
 
 
-def test_junk_in_the_pipe_is_passed_over(call):
+def test_junk_in_the_pipe_is_skipped(call):
     told = []
     call("junk_in_the_pipe", progress=lambda *words: told.append(words))
     assert told == []
@@ -78,7 +78,7 @@ def test_junk_in_the_pipe_is_passed_over(call):
         ("one dict", "must return a dict of arrays and a dict of values"),
         ("a list", "'x' must be an array of numbers, got a list"),
         ("objects", "an array of object"),
-        ("float32", r"'x' is float32 of shape \(3,\), announced is float64 of shape \(3\)"),
+        ("float32", r"'x' is float32 of shape \(3,\), expected float64 of shape \(3\)"),
         ("shape", r"of shape \(3, 1\)"),
         ("length", r"of shape \(4,\)"),
         ("nan", "2 values that are not finite"),
@@ -88,7 +88,7 @@ def test_junk_in_the_pipe_is_passed_over(call):
         ("nan value", "not JSON compliant"),
     ],
 )
-def test_what_was_not_announced_is_refused(call, what, words):
+def test_what_was_not_specified_is_refused(call, what, words):
     with pytest.raises(PluginError, match=words) as caught:
         call("give", {"what": what})
     assert f"numpy {np.__version__} " in caught.value.message

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError
-from sppm_pipeline.process import run, stop_all
+from sppm_pipeline.process import native, stop_all
 
 
 @pytest.mark.parametrize("name", ["SIGSEGV", "SIGABRT", "SIGFPE", "SIGILL", "SIGBUS", "SIGTERM"])
@@ -31,7 +31,7 @@ def test_segmentation_fault(call):
     assert caught.value.hint == "repair the mesh"
 
 
-def test_killed_from_outside_is_a_lack_of_memory(call):
+def test_killed_from_outside_counts_as_memory_used_up(call):
     with pytest.raises(ResourceError, match="SIGKILL"):
         call("die", {"signal": int(signal.SIGKILL)})
 
@@ -131,11 +131,11 @@ def test_other_threads_are_stopped(call):
     thread = threading.Thread(target=work)
     thread.start()
     until = time.monotonic() + 10
-    while not run._running and time.monotonic() < until:
+    while not native._running and time.monotonic() < until:
         time.sleep(0.01)
     stop_all()
     thread.join(10)
     assert not thread.is_alive()
     assert "interrupted" in raised[0].message
-    assert not run._running
+    assert not native._running
     assert call("echo", arrays={"x": np.zeros(3)}).values == {}

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.process import folder as folders
+from sppm_pipeline.process import exchange
 
 PARENT = """
 import os, sys, threading, time
@@ -84,14 +84,14 @@ def test_leftovers_of_the_dead_are_removed_those_of_the_living_are_not(parent, g
     assert gone(pids)
     assert first <= set(temporary.iterdir())
     # nobody's, as others may make them: not ours to judge
-    (temporary / f"{folders.PREFIX}file").write_text("a file", encoding="utf-8")
-    (temporary / f"{folders.PREFIX}link").symlink_to(Path.home())
+    (temporary / f"{exchange.PREFIX}file").write_text("a file", encoding="utf-8")
+    (temporary / f"{exchange.PREFIX}link").symlink_to(Path.home())
     (temporary / "else").mkdir()
     (next(iter(first)) / "work" / "closed").mkdir()
     (next(iter(first)) / "work" / "closed").chmod(0)
-    with folders.private_folder() as mine:
+    with exchange.private_folder() as mine:
         names = {path.name for path in temporary.iterdir()}
-    assert names == {f"{folders.PREFIX}file", f"{folders.PREFIX}link", "else", mine.name, *(p.name for p in second)}
+    assert names == {f"{exchange.PREFIX}file", f"{exchange.PREFIX}link", "else", mine.name, *(p.name for p in second)}
     assert living.poll() is None
 
 
@@ -108,7 +108,7 @@ def test_a_folder_taken_for_a_leftover_is_made_anew(temporary, monkeypatch):
             seen[0].rmdir()
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with folders.private_folder() as path:
+    with exchange.private_folder() as path:
         assert path.is_dir()
         assert path != seen[0]
     assert not list(temporary.iterdir())

@@ -91,18 +91,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "check.residual_periodicity": (TILED, "resolution: 8", []),
     "slice.field": (TILED, "pixel: 0.25", ["  - write.png"]),
     "write.png": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
-    "write.stl": ([BOX], "", []),
-    "write.ply": ([BOX], "", []),
-    "write.obj": ([BOX], "", []),
-    "write.off": ([BOX], "", []),
-    "write.glb": ([BOX], "", []),
-    "write.3mf": ([BOX], "", []),
-    "write.vtu": (VOLUME, "", []),
-    "write.inp": (VOLUME, "", []),
-    "write.msh": (VOLUME, "", []),
-    "write.npy": (IMAGE, "", []),
-    "write.tiff": (IMAGE, "", []),
-    "write.vti": (IMAGE, "", []),
+    "write.mesh": ([BOX], "", []),
+    "write.volume_mesh": (VOLUME, "", []),
+    "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "size: [300, 300]", []),
     "write.graph": (AS_CELL[:3], "", []),
     "write.picture": ([BOX], "size: [32, 32], resolution: 4", []),
@@ -118,7 +109,7 @@ HOSTILE = [
     "-5 mm", "0 mm", "1e300 mm", "1e-300 mm", "1e300 m", ".nan mm", "'\\0'", "1e-9", "0.5", "3", "'3'",
 ]  # fmt: skip
 
-HARMLESS = {"title", "x_label", "y_label", "x", "y"}
+HARMLESS = {"title", "description", "x_label", "y_label", "x", "y"}
 """Free texts."""
 
 
@@ -197,7 +188,7 @@ def test_hostile_values(name, tmp_path, request):
                 assert all(one.where is not None and one.where.line == line for one in errors), (value, str(refused))
                 words = str(refused)
                 assert len(words) < 900, (option.name, value)
-                if "not allowed in a text" not in words and "`" not in words:  # options that exclude each other
+                if "not allowed in a string" not in words and "`" not in words:  # options that exclude each other
                     assert f"option {option.name!r}" in words, (value, words)
                     assert "expected" in words or "output" in words, (value, words)
                 continue
@@ -211,7 +202,7 @@ def test_hostile_values(name, tmp_path, request):
 
 
 def ends(option) -> list[str]:
-    """Values at the ends of what is allowed, as YAML; whole numbers only where they stay small."""
+    """Values at the ends of what is allowed, as YAML; integers only where they stay small."""
     spec, kinds = option.spec, members(option.kind)
     found = []
     for bound, step in ((spec.minimum, 0), (spec.above, 1), (spec.maximum, 0), (spec.below, -1)):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import tell
+from sppm_pipeline import notify
 
 Arrays = Mapping[str, NDArray[Any]]
 Options = Mapping[str, Any]
@@ -23,7 +23,7 @@ def apply(arrays: Arrays, options: Options) -> tuple[dict[str, NDArray[Any]], di
     import pymeshlab
 
     name = options["filter"]
-    tell(name.replace("_", " "))
+    notify(name.replace("_", " "))
     meshes = _loaded(pymeshlab, arrays)
     try:
         _FILTERS[name](pymeshlab, meshes, options)
@@ -40,7 +40,7 @@ def count_self_intersections(arrays: Arrays, options: Options) -> tuple[dict[str
     """Number of triangles that pass through another one."""
     import pymeshlab
 
-    tell("look for self-intersections")
+    notify("look for self-intersections")
     meshes = _loaded(pymeshlab, arrays)
     meshes.compute_selection_by_self_intersections_per_face()
     return {}, {"triangles": int(meshes.current_mesh().selected_face_number())}

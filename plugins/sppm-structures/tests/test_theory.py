@@ -181,4 +181,4 @@ def test_published_curves(tmp_path):
     spec.loader.exec_module(module)
     module.draw(tmp_path / "run", tmp_path / "curves.png")
     with Image.open(tmp_path / "curves.png") as image:
-        assert image.size == (960, 640)
+        assert image.size == (1000, 720)

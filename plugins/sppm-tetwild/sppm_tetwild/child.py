@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import tell
+from sppm_pipeline import notify
 from sppm_tetwild.random_device import SeededDevice
 
 
@@ -21,11 +21,11 @@ def tetrahedra(
     arrays: Mapping[str, NDArray[Any]], options: Mapping[str, Any]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Nodes and tetrahedra inside a closed surface; whether the random numbers were ours."""
-    tell("load fTetWild")
+    notify("load fTetWild")
     pytetwild = _without_pyvista("pytetwild.pytetwild")
     library = sys.modules["pytetwild.PyfTetWildWrapper"]
     device = SeededDevice(Path(str(library.__file__)), "PyInit_PyfTetWildWrapper", options["seed"])
-    tell("fill with tetrahedra")
+    notify("fill with tetrahedra")
     nodes, cells = pytetwild.tetrahedralize(
         arrays["vertices"],
         arrays["faces"],

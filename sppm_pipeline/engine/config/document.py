@@ -2,7 +2,7 @@
 
 The tree is composed here from the parser's events, one by one, so that a document that would explode (deep nesting,
 aliases of aliases, merge keys of merge keys) is refused at the event where it passes a limit. Scalars follow the core
-schema of YAML 1.2: ``1e-3`` is a number, ``no`` is text.
+schema of YAML 1.2: ``1e-3`` is a number, ``no`` is a string.
 """
 
 from __future__ import annotations
@@ -272,10 +272,10 @@ class _Composer:
         if kind == "ScalarEvent":
             if len(event.value) > MAX_SCALAR:
                 raise ConfigError(
-                    f"the text {event.value[:20]!r}... is longer than {MAX_SCALAR} characters", where=where
+                    f"the string {event.value[:20]!r}... is longer than {MAX_SCALAR} characters", where=where
                 )
             if (bad := unprintable(event.value)) is not None:
-                raise ConfigError(f"the character {bad} is not allowed in a text", where=where)
+                raise ConfigError(f"the character {bad} is not allowed in a string", where=where)
             node = Node(self._scalar(event.value, where) if event.implicit[0] else event.value, where)
         elif kind == "SequenceStartEvent":
             items = []
@@ -310,7 +310,7 @@ class _Composer:
             if isinstance(key, str) and len(key) > MAX_KEY:
                 raise ConfigError(f"the key {key[:20]!r}... is longer than {MAX_KEY} characters", where=where)
             if not isinstance(key, str):
-                raise ConfigError(f"keys must be text, got {_shown(key)}", where=where, hint="put quotes around it")
+                raise ConfigError(f"keys must be strings, got {_shown(key)}", where=where, hint="put quotes around it")
             if key in entries:
                 raise ConfigError(f"the key {key!r} is given twice; first at {entries[key].where}", where=where)
             entries[key] = Entry(where, value)

@@ -85,7 +85,7 @@ class Substitution:
             self._problems.report(
                 f"${{name}} stands for a whole value, got {shown(node.value)}",
                 node.where,
-                hint="there is no text around a parameter; put the whole text into `params`",
+                hint="there is no text around a parameter; put the whole string into `params`",
             )
             self._problems.explained(node.where)
             return node
@@ -185,7 +185,7 @@ def _matching(entries: Sequence[StageEntry], target: str) -> list[int]:
 def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]:
     """The rows of a sweep: of a grid with its last parameter changing fastest, of a table as written.
 
-    In a grid, ``{from: 1, to: 50}`` stands for the whole numbers from 1 to 50, ``{from: 0, to: 100, step: 5}`` for
+    In a grid, ``{from: 1, to: 50}`` stands for the integers from 1 to 50, ``{from: 0, to: 100, step: 5}`` for
     every fifth.
 
     Raises
@@ -218,7 +218,7 @@ def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]
             problems.report(f"the sweep varies {name!r}, which is no parameter", entry.where, hint=hint)
         elif name == "seed" and (isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_SEED):
             problems.report(
-                f"a seed is a whole number, at least 0, at most {MAX_SEED}, got {shown(plain(entry.node))}",
+                f"a seed is an integer, at least 0, at most {MAX_SEED}, got {shown(plain(entry.node))}",
                 entry.node.where,
             )
     if not rows and not problems.errors:
@@ -239,9 +239,7 @@ def _axis(name: str, entry: Entry, problems: Problems) -> list[Entry]:
             step = ends.get("step", 1)
             if step > 0 and 0 <= ends["to"] - ends["from"] < MAX_ROWS * step:
                 return [Entry(entry.where, Node(number, where)) for number in range(ends["from"], ends["to"] + 1, step)]
-    problems.report(
-        f"the sweep of {name!r} must be a list of values, or whole numbers such as {{from: 1, to: 50}}", where
-    )
+    problems.report(f"the sweep of {name!r} must be a list of values, or integers such as {{from: 1, to: 50}}", where)
     return []
 
 

@@ -6,14 +6,18 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import ONE, RecipeSize, Size
 from sppm_pipeline.engine.plan.planning import Plan
-from sppm_pipeline.engine.plan.rates import Cost, Speed, rates
+from sppm_pipeline.engine.plan.rates import WORTH, Cost, Speed, cost, learn_speed
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.process.resources import MEMORY, allowed_memory, free_disk, words_for_bytes
+from sppm_pipeline.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.cache.store import Store
 
 TRUST = 1.3
 """An estimate may be this much too high before a run is refused that the machine might just manage."""
@@ -95,7 +99,7 @@ def estimate_plan(plan: Plan, *, until: str | None = None, speed: Speed | None =
     if until is not None:
         steps = steps[: [step.id for step in steps].index(until) + 1]
     entries = len(steps) + sum(len(group) for group in plan.recipes.values())
-    program = rates().cost("sppm", {"stages": float(entries)})
+    program = cost("sppm", {"stages": float(entries)})
     assert program is not None
     return PlanEstimate(estimate_steps(steps, plan.recipes, ONE, program.memory, speed or {}), program)
 
@@ -115,25 +119,34 @@ def estimate_steps(
         inner: list[tuple[float, StageEstimate]] = []
         size = sizes[step.id] = _size(step, sizes, recipes, palette, speed, inner)
         key = step.stage.rated_as
-        own = None if size is None else rates().cost(key, size.units(), factor=speed.get(key, (1.0, 0))[0])
+        own = None if size is None else cost(key, size.units(), factor=speed.get(key, 1.0))
         unknown = tuple(address for _, stage in inner for address in stage.unknown)
-        cost = None
+        total = None
         if own is None:
             unknown = (*unknown, step.address)
         else:
             costs = [(repeats, stage.cost) for repeats, stage in inner if stage.cost]
-            cost = Cost(
+            total = Cost(
                 seconds=own.seconds + sum(repeats * one.seconds for repeats, one in costs),
                 memory=max(own.memory, own.kept, *(stage.resident for _, stage in inner), 0.0),
                 kept=own.kept,
                 disk=own.disk + sum(repeats * one.disk for repeats, one in costs),
             )
-        resident = base + sum(kept.values()) + (cost.memory if cost else 0.0)
-        kept[step.id] = cost.kept if cost else 0.0
-        found.append(StageEstimate(step, size, cost, resident, unknown))
+        resident = base + sum(kept.values()) + (total.memory if total else 0.0)
+        kept[step.id] = total.kept if total else 0.0
+        found.append(StageEstimate(step, size, total, resident, unknown))
         for id_ in done:
             kept.pop(id_, None)
     return tuple(found)
+
+
+def learn(store: Store, steps: Sequence[Step], recipes: RecipeSteps, record: Sequence[Mapping[str, Any]]) -> None:
+    """Compare the seconds in the entries of a run record with the table of rates, for the next estimate."""
+    took = {entry["id"]: entry["seconds"] for entry in record if not entry.get("cached") and entry["seconds"] > WORTH}
+    if took:
+        stages = estimate_steps(steps, recipes, ONE, 0.0, {})
+        known = [stage for stage in stages if stage.step.id in took and stage.cost and not stage.unknown]
+        learn_speed(store, {s.step.stage.rated_as: (took[s.step.id], s.cost.seconds) for s in known if s.cost})
 
 
 def _size(
@@ -199,7 +212,7 @@ def refuse_what_cannot_fit(
         needed = stage.resident * workers
         if limit is not None and stage.cost is not None and needed > slack * limit:
             raise ResourceError(
-                f"about {words_for_bytes(needed)} of memory would be needed; {words} is {words_for_bytes(limit)}"
+                f"about {format_bytes(needed)} of memory would be needed; {words} is {format_bytes(limit)}"
                 + (f" ({workers} runs at the same time)" if workers > 1 else ""),
                 hint=stage.advice or "use a coarser resolution or a smaller part",
                 where=stage.step.where,
@@ -209,8 +222,7 @@ def refuse_what_cannot_fit(
     if free is not None and needed > TRUST * free:
         largest = max(estimate.stages, key=lambda stage: stage.cost.disk if stage.cost else 0.0)
         raise ResourceError(
-            f"about {words_for_bytes(needed)} would be written; free where {str(folder)!r} lies are "
-            f"{words_for_bytes(free)}",
+            f"about {format_bytes(needed)} would be written; free where {str(folder)!r} lies are {format_bytes(free)}",
             hint=f"choose another place with -o; {largest.advice or 'use a coarser resolution'}",
             where=largest.step.where,
             stage=largest.step.address,

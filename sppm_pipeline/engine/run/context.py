@@ -15,8 +15,8 @@ from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.process.budget import planning_memory, requested_memory
 from sppm_pipeline.process.interruption import check
-from sppm_pipeline.process.resources import memory_budget, wished_memory
 from sppm_pipeline.stage import Context
 
 
@@ -124,8 +124,8 @@ class RunContext(Context):
         self.palette = palette
         self.log = log
         self.folder = folder
-        self.memory = memory_budget()
-        self.memory_limit = wished_memory()
+        self.memory = planning_memory()
+        self.memory_limit = requested_memory()
 
     def inside(self, recipe: str, attempt: int, id_: str, address: str, palette: Palette) -> RunContext:
         """The context of a stage of a recipe that this stage repeats."""

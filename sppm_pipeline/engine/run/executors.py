@@ -13,7 +13,7 @@ from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.plugins import Plugins
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.hookspecs import hookimpl
-from sppm_pipeline.process.interruption import die_with_parent
+from sppm_pipeline.process.tree import die_with_parent
 
 
 class SerialExecutor(Executor):

@@ -24,7 +24,7 @@ from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, RunFolder
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import NativeCrash, SppmError
 from sppm_pipeline.hookspecs import StageEvent, hookimpl
-from sppm_pipeline.process.interruption import requested, running, stopped_running
+from sppm_pipeline.process.interruption import register, requested, unregister
 
 RECORD_VERSION = 1
 
@@ -149,7 +149,7 @@ class Recorder:
         except BaseException:
             self.folder.discard()
             raise
-        running(self, self.folder.path)
+        register(self, self.folder.path)
         for message in self.warnings:
             self._monitor.warning(None, message)
         return self
@@ -182,7 +182,7 @@ class Recorder:
             else:
                 self._write("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", None)
         finally:
-            stopped_running(self)
+            unregister(self)
             self.folder.discard()
 
     def checkpoint(self) -> None:

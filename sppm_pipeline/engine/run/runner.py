@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.config.options import options_of
+from sppm_pipeline.engine.plan.estimate import learn
 from sppm_pipeline.engine.plan.planning import Plan, step_options
-from sppm_pipeline.engine.plan.rates import learn_speed
 from sppm_pipeline.engine.plan.session import check_until
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.run.context import RunContext, StageLog
@@ -222,7 +222,7 @@ class StepRunner:
                     for id_ in {id_ for done in last[:number] for id_ in done} - set(self._keep):
                         self._results.pop(id_, None)
             if self._cache is not None:
-                learn_speed(self._cache.store, steps, self._recipes, self.entries)
+                learn(self._cache.store, steps, self._recipes, self.entries)
         finally:
             if self._cache is not None:
                 self._cache.close()

@@ -21,9 +21,9 @@ from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.run.context import RunContext
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, InputError, PluginError, ResourceError, SppmError
+from sppm_pipeline.process.budget import exhausted_resource
 from sppm_pipeline.process.containment import contained, limited
 from sppm_pipeline.process.interruption import check
-from sppm_pipeline.process.resources import lack
 from sppm_pipeline.stage import Context, Recipe, Stage
 
 RecipeSteps = Mapping[str, Sequence[Step]]
@@ -73,8 +73,9 @@ def _system_error(step: Step, error: Exception) -> SppmError:
     if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError)):
         place = f": {error.filename!r}" if error.filename is not None else ""
         return InputError(f"{error.strerror or error}{place}", where=step.where, stage=step.address)
-    if (lacking := lack(error)) is not None and (step.owner.builtin or not isinstance(error, ModuleNotFoundError)):
-        return ResourceError(lacking, where=step.where, stage=step.address)
+    missing = exhausted_resource(error)
+    if missing is not None and (step.owner.builtin or not isinstance(error, ModuleNotFoundError)):
+        return ResourceError(missing, where=step.where, stage=step.address)
     return _blame(step, f"raised {type(error).__name__}: {error}")
 
 

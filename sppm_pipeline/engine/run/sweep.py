@@ -207,8 +207,8 @@ def _stop_workers() -> None:
     if "multiprocessing" in sys.modules:
         for process in sys.modules["multiprocessing"].active_children():
             process.terminate()
-    if "sppm_pipeline.process" in sys.modules:
-        sys.modules["sppm_pipeline.process"].stop_all()
+    if "sppm_pipeline.process.native" in sys.modules:
+        sys.modules["sppm_pipeline.process.native"].stop_all()
 
 
 @functools.lru_cache(maxsize=1)

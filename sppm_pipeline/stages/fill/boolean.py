@@ -15,7 +15,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.field_surface import FEWEST, MOST, FieldSurface, expected_voxels, node_grid, voxels_along_edge
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.process.memory import child_memory, require_memory
+from sppm_pipeline.process.budget import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -69,7 +69,7 @@ class BooleanFill(Stage):
         return replace(field, geometry=made).grid(n, triangles=made.triangles(n) + ends + domain.triangles)
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> SurfaceMesh:
-        """Extract, predict the memory, intersect, judge."""
+        """Extract, predict the memory, intersect, check."""
         from sppm_pipeline.numerics.meshcheck.bodies import find_shells, largest_body
         from sppm_pipeline.numerics.meshcheck.measures import volume
         from sppm_pipeline.numerics.surface.booleans import check_solid

@@ -35,11 +35,12 @@ class ReadPrimitive(Stage):
         """From coarse meshes of the same body: the number of triangles grows with a power of `facets`."""
         from sppm_pipeline.numerics.meshcheck.measures import surface_area, volume
 
-        fewer, more = self._mesh(min(self.facets, 16))[1], self._mesh(min(self.facets, 32))
-        growth = math.log2(len(more[1]) / len(fewer)) if self.facets >= 32 else 0.0
+        facets = 5 * 2.0 ** max(1, round(math.log2(self.facets / 5))) if self.shape == "ball" else self.facets
+        fewer, more = self._mesh(min(self.facets, 20))[1], self._mesh(min(self.facets, 40))
+        growth = math.log2(len(more[1]) / len(fewer)) if self.facets >= 40 else 0.0
         x, y, z = (length.mm() for length in self.size)
         part = Geometry(edge_mm=1.0, box=(x, y, z), volume=volume(*more), envelope=surface_area(*more))
-        return Size(triangles=len(more[1]) * max(1.0, self.facets / 32) ** growth, geometry=part)
+        return Size(triangles=len(more[1]) * max(1.0, facets / 40) ** growth, geometry=part)
 
     def run(self, context: Context) -> SurfaceMesh:
         """Make the mesh."""

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sppm_pipeline import errors
-from sppm_pipeline.process import telling
-from sppm_pipeline.process.telling import tell
+from sppm_pipeline.process import exchange, notify
 
 X = {"x": np.zeros(3)}
 
@@ -37,13 +36,13 @@ def surroundings(arrays, options):
 
 def steps(arrays, options):
     for i in range(5):
-        tell("count", i + 1, 5)
-    tell("rest")
+        notify("count", i + 1, 5)
+    notify("rest")
     return X, {}
 
 
 def die(arrays, options):
-    tell(options.get("step", "close holes"), 1e300, 1.1e300)
+    notify(options.get("step", "close holes"), 1e300, 1.1e300)
     print("a last word")
     sys.stdout.flush()
     os.kill(os.getpid(), options["signal"])
@@ -51,7 +50,7 @@ def die(arrays, options):
 
 
 def segfault(arrays, options):
-    tell("read the mesh", 1, 2)
+    notify("read the mesh", 1, 2)
     ctypes.string_at(8)
 
 
@@ -61,7 +60,7 @@ def abort(arrays, options):
 
 
 def loop(arrays, options):
-    tell("loop")
+    notify("loop")
     while True:
         pass
 
@@ -95,7 +94,7 @@ def descendants(arrays, options):
 
 
 def hog(arrays, options):
-    tell("fill memory")
+    notify("fill memory")
     kept = [np.ones(2**23) for _ in range(10**6)]
     return X, {"kept": len(kept)}
 
@@ -140,7 +139,7 @@ def lose_signal_handlers(arrays, options):
 
 def close_everything(arrays, options):
     os.closerange(0, 64)
-    tell("nobody hears this", 1, 1)
+    notify("nobody hears this", 1, 1)
     return X, {}
 
 
@@ -164,7 +163,7 @@ def junk_in_the_pipe(arrays, options):
         b"[" * 100_000 + b"\n",
         b"x" * 99_999,
     ):
-        os.write(telling._channel, line)
+        os.write(exchange._channel, line)
     return X, {}
 
 

@@ -10,7 +10,7 @@ from sppm_pipeline.errors import ConfigError, DesignError, InputError, ResourceE
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.domain.primitive_meshes import box_mesh
 from sppm_pipeline.numerics.meshcheck.measures import measure_surface, volume
-from sppm_pipeline.process import memory
+from sppm_pipeline.process import budget
 from sppm_pipeline.stages.extract.manifold_sdf import ManifoldSdf
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling
@@ -83,7 +83,7 @@ def test_what_cannot_be(cell, wang_tiling, ball, monkeypatch):
         mesh(Part(wang_tiling, SurfaceMesh(ball.vertices, ball.faces[2:], "torn")))
     with pytest.raises(ConfigError):
         ManifoldSdf(resolution=9, spacing=Length(1)).check_options()
-    monkeypatch.setattr(memory, "available_memory", lambda limit: 1000)
+    monkeypatch.setattr(budget, "available_memory", lambda limit: 1000)
     with pytest.raises(ResourceError, match="lattice"):
         mesh(cell)
 

@@ -14,7 +14,7 @@ from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, 
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.meshcheck.bodies import find_shells
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
-from sppm_pipeline.process import memory
+from sppm_pipeline.process import budget
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.fill.boolean import BooleanFill
 from sppm_pipeline.testing.contracts import StageContract
@@ -121,7 +121,7 @@ def test_a_part_that_does_not_close(wang_tiling, ball):
 
 
 def test_too_little_memory_is_known_before(wang_tiling, ball, monkeypatch):
-    monkeypatch.setattr(memory, "available_memory", lambda limit: 10_000_000)
+    monkeypatch.setattr(budget, "available_memory", lambda limit: 10_000_000)
     with pytest.raises(ResourceError, match=r"0\.01 GB are available") as error:
         fill(wang_tiling, ball)
     assert "resolution" in error.value.hint

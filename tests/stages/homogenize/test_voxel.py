@@ -8,7 +8,7 @@ from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError, ResourceError
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame, lame
-from sppm_pipeline.process import memory
+from sppm_pipeline.process import budget
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -152,7 +152,7 @@ def test_phases_need_materials(cell):
 
 
 def test_a_cell_that_does_not_fit_into_memory_is_refused(cell, monkeypatch):
-    monkeypatch.setattr(memory, "available_memory", lambda limit: 4_000_000)
+    monkeypatch.setattr(budget, "available_memory", lambda limit: 4_000_000)
     with pytest.raises(ResourceError, match=r"64 x 64 x 64 voxels needs .* 0\.004 GB are available"):
         homogenized(cell, resolution=64)
 

@@ -10,9 +10,7 @@ from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stages.extract.voxels import ExtractVoxels
 from sppm_pipeline.stages.read.voxels import ReadVoxels
-from sppm_pipeline.stages.write.npy import WriteNpy
-from sppm_pipeline.stages.write.tiff import WriteTiff
-from sppm_pipeline.stages.write.vti import WriteVti
+from sppm_pipeline.stages.write.voxels import WriteVoxels
 from sppm_pipeline.testing.plain_context import PlainContext
 
 
@@ -96,11 +94,15 @@ def test_all_void_is_said(save):
 
 
 def test_what_cannot_be_read(tmp_path, save):
-    with pytest.raises(InputError, match="no file"):
+    with pytest.raises(InputError, match="cannot read"):
         read(tmp_path / "none.npy")
     (tmp_path / "a.raw").write_bytes(b"x")
     with pytest.raises(InputError, match="raw"):
         read(tmp_path / "a.raw")
+    (tmp_path / "a.vti").write_bytes(b"x")
+    with pytest.raises(InputError, match="vti") as caught:
+        read(tmp_path / "a.vti")
+    assert "nrrd" in caught.value.hint
     with pytest.raises(InputError, match="not finite"):
         read(save(np.full((2, 2, 2), np.nan)))
     with pytest.raises(ConfigError, match="belong together"):
@@ -116,18 +118,18 @@ def test_a_stack_of_pictures(tmp_path):
     assert made.values[:, 0].tolist() == [[0, 0, 0], [1, 1, 1]]
 
 
-@pytest.mark.parametrize("writer", [WriteNpy(path="v.npy"), WriteTiff(path="v.tiff"), WriteVti(path="v.vti")])
-def test_a_cell_goes_out_and_comes_back(cell, tmp_path, writer):
+@pytest.mark.parametrize("name", ["v.npy", "v.tiff", "v.tif"])
+def test_a_cell_goes_out_and_comes_back(cell, tmp_path, name):
     context = PlainContext(directory=tmp_path)
     voxels = ExtractVoxels(resolution=20).run(context, cell)
     assert (voxels.values == cell.solid(cell_centers(20)).T).all()
     assert voxels.periodic == (True,) * 3
-    writer.run(context, voxels)
-    back, _ = read(tmp_path / writer.path)
+    WriteVoxels(path=name).run(context, voxels)
+    back, _ = read(tmp_path / name)
     assert (back.values == voxels.values).all()
     fractions = Voxels(np.linspace(0, 1, 24, dtype=np.float32).reshape(2, 3, 4), (1, 2, 3), True, (True,) * 3)
-    writer.run(context, fractions)
-    back, _ = read(tmp_path / writer.path, values="fractions")
+    WriteVoxels(path=name).run(context, fractions)
+    back, _ = read(tmp_path / name, values="fractions")
     assert (back.values == fractions.values).all()
 
 

@@ -1,6 +1,5 @@
 """Meshes written by stages: sound for those who read them, the same bytes each time, one cell for many."""
 
-import importlib
 import io
 import json
 import shutil
@@ -22,15 +21,10 @@ from sppm_pipeline.numerics.meshcheck.measures import volume
 from sppm_pipeline.stages.extract.unit_cell import UnitCell
 from sppm_pipeline.stages.read.mesh import ReadMesh
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling
-from sppm_pipeline.stages.write.glb import WriteGlb
-from sppm_pipeline.stages.write.obj import WriteObj
-from sppm_pipeline.stages.write.off import WriteOff
-from sppm_pipeline.stages.write.ply import WritePly
-from sppm_pipeline.stages.write.stl import WriteStl
+from sppm_pipeline.stages.write.mesh import ENCODERS, WriteMesh
 from sppm_pipeline.testing.plain_context import PlainContext
 
-WriteThreeMf = importlib.import_module("sppm_pipeline.stages.write.3mf").WriteThreeMf
-WRITERS = {"stl": WriteStl, "ply": WritePly, "obj": WriteObj, "off": WriteOff, "3mf": WriteThreeMf, "glb": WriteGlb}
+FORMATS = [extension[1:] for extension in ENCODERS]
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 
 
@@ -46,12 +40,12 @@ def read(path: Path, **options):
     return ReadMesh(path=path, **options).run(context), context
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", FORMATS)
 def test_what_is_written_is_read_again(name, wedge, tmp_path):
-    data, context = write(WRITERS[name](path=f"a.{name}"), wedge, tmp_path)
+    data, context = write(WriteMesh(path=f"a.{name}"), wedge, tmp_path)
     assert context.reported["bytes"] == len(data)
     assert context.reported["triangles"] == 4
-    assert write(WRITERS[name](path=f"b.{name}"), wedge, tmp_path, threads=3)[0] == data
+    assert write(WriteMesh(path=f"b.{name}"), wedge, tmp_path, threads=3)[0] == data
     made, reading = read(tmp_path / f"a.{name}")
     assert np.allclose(made.vertices[made.faces], wedge.vertices[wedge.faces], atol=1e-6)
     stated = {"3mf": ("millimeter", 1.0, "z"), "glb": ("meter", 1000.0, "y")}.get(name, ("mm", 1.0, "z"))
@@ -59,16 +53,16 @@ def test_what_is_written_is_read_again(name, wedge, tmp_path):
     assert not reading.warnings
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", FORMATS)
 def test_nothing_is_not_written(name, tmp_path):
     empty = SurfaceMesh(np.zeros((3, 3)), np.zeros((0, 3), np.int32))
     with pytest.raises(DesignError, match="nothing to write"):
-        write(WRITERS[name](), empty, tmp_path)
+        write(WriteMesh(path=f"mesh.{name}"), empty, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_3mf_holds_what_the_core_specification_asks_for(ball, tmp_path):
-    stage = WriteThreeMf(title='ball & "chain"', description="<porosity> 0.7")
+    stage = WriteMesh(path="mesh.3mf", title='ball & "chain"', description="<porosity> 0.7")
     data, _ = write(stage, ball, tmp_path)
     with zipfile.ZipFile(io.BytesIO(data)) as file:
         assert file.testzip() is None
@@ -103,17 +97,57 @@ def test_a_3mf_holds_what_the_core_specification_asks_for(ball, tmp_path):
     assert solid.volume() == pytest.approx(ball.summary()["volume_mm3"])
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"path": "part"}, r"must end in \.stl, \.ply, \.obj, \.off, \.3mf, \.glb"),
+        ({"path": "part.step"}, "must end in"),
+        ({"path": "part.ply", "normals": True}, r"`normals` is an option of \.glb files; a \.ply file"),
+        ({"path": "part.GLB", "title": "a"}, r"`title` is an option of \.3mf files; a \.glb file"),
+        ({"path": "part.stl", "description": "a"}, r"`description` is an option of \.3mf files"),
+    ],
+)
+def test_options_of_other_formats_are_refused(options, message):
+    with pytest.raises(ConfigError, match=message):
+        WriteMesh(**options).check_options()
+
+
+def test_the_extension_may_be_in_capitals(wedge, tmp_path):
+    data, _ = write(WriteMesh(path="A.PLY"), wedge, tmp_path)
+    assert data == write(WriteMesh(path="a.ply"), wedge, tmp_path)[0]
+
+
+@pytest.mark.parametrize("name", ["stl", "ply", "obj", "off"])
+def test_formats_without_copies_refuse_them(name, repeated, tmp_path):
+    with pytest.raises(DesignError, match="holds no copies") as caught:
+        write(WriteMesh(path=f"a.{name}"), repeated, tmp_path)
+    assert "extract.marching_cubes" in caught.value.hint
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_former_stages_write_their_format_under_their_former_id(name, run_yaml, summary):
+    record, folder = run_yaml(f"""
+pipeline:
+  - {{stage: read.primitive, shape: box, size: [1 mm, 2 mm, 3 mm]}}
+  - {{stage: write.{name}}}
+  - {{stage: write.mesh, path: new.{name}}}
+""")
+    assert (folder / f"mesh.{name}").read_bytes() == (folder / f"new.{name}").read_bytes()
+    assert summary(record, f"write.{name}")["triangles"] == 12
+
+
 def test_titles_are_text(ball, tmp_path):
     with pytest.raises(ConfigError, match="printed"):
-        WriteThreeMf(title="a\0b").check_options()
+        WriteMesh(path="mesh.3mf", title="a\0b").check_options()
     odd = SurfaceMesh(ball.vertices, ball.faces, name='a\0<b> "c"')
-    with zipfile.ZipFile(io.BytesIO(write(WriteThreeMf(), odd, tmp_path)[0])) as file:
+    with zipfile.ZipFile(io.BytesIO(write(WriteMesh(path="mesh.3mf"), odd, tmp_path)[0])) as file:
         (entry, *_) = ElementTree.fromstring(file.read("3D/3dmodel.model"))
     assert entry.text == 'a?<b> "c"'
 
 
 def test_a_glb_is_in_metres_with_y_up_and_unit_normals(ball, tmp_path):
-    data, _ = write(WriteGlb(normals=True), ball, tmp_path)
+    data, _ = write(WriteMesh(path="mesh.glb", normals=True), ball, tmp_path)
     document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
     position = document["accessors"][1]
     assert np.allclose(position["min"], [0, 0, -0.01])
@@ -129,7 +163,7 @@ def test_a_glb_is_in_metres_with_y_up_and_unit_normals(ball, tmp_path):
 def test_normals_of_vertices_without_area_are_unit(tmp_path):
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]], float)
     folded = SurfaceMesh(vertices, np.array([[0, 1, 2], [0, 2, 1]]))
-    data, _ = write(WriteGlb(normals=True), folded, tmp_path)
+    data, _ = write(WriteMesh(path="mesh.glb", normals=True), folded, tmp_path)
     normals = np.frombuffer(data[-60:], "<f4").reshape(5, 3)
     assert np.allclose(normals, [0, 1, 0])
 
@@ -149,15 +183,15 @@ def repeated(lattice) -> RepeatedMesh:
 
 @pytest.mark.parametrize("name", ["3mf", "glb"])
 def test_a_cell_is_written_once(name, repeated, tmp_path):
-    once, _ = write(WRITERS[name](path=f"once.{name}"), repeated.mesh, tmp_path)
-    data, context = write(WRITERS[name](path=f"many.{name}"), repeated, tmp_path)
+    once, _ = write(WriteMesh(path=f"once.{name}"), repeated.mesh, tmp_path)
+    data, context = write(WriteMesh(path=f"many.{name}"), repeated, tmp_path)
     assert len(data) < len(once) + 1500
     assert context.reported["copies"] == 6
     assert context.reported["triangles"] == 6 * len(repeated.mesh.faces)
     read_again, _ = read(tmp_path / f"many.{name}")
     whole = repeated.whole()
     assert np.allclose(read_again.vertices[read_again.faces], whole.vertices[whole.faces], atol=2e-6)
-    assert write(WRITERS[name](path=f"again.{name}"), repeated, tmp_path, threads=2)[0] == data
+    assert write(WriteMesh(path=f"again.{name}"), repeated, tmp_path, threads=2)[0] == data
     if name == "glb":
         scene = trimesh.load(io.BytesIO(data), file_type="glb", process=False)
         assert len(scene.graph.nodes_geometry) == 6
@@ -165,7 +199,7 @@ def test_a_cell_is_written_once(name, repeated, tmp_path):
 
 
 def test_components_are_of_the_core_specification(repeated, tmp_path):
-    data, _ = write(WriteThreeMf(), repeated, tmp_path)
+    data, _ = write(WriteMesh(path="mesh.3mf"), repeated, tmp_path)
     with zipfile.ZipFile(io.BytesIO(data)) as file:
         model = ElementTree.fromstring(file.read("3D/3dmodel.model"))
     mesh, assembly = model.findall(f"{CORE}resources/{CORE}object")
@@ -180,7 +214,7 @@ def test_components_are_of_the_core_specification(repeated, tmp_path):
 
 def test_no_copies_are_not_written(repeated, tmp_path):
     with pytest.raises(DesignError, match="no copies"):
-        write(WriteThreeMf(), RepeatedMesh(repeated.mesh, np.zeros((0, 3))), tmp_path)
+        write(WriteMesh(path="mesh.3mf"), RepeatedMesh(repeated.mesh, np.zeros((0, 3))), tmp_path)
 
 
 def test_a_pipeline_writes_copies(run_yaml, summary):
@@ -195,20 +229,20 @@ pipeline:
   - {stage: tune.porosity, recipe: cell, target: 0.5, resolution: 16}
   - {stage: tile.periodic, cells: [3, 3, 2], cell: 4 mm}
   - {stage: extract.unit_cell, resolution: 12}
-  - {stage: write.3mf, path: lattice.3mf}
-  - {stage: write.glb, path: lattice.glb}
+  - {stage: write.mesh, id: for_slicers, path: lattice.3mf}
+  - {stage: write.mesh, id: for_viewers, path: lattice.glb}
 """)
     assert record["status"] == "done"
     assert summary(record, "extract.unit_cell")["copies"] == 18
-    assert summary(record, "write.3mf")["copies"] == 18
-    assert summary(record, "write.3mf")["triangles"] == summary(record, "write.glb")["triangles"]
+    assert summary(record, "for_slicers")["copies"] == 18
+    assert summary(record, "for_slicers")["triangles"] == summary(record, "for_viewers")["triangles"]
     for name in ("3mf", "glb"):
         file = decode_mesh_file((folder / f"lattice.{name}").read_bytes(), f"a.{name}")
-        assert len(file.faces) == summary(record, "write.3mf")["triangles"]
+        assert len(file.faces) == summary(record, "for_slicers")["triangles"]
 
 
 def test_units_of_files_are_honoured(wedge, tmp_path):
-    data, _ = write(WriteThreeMf(path="a.3mf"), wedge, tmp_path)
+    data, _ = write(WriteMesh(path="a.3mf"), wedge, tmp_path)
     with zipfile.ZipFile(io.BytesIO(data)) as file:
         parts = {name: file.read(name) for name in file.namelist()}
     for unit, mm in {"micron": 1e-3, "centimeter": 10, "inch": 25.4, "foot": 304.8, "meter": 1000}.items():
@@ -225,8 +259,8 @@ def test_units_of_files_are_honoured(wedge, tmp_path):
 
 
 def test_the_upward_axis_can_be_told(wedge, tmp_path):
-    write(WriteGlb(path="a.glb"), wedge, tmp_path)
-    write(WritePly(path="a.ply"), wedge, tmp_path)
+    write(WriteMesh(path="a.glb"), wedge, tmp_path)
+    write(WriteMesh(path="a.ply"), wedge, tmp_path)
     x, y, z = wedge.vertices.T
     made, context = read(tmp_path / "a.glb", up="z")
     assert np.allclose(made.vertices, np.stack([x, z, -y], 1), atol=1e-5)
@@ -262,7 +296,7 @@ def test_a_slicing_program_reads_them(name, ball, repeated, tmp_path):
     program = shutil.which("prusa-slicer")
     if program is None:
         pytest.skip("prusa-slicer is not installed")
-    write(WRITERS[name](path=f"a.{name}"), ball, tmp_path)
+    write(WriteMesh(path=f"a.{name}"), ball, tmp_path)
     lines = dict(line.split(" = ", 1) for line in said_by(program, "--info", tmp_path / f"a.{name}") if " = " in line)
     assert float(lines["size_z"]) == pytest.approx(10, abs=1e-4)
     assert lines["manifold"].strip() == "yes"
@@ -274,7 +308,7 @@ def test_a_checker_of_stl_finds_nothing_to_repair(ball, tmp_path):
     program = shutil.which("admesh")
     if program is None:
         pytest.skip("admesh is not installed")
-    write(WriteStl(path="a.stl"), ball, tmp_path)
+    write(WriteMesh(path="a.stl"), ball, tmp_path)
     # "Total disconnected facets : 0 0", before and after
     counts = dict(line.split(":", 1) for line in said_by(program, tmp_path / "a.stl") if line.count(":") == 1)
     words = {key.strip(): set(value.split()) for key, value in counts.items()}

@@ -11,12 +11,10 @@ import pytest
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, ResourceError
 from sppm_pipeline.stages.mesh.isosurface_stuffing import IsosurfaceStuffing
 from sppm_pipeline.stages.read.volume_mesh import ReadVolumeMesh
-from sppm_pipeline.stages.write.inp import WriteInp
-from sppm_pipeline.stages.write.msh import WriteMsh
-from sppm_pipeline.stages.write.vtu import WriteVtu
+from sppm_pipeline.stages.write.volume_mesh import WriteVolumeMesh
 from sppm_pipeline.testing.plain_context import PlainContext
 
-WRITERS = {"a.vtu": WriteVtu, "a.vtk": WriteVtu, "a.inp": WriteInp, "a.msh": WriteMsh}
+FILES = ("a.vtu", "a.vtk", "a.inp", "a.msh")
 
 
 @pytest.fixture(scope="module", params=[1, 2])
@@ -34,9 +32,9 @@ def written(stage, mesh):
     return path, context
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", FILES)
 def test_what_is_written_can_be_read(mesh, name):
-    path, _keep = written(WRITERS[name](path=name), mesh)
+    path, _keep = written(WriteVolumeMesh(path=name), mesh)
     context = PlainContext()
     read = ReadVolumeMesh(path=path, cell=True).run(context)
     assert np.array_equal(read.nodes, mesh.nodes)
@@ -48,22 +46,24 @@ def test_what_is_written_can_be_read(mesh, name):
 
 
 def test_units(mesh):
-    path, _keep = written(WriteVtu(compress=True), mesh)
+    path, _keep = written(WriteVolumeMesh(compress=True), mesh)
     assert np.allclose(ReadVolumeMesh(path=path, unit="m").run(PlainContext()).nodes, 1000 * mesh.nodes)
 
 
 def test_constraints_need_matching_faces(mesh):
-    path, _keep = written(WriteInp(periodic=True), mesh)
+    path, _keep = written(WriteVolumeMesh(path="mesh.inp", periodic=True), mesh)
     assert "*EQUATION" in path.read_text()
     with pytest.raises(DesignError, match="do not match"):
-        written(WriteInp(periodic=True), dataclasses.replace(mesh, matched=False))
+        written(WriteVolumeMesh(path="mesh.inp", periodic=True), dataclasses.replace(mesh, matched=False))
 
 
 def test_options():
     with pytest.raises(ConfigError, match="must end"):
-        WriteVtu(path="a.stl").check_options()
-    with pytest.raises(ConfigError, match="compressed"):
-        WriteVtu(path="a.vtk", compress=True).check_options()
+        WriteVolumeMesh(path="a.stl").check_options()
+    with pytest.raises(ConfigError, match=r"`compress` is an option of \.vtu files; a \.vtk file"):
+        WriteVolumeMesh(path="a.vtk", compress=True).check_options()
+    with pytest.raises(ConfigError, match=r"`periodic` is an option of \.inp files"):
+        WriteVolumeMesh(path="a.MSH", periodic=True).check_options()
     with pytest.raises(ConfigError, match="known are"):
         ReadVolumeMesh(path=Path("a.step")).check_options()
 
@@ -101,7 +101,7 @@ def test_what_is_no_mesh_of_tetrahedra(tmp_path, content, words):
         ReadVolumeMesh(path=tmp_path / "a.vtu").run(PlainContext())
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("content", [b"", b"nonsense", b"<VTKFile>", b"$MeshFormat\n9 0 8\n", b"\xff\x00" * 50, None])
 def test_broken_files_are_refused(tmp_path, capsys, name, content):
     if content is not None:
@@ -111,9 +111,9 @@ def test_broken_files_are_refused(tmp_path, capsys, name, content):
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", FILES)
 def test_cut_files_are_refused(mesh, name, tmp_path):
-    path, _keep = written(WRITERS[name](path=name), mesh)
+    path, _keep = written(WriteVolumeMesh(path=name), mesh)
     data = path.read_bytes()
     for share in (0.1, 0.4, 0.7):
         (tmp_path / name).write_bytes(data[: int(share * len(data))])

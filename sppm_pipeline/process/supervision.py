@@ -1,0 +1,205 @@
+"""The supervising parent of a run: the work is done by a child process, which can be ended whatever it is doing.
+
+Python handles a signal only between two of its steps, and a native library may keep it from taking one for minutes.
+The parent has nothing else to do. It asks the child to end, ends it by force after a moment, puts the run directory
+in order, and knows the right exit code; it does the same when a native library takes the child down. The child is
+forked before anything heavy is imported, which takes a millisecond.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+
+from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.process import interruption
+from sppm_pipeline.process.tree import die_with_parent, signal_below
+
+PATIENCE = 1.1
+"""Seconds that the child is given to end by itself; within `interruption.PATIENCE` it puts everything in order."""
+
+INTERRUPTED = (129, 130, 143)
+"""Exit codes of a child that was interrupted."""
+
+CRASHES = tuple(getattr(signal, n) for n in ("SIGSEGV", "SIGBUS", "SIGABRT", "SIGILL", "SIGFPE") if hasattr(signal, n))
+"""Signals by which a native library takes a process down."""
+
+
+MarkEnded = Callable[[Path, str, str | None], None]
+"""Puts a run directory in order: its path, the status ("interrupted" or "failed"), and what ended the process."""
+
+
+def supervised(work: Callable[[], int], notify: Callable[[str], None], exit_message: str, mark_ended: MarkEnded) -> int:
+    """Do `work` in a child process and return its exit code.
+
+    Parameters
+    ----------
+    work : function
+        Returns an exit code; runs in the child, which is left at once when it ends.
+    notify : function of str
+        Tells the user.
+    exit_message : str
+        What the user is told if the work was interrupted.
+    mark_ended : function of path, status and error
+        Puts a run directory in order that the child can't put in order any more.
+    """
+    if not hasattr(os, "fork"):
+        return work()
+    wake, alarm, reader, writer = _pipes()
+    for stream in (sys.stdout, sys.stderr):  # or the child would write it once more
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    parent = os.getpid()
+    child = os.fork()
+    if child == 0:
+        for unused in (wake, alarm, reader):
+            os.close(unused)
+        _parents.append(parent)
+        die_with_parent(parent)
+        # the terminal sends its signals to both; the parent decides what becomes of them
+        for name in ("SIGINT", "SIGHUP"):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+        _announce_runs(writer)
+        code = 1
+        try:
+            code = work()
+        finally:
+            os._exit(code)
+    os.close(writer)
+    return _Watch(child, (wake, alarm), reader, notify, exit_message, mark_ended).exit_code()
+
+
+def _pipes() -> tuple[int, int, int, int]:
+    """A pipe that wakes the parent and one for what the child reports; both before there is a child, or none."""
+    made: list[int] = []
+    try:
+        for _ in range(2):
+            made += os.pipe()
+    except OSError:
+        for descriptor in made:
+            os.close(descriptor)
+        raise
+    wake, alarm, reader, writer = made
+    return wake, alarm, reader, writer
+
+
+_parents: list[int] = []
+
+
+def is_supervised() -> bool:
+    """Whether this is the child of `supervised`."""
+    return bool(_parents)
+
+
+class _Watch:
+    """The parent's side."""
+
+    def __init__(
+        self,
+        child: int,
+        waking: tuple[int, int],
+        reader: int,
+        notify: Callable[[str], None],
+        exit_message: str,
+        mark_ended: MarkEnded,
+    ) -> None:
+        self._child = child
+        self._reader = reader
+        self._notify = notify
+        self._exit_message = exit_message
+        self._mark_ended = mark_ended
+        self._signals: list[int] = []
+        self._reported = b""
+        self._wake, alarm = waking
+        os.set_blocking(alarm, False)
+        os.set_blocking(self._wake, False)
+        os.set_blocking(reader, False)
+        signal.set_wakeup_fd(alarm, warn_on_full_buffer=False)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._arrived)
+        signal.signal(signal.SIGCHLD, lambda number, frame: None)
+
+    def _arrived(self, number: int, frame: FrameType | None) -> None:
+        self._signals.append(number)
+
+    def exit_code(self) -> int:
+        """Wait for the child, and end it when a signal comes."""
+        status = self._wait(None)
+        if status is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._child, signal.SIGTERM)
+            status = self._wait(time.monotonic() + PATIENCE)
+        if status is None:
+            signal_below(self._child, signal.SIGKILL)
+            os.kill(self._child, signal.SIGKILL)
+            os.waitpid(self._child, 0)
+            self._tidy_up("interrupted", None)
+        if self._signals:
+            self._notify(self._exit_message)
+            return 128 + self._signals[0]
+        assert status is not None
+        if not os.WIFSIGNALED(status):
+            code = os.WEXITSTATUS(status)
+            if code in INTERRUPTED:
+                self._notify(self._exit_message)
+            if code == ResourceError.exit_code:  # what its last record would have taken is free now
+                self._tidy_up("failed", None)
+            return code
+        number = os.WTERMSIG(status)
+        name = signal.Signals(number).name
+        if number in CRASHES:
+            message = f"a native library crashed ({name})"
+            self._tidy_up("failed", message)
+            self._notify(f"{message}\n  hint: run again with --debug, and leave out the stage that was running")
+            return 6
+        self._tidy_up("interrupted", None)
+        cause = ", perhaps because memory ran out" if number == signal.SIGKILL else ""
+        self._notify(f"the process was ended by {name}{cause}; the same command again goes on where it was")
+        return 128 + number
+
+    def _wait(self, deadline: float | None) -> int | None:
+        """The child's status when it has ended; None at the deadline, or if a (further) signal came."""
+        before = len(self._signals)
+        while True:
+            pid, status = os.waitpid(self._child, os.WNOHANG)
+            self._read()
+            if pid:
+                return status
+            if len(self._signals) > before:
+                return None
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0:
+                return None
+            select.select([self._wake], [], [], left)
+            with contextlib.suppress(BlockingIOError):
+                os.read(self._wake, 4096)
+
+    def _read(self) -> None:
+        """Take in what the child reports of its run directories."""
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self._reader, 4096):
+                self._reported += data
+
+    def _tidy_up(self, status: str, error: str | None) -> None:
+        """Put the run directories in order that the child can't any more."""
+        for name in self._reported.split(b"\0"):
+            if name:
+                self._mark_ended(Path(os.fsdecode(name)), status, error)
+
+
+def _announce_runs(writer: int) -> None:
+    """Report each run directory that is written to to the parent."""
+
+    def announce(path: Path) -> None:
+        with contextlib.suppress(OSError):
+            os.write(writer, os.fsencode(path.absolute()) + b"\0")
+
+    interruption.on_register(announce)

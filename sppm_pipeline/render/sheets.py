@@ -1,0 +1,238 @@
+"""What stands around pictures: sheets of several of them, labels, and the scale of the colors of a surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.render.shading import Color
+
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont, ImageFont
+
+_INK: Color = (52, 58, 66)
+_PAPER: Color = (255, 255, 255)
+_SOLID: Color = (64, 74, 88)
+_VOID: Color = (238, 240, 243)
+
+_ANCHORS = np.array(
+    [[42, 46, 112], [38, 92, 150], [36, 138, 152], [72, 178, 128], [160, 208, 96], [246, 226, 104]], np.float64
+)
+"""From low to high, each lighter than the one before, so that the order survives printing in gray."""
+
+# The font has the letters and signs of ASCII and little more; what it lacks is spelt out, not shown as empty boxes.
+_SPELT = {
+    "α": "alpha", "β": "beta", "γ": "gamma", "δ": "delta", "ε": "epsilon", "θ": "theta", "κ": "kappa", "λ": "lambda",
+    "μ": "u", "µ": "u", "ν": "nu", "ξ": "xi", "ρ": "rho", "σ": "sigma", "φ": "phi", "ω": "omega", "−": "-", "–": "-",
+    "—": "-", "×": "x", "²": "^2", "³": "^3", "≤": "<=", "≥": ">=", "≈": "~", "…": "...",
+}  # fmt: skip
+
+
+@lru_cache(maxsize=32)
+def font(size: int) -> FreeTypeFont | ImageFont:
+    """The font at a size in pixels."""
+    from PIL import ImageFont as fonts  # only pictures with text need Pillow
+
+    return fonts.load_default(size)
+
+
+def printable(text: str) -> str:
+    """`text` with Greek letters and signs that the font lacks spelt out."""
+    return "".join(_SPELT.get(letter, letter) for letter in text)
+
+
+def text_width(text: str, size: int) -> int:
+    """Width of a line of text in pixels, rounded up."""
+    return int(-(-font(size).getlength(printable(text)) // 1))
+
+
+def contact_sheet(
+    images: Sequence[ArrayLike],
+    labels: Sequence[str] | None = None,
+    *,
+    columns: int | None = None,
+    title: str = "",
+    gap: int = 20,
+    text_size: int = 20,
+    background: Color = _PAPER,
+) -> NDArray[np.uint8]:
+    """Place pictures in a grid, row by row, with labels beneath.
+
+    Parameters
+    ----------
+    images : sequence of (h, w, 3) uint8
+        Pictures; smaller ones stand in the middle of their place.
+    labels : sequence of str, optional
+        One for each picture; a label wider than its picture is set smaller.
+    columns : int, optional
+        Pictures in a row; without it the sheet is about as wide as high.
+    title : str
+        Line above all pictures.
+    gap : int
+        Free pixels around each picture.
+    text_size : int
+        Size of the labels in pixels; the title is larger by half.
+    background : (r, g, b)
+        Color of the sheet.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+        The sheet.
+
+    Raises
+    ------
+    DesignError
+        If there is no picture or `columns` is below 1.
+    ValueError
+        If a picture has another shape or the number of labels differs.
+    """
+    from PIL import Image, ImageDraw  # only pictures with text need Pillow
+
+    pictures = [np.asarray(image, np.uint8) for image in images]
+    if not pictures:
+        raise DesignError("there is no picture to place on the sheet")
+    if any(picture.ndim != 3 or picture.shape[2] != 3 for picture in pictures):
+        raise ValueError(f"pictures must have shape (h, w, 3), got {[picture.shape for picture in pictures]}")
+    if labels is not None and len(labels) != len(pictures):
+        raise ValueError(f"{len(pictures)} pictures have {len(labels)} labels")
+    high = max(picture.shape[0] for picture in pictures)
+    wide = max(picture.shape[1] for picture in pictures)
+    if columns is None:
+        columns = max(1, round(math.sqrt(len(pictures) * high / wide)))
+    if columns < 1:
+        raise DesignError(f"the sheet has {columns} columns, at least one is needed")
+    columns = min(columns, len(pictures))
+    rows = -(-len(pictures) // columns)
+    caption = int(text_size * 1.7) if labels is not None else 0
+    head = int(text_size * 2.4) if title else 0
+    sheet = np.empty((head + gap + rows * (high + caption + gap), gap + columns * (wide + gap), 3), np.uint8)
+    sheet[:] = background
+    corners = []
+    for number, picture in enumerate(pictures):
+        top = head + gap + number // columns * (high + caption + gap)
+        left = gap + number % columns * (wide + gap)
+        corners.append((top, left))
+        row, column = top + (high - picture.shape[0]) // 2, left + (wide - picture.shape[1]) // 2
+        sheet[row : row + picture.shape[0], column : column + picture.shape[1]] = picture
+    if labels is None and not title:
+        return sheet
+    canvas = Image.fromarray(sheet)
+    pen = ImageDraw.Draw(canvas)
+
+    def write(text: str, middle: float, line: float, size: int, room: int) -> None:
+        while size > 8 and text_width(text, size) > room:
+            size -= 1
+        pen.text((middle, line), printable(text), fill=_INK, font=font(size), anchor="mm")
+
+    for (top, left), label in zip(corners, labels or (), strict=False):
+        write(label, left + wide / 2, top + high + caption / 2, text_size, wide + gap // 2)
+    if title:
+        write(title, sheet.shape[1] / 2, gap / 2 + head / 2, int(text_size * 1.5), sheet.shape[1] - gap)
+    return np.asarray(canvas, np.uint8).copy()
+
+
+def layer_sheet(
+    layers: Sequence[ArrayLike],
+    labels: Sequence[str] | None = None,
+    *,
+    columns: int | None = None,
+    title: str = "",
+    width: int = 320,
+    solid: Color = _SOLID,
+    void: Color = _VOID,
+) -> NDArray[np.uint8]:
+    """Show printing layers side by side.
+
+    Parameters
+    ----------
+    layers : sequence of (h, w) bool or uint8
+        Images as they are printed, row 0 on top: true or 255 is solid, gray values are mixed.
+    labels : sequence of str, optional
+        One for each layer.
+    columns : int, optional
+        Layers in a row.
+    title : str
+        Line above all layers.
+    width : int
+        Width of the widest layer on the sheet in pixels. Larger layers are averaged down; smaller ones are enlarged by
+        the nearest whole factor, so that every pixel stays a square.
+    solid, void : (r, g, b)
+        Colors of material and of nothing.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+        The sheet.
+
+    Raises
+    ------
+    DesignError
+        If there is no layer, or `width` or `columns` is below 1.
+    ValueError
+        If a layer hasn't two axes, or the number of labels differs.
+    """
+    from PIL import Image  # only sheets need Pillow
+
+    if width < 1:
+        raise DesignError(f"layers are {width} pixels wide, at least one is needed")
+    shares = [np.asarray(layer) for layer in layers]
+    if any(layer.ndim != 2 or 0 in layer.shape for layer in shares):
+        raise ValueError(f"layers must have shape (h, w), got {[layer.shape for layer in shares]}")
+    widest = max((layer.shape[1] for layer in shares), default=1)
+    pictures = []
+    for layer in shares:
+        gray = layer.astype(np.uint8) * np.uint8(255) if layer.dtype == np.bool_ else layer.astype(np.uint8)
+        if widest > width:
+            size = (max(1, layer.shape[1] * width // widest), max(1, layer.shape[0] * width // widest))
+            gray = np.asarray(Image.fromarray(gray).resize(size, Image.Resampling.BOX))
+        else:
+            factor = round(width / widest)
+            gray = gray.repeat(factor, axis=0).repeat(factor, axis=1)
+        share = gray[..., None] / 255.0
+        mixed = share * np.array(solid) + (1.0 - share) * np.array(void)
+        pictures.append(np.rint(mixed).astype(np.uint8))
+    return contact_sheet(pictures, labels, columns=columns, title=title)
+
+
+def colors_of(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.uint8]:
+    """Colors (n, 3) of values (n,) between two ends; what lies outside takes the color of the end."""
+    span = high - low
+    share = np.clip((values - low) / span if span > 0 else np.zeros_like(values), 0, 1) * (len(_ANCHORS) - 1)
+    channels = [np.interp(share, np.arange(len(_ANCHORS)), _ANCHORS[:, channel]) for channel in range(3)]
+    return np.round(np.stack(channels, axis=1)).astype(np.uint8)
+
+
+def _round_numbers(low: float, high: float) -> list[float]:
+    """At most seven multiples of 1, 2, 2.5 or 5 times a power of ten within low..high."""
+    power = 10.0 ** math.floor(math.log10((high - low) / 6))
+    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= (high - low) / 6 * (1 - 1e-9))
+    return [n * step for n in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+
+
+def with_scale(picture: NDArray[np.uint8], low: float, high: float, title: str, width: int) -> NDArray[np.uint8]:
+    """The picture (h, w, 3) with a bar of colors of some width to its right."""
+    from PIL import Image, ImageDraw
+
+    height = len(picture)
+    panel = Image.new("RGB", (width, height), (255, 255, 255))
+    pen = ImageDraw.Draw(panel)
+    top, bottom, left, right = round(0.16 * height), round(0.9 * height), round(0.12 * width), round(0.28 * width)
+    shares = np.linspace(1, 0, bottom - top)
+    bar = np.repeat(colors_of(shares, 0, 1)[:, None], right - left, axis=1)
+    panel.paste(Image.fromarray(bar), (left, top))
+    pen.rectangle((left, top, right, bottom), outline=(60, 60, 60))
+    letters = font(max(11, round(height / 50)))
+    for tick in _round_numbers(low, high):
+        if low <= tick <= high and high > low:
+            y = bottom - (tick - low) / (high - low) * (bottom - top)
+            pen.line((right, y, right + 5, y), fill=(60, 60, 60))
+            pen.text((right + 9, y), f"{tick:.6g}", fill=(30, 30, 30), font=letters, anchor="lm")
+    pen.text((left, top - 16), printable(title), fill=(30, 30, 30), font=letters, anchor="ls")
+    return np.concatenate([picture, np.asarray(panel)], axis=1)

@@ -1,0 +1,54 @@
+"""``write.voxels``: a voxel image as .npy, TIFF or VTK image data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
+from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.families.file_writer import extension_of, require_format, write_pieces
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteVoxels(Stage):
+    """Write a voxel image; the extension tells the format: a NumPy array, a TIFF file of many pages, or VTK image data.
+
+    A .npy or .vti file holds uint8 phases, 0 for void, or float32 solid fractions, indexed x, y, z. A TIFF file has one
+    page a layer, the lowest first, rows from the largest y down; an image of one phase has the values 0 and 255 there,
+    one of several phases their numbers, fractions are 32-bit reals.
+    """
+
+    name: ClassVar[str] = "write.voxels"
+
+    path: str = option("voxels.npy", help="file to write: .npy, .tif, .tiff or .vti", output=True)
+
+    def check_options(self) -> None:
+        require_format(self, self.path, (".npy", ".tif", ".tiff", ".vti"), {})
+
+    def estimate(self, palette: Palette, voxels: Size) -> Size:
+        return Size(voxels=voxels.voxels, resident=voxels.resident, outline=voxels.outline, layers=voxels.layers)
+
+    @property
+    def rated_as(self) -> str:
+        return {".tif": "write.tiff"}.get(extension_of(self.path), f"write{extension_of(self.path)}")
+
+    def run(self, context: Context, voxels: Voxels) -> None:
+        """Write the file."""
+        size = write_pieces(context, self.path, self._encoded(voxels))
+        context.report(bytes=size, voxels=voxels.values.size)
+
+    def _encoded(self, voxels: Voxels) -> Iterable[bytes]:
+        from sppm_pipeline.formats import image_stack, voxel_image
+
+        extension = extension_of(self.path)
+        if extension == ".npy":
+            return voxel_image.encode_npy(voxels.values)
+        if extension == ".vti":
+            array = "fraction" if voxels.fractions else "phase"
+            return voxel_image.encode_vti(voxels.values, voxels.spacing, (0.0, 0.0, 0.0), array)
+        several = voxels.fractions or voxels.values.max() > 1
+        return [image_stack.encode_tiff(voxels.values if several else voxels.solid())]
