@@ -48,6 +48,8 @@ def field_picture(
         Keep only this share along y, the far side, to look inside.
     threads, most_samples : int
     """
+    from sppm_pipeline.render.mesh_view import render_field
+
     low, high = np.zeros(3), np.array(field.cells, float)
     if isinstance(field, Part):
         edge = field.physical_edge()
@@ -63,27 +65,9 @@ def field_picture(
     x, y, z = (float(v) / n for v in first)
     grid = Grid((x, y, z), (1 / n,) * 3, (nx, ny, nz))
     if isinstance(field, Part):
-        return _surface(*field.sample_apart(grid, threads), grid, size, camera)
-    return _surface(field.sample(grid, threads), None, grid, size, camera)
-
-
-def _surface(
-    inner: NDArray[np.float32],
-    outer: NDArray[np.float32] | None,
-    grid: Grid,
-    size: tuple[int, int],
-    camera: Camera,
-) -> NDArray[np.uint8]:
-    from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
-    from sppm_pipeline.numerics.surface.intersection import on_both_fields
-    from sppm_pipeline.render.cut_faces import cut_values
-    from sppm_pipeline.render.mesh_view import render_mesh
-
-    values = inner if outer is None else np.maximum(inner, outer)
-    vertices, faces = capped_marching_cubes(values, 0.0, grid.origin, grid.spacing)
-    if outer is not None:
-        vertices = on_both_fields(vertices, inner, outer, grid)
-    return render_mesh(vertices, faces, camera=camera, size=size, cut=cut_values(vertices, inner, outer, grid))
+        inner, outer = field.sample_apart(grid, threads)
+        return render_field(inner, outer, grid, camera=camera, size=size)
+    return render_field(field.sample(grid, threads), None, grid, camera=camera, size=size)
 
 
 def tile_sheet(
@@ -95,7 +79,8 @@ def tile_sheet(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.uint8]:
     """Pictures of the tiles of a set, up to `MOST_TILES`, with their colors and porosities."""
-    from sppm_pipeline.render.plates import contact_sheet
+    from sppm_pipeline.render.mesh_view import render_field
+    from sppm_pipeline.render.sheets import contact_sheet
 
     pictures, labels = [], []
     c = tileset.palette_colors
@@ -104,7 +89,7 @@ def tile_sheet(
         colors = (t // c**2, t // c % c, t % c) if tileset.kind == "wang" else (0, 0, 0)
         grid = cell_nodes(resolution)
         values = tileset.micro.alone(t, colors).sample(grid, threads)
-        pictures.append(_surface(values, None, grid, (300, 270), camera))
+        pictures.append(render_field(values, None, grid, camera=camera, size=(300, 270)))
         share = f"  {tileset.porosity[t]:.1%}" if t < len(tileset.porosity) else ""
         name = "".join("xyz"[a] + str(colors[a] + 1) for a in range(3)) if tileset.kind == "wang" else str(t)
         labels.append(name + share)
