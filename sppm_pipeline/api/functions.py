@@ -25,7 +25,7 @@ from sppm_pipeline.engine.config.document import compose
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
-from sppm_pipeline.engine.plan.plugins import BUILTINS, allowed_plugins, load_plugins
+from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins
 from sppm_pipeline.engine.plan.ports import Port, artifact_words, fits, signature_of
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.run.events import Monitor, Observers
@@ -60,7 +60,7 @@ class MissingSeed(int):
 @cache
 def registry() -> Registry:
     """All stages of the program and of installed plugins."""
-    plugins = load_plugins(BUILTINS, distributions=True, allowed=allowed_plugins())
+    plugins = load_plugins(distributions=True, allowed=allowed_plugins())
     plugins.raise_broken()
     return Registry(plugins)
 

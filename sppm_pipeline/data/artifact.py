@@ -49,8 +49,8 @@ class Artifact:
             setattr(cls, "__repr__", Artifact.__repr__)  # noqa: B010 - assigned for a reason that types can't follow
 
     def __repr__(self) -> str:
-        shown: tuple[Any, ...] = fields(self) if is_dataclass(self) else ()
-        parts = [f"{f.name}={_brief(getattr(self, f.name))}" for f in shown if f.repr]
+        names: list[str] = [f.name for f in fields(self) if f.repr] if is_dataclass(self) else []
+        parts = [f"{name}={_brief(getattr(self, name))}" for name in names]
         return f"{type(self).__name__}({', '.join(parts)})"
 
     def _repr_png_(self) -> bytes | None:

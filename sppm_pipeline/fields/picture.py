@@ -65,7 +65,8 @@ def field_picture(
     x, y, z = (float(v) / n for v in first)
     grid = Grid((x, y, z), (1 / n,) * 3, (nx, ny, nz))
     if isinstance(field, Part):
-        return render_field(*field.sample_apart(grid, threads), grid, camera=camera, size=size)
+        inner, outer = field.sample_apart(grid, threads)
+        return render_field(inner, outer, grid, camera=camera, size=size)
     return render_field(field.sample(grid, threads), None, grid, camera=camera, size=size)
 
 

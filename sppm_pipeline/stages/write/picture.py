@@ -56,7 +56,7 @@ class WritePicture(Stage):
         from sppm_pipeline.render.camera import Camera
         from sppm_pipeline.render.mesh_view import render_mesh
 
-        camera = Camera(azimuth=self.azimuth, elevation=self.elevation)
+        camera, threads = Camera(azimuth=self.azimuth, elevation=self.elevation), context.threads
         if isinstance(what, SurfaceMesh):
             picture = render_mesh(what.vertices, what.faces, camera=camera, size=self.size)
         elif isinstance(what, TileSet):
@@ -64,11 +64,9 @@ class WritePicture(Stage):
                 what,
                 self.resolution,
                 camera,
-                threads=context.threads,
-                progress=lambda done, total: context.progress(done, total, "tiles drawn"),
+                threads=threads,
+                progress=lambda done, of: context.progress(done, of, "tiles drawn"),
             )
         else:
-            picture = field_picture(
-                what, self.resolution, self.size, camera, section=self.section, threads=context.threads
-            )
+            picture = field_picture(what, self.resolution, self.size, camera, section=self.section, threads=threads)
         Image.fromarray(picture).save(context.output(self.path))
