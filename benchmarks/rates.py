@@ -223,9 +223,7 @@ def measure(name: str, folder: Path) -> tuple[list[dict[str, Any]], float]:
 
     Also the memory of the program with all libraries, before the first stage of the last run.
     """
-    from sppm_pipeline.cli.arguments import BUILTINS
     from sppm_pipeline.data.size import ONE
-    from sppm_pipeline.engine.config.substitution import Overrides
     from sppm_pipeline.engine.plan.estimate import estimate_steps
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
     from sppm_pipeline.engine.run import runner, running
@@ -242,7 +240,7 @@ def measure(name: str, folder: Path) -> tuple[list[dict[str, Any]], float]:
             write_mesh(folder / "mesh.stl", 64 * 2**number)
         path = folder / "pipeline.yaml"
         path.write_text("sppm: 1\nseed: 5\n" + filled, encoding="utf-8")
-        plan = open_session(RunRequest(str(path), BUILTINS, (), False, Overrides((), (), None))).plan()
+        plan = open_session(RunRequest(str(path), distributions=False)).plan()
         watch.found.clear()
         watch.base = 0.0
         record = runner.run_plan(plan, folder / "run", threads=1)

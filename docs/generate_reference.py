@@ -15,8 +15,7 @@ from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 
-from sppm_pipeline.cli.arguments import BUILTINS
-from sppm_pipeline.cli.main import EXIT_CODES, VERBS
+from sppm_pipeline.cli.main import EXIT_CODES, VERBS, place_of
 from sppm_pipeline.engine.config.options import Option, options_of, plain_option, type_words
 from sppm_pipeline.engine.plan.describe import stage_data
 from sppm_pipeline.engine.plan.plugins import load_plugins
@@ -30,7 +29,7 @@ NOTICE = "<!-- Written by docs/generate_reference.py from the code; edit the cod
 
 def pages() -> dict[str, str]:
     """Text of every generated page by its path below ``docs/reference``."""
-    registry = Registry(load_plugins(BUILTINS, distributions=False))
+    registry = Registry(load_plugins(distributions=False))
     result = {"README.md": index_page(registry), "cli.md": cli_page()}
     for name in registry:
         result[f"{name.replace('.', '/', 1)}.md"] = stage_page(registry.get(name), registry)
@@ -134,7 +133,8 @@ def arguments_of(verb: str) -> Iterator[tuple[str, str]]:
     They are read from the parser and not from its help text, whose layout changes with the version of Python.
     """
     parser = argparse.ArgumentParser(prog=f"sppm {verb}", add_help=False)
-    import_module(f"sppm_pipeline.cli.{verb}").configure(parser)
+    module, function = place_of(verb)[0]
+    getattr(import_module(module), function)(parser)
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     for action in parser._actions:
         shown = action.metavar if isinstance(action.metavar, str) else "|".join(map(str, action.choices or ()))

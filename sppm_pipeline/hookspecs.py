@@ -1,13 +1,15 @@
-"""The hooks through which stages and executors reach the program; built-in ones come through the same hooks."""
+"""The hooks through which stages, executors, verbs and observers reach the program; built-in ones use the same."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import pluggy
 
 if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
     from concurrent.futures import Executor
 
     from sppm_pipeline.stage import Stage, StageAlias
@@ -35,7 +37,7 @@ def sppm_stages() -> Mapping[str, type[Stage] | str]:  # type: ignore[empty-body
 
         @hookimpl
         def sppm_stages():
-            return {"sample.fcc": "sppm_fcc.sampler:FaceCenterdCubic"}
+            return {"sample.fcc": "sppm_fcc.sampler:FaceCenteredCubic"}
     """
 
 
@@ -50,6 +52,94 @@ def sppm_stage_aliases() -> Mapping[str, str | StageAlias]:  # type: ignore[empt
         @hookimpl
         def sppm_stage_aliases():
             return {"sample.fcc_lattice": "sample.fcc"}
+    """
+
+
+@dataclass(frozen=True)
+class Command:
+    """A verb of the command line.
+
+    Attributes
+    ----------
+    help : str
+        What it does, in a line that starts with a small letter.
+    configure : function of `argparse.ArgumentParser`, or "module:function"
+        Adds the verb's arguments.
+    execute : function of `argparse.Namespace` that returns the exit code, or "module:function"
+        Does the work; prints results on stdout, and raises `SppmError` for what the user can cure.
+    """
+
+    help: str
+    configure: Callable[[ArgumentParser], None] | str
+    execute: Callable[[Namespace], int] | str
+
+
+@hookspec
+def sppm_commands() -> Mapping[str, Command]:  # type: ignore[empty-body]
+    """Supply verbs of the command line: ``sppm VERB ...``.
+
+    Called with `sppm_stages` when plugins are loaded. Of installed plugins, that is also when somebody asks for a verb
+    that is not built in, or for ``sppm help --all``; ``sppm --help`` loads no plugin. Returns a mapping from the verb
+    to a `Command`, whose functions may be given as ``"module:function"``, which is imported only when the verb is used.
+    An empty mapping means: no verbs. A verb that is built in, or that another plugin supplies, is an error naming both.
+    Example::
+
+        @hookimpl
+        def sppm_commands():
+            return {"view": Command("show a run in a window", "sppm_view.cli:configure", "sppm_view.cli:execute")}
+    """
+
+
+@dataclass(frozen=True)
+class StageEvent:
+    """A stage of a pipeline has ended.
+
+    Attributes
+    ----------
+    address : str
+        Id of the stage.
+    stage : str
+        Its name, ``family.name``.
+    made : str or None
+        Type of the artifact that it made.
+    seconds : float
+    summary : mapping
+        Its numbers, as in the run record; empty if it failed.
+    record : mapping
+        All that the run record says of it (options, inputs, outputs, warnings, recipes); empty if it failed.
+    error : str or None
+        What it failed with.
+    from_cache : bool
+        Whether its result was in the cache, so that it did not run.
+    """
+
+    address: str
+    stage: str
+    made: str | None
+    seconds: float
+    summary: Mapping[str, Any]
+    record: Mapping[str, Any]
+    error: str | None = None
+    from_cache: bool = False
+
+    @property
+    def failed(self) -> bool:
+        """Whether it did not end well."""
+        return self.error is not None
+
+
+@hookspec
+def sppm_stage_finished(event: StageEvent) -> None:
+    """Observe the stages of a run.
+
+    Called after every stage of a pipeline, and of the stages after a sweep, in the process that runs it: for the runs
+    of a sweep, that may be a worker process, or one of several threads. Stages of a recipe have no events of their own;
+    ``event.record["inner"]`` counts them. The result is ignored. What an observer raises becomes a warning that names
+    the plugin, and it is not called again in this run; results never depend on observers. Example::
+
+        @hookimpl
+        def sppm_stage_finished(event):
+            print(event.address, event.seconds, file=sys.stderr)
     """
 
 

@@ -72,9 +72,6 @@ def _nobody_outlives_the_tests():
         os.environ[MARK] = MARKED
 
 
-BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
-
-
 def small_recipe(**field):
     """A recipe whose cells are drawn in milliseconds."""
     return recipe_of(
@@ -132,7 +129,7 @@ def ball() -> SurfaceMesh:
 @pytest.fixture
 def run_yaml(tmp_path):
     """Run a configuration, given as text or as a file, through the engine; returns the record and the run directory."""
-    from sppm_pipeline.engine.config.substitution import Overrides
+    from sppm_pipeline.engine.config.parameters import Overrides
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
     from sppm_pipeline.engine.run.runner import run_plan
     from sppm_pipeline.engine.run.sweep import run_sweep
@@ -143,7 +140,9 @@ def run_yaml(tmp_path):
             path.write_text(source if source.startswith("sppm:") else f"sppm: 1\n{source}", encoding="utf-8")
         else:
             path = Path(source)
-        session = open_session(RunRequest(str(path), BUILTINS, (), False, Overrides(tuple(p), tuple(s), seed)))
+        session = open_session(
+            RunRequest(str(path), distributions=False, overrides=Overrides(tuple(p), tuple(s), seed))
+        )
         plan, folder = session.plan(), tmp_path / to
         if session.configuration.sweep is None:
             return run_plan(plan, folder, threads=threads), folder

@@ -1,4 +1,4 @@
-"""Arguments that several verbs share, and how they become an order for the engine."""
+"""Arguments that several verbs share, and how they become a request to the engine."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.plan.plugins import Plugins
+    from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
     from sppm_pipeline.engine.plan.session import RunRequest, Session
-
-BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
-"""Modules whose hook implementations are always there."""
-
+    from sppm_pipeline.hookspecs import Command
 
 ALLOWED = "SPPM_PLUGINS"
 """Environment variable with the plugins that may be imported."""
@@ -23,7 +20,10 @@ ALLOWED = "SPPM_PLUGINS"
 
 def allowed_from(args: Namespace) -> tuple[str, ...] | None:
     """Names of the plugins that may be imported; None for all."""
-    text = args.allow_plugins if args.allow_plugins is not None else os.environ.get(ALLOWED)
+    return _names(args.allow_plugins if args.allow_plugins is not None else os.environ.get(ALLOWED))
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
     return None if text is None else tuple(name for part in text.split(",") if (name := part.strip()))
 
 
@@ -49,7 +49,7 @@ def add_configuration(parser: ArgumentParser) -> None:
     parser.add_argument(
         "-s", "--set", action="append", default=[], metavar="STAGE.OPTION=VALUE", help="set an option of a stage"
     )
-    parser.add_argument("--seed", type=_seed, metavar="N", help="whole number that all random numbers come from")
+    parser.add_argument("--seed", type=_seed, metavar="N", help="integer that all random numbers come from")
     add_plugins(parser)
 
 
@@ -60,7 +60,7 @@ def _seed(text: str) -> int:
     return int(text)
 
 
-_seed.__name__ = "whole number from 0 to 2^63 - 1"  # argparse shows it: "invalid whole number ... value"
+_seed.__name__ = "integer from 0 to 2^63 - 1"  # argparse shows it: "invalid integer ... value"
 
 
 def find_configuration(name: str) -> Path:
@@ -95,14 +95,13 @@ def find_configuration(name: str) -> Path:
     raise ConfigError(f"there is no configuration {name!r}", hint=hint)
 
 
-def order_from(args: Namespace) -> RunRequest:
+def request_from(args: Namespace) -> RunRequest:
     """What the arguments ask for."""
-    from sppm_pipeline.engine.config.substitution import Overrides
+    from sppm_pipeline.engine.config.parameters import Overrides
     from sppm_pipeline.engine.plan.session import RunRequest
 
     return RunRequest(
         file=str(find_configuration(args.file)),
-        builtins=BUILTINS,
         plugins=tuple(args.plugin),
         distributions=not args.no_plugins,
         overrides=Overrides(tuple(args.param), tuple(args.set), args.seed),
@@ -114,7 +113,7 @@ def open_from(args: Namespace) -> Session:
     """Read the configuration and load the plugins."""
     from sppm_pipeline.engine.plan.session import open_session
 
-    session = open_session(order_from(args))
+    session = open_session(request_from(args))
     warn_of_failed_plugins(session.plugins)
     return session
 
@@ -127,7 +126,7 @@ def add_cache(parser: ArgumentParser) -> None:
 
 def cache_of(args: Namespace) -> Path | None:
     """The folder that `add_cache` asks for; None for none."""
-    from sppm_pipeline.engine.cache.location import cache_folder
+    from sppm_pipeline.engine.cache.housekeeping import cache_folder
 
     return None if args.no_cache else cache_folder(args.cache)
 
@@ -137,12 +136,33 @@ def plugins_from(args: Namespace, *, strict: bool = True) -> Plugins:
     from sppm_pipeline.engine.plan.plugins import load_plugins
 
     plugins = load_plugins(
-        BUILTINS, files=[Path(p) for p in args.plugin], distributions=not args.no_plugins, allowed=allowed_from(args)
+        files=[Path(p) for p in args.plugin], distributions=not args.no_plugins, allowed=allowed_from(args)
     )
     if strict:
         plugins.raise_broken()
         warn_of_failed_plugins(plugins)
     return plugins
+
+
+def commands_of_plugins(*, load: bool = True) -> tuple[dict[str, tuple[Plugin, Command]], list[Plugin]]:
+    """The verbs of installed plugins, each with its plugin, and the plugins that failed.
+
+    Raises
+    ------
+    PluginError
+        If a plugin breaks the contract, for instance by taking the name of a built-in verb.
+    """
+    from sppm_pipeline.engine.plan.plugins import load_plugins
+
+    plugins = load_plugins(distributions=load, allowed=_names(os.environ.get(ALLOWED)))
+    plugins.raise_broken()
+    found = {
+        verb: (plugin, command)
+        for plugin in plugins.plugins
+        if not plugin.builtin
+        for verb, command in plugin.commands.items()
+    }
+    return found, plugins.failed()
 
 
 def warn_of_failed_plugins(plugins: Plugins) -> None:

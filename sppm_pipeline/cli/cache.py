@@ -31,8 +31,7 @@ def _size(text: str) -> int:
 
 def execute(args: Namespace) -> int:
     """Look, check or clear up."""
-    from sppm_pipeline.engine.cache.housekeeping import contents, damaged_entries, prune
-    from sppm_pipeline.engine.cache.location import cache_cap, cache_folder
+    from sppm_pipeline.engine.cache.housekeeping import cache_cap, cache_folder, contents, damaged_entries, prune
     from sppm_pipeline.engine.cache.store import Store
     from sppm_pipeline.errors import ConfigError
 

@@ -17,8 +17,8 @@ def configure(parser: ArgumentParser) -> None:
 
 def execute(args: Namespace) -> int:
     """Check, and print the wiring."""
-    from sppm_pipeline.engine.plan.checking import checked
-    from sppm_pipeline.engine.plan.graph import wiring_text
+    from sppm_pipeline.engine.plan.describe import wiring_text
+    from sppm_pipeline.engine.plan.session import checked
 
     session = open_from(args)
     plan, found = checked(session, getattr(args, "until", None))

@@ -26,9 +26,9 @@ def configure(parser: ArgumentParser) -> None:
 def execute(args: Namespace) -> int:
     """Print the estimate; 5 if memory or disk will not do."""
     with limits_of(args):
-        from sppm_pipeline.engine.cache.location import cache_folder, open_store
-        from sppm_pipeline.engine.plan.checking import checked, estimates, refuse_unfit
+        from sppm_pipeline.engine.cache.housekeeping import cache_folder, open_store
         from sppm_pipeline.engine.plan.rates import speed_of
+        from sppm_pipeline.engine.plan.session import checked, estimates, refuse_unfit
 
         session = open_from(args)
         plan, rows = checked(session, args.until)

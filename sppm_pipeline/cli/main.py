@@ -8,11 +8,12 @@ import gc
 import io
 import os
 import sys
-from types import ModuleType, TracebackType
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    import argparse
     from pathlib import Path
 
 VERBS = {
@@ -29,7 +30,12 @@ VERBS = {
     "new": "write a first pipeline, or the skeleton of a plugin",
     "doctor": "look at the installation: versions, caches, processors, plugins",
 }
-"""Verb -> what it does; the verb's module has its name."""
+"""Verb -> what it does."""
+
+_DESCRIBING = ("explain", "stages", "graph", "schema")
+"""Verbs that share the module `describe`; of the others, each has a module of its own."""
+
+_PACKAGE = "sppm_pipeline.cli"
 
 EXIT_CODES = """\
 exit codes: 0 done; 1 unexpected; 2 configuration or command line wrong; 3 input or design can't be satisfied;
@@ -87,7 +93,7 @@ def _whole() -> int:
 
 def _dispatch(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
-        print(_usage(), end="")
+        print(_usage(plugins="--all" in words[1:]), end="")
         return 0
     if words[0] in ("-V", "--version"):
         import sppm_pipeline
@@ -95,43 +101,86 @@ def _dispatch(words: list[str]) -> int:
         print(f"sppm {sppm_pipeline.__version__}")
         return 0
     verb = words[0]
-    if verb not in VERBS:
-        import difflib
-
-        near = difflib.get_close_matches(verb, VERBS, n=1)
-        _say(f"there is no verb {verb!r}; " + (f"did you mean {near[0]!r}?" if near else "`sppm --help` lists them"))
-        return 2
     import argparse
-    import importlib
 
-    module: ModuleType = importlib.import_module(f"sppm_pipeline.cli.{verb}")
+    command = _built_in(verb) if verb in VERBS else _of_plugin(verb, words)
     parser = argparse.ArgumentParser(
         prog=f"sppm {verb}",
-        description=VERBS[verb][0].upper() + VERBS[verb][1:] + ".",
+        description=command.help[0].upper() + command.help[1:] + ".",
         epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    module.configure(parser)
+    command.configure(parser)
     try:
         parsed = parser.parse_args(words[1:])
     except SystemExit as exit:
         return exit.code if isinstance(exit.code, int) else 2
     from sppm_pipeline.process.interruption import interruptibly
 
-    return interruptibly(lambda: int(module.execute(parsed)), lambda: _say_exit_message(words))
+    return interruptibly(lambda: int(command.execute(parsed)), lambda: _say_exit_message(words))
 
 
-def _usage() -> str:
+class _Verb(NamedTuple):
+    """A verb that is ready to be used."""
+
+    help: str
+    configure: Callable[[argparse.ArgumentParser], None]
+    execute: Callable[[argparse.Namespace], int]
+
+
+def place_of(verb: str) -> tuple[tuple[str, str], tuple[str, str]]:
+    """Module and function that declare the arguments of a built-in verb, and those that execute it."""
+    module, ending = ("describe", f"_{verb}") if verb in _DESCRIBING else (verb, "")
+    return (f"{_PACKAGE}.{module}", f"configure{ending}"), (f"{_PACKAGE}.{module}", f"execute{ending}")
+
+
+def _built_in(verb: str) -> _Verb:
+    import importlib
+
+    configure, execute = (getattr(importlib.import_module(module), function) for module, function in place_of(verb))
+    return _Verb(VERBS[verb], configure, execute)
+
+
+def _of_plugin(verb: str, words: list[str]) -> _Verb:
+    """A verb from a plugin; plugins are loaded only if somebody asks for a verb that is not built in.
+
+    Raises
+    ------
+    ConfigError
+        If nobody supplies it.
+    """
+    from sppm_pipeline.cli.arguments import commands_of_plugins
+    from sppm_pipeline.engine.config.problems import listed, nearest
+    from sppm_pipeline.engine.plan.plugins import ready_command
+    from sppm_pipeline.errors import ConfigError
+
+    commands, failed = commands_of_plugins(load="--no-plugins" not in words)
+    if verb not in commands:
+        near = nearest(verb, [*VERBS, *commands])
+        hints = [f"did you mean {listed(near, 'or')}?" if near else "`sppm --help` lists them"]
+        hints += [f"{plugin} could not be loaded and may supply it" for plugin in failed]
+        raise ConfigError(f"there is no verb {verb!r}", hint="; ".join(hints))
+    return _Verb(commands[verb][1].help, *ready_command(verb, *commands[verb]))
+
+
+def _usage(*, plugins: bool = False) -> str:
     lines = [
         "usage: sppm VERB [options]",
         "",
         "Design, verify, simulate and print stochastic porous microstructures.",
         "",
     ]
-    lines += [f"  {verb:9s} {help_line}" for verb, help_line in VERBS.items()]
-    return "\n".join([*lines, "", "`sppm VERB --help` shows the options of a verb.", EXIT_CODES]) + "\n"
+    lines += [f"  {verb:9s} {words}" for verb, words in VERBS.items()]
+    if plugins:
+        from sppm_pipeline.cli.arguments import commands_of_plugins
+
+        commands, _ = commands_of_plugins()
+        lines += ["", "verbs of plugins:" if commands else "no plugin supplies a verb"]
+        lines += [f"  {verb:9s} {command.help}  [{plugin}]" for verb, (plugin, command) in sorted(commands.items())]
+    lines += ["", "`sppm VERB --help` shows the options of a verb, `sppm help --all` the verbs of plugins as well."]
+    return "\n".join([*lines, EXIT_CODES]) + "\n"
 
 
 def _write_any_character() -> None:
@@ -196,7 +245,7 @@ def _say_exit_message(words: list[str]) -> None:
 
 def _mark_ended(folder: Path, status: str, error: str | None) -> None:
     """Put a run directory in order whose process was ended."""
-    from sppm_pipeline.engine.run.recorder import mark_ended
+    from sppm_pipeline.engine.run.record import mark_ended
 
     mark_ended(folder, status, error)
 

@@ -1,4 +1,4 @@
-"""``sppm plugins``: where stages and executors come from; with ``--check``, whether they can be loaded."""
+"""``sppm plugins``: where stages, executors and verbs come from; with ``--check``, whether they can be loaded."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from typing import Any
 
-from sppm_pipeline.cli.arguments import BUILTINS, add_plugins, allowed_from, plugins_from
+from sppm_pipeline.cli.arguments import add_plugins, allowed_from, plugins_from
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -34,7 +34,7 @@ def execute(args: Namespace) -> int:
 
 def _described(args: Namespace) -> Iterator[dict[str, Any]]:
     """What is known without running any code of a plugin."""
-    from sppm_pipeline.engine.plan.plugins import Plugin, installed_plugins
+    from sppm_pipeline.engine.plan.plugins import BUILTINS, Plugin, installed_plugins
 
     plugins = [Plugin(module, builtin=True) for module in BUILTINS]
     if not args.no_plugins:
@@ -54,6 +54,7 @@ def _checked(args: Namespace) -> Iterator[dict[str, Any]]:
             **_entry(plugin),
             "stages": sorted(plugin.stages),
             "executors": sorted(plugin.executors),
+            "commands": sorted(plugin.commands),
             "error": "\n".join(findings_of(plugin, registry)) or None,
         }
 
@@ -92,6 +93,6 @@ def _print(plugin: dict[str, Any]) -> None:
     print(f"{plugin['name']} ({origin}){': FAILED' if plugin['error'] else ''}")
     if plugin["error"]:
         print("  " + plugin["error"].replace("\n", "\n  "))
-    for kind in ("stages", "executors"):
+    for kind in ("stages", "executors", "commands"):
         if plugin.get(kind):
             print(f"  {kind}: {', '.join(plugin[kind])}")

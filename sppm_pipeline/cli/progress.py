@@ -9,7 +9,8 @@ import time
 from collections.abc import Mapping
 from typing import Any, TextIO
 
-from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.hookspecs import StageEvent, hookimpl
 
 REDRAW = 0.1
 """Seconds between two redraws on a terminal."""
@@ -59,10 +60,11 @@ class ProgressLines(Monitor):
             self._write(f"{self._title}: {share:.0%}, {counts}\n")
         self._last = now
 
-    def stage_finished(self, stage: str, seconds: float, summary: Mapping[str, Any]) -> None:
-        """See `Monitor`; on a terminal the line of the next stage takes the place of this one."""
-        if not self._terminal and seconds > 1:
-            self._write(f"{self._title}: {seconds:.1f} s\n")
+    @hookimpl
+    def sppm_stage_finished(self, event: StageEvent) -> None:
+        """Say how long a stage took; on a terminal the line of the next stage takes the place of this one."""
+        if not self._terminal and not event.failed and event.seconds > 1:
+            self._write(f"{self._title}: {event.seconds:.1f} s\n")
 
     def warning(self, stage: str | None, message: str) -> None:
         """See `Monitor`."""

@@ -32,7 +32,7 @@ def configure(parser: ArgumentParser) -> None:
 
 def _count(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 4096:
-        raise ArgumentTypeError(f"expected a whole number from 1 to 4096, got {text!r}")
+        raise ArgumentTypeError(f"expected an integer from 1 to 4096, got {text!r}")
     return int(text)
 
 
@@ -48,9 +48,9 @@ def _execute(args: Namespace) -> int:
 
         return check.execute(args)
     from sppm_pipeline.cli.progress import ProgressLines
-    from sppm_pipeline.engine.cache.location import open_store
-    from sppm_pipeline.engine.plan.checking import checked, refuse_unfit
-    from sppm_pipeline.engine.run.monitor import Monitor
+    from sppm_pipeline.engine.cache.housekeeping import open_store
+    from sppm_pipeline.engine.plan.session import checked, refuse_unfit
+    from sppm_pipeline.engine.run.events import Monitor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
     monitor: Monitor = Monitor() if args.quiet or sys.stderr is None else ProgressLines(sys.stderr)
@@ -108,7 +108,7 @@ def _execute(args: Namespace) -> int:
 
 
 def _print_json(record: Mapping[str, Any]) -> None:
-    from sppm_pipeline.engine.config.jsonable import json_text
+    from sppm_pipeline.engine.strict_json import json_text
 
     print(json_text(dict(record)), end="")
 

@@ -22,13 +22,13 @@ class Piece(NamedTuple):
 
     Attributes
     ----------
-    points : (n, 3) float64, cell edges
+    points : (n, 3) float64, cell sizes
     periodic : bool
         Whether tunnels may lead to images in neighboring cells (a cell without face pores).
     region : str
         "face" or "interior".
     cell : Cell
-        Turns the user's lengths into cell edges.
+        Turns the user's lengths into cell sizes.
     """
 
     points: NDArray[np.float64]

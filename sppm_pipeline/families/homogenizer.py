@@ -28,35 +28,35 @@ class Cell(NamedTuple):
     ----------
     phase : (nz, ny, nx) uint8, or None
         The phase of each voxel, 0 for void.
-    share : (nz, ny, nx) float32, or None
-        How much of each voxel is solid; one of both is given.
+    fraction : (nz, ny, nx) float32, or None
+        Solid fraction of each voxel; exactly one of the two is set.
     edges : (hx, hy, hz)
         Of a voxel.
     """
 
     phase: NDArray[np.uint8] | None
-    share: NDArray[np.float32] | None
+    fraction: NDArray[np.float32] | None
     edges: tuple[float, float, float]
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Voxels along x, y, z."""
-        given = self.phase if self.phase is not None else self.share
+        given = self.phase if self.phase is not None else self.fraction
         assert given is not None
         nz, ny, nx = given.shape
         return nx, ny, nz
 
     @property
     def porosity(self) -> float:
-        """Share of void."""
+        """Volume fraction of the void."""
         if self.phase is not None:
             return 1 - float(np.count_nonzero(self.phase)) / self.phase.size
-        assert self.share is not None
-        return 1 - float(self.share.mean(dtype=np.float64))
+        assert self.fraction is not None
+        return 1 - float(self.fraction.mean(dtype=np.float64))
 
     def occupied(self) -> NDArray[np.uint8]:
         """1 where there is any solid."""
-        given = self.phase if self.phase is not None else self.share
+        given = self.phase if self.phase is not None else self.fraction
         assert given is not None
         return (given > 0).view(np.uint8)
 
@@ -136,10 +136,10 @@ class VoxelHomogenizer(Stage):
             return Cell(source.solid(cell_centers(n, source.cells), context.threads), None, edges)
         from sppm_pipeline.numerics.porosity.fractions import solid_fractions
 
-        share = solid_fractions(
+        fraction = solid_fractions(
             lambda grid, start, stop: source.sample_layers(grid, start, stop, context.threads), (x, y, z), n
         )
-        return Cell(None, share, edges)
+        return Cell(None, fraction, edges)
 
     def solver_options(self, threads: int) -> dict[str, Any]:
         """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""
@@ -164,9 +164,9 @@ class VoxelHomogenizer(Stage):
         return warnings
 
     def _check_memory(self, context: Context, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
-        wanted = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
+        needed = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
         require_memory(
-            wanted,
+            needed,
             f"homogenizing {' x '.join(map(str, shape))} voxels",
             "lower the `resolution`, take `precision: single`, or use fewer threads (--threads)",
             limit=context.memory_limit,

@@ -11,8 +11,8 @@ from sppm_pipeline.stage import Context
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.domain.inside import Method
 
-MOST_UNDECIDED = 0.25
-"""Undecided voxels over those inside; above, what is inside is guesswork."""
+MAX_UNDECIDED = 0.25
+"""Undecided voxels over those inside; above, the inside is guesswork."""
 
 INSIDE = ("auto", "scanline", "winding", "vote")
 """What the option `inside` may say."""
@@ -56,9 +56,9 @@ def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[Surf
         f"{mesh.name} is not closed; its inside is told by {_WORDS[found.method]}, "
         f"and {found.undecided_share:.1%} of it is doubtful"
     )
-    if found.undecided_share > MOST_UNDECIDED:
+    if found.undecided_share > MAX_UNDECIDED:
         raise InputError(
-            f"{what}: more than the {MOST_UNDECIDED:.0%} that are accepted, so there is no telling inside from outside",
+            f"{what}: more than the {MAX_UNDECIDED:.0%} that are accepted, so there is no telling inside from outside",
             hint="let `check.mesh` say what is wrong, then close the holes in a modeller or with a repair plugin",
         )
     context.warn(f"{what}; winding number and rays differ on {found.disagreement:.1%}: look at the layers")

@@ -164,7 +164,7 @@ class LayerWriter(Stage):
         if overview:
             from PIL import Image
 
-            from sppm_pipeline.render.plates import layer_sheet
+            from sppm_pipeline.render.sheets import layer_sheet
 
             stem = self.path.rstrip("/") if target.is_dir() else str(PurePosixPath(self.path).with_suffix(""))
             Image.fromarray(layer_sheet(overview)).save(context.output(f"{stem}-overview.png"))

@@ -23,15 +23,15 @@ class InteriorBox(NamedTuple):
 
     Attributes
     ----------
-    lower, upper : (3,) float64, cell edges
+    lower, upper : (3,) float64, cell sizes
     periodic : bool
         Whether the box is the whole cell and repeats; then pores near opposite faces are neighbors.
     obstacles : (k, 3) float64
         Pores that are there already: those of this interior and of every face it may meet, on the side it meets it.
     cell : Cell
-        Turns the user's lengths into cell edges.
+        Turns the user's lengths into cell sizes.
     spacing : float or None
-        Spacing of the pores thrown before, cell edges.
+        Spacing of the pores thrown before, cell sizes.
     face_pores : int
         Pores on the faces of one cell, opposite faces counted once.
     """
@@ -49,7 +49,7 @@ class InteriorBox(NamedTuple):
 class Sampler(Stage):
     """Base of samplers that fill the interior of a cell: implement `throw`, or replace `run`.
 
-    `run` calls `throw` once for each interior wanted, each with its own generator. Where pores lie on the faces, the
+    `run` calls `throw` once for each interior requested, each with its own generator. Where pores lie on the faces, the
     interior is the box ``[gap, 1 - gap]^3``, otherwise the whole periodic cell.
     """
 
@@ -63,28 +63,28 @@ class Sampler(Stage):
         None,
         help="distance d from the faces to the box of the interior pores; if omitted the spacing, or half of it where "
         "distances to face pores are checked one by one",
-        unit="cell lengths",
+        unit="cell size",
         minimum=0,
         maximum=1e6,
     )
 
     @abstractmethod
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
-        """Pores of one interior, (n, 3) float64 in cell edges."""
+        """Pores of one interior, (n, 3) float64 in cell sizes."""
 
-    def wished_spacing(self, cell: Cell) -> float | None:
-        """The spacing this sampler was asked for, cell edges; None if it takes that of the pores before, or none."""
+    def requested_spacing(self, cell: Cell) -> float | None:
+        """The spacing this sampler was asked for, cell sizes; None if it takes that of the pores before, or none."""
         return None
 
     def kept_spacing(self, cell: Cell, before: PoreSet) -> float | None:
-        """The distance that any two pores keep in the end, cell edges, if that is known."""
+        """The distance that any two pores keep in the end, cell sizes, if that is known."""
         return None
 
     def gap_from_faces(self, cell: Cell, pores: PoreSet) -> float:
-        """Distance from the faces to the box of the interior pores, cell edges."""
+        """Distance from the faces to the box of the interior pores, cell sizes."""
         if self.gap is not None:
             return cell.fraction(self.gap)
-        return (self.wished_spacing(cell) or pores.spacing or 0.0) if pores.has_faces else 0.0
+        return (self.requested_spacing(cell) or pores.spacing or 0.0) if pores.has_faces else 0.0
 
     def expected_count(self, face_pores: float) -> float:
         """Pores of one interior as the options tell; `LookupError` if they do not."""
@@ -103,11 +103,11 @@ class Sampler(Stage):
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the pores of all interiors."""
         cell, base = start_of(self.edge, pores, context.palette.interiors)
-        spacing = self.wished_spacing(cell) or base.spacing
+        spacing = self.requested_spacing(cell) or base.spacing
         gap = self.gap_from_faces(cell, base)
         if gap >= 0.5:
             raise DesignError(
-                f"the gap of {gap:g} cell edges leaves no interior; it must be below 0.5",
+                f"the gap of {gap:g} cell sizes leaves no interior; it must be below 0.5",
                 hint="give a smaller `gap` or a smaller spacing",
             )
         meetings = _Meetings(base, context.palette)

@@ -26,7 +26,7 @@ class TileSetMaker(Stage):
     """Base of tile set stages: say what has to be drawn and how it is laid out on trial.
 
     The field of a tiling is one sum cut at one level, or it would jump at the faces. So the tiles of a set share their
-    level, their mean porosity is the wished one, and each single tile keeps its own porosity, which is reported.
+    level, their mean porosity is the target, and each single tile keeps its own porosity, which is reported.
     """
 
     kind: ClassVar[str]
@@ -63,7 +63,7 @@ class TileSetMaker(Stage):
         return replace(made, geometry=replace(made.body, patches=own.interiors + 3 * max(own.colors)))
 
     def run(self, context: Context, recipe: Recipe) -> TileSet:
-        """Draw the set and, if a porosity is wished, choose its level."""
+        """Draw the set and, if a porosity is requested, choose its level."""
         from sppm_pipeline.numerics.porosity.level import level_for_porosity
 
         micro = recipe.run(context, palette=self.palette())
@@ -84,7 +84,7 @@ class TileSetMaker(Stage):
             if error > self.tolerance:
                 raise DesignError(
                     f"the porosity on a grid of {finer} voxels a cell edge differs by {error:.5f} from "
-                    f"the wished {self.porosity:g}; allowed are {self.tolerance:g}",
+                    f"the target of {self.porosity:g}; allowed are {self.tolerance:g}",
                     hint=f"measure on a finer grid, for example `resolution: {2 * n}`",
                 )
         shares = _porosities(sums, micro.level, n)

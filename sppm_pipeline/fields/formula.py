@@ -7,19 +7,19 @@ number of threads, nor the cut of the grid into slabs, nor the period changes a 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections import OrderedDict
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import OrderedDict, deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.threads import ordered_map
 
 BLOCK = 1 << 18
 """Samples evaluated together by one thread: few enough that intermediate results stay in the processor's cache."""
@@ -32,8 +32,6 @@ CellIndex = tuple[int, int, int]
 
 Span = tuple[int, int, int]
 """Index of a cell along an axis, its first position in a grid and the one after its last."""
-
-_Block = TypeVar("_Block")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,7 +92,8 @@ class FormulaField(PlacedField):
             own = values[k : k + layers, j : j + rows]
             own[...] = self.evaluate(x, y[j : j + rows, None], z[start + k : start + k + own.shape[0], None, None])
 
-        _for_each(fill, [(k, j) for k in range(0, stop - start, layers) for j in range(0, len(y), rows)], threads)
+        blocks = [(k, j) for k in range(0, stop - start, layers) for j in range(0, len(y), rows)]
+        deque(ordered_map(fill, blocks, threads), maxlen=0)
         return values
 
 
@@ -174,17 +173,8 @@ class CellwiseField(PlacedField):
             for layer in range(low, high, layers)
             if wanted is None or _any_wanted(wanted[layer : min(layer + layers, high), in_y[1] : in_y[2]], in_x)
         ]
-        _for_each(fill, blocks, threads)
+        deque(ordered_map(fill, blocks, threads), maxlen=0)
         return values
-
-
-def _for_each(fill: Callable[[_Block], None], blocks: Sequence[_Block], threads: int) -> None:
-    if threads > 1 and len(blocks) > 1:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(fill, blocks))
-    else:
-        for block in blocks:
-            fill(block)
 
 
 def _rounded(positions: NDArray[np.float64], periodic: bool) -> NDArray[np.float64]:

@@ -1,4 +1,7 @@
-"""Parts of a ZIP archive (3MF is one), read within bounds: an archive can promise more than there is memory."""
+"""ZIP archives (3MF is one), read within bounds, as one can promise more than there is memory, and written in pieces.
+
+What is written depends on the content alone: the same content gives the same bytes, and threads share the packing.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,9 @@ import struct
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from sppm_pipeline.errors import InputError
+from sppm_pipeline.errors import DesignError, InputError
 
 LARGEST_PART = 2**31
 """Bytes of all parts that are read, unpacked."""
@@ -120,3 +123,55 @@ class Archive:
 def _key(part: str) -> str:
     """Names of parts are the same whatever their case."""
     return part.lstrip("/").casefold()
+
+
+Packed = tuple[bytes | memoryview, bytes]
+"""A piece of a part, as it is and deflated."""
+
+_LEVEL = 3
+"""Deflation that takes a third of the time of zlib's own choice and gives a tenth more bytes, measured on meshes."""
+
+_LAST_BLOCK = b"\x03\x00"  # an empty one, which ends a deflated stream
+_VERSION, _NO_FLAGS, _DEFLATED, _NO_TIME, _DATE = 20, 0, 8, 0, 1 << 5 | 1  # 1980-01-01, the first day of the format
+_LARGEST_PLAIN = 2**32 - 1  # bytes of an archive without the extension ZIP64
+
+
+def packed(piece: bytes | memoryview) -> Packed:
+    """Deflate a piece so that others can follow it."""
+    packer = zlib.compressobj(_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+    return piece, packer.compress(piece) + packer.flush(zlib.Z_SYNC_FLUSH)
+
+
+def zipped(parts: Iterable[tuple[str, Iterable[Packed]]]) -> Iterator[bytes]:
+    """An archive of parts, each given by its name and its pieces, without times or other traces of the machine.
+
+    Raises
+    ------
+    DesignError
+        If the archive or a part would have 4 GiB or more.
+    """
+    directory = b""
+    position, count = 0, 0
+    for name, pieces in parts:
+        size, check = 0, 0
+        stream: list[bytes] = []
+        for piece, deflated in pieces:
+            size += len(piece)
+            check = zlib.crc32(piece, check)
+            stream.append(deflated)
+        stream.append(_LAST_BLOCK)
+        length = sum(map(len, stream))
+        if max(size, position + length + 1024) > _LARGEST_PLAIN:
+            raise DesignError(f"{name} would have {size} bytes, more than a plain ZIP archive holds (4 GiB)")
+        path = name.encode("ascii")
+        same = struct.pack(
+            "<5H3L2H", _VERSION, _NO_FLAGS, _DEFLATED, _NO_TIME, _DATE, check, length, size, len(path), 0
+        )
+        header = b"PK\x03\x04" + same + path
+        directory += b"PK\x01\x02" + struct.pack("<H", _VERSION) + same + struct.pack("<3H2L", 0, 0, 0, 0, position)
+        directory += path
+        yield header
+        yield from stream
+        position += len(header) + length
+        count += 1
+    yield directory + b"PK\x05\x06" + struct.pack("<4H2LH", 0, 0, count, count, len(directory), position, 0)

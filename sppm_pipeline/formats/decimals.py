@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.formats.machine_words import leading_zeros, store8, trailing_zeros
-from sppm_pipeline.formats.text import Bytes
+from sppm_pipeline.formats.encoding import Bytes, leading_zeros, store8, trailing_zeros
 from sppm_pipeline.numerics.compiled import jit
 
 _LONGEST_WORD = 16

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats import glb, obj, off, ply, stl, three_mf
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content
+from sppm_pipeline.formats.trimesh_reader import decode_other, others
 
 #: The readers and writers of meshes by extension.
 FORMATS = {"stl": stl, "obj": obj, "ply": ply, "off": off, "glb": glb, "3mf": three_mf}
 
-_STRANGERS = {
+_OTHER_CONTENT = {
     b"PK\x03\x04": "a zip archive",
     b"\x89PNG": "a PNG image",
     b"\x1f\x8b": "a gzip archive",
@@ -36,12 +37,12 @@ def format_of_name(name: str) -> str:
     Raises
     ------
     InputError
-        If the extension is none of `FORMATS`.
+        If the extension is none of `FORMATS`, and trimesh does not read it on this machine either.
     """
     extension = PurePath(name).suffix[1:].lower()
     if extension == "gltf":
         raise InputError(f"{name}: glTF spread over several files is not read", hint="export it as GLB, in one file")
-    if extension not in FORMATS:
+    if extension not in FORMATS and extension not in others():
         known = ", ".join(f".{known}" for known in FORMATS)
         close = get_close_matches(extension, FORMATS, n=1)
         meant = f"; did you mean .{close[0]}?" if close else ""
@@ -73,7 +74,7 @@ def sniff(data: bytes | memoryview | bytearray) -> str | None:
             if words[0] in _OBJ_WORDS:
                 return "obj"
             break
-    for start, description in _STRANGERS.items():
+    for start, description in _OTHER_CONTENT.items():
         if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(start):
             return description
     return None
@@ -138,6 +139,9 @@ def decode_mesh_file(data: bytes | memoryview | bytearray, name: str) -> MeshFil
         data = memoryview(data)[3:]
         require_content(data, name)
     found = sniff(data)
+    if expected not in FORMATS:
+        (vertices, faces), unit, mm = decode_other(data, name, expected)
+        return MeshFile(vertices, faces, unit, mm, "z")
     if found in FORMATS and found != expected:
         raise InputError(
             f"{name}: this file is named .{expected} but is {'an' if found in ('obj', 'off') else 'a'} {found.upper()}",

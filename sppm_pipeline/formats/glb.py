@@ -1,31 +1,34 @@
-"""GLB, the binary form of glTF 2.0: one mesh of all that its scene shows, in metres, y up, as the specification says.
+"""GLB, the binary form of glTF 2.0: one mesh of all that its scene shows, in meters, y up, as the specification says.
 
-Materials, textures and animations are skipped. Compressed meshes and data outside of the file are refused.
+Materials, textures and animations are skipped. Compressed meshes and data outside of the file are refused. What is
+placed where is found out here, with the checks that trimesh leaves out; trimesh reads the tables of numbers.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.glb_encode import encode as encode
-from sppm_pipeline.formats.gltf_accessors import Accessors
-from sppm_pipeline.formats.gltf_json import Entry, read_document
-from sppm_pipeline.formats.merging import merge_equal
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces
-from sppm_pipeline.formats.placing import IDENTITY, MOST_PLACED, Matrix, after, place
-from sppm_pipeline.numerics.meshcheck.measures import edge_counts
+from sppm_pipeline.formats.gltf import Entry, read_document, read_meshes
+from sppm_pipeline.formats.mesh_arrays import (
+    IDENTITY,
+    MOST_PLACED,
+    DecodedMesh,
+    Matrix,
+    after,
+    place,
+    require_content,
+    require_faces,
+)
 
 _HEADER, _JSON, _BINARY = 12, 0x4E4F534A, 0x004E4942
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_NO_SURFACE = {0, 1, 2, 3}  # points and lines
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_mesh_quantization", "KHR_lights_punctual")
 _COMPRESSED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
 
 
 def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
-    """Read the scene of a file as one mesh, in metres and with y up, as it stands there.
+    """Read the scene of a file as one mesh, in meters and with y up, as it stands there.
 
     Vertices are split in such files where a texture or an edge needs it; those of equal position are merged in a mesh
     that is not closed as it is, the first one being kept.
@@ -51,21 +54,16 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     text, binary = _chunks(memoryview(data).cast("B"), name)
     document = read_document(text, name)
     _require_readable(document)
-    accessors = Accessors(document, binary)
     entries = document.entries("meshes")
     numbers: dict[int, int] = {}
-    meshes: list[DecodedMesh] = []
     copies: list[tuple[int, Matrix]] = []
     for node, matrix in _nodes(document):
-        which = node.whole("mesh")
+        which = node.integer("mesh")
         if which >= len(entries):
             node.fail(f"there is no mesh {which}; the file has {len(entries)}")
-        if which not in numbers:
-            numbers[which] = len(meshes)
-            meshes.append(_mesh(entries[which], accessors))
         _require_rigid(node)
-        copies.append((numbers[which], matrix))
-    mesh = place(name, meshes, copies)
+        copies.append((numbers.setdefault(which, len(numbers)), matrix))
+    mesh = place(name, read_meshes(document, binary, [entries[which] for which in numbers], name), copies)
     require_faces(name, mesh[1])
     return mesh
 
@@ -106,10 +104,10 @@ def _chunks(data: memoryview, name: str) -> tuple[bytes, memoryview]:
 
 
 def _require_readable(document: Entry) -> None:
-    version = document.entry("asset").word("version")
+    version = document.entry("asset").string("version")
     if not version.startswith("2"):
         document.fail(f"version {version[:20]!r} of glTF is not read, only 2", hint="export it as glTF 2.0")
-    for extension in document.words("extensionsRequired"):
+    for extension in document.strings("extensionsRequired"):
         if extension in _COMPRESSED:
             document.fail(f"its meshes are compressed ({extension})", hint="export without compression")
         if not extension.startswith(_HARMLESS):
@@ -121,12 +119,12 @@ def _nodes(document: Entry) -> list[tuple[Entry, Matrix]]:
     nodes, scenes = document.entries("nodes"), document.entries("scenes")
     if len(nodes) > MOST_PLACED:
         document.fail(f"it has {len(nodes)} nodes; at most {MOST_PLACED} are read")
-    children = [node.wholes("children") for node in nodes]
+    children = [node.integers("children") for node in nodes]
     if scenes:
-        number = document.whole("scene", 0)
+        number = document.integer("scene", 0)
         if number >= len(scenes):
             document.fail(f"there is no scene {number}; the file has {len(scenes)}")
-        roots = scenes[number].wholes("nodes")
+        roots = scenes[number].integers("nodes")
     else:
         inner = {child for some in children for child in some}
         roots = [k for k in range(len(nodes)) if k not in inner]
@@ -185,52 +183,3 @@ def _require_rigid(node: Entry) -> None:
         node.fail("its mesh is deformed by morph targets", hint="apply the shape and export a plain mesh")
     if "EXT_mesh_gpu_instancing" in node.entry("extensions"):
         node.fail("it stands for many copies (EXT_mesh_gpu_instancing)", hint="export real copies")
-
-
-def _mesh(entry: Entry, accessors: Accessors) -> DecodedMesh:
-    """All surfaces of a mesh, equal positions merged unless it is closed without."""
-    if any(entry.numbers("weights", None) or []):
-        entry.fail("it is deformed by morph targets", hint="apply the shape and export a plain mesh")
-    points: list[NDArray[np.float64]] = [np.empty((0, 3))]
-    faces: list[NDArray[np.int64]] = [np.empty((0, 3), np.int64)]
-    n = 0
-    for primitive in entry.entries("primitives"):
-        mode = primitive.whole("mode", _TRIANGLES)
-        if mode in _NO_SURFACE:
-            continue
-        if "KHR_draco_mesh_compression" in primitive.entry("extensions"):
-            primitive.fail("it is compressed by Draco", hint="export without compression")
-        positions = accessors.positions(primitive, primitive.entry("attributes").whole("POSITION"))
-        if "indices" in primitive:
-            corners = accessors.indices(primitive, primitive.whole("indices"), len(positions))
-        else:
-            corners = np.arange(len(positions))
-        faces.append(n + _triangles(primitive, mode, corners))
-        points.append(positions)
-        n += len(positions)
-    vertices, triangles = np.concatenate(points), np.concatenate(faces)
-    if len(triangles) and not edge_counts(triangles).closed:
-        # Adding 0 turns -0 into 0, which is the same place with other bits.
-        first, numbers = merge_equal(vertices.astype(np.float32) + np.float32(0))
-        vertices, triangles = vertices[first], numbers[triangles]
-    return vertices, triangles
-
-
-def _triangles(primitive: Entry, mode: int, corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    if mode == _TRIANGLES:
-        if len(corners) % 3:
-            primitive.fail(f"its {len(corners)} corners are no whole number of triangles")
-        return corners.reshape(-1, 3)
-    if mode not in (_STRIP, _FAN):
-        primitive.fail(f"the mode {mode} is unknown; there are 0 to 6")
-    if mode == _FAN:
-        first = np.broadcast_to(corners[:1], corners[2:].shape)
-        return np.stack([first, corners[1:-1], corners[2:]], 1) if len(corners) > 2 else np.empty((0, 3), np.int64)
-    if len(corners) < 3:
-        return np.empty((0, 3), np.int64)
-    faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], 1)
-    faces[1::2] = faces[1::2, [1, 0, 2]]
-    # strips are joined by triangles without area
-    flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    solid: NDArray[np.int64] = faces[~flat]
-    return solid

@@ -1,4 +1,4 @@
-"""GLB files written: one mesh, in metres and with y up, and perhaps many nodes that place it."""
+"""GLB files written: one mesh, in meters and with y up, and perhaps many nodes that place it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.formats.encoding import as_written, in_blocks, little_endian, within_float32
 from sppm_pipeline.numerics.compiled import jit
 
-_METRE = 1000.0  # mm
+_METER = 1000.0  # mm
 _FLOAT, _UINT, _ARRAY, _ELEMENTS = 5126, 5125, 34962, 34963  # codes of the specification
 _MOST = 2**32 - 1
 
@@ -29,7 +29,7 @@ def encode(
 ) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) in millimeters with z up and (m, 3), piece by piece. Same mesh, same bytes.
 
-    Positions are turned, y up, and stored as float32 metres, as the specification wants it.
+    Positions are turned, y up, and stored as float32 meters, as the specification wants it.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def encode(
     """
     mesh = as_written(vertices, faces)
     within_float32(mesh, "GLB")
-    points, triangles = _turned(mesh.points / _METRE), mesh.faces
+    points, triangles = _turned(mesh.points / _METER), mesh.faces
     arrays: list[NDArray[Any]] = [triangles, points]
     accessors: list[dict[str, Any]] = [
         {"bufferView": 0, "componentType": _UINT, "count": int(triangles.size), "type": "SCALAR"},
@@ -76,7 +76,7 @@ def encode(
     places: list[list[float] | None] = [None]
     if offsets is not None:
         # in full precision, as copies must touch each other
-        places = [[x / _METRE, z / _METRE, 0.0 - y / _METRE] for x, y, z in np.asarray(offsets, np.float64).tolist()]
+        places = [[x / _METER, z / _METER, 0.0 - y / _METER] for x, y, z in np.asarray(offsets, np.float64).tolist()]
     document = {
         "asset": {"version": "2.0", "generator": "sppm"},
         "scene": 0,

@@ -1,4 +1,4 @@
-"""Stacks of pictures: TIFF files of many pages and folders of PNG or TIFF files, one picture a layer.
+"""Stacks of pictures: TIFF files of many pages (by tifffile) and folders of PNG or TIFF files, one picture a layer.
 
 As in `write.png`, the first row of a picture is the side of largest y, the first column that of smallest x, and the
 first picture is the lowest layer.
@@ -7,42 +7,86 @@ first picture is the lowest layer.
 from __future__ import annotations
 
 import io
+import math
 import re
 import warnings
-from collections.abc import Iterable, Iterator
+import zlib
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.voxel_image import VoxelImage, checked_shape
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
+from sppm_pipeline.formats.input_file import content_of, library, third_party_reader
+from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE, VoxelImage, checked_shape
 
 ENDINGS = (".png", ".tif", ".tiff")
 
 MOST_LAYERS = 1 << 16
 
+_DEFLATED = (8, 32946)  # compression schemes of TIFF
+_HIGHEST_RATIO, _ALWAYS_ALLOWED = 1032, 2**26
+"""What deflate can make of a byte, and what a strip may unpack to before anybody looks closer."""
 
-def decode_pages(data: bytes, name: str) -> VoxelImage:
+
+def decode_tiff(data: bytes, name: str) -> VoxelImage:
     """Read a TIFF file of one or many pages.
 
     Raises
     ------
     InputError
         If it is no TIFF file, is cut, in color, or its pages differ in size.
+    ResourceError
+        If tifffile is not installed.
     """
-    with _opened(io.BytesIO(data), name) as image:
-        try:
-            count = int(getattr(image, "n_frames", 1))
-        except Exception as error:  # Pillow raises whatever a damaged page makes it stumble over
-            raise InputError(f"the pages of {name} can't be counted: {_short(error)}") from error
-        if count > MOST_LAYERS:
-            raise InputError(f"{name} has {count} pages; the limit is {MOST_LAYERS}")
-        return _stacked(_pages(image, count, name), count, name)
+    tifffile = library("tifffile", "images")
+    hint = "is it cut off, in color, or compressed in a way that needs `pip install imagecodecs`?"
+    with third_party_reader("tifffile", name, hint), tifffile.TiffFile(io.BytesIO(data)) as file:
+        # a file written page by page is one of several series
+        kinds = {(series.shape[-2:], series.dtype, series.keyframe.photometric) for series in file.series}
+        if len(kinds) != 1:
+            raise InputError(f"{name} has pages of {len(kinds)} kinds; a voxel image has pages of one size and type")
+        for series in file.series:
+            _require_gray(series, name)
+        ((height, width), dtype, photometric) = kinds.pop()
+        layers = sum(math.prod(series.shape[:-2]) for series in file.series)
+        if layers > MOST_LAYERS:
+            raise InputError(f"{name} has {layers} pages; the limit is {MOST_LAYERS}")
+        checked_shape((width, height, layers), dtype.itemsize, name)
+        for series in file.series:
+            for page in series.pages:
+                _require_bounded(page, data, name)
+        pages = np.concatenate([series.asarray().reshape(-1, height, width) for series in file.series])
+    if photometric == 0:  # white is zero
+        pages = ~pages if pages.dtype.kind in "bu" else -pages
+    return _stacked(pages, layers, name)
+
+
+def _require_gray(series: Any, name: str) -> None:
+    """Refuse what is no stack of gray pages: color, or more axes than three."""
+    photometric, axes = series.keyframe.photometric, series.axes
+    longer = [axis for length, axis in zip(series.shape[:-2], axes, strict=False) if length > 1]
+    if axes[-2:] != "YX" or len(longer) > 1 or photometric not in (0, 1):
+        raise InputError(
+            f"{name} has the axes {axes} of lengths {series.shape} and the color type "
+            f"{getattr(photometric, 'name', photometric)}; a voxel image is a stack of black and white or gray pages"
+        )
+
+
+def _require_bounded(page: Any, data: bytes, name: str) -> None:
+    """Refuse a strip that is deflated and unpacks to more than it stands for, before tifffile unpacks it."""
+    if page is None or page.compression not in _DEFLATED:
+        return
+    room = math.prod(page.chunks) * page.dtype.itemsize
+    for start, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+        if count * _HIGHEST_RATIO > _ALWAYS_ALLOWED + room:
+            strip = zlib.decompressobj().decompress(data[start : start + count], room + 1)
+            if len(strip) > room:
+                raise InputError(
+                    f"{name}: a strip of {count} bytes unpacks to more than the {room} bytes of its pixels"
+                )
 
 
 def read_folder(folder: Path) -> VoxelImage:
@@ -64,12 +108,9 @@ def read_folder(folder: Path) -> VoxelImage:
         raise InputError(f"{folder} has {len(files)} pictures; the limit is {MOST_LAYERS}")
     files.sort(key=lambda path: ([int(word) for word in re.findall(r"\d+", path.name)][-1:], path.name))
 
-    def layers() -> Iterator[NDArray[Any]]:
-        for path in files:
-            with _opened(path, path.name) as image:
-                yield from _pages(image, 1, path.name)
-
-    return _stacked(layers(), len(files), str(folder))
+    if endings != [".png"]:
+        return _stacked(map(_tiff_page, files), len(files), str(folder))
+    return _stacked(map(_picture, files), len(files), str(folder))
 
 
 def encode_tiff(values: NDArray[Any]) -> bytes:
@@ -85,31 +126,24 @@ def encode_tiff(values: NDArray[Any]) -> bytes:
     return stream.getvalue()
 
 
-def _opened(source: Path | io.BytesIO, name: str) -> Image:
+def _tiff_page(path: Path) -> NDArray[Any]:
+    """The pixels of a TIFF file of one page."""
+    values = decode_tiff(content_of(path, LARGEST_IMAGE), path.name).values
+    if values.shape[2] != 1:
+        raise InputError(f"{path.name} has {values.shape[2]} pages; in a folder, each file is one layer")
+    return values[:, ::-1, 0].T
+
+
+def _picture(path: Path) -> NDArray[Any]:
+    """The pixels of a PNG file."""
     from PIL import Image
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            return Image.open(source, formats=("PNG", "TIFF"))
-    except Exception as error:
-        raise InputError(f"{name} is no picture that can be read: {_short(error)}") from error
-
-
-def _pages(image: Image, count: int, name: str) -> Iterator[NDArray[Any]]:
-    for page in range(count):
-        try:
-            if count > 1:
-                image.seek(page)
+    with third_party_reader("PIL", path.name):
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        with Image.open(path, formats=("PNG",)) as image:
             if image.mode not in ("1", "L", "I;16", "I;16B", "I", "F"):
-                raise InputError(
-                    f"page {page} of {name} has the mode {image.mode}; a voxel image is black and white or gray"
-                )
-            yield np.asarray(image)
-        except InputError:
-            raise
-        except Exception as error:
-            raise InputError(f"page {page} of {name} can't be read: {_short(error)}") from error
+                raise InputError(f"{path.name} has the mode {image.mode}; a voxel image is black and white or gray")
+            return np.asarray(image)
 
 
 def _stacked(pages: Iterable[NDArray[Any]], count: int, name: str) -> VoxelImage:
@@ -128,7 +162,3 @@ def _stacked(pages: Iterable[NDArray[Any]], count: int, name: str) -> VoxelImage
     if values is None:
         raise InputError(f"{name} holds no layers")
     return VoxelImage(values, None)
-
-
-def _short(error: Exception) -> str:
-    return (str(error).splitlines() or [""])[0][:120] or type(error).__name__

@@ -1,4 +1,4 @@
-"""The input format of Abaqus and CalculiX: nodes, tetrahedra C3D4 or C3D10, sets, periodic constraints."""
+"""The input format of Abaqus and CalculiX: nodes, tetrahedra C3D4 or C3D10, sets, constraints, material cards."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.formats.volume_arrays import as_written, integer_rows, number_rows
 
 _TYPES = {4: "C3D4", 10: "C3D10"}
+# Abaqus and CalculiX count 11, 22, 33, 12, 13, 23; these are the places in xx, yy, zz, yz, xz, xy
+_VOIGT = (0, 1, 2, 5, 4, 3)
 _A_LINE = 16
 """Numbers that a line of a set may hold."""
 
@@ -85,3 +87,41 @@ def _constraints(points: NDArray[np.float64], standing: NDArray[np.integer], n: 
             lines.append(str(len(terms)))
             lines.extend(", ".join(terms[k : k + 4]) for k in range(0, len(terms), 4))
     yield ("\n".join(lines) + "\n").encode()
+
+
+def abaqus_constants(stiffness: NDArray[np.float64]) -> list[float]:
+    """The 21 constants D1111, D1122, D2222, D1133, ... D2323 of Abaqus and CalculiX, column by column.
+
+    Parameters
+    ----------
+    stiffness : (6, 6)
+        Voigt order xx, yy, zz, yz, xz, xy.
+    """
+    ordered = stiffness[np.ix_(_VOIGT, _VOIGT)]
+    return [float(ordered[row, column]) for column in range(6) for row in range(column + 1)]
+
+
+def abaqus_card(name: str, stiffness: NDArray[np.float64], comments: list[str]) -> str:
+    """A ``*MATERIAL`` with ``*ELASTIC, TYPE=ANISO``, as Abaqus and CalculiX read it.
+
+    Parameters
+    ----------
+    name : str
+        Letters, digits, ``_`` and ``-``; begins with a letter.
+    stiffness : (6, 6)
+    comments : list of str
+        Lines above the card.
+
+    Raises
+    ------
+    ValueError
+        If the name would not be one.
+    """
+    if not (name[:1].isalpha() and name.isascii() and name.replace("_", "").replace("-", "").isalnum()):
+        raise ValueError(f"a material is named by letters, digits, _ and -, got {name!r}")
+    words = [f"{value:.9g}" for value in abaqus_constants(stiffness)]
+    rows = [", ".join(words[start : start + 8]) for start in range(0, 21, 8)]
+    return (
+        "\n".join([*(f"** {line}" for line in comments), f"*MATERIAL, NAME={name}", "*ELASTIC, TYPE=ANISO", *rows])
+        + "\n"
+    )

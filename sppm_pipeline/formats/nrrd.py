@@ -1,35 +1,28 @@
-"""NRRD images with their data attached, as scanners' software and image libraries write them.
+"""NRRD images with their data attached, as scanners' software and image libraries write them; read by pynrrd.
 
 The format: https://teem.sourceforge.net/nrrd/format.html. Data in a separate file are refused: what a header names
-need not be what a user meant to open.
+need not be what a user meant to open. Compressed data are unpacked here, within
+bounds, as the library would unpack a small file to any size.
 """
 
 from __future__ import annotations
 
 import bz2
 import io
-import re
+import math
 import zlib
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.voxel_image import VoxelImage, checked_shape, numbers
-
-TYPES = {
-    "int8": ("signed char", "int8_t"),
-    "uint8": ("uchar", "unsigned char", "uint8_t"),
-    "int16": ("short", "short int", "signed short", "signed short int", "int16_t"),
-    "uint16": ("ushort", "unsigned short", "unsigned short int", "uint16_t"),
-    "int32": ("int", "signed int", "int32_t"),
-    "uint32": ("uint", "unsigned int", "uint32_t"),
-    "int64": ("longlong", "long long", "long long int", "signed long long", "signed long long int", "int64_t"),
-    "uint64": ("ulonglong", "unsigned long long", "unsigned long long int", "uint64_t"),
-    "float32": ("float",),
-    "float64": ("double",),
-}
+from sppm_pipeline.formats.input_file import library, third_party_reader
+from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE, VoxelImage, checked_shape
 
 _LONGEST_HEADER = 1 << 20
+_WIDEST = 8  # bytes of a voxel
+_HINT = "the file was cut or damaged, or is of a kind that is not read; save it again with attached data (.nrrd)"
 
 
 def decode(data: bytes, name: str) -> VoxelImage:
@@ -39,97 +32,55 @@ def decode(data: bytes, name: str) -> VoxelImage:
     ------
     InputError
         If the header contradicts itself or the data, or is of a kind that is not read.
+    ResourceError
+        If pynrrd is not installed.
     """
-    end = re.search(rb"\r?\n\r?\n", data[:_LONGEST_HEADER])
-    if not data.startswith(b"NRRD000") or end is None:
-        raise InputError(
-            f"{name} is no NRRD image: it should begin with NRRD000 and a header that ends in a blank line"
-        )
-    fields = _fields(data[: end.start()], name)
-    if "data file" in fields or "datafile" in fields:
+    nrrd = library("nrrd", "images")
+    head = io.BytesIO(data[:_LONGEST_HEADER])
+    with third_party_reader("nrrd", name, _HINT):
+        header = nrrd.read_header(head)
+    if "data file" in header or "datafile" in header:
         raise InputError(f"{name} keeps its data in another file", hint="save it with attached data (.nrrd, not .nhdr)")
-    for skip in ("line skip", "lineskip", "byte skip", "byteskip"):
-        if fields.get(skip, "0").strip() != "0":
-            raise InputError(f"{name}: a header that skips part of the data is not read", hint="save the image again")
-    dtype = _dtype(fields, name)
-    sizes = numbers(_field(fields, "sizes", name), "the sizes", name, int)
-    if str(len(sizes)) != _field(fields, "dimension", name).strip():
-        raise InputError(f"{name}: {len(sizes)} sizes do not fit the dimension {fields['dimension'].strip()}")
-    shape = checked_shape(tuple(sizes), dtype.itemsize, name)
-    size = shape[0] * shape[1] * shape[2] * dtype.itemsize
-    body = _body(data[end.end() :], fields.get("encoding", "raw").strip().lower(), size, shape, dtype, name)
-    if len(body) != size:
-        raise InputError(
-            f"{name}: {size} bytes of data are announced, {'more' if len(body) > size else len(body)} are there",
-            hint="the file was cut or damaged; copy it again",
-        )
-    return VoxelImage(np.frombuffer(body, dtype).reshape(shape, order="F"), _spacing(fields, name))
+    if any(header.get(skip, 0) != 0 for skip in ("line skip", "lineskip", "byte skip", "byteskip")):
+        raise InputError(f"{name}: a header that skips part of the data is not read", hint="save the image again")
+    if header.get("endian", "little") not in ("little", "big"):
+        raise InputError(f"{name}: endian is little or big, not {header['endian']!r}")
+    with third_party_reader("nrrd", name, _HINT):
+        shape = checked_shape(tuple(int(size) for size in header["sizes"]), 1, name)
+    body = _unpacked(data[head.tell() :], header, min(_WIDEST * math.prod(shape), LARGEST_IMAGE), name)
+    with third_party_reader("nrrd", name, _HINT):
+        values = nrrd.read_data(header, io.BytesIO(body))
+        spacing = _spacing(header, name)
+    if header["encoding"] == "raw" and values.nbytes != len(body):
+        raise InputError(f"{name}: {values.nbytes} bytes of data are announced, {len(body)} are there", hint=_HINT)
+    return VoxelImage(values, spacing)
 
 
-def _fields(head: bytes, name: str) -> dict[str, str]:
-    fields = {}
-    for number, line in enumerate(head.decode("utf-8", "replace").splitlines()[1:], 2):
-        if line.startswith("#") or ":=" in line or not line.strip():
-            continue
-        key, colon, value = line.partition(":")
-        if not colon:
-            raise InputError(f"{name}:{number}: a line of the header should read `field: value`, got {line[:60]!r}")
-        fields[key.strip().lower()] = value
-    return fields
-
-
-def _field(fields: dict[str, str], key: str, name: str) -> str:
-    if key not in fields:
-        raise InputError(f"{name}: the header lacks the field {key!r}")
-    return fields[key]
-
-
-def _dtype(fields: dict[str, str], name: str) -> np.dtype[np.generic]:
-    word = _field(fields, "type", name).strip().lower()
-    for kind, words in TYPES.items():
-        if word == kind or word in words:
-            endian = fields.get("endian", "little").strip().lower()
-            if endian not in ("little", "big"):
-                raise InputError(f"{name}: endian is little or big, got {endian!r}")
-            return np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
-    raise InputError(f"{name}: voxels of type {word!r} are not read; known are {', '.join(TYPES)}")
-
-
-def _body(
-    data: bytes, encoding: str, size: int, shape: tuple[int, int, int], dtype: np.dtype[np.generic], name: str
-) -> bytes:
-    """The voxels' bytes, at most one more than wanted, whatever a compressed stream expands to."""
+def _unpacked(data: bytes, header: dict[str, Any], limit: int, name: str) -> bytes:
+    """The bytes of the voxels, at most one more than `limit`; the header then calls them raw."""
+    encoding = header.get("encoding")
     try:
-        if encoding == "raw":
-            return data
         if encoding in ("gzip", "gz"):
-            return zlib.decompressobj(31).decompress(data, size + 1)
-        if encoding in ("bzip2", "bz2"):
-            return bz2.BZ2File(io.BytesIO(data)).read(size + 1)
+            data = zlib.decompressobj(31).decompress(data, limit + 1)
+        elif encoding in ("bzip2", "bz2"):
+            data = bz2.BZ2File(io.BytesIO(data)).read(limit + 1)
+        elif encoding != "raw":
+            return data
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{name}: the compressed data are damaged: {error}") from error
-    if encoding in ("ascii", "text", "txt"):
-        # each number takes at least two characters
-        if len(data) + 1 < 2 * shape[0] * shape[1] * shape[2]:
-            return data[:0]
-        return np.array(numbers(data.decode("ascii", "replace"), "the data", name), np.float64).astype(dtype).tobytes()
-    raise InputError(f"{name}: the encoding {encoding!r} is not read; known are raw, gzip, bzip2 and ascii")
+    header["encoding"] = "raw"
+    return data
 
 
-def _spacing(fields: dict[str, str], name: str) -> tuple[float, float, float] | None:
-    if "spacings" in fields:
-        found = fields["spacings"].split()
-        if any(word.lower() == "nan" for word in found):
+def _spacing(header: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
+    if "spacings" in header:
+        edges = np.asarray(header["spacings"], np.float64)
+        if np.isnan(edges).any():  # so an axis without a spacing is written
             return None
-        edges = numbers(fields["spacings"], "the spacings", name)
-    elif "space directions" in fields:
-        vectors = [
-            numbers(part.replace(",", " "), "a space direction", name)
-            for part in re.findall(r"\(([^)]*)\)", fields["space directions"])
-        ]
-        edges = [float(np.linalg.norm(vector)) for vector in vectors]
+    elif "space directions" in header:
+        edges = np.linalg.norm(np.asarray(header["space directions"], np.float64), axis=1)
     else:
         return None
-    if len(edges) != 3 or not min(edges) > 0:
-        raise InputError(f"{name}: an image of three axes has three positive spacings, got {edges}")
-    return edges[0], edges[1], edges[2]
+    if edges.shape != (3,) or not (np.isfinite(edges) & (edges > 0)).all():
+        raise InputError(f"{name}: an image of three axes has three positive spacings, not {edges.tolist()}")
+    return float(edges[0]), float(edges[1]), float(edges[2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
 
 import numpy as np
@@ -9,30 +10,9 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.formats.decimals import Words, decimal_scale, face_rows, vertex_rows
 from sppm_pipeline.formats.encoding import as_written, in_blocks
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces
-from sppm_pipeline.formats.text import (
-    Bytes,
-    as_lines,
-    fail_at,
-    pending_floats,
-    resolve_floats,
-    scan_float,
-    scan_index,
-    shown,
-    skip_blanks,
-    skip_line,
-    skip_token,
-)
-from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, decoded, require_content
+from sppm_pipeline.formats.text import Lines, fan, shown
 
-_V, _F, _SPACE, _TAB, _NEWLINE, _SLASH, _HASH = 118, 102, 32, 9, 10, 47, 35
-_OK, _SHORT_VERTEX, _SHORT_FACE, _NO_INDEX, _OUT_OF_RANGE = range(5)
-_MESSAGES = {
-    _SHORT_VERTEX: "a vertex has three coordinates",
-    _SHORT_FACE: "a face has at least three corners",
-    _NO_INDEX: "a corner of a face is a vertex number, perhaps with /texture/normal, not {word}",
-    _OUT_OF_RANGE: "there is no vertex {word}; the file has {vertices} vertices (vertex numbers start at 1)",
-}
 _VERTEX, _FACE = Words.of(b"v ", b" ", b" ", b"\n"), Words.of(b"f ", b" ", b" ", b"\n")
 
 
@@ -61,79 +41,36 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
         With the line and byte of what is wrong.
     """
     require_content(data, name)
-    lines = as_lines(data)
-    empty = np.empty((0, 3)), np.empty((0, 3), np.int64), pending_floats(0)
-    status, where, n_vertices, n_faces, _ = _scan(lines, *empty, 0, False)
-    if status == _OK:
-        vertices, faces = np.empty((n_vertices, 3)), np.empty((n_faces, 3), np.int64)
-        pending = pending_floats(3 * n_vertices)
-        status, where, _, _, n_pending = _scan(lines, vertices, faces, pending, n_vertices, True)
-    if status != _OK:
-        message = _MESSAGES[status].format(word=shown(lines, where), vertices=n_vertices)
-        fail_at(lines, where, name, message)
-    resolve_floats(lines, pending[:n_pending], vertices.reshape(-1), name)
-    require_faces(name, faces)
-    return vertices, faces
+    lines = Lines(data, name, continued=True)
+    coordinates, corners = array("d"), array("q")
+    for words in lines:
+        if words[0] == b"v":
+            if len(words) < 4:
+                lines.fail("a vertex has three coordinates")
+            coordinates.extend(lines.floats(words[1:4]))
+    total, above = len(coordinates) // 3, 0
+    for words in lines:  # a face may name vertices that follow it
+        if words[0] == b"v":
+            above += 1
+        elif words[0] == b"f":
+            if len(words) < 4:
+                lines.fail("a face has at least three corners")
+            corners.extend(fan([_vertex(lines, word, above, total) for word in words[1:]]))
+    return decoded(name, coordinates, corners)
 
 
-@jit
-def _scan(
-    data: Bytes,
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    pending: NDArray[np.int64],
-    total: int,
-    fill: bool,
-) -> tuple[int, int, int, int, int]:
-    """Walk over the lines; count vertices and triangles, or fill the arrays if `fill`.
-
-    Returns the status, the place of the fault, and the numbers of vertices, triangles and pending floats.
-    """
-    n, m, p = 0, 0, 0
-    i = 0
-    while i < data.size:
-        i = skip_blanks(data, i)
-        if i + 1 >= data.size or (data[i] != _V and data[i] != _F) or (data[i + 1] != _SPACE and data[i + 1] != _TAB):
-            i = skip_line(data, i)
-            continue
-        line, is_vertex = i, data[i] == _V
-        i = skip_blanks(data, i + 1)
-        if is_vertex and fill:
-            for c in range(3):
-                if i >= data.size or data[i] == _NEWLINE or data[i] == _HASH:
-                    return _SHORT_VERTEX, line, n, m, p
-                vertices[n, c], end, exact = scan_float(data, i)
-                if not exact:
-                    pending[p, 0], pending[p, 1], pending[p, 2] = 3 * n + c, i, end
-                    p += 1
-                i = skip_blanks(data, end)
-        elif not is_vertex:
-            corners = 0
-            first, before = 0, 0
-            while i < data.size and data[i] != _NEWLINE and data[i] != _HASH:
-                if fill:
-                    index, end, found = scan_index(data, i)
-                    if not found:
-                        return _NO_INDEX, i, n, m, p
-                    index = n + index if index < 0 else index - 1
-                    if index < 0 or index >= total:
-                        return _OUT_OF_RANGE, i, total, m, p
-                    if corners == 0:
-                        first = index
-                    elif corners > 1:
-                        faces[m, 0], faces[m, 1], faces[m, 2] = first, before, index
-                        m += 1
-                    before = index
-                elif corners > 1:
-                    m += 1
-                corners += 1
-                i = skip_blanks(data, skip_token(data, i))
-            if corners < 3:
-                return _SHORT_FACE, line, n, m, p
-        if is_vertex:
-            n += 1
-        i = skip_line(data, i)
-    return _OK, 0, n, m, p
+def _vertex(lines: Lines, word: bytes, above: int, total: int) -> int:
+    """The vertex of a corner, numbered from 0; a negative number counts back from the face."""
+    number = word.partition(b"/")[0]
+    index = lines.integer(number)
+    if index is None:
+        lines.fail(f"a corner of a face is a vertex number, perhaps with /texture/normal, not {shown(number)}", word)
+    index = above + index if index < 0 else index - 1
+    if not 0 <= index < total:
+        lines.fail(
+            f"there is no vertex {shown(number)}; the file has {total} vertices (vertex numbers start at 1)", word
+        )
+    return index
 
 
 def encode(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,14 +11,12 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.decimals import Words, decimal_scale, face_rows, vertex_rows
 from sppm_pipeline.formats.encoding import as_written, in_blocks
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
-from sppm_pipeline.formats.rows import read_face_rows, read_vertex_rows
-from sppm_pipeline.formats.text import as_lines, fail_at, shown
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, decoded, require_content, require_room
+from sppm_pipeline.formats.text import Lines, fan, shown
 
-_NEWLINE = 10
 _MAGIC = (b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF", b"STCOFF", b"STNOFF", b"STCNOFF")
 _SHORTEST_VERTEX, _SHORTEST_FACE = len(b"0 0 0\n"), len(b"3 0 1 2\n")
-_LINE, _HEADER_LINES = 4096, 1000  # how much of a line is looked at, and how many lines, until the counts are found
+_CUT_OFF = "the file ends before its last vertex or face"
 _VERTEX, _FACE = Words.of(b"", b" ", b" ", b"\n"), Words.of(b"3 ", b" ", b" ", b"\n")
 
 
@@ -42,42 +41,41 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
         With the line and byte of what is wrong.
     """
     require_content(data, name)
-    lines = as_lines(data)
-    (n_vertices, n_faces), position = _header(lines, name)
-    require_room(name, "vertices", n_vertices, _SHORTEST_VERTEX, lines.size - position + 1, position)
-    vertices, position = read_vertex_rows(lines, position, n_vertices, (False,) * 3, (0, 1, 2), name)
-    require_room(name, "faces", n_faces, _SHORTEST_FACE, lines.size - position + 1, position)
-    faces, _ = read_face_rows(lines, position, n_faces, (), n_vertices, name)
-    require_faces(name, faces)
-    return vertices, faces
+    lines = Lines(data, name)
+    rows = iter(lines)
+    n_vertices, n_faces = _counts(lines, rows)
+    require_room(name, "vertices", n_vertices, _SHORTEST_VERTEX, len(data) - lines.end + 1, lines.end)
+    coordinates, corners = array("d"), array("q")
+    for _ in range(n_vertices):
+        words = lines.row(rows, _CUT_OFF)
+        if len(words) < 3:
+            lines.fail("the line has too few numbers")
+        coordinates.extend(lines.floats(words[:3]))
+    require_room(name, "faces", n_faces, _SHORTEST_FACE, len(data) - lines.end + 1, lines.end)
+    for _ in range(n_faces):
+        words = lines.row(rows, _CUT_OFF)
+        count = lines.integer(words[0])
+        if count is None or count < 0:
+            lines.fail(f"an integer is expected, not {shown(words[0])}", words[0])
+        if len(words) <= count:
+            lines.fail("the line has too few numbers")
+        corners.extend(fan(lines.polygon(words[1 : count + 1], n_vertices)))
+    return decoded(name, coordinates, corners)
 
 
-def _header(lines: NDArray[np.uint8], name: str) -> tuple[list[int], int]:
-    """The numbers of vertices and faces, and the place after their line."""
-    words: list[tuple[bytes, int]] = []
-    position = 0
-    for _ in range(_HEADER_LINES):
-        if len(words) >= 3 or position >= lines.size:
-            break
-        line = lines[position : position + _LINE].tobytes().split(b"\n", 1)[0]
-        found = line.split(b"#", 1)[0].split()
-        words += [(word, position) for word in found]
-        if len(line) == _LINE:
-            rest = np.flatnonzero(lines[position:] == _NEWLINE)
-            position += int(rest[0]) + 1 if rest.size else lines.size
-        else:
-            position += len(line) + 1
-    if not words or words[0][0] not in _MAGIC:
-        hint = "binary OFF and OFF of other dimensions are not read" if words and b"OFF" in words[0][0] else None
-        raise InputError(f"{name}: the first word of an OFF file is OFF, not {shown(lines, 0)}", hint=hint)
-    counts = []
-    for word, place in words[1:3]:
+def _counts(lines: Lines, rows: Iterator[list[bytes]]) -> list[int]:
+    """The numbers of vertices and faces."""
+    first = next(rows, [b""])
+    if first[0] not in _MAGIC:
+        hint = "binary OFF and OFF of other dimensions are not read" if b"OFF" in first[0] else None
+        raise InputError(f"{lines.name}: the first word of an OFF file is OFF, not {shown(first[0])}", hint=hint)
+    words = first[1:]
+    while len(words) < 2:
+        words += lines.row(rows, "the numbers of vertices and faces are missing")
+    for word in words[:2]:
         if not word.isdigit() or len(word) > 18:
-            fail_at(lines, place, name, f"the number of vertices or faces is expected, not {word[:40]!r}")
-        counts.append(int(word))
-    if len(counts) < 2:
-        fail_at(lines, position, name, "the numbers of vertices and faces are missing")
-    return counts, min(position, lines.size)
+            lines.fail(f"the number of vertices or faces is expected, not {shown(word)}", word)
+    return [int(word) for word in words[:2]]
 
 
 def encode(

@@ -1,19 +1,23 @@
-"""PLY (Turk, 1994): ASCII and binary of both byte orders. Positions and faces are read, everything else is skipped."""
+"""PLY (Turk, 1994): ASCII and binary of both byte orders. Positions and faces are read, everything else is skipped.
+
+This format is not left to a library: trimesh refuses binary files whose polygons have different numbers of corners, and
+takes rows at a length that is not the one they state.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+import struct
+from array import array
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.encoding import as_written, in_blocks, little_endian
-from sppm_pipeline.formats.machine_words import store4
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
-from sppm_pipeline.formats.rows import read_face_rows, read_vertex_rows, skip_rows
-from sppm_pipeline.formats.text import Bytes, as_lines
+from sppm_pipeline.formats.encoding import Bytes, as_written, in_blocks, little_endian, store4
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, decoded, require_content, require_faces, require_room
+from sppm_pipeline.formats.text import Lines, fan, shown
 from sppm_pipeline.numerics.compiled import jit
 
 _TYPES = {
@@ -22,6 +26,7 @@ _TYPES = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q"}  # of struct
 _LONGEST_HEADER = 1 << 20
 _FACE_RECORD = 13  # a byte that says 3, and three vertex numbers of four bytes
 
@@ -90,10 +95,8 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
         raise InputError(f"{name}: the faces come before the vertices")
     xyz = _coordinates(elements[names.index("vertex")], name)
     corners = _corner_list(elements[names.index("face")], name)
-    if order:
-        vertices, faces = _binary(data, name, order, elements, position, xyz, corners)
-    else:
-        vertices, faces = _ascii(data, name, elements, position, xyz, corners)
+    read = _binary if order else _ascii
+    vertices, faces = read(data, name, order, elements, position, xyz, corners)
     require_faces(name, faces)
     return vertices, faces
 
@@ -166,31 +169,52 @@ def _corner_list(face: _Element, name: str) -> int:
         if place is not None and face.properties[place].counter and face.properties[place].kind[0] != "f":
             return place
     found = ", ".join(entry.name for entry in face.properties[:20])
-    raise InputError(f"{name}: the faces need a list of whole numbers 'vertex_indices', not {found or 'none'}")
+    raise InputError(f"{name}: the faces need a list of integers 'vertex_indices', not {found or 'none'}")
 
 
 def _ascii(
     data: bytes | memoryview | bytearray,
     name: str,
+    order: str,
     elements: list[_Element],
     position: int,
     xyz: tuple[int, int, int],
     corners: int,
 ) -> DecodedMesh:
-    lines = as_lines(data)
-    vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int64)
+    lines = Lines(data, name, start=position)
+    rows = iter(lines)
+    coordinates, triangles = array("d"), array("q")
     for element in elements:
-        lists = tuple(bool(entry.counter) for entry in element.properties)
-        require_room(name, element.name, element.rows, 2 * len(lists), lines.size - position + 1, position)
-        if element.name == "vertex":
-            vertices, position = read_vertex_rows(lines, position, element.rows, lists, xyz, name)
-        elif element.name == "face":
-            n = vertices.shape[0]
-            faces, position = read_face_rows(lines, position, element.rows, lists[:corners], n, name)
+        width = len(element.properties)
+        require_room(name, element.name, element.rows, 2 * width, len(data) - lines.end + 1, lines.end)
+        for _ in range(element.rows if width else 0):
+            words = lines.row(rows, "the file ends before the last line that its header announces")
+            places = _places(lines, words, element)
+            if element.name == "vertex":
+                coordinates.extend(lines.floats([words[places[axis]] for axis in xyz]))
+            elif element.name == "face":
+                first = places[corners]
+                count = int(words[first])
+                triangles.extend(fan(lines.polygon(words[first + 1 : first + 1 + count], len(coordinates) // 3)))
+        if element.name == "face":
             break
-        elif lists:
-            position = skip_rows(lines, position, element.rows, name)
-    return vertices, faces
+    return decoded(name, coordinates, triangles)
+
+
+def _places(lines: Lines, words: list[bytes], element: _Element) -> Sequence[int]:
+    """Where each property of a row begins; a list begins with its length."""
+    places, place = [], 0
+    for entry in element.properties:
+        places.append(place)
+        if entry.counter and place < len(words):
+            length = lines.integer(words[place])
+            if length is None or length < 0:
+                lines.fail(f"an integer is expected, not {shown(words[place])}", words[place])
+            place += length
+        place += 1
+        if place > len(words):
+            lines.fail("the line has too few numbers")
+    return places
 
 
 def _binary(
@@ -202,165 +226,149 @@ def _binary(
     xyz: tuple[int, int, int],
     corners: int,
 ) -> DecodedMesh:
-    array = np.frombuffer(data, np.uint8)
-    array.flags.writeable = False
+    view = memoryview(data).cast("B")
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int64)
     for element in elements:
-        left = array.size - position
+        left = len(view) - position
         require_room(name, f"elements {element.name!r}", element.rows, element.least_bytes, left, position)
+        if not element.properties:
+            continue
+        start = position
+        groups, position = _rows(view, position, element, order, name)
         if element.name == "vertex":
-            vertices, position = _positions(array, position, element, order, xyz, name)
+            vertices = _positions(groups, element.rows, xyz, start, name)
         elif element.name == "face":
-            starts, counts, position = _rows(array, position, element, order, (corners,), name)
-            kind = element.properties[corners].kind
-            faces = np.empty((int((counts - 2).sum()), 3), np.int64)
-            face = _fans(
-                array, starts[:, 0], counts, int(kind[1]), kind[0] == "i", order == ">", vertices.shape[0], faces
-            )
-            if face >= 0:
-                where = f"face {face} (byte {starts[face, 0]})"
-                raise InputError(
-                    f"{name}: {where}: it names a vertex that does not exist; there are {vertices.shape[0]} vertices, "
-                    "numbered from 0"
-                )
+            faces = _triangles(groups, corners, len(vertices), start, name)
             break
-        else:
-            _, _, position = _rows(array, position, element, order, (), name)
     return vertices, faces
 
 
-def _positions(
-    array: NDArray[np.uint8], position: int, element: _Element, order: str, xyz: tuple[int, int, int], name: str
-) -> tuple[NDArray[np.float64], int]:
-    """The coordinates (rows, 3) and the place after them."""
-    starts, _, after = _rows(array, position, element, order, xyz, name)
-    vertices = np.empty((element.rows, 3))
-    for axis, place in enumerate(xyz):
-        kind = np.dtype(order + element.properties[place].kind)
-        if element.has_lists:
-            values = np.empty((element.rows, kind.itemsize), np.uint8)
-            for k in range(kind.itemsize):
-                values[:, k] = array[starts[:, axis] + k]
-            column = values.view(kind)[:, 0]
-        elif element.rows:
-            column = np.ndarray((element.rows,), kind, array.data, int(starts[0, axis]), (element.least_bytes,))
+class _Rows(NamedTuple):
+    """Rows of an element whose lists are of the same lengths.
+
+    Attributes
+    ----------
+    numbers : (n,) int64
+    values : (n,) structured
+        Fields ``p0``, ``p1`` ... are the properties, ``n0``, ``n1`` ... the lengths of lists.
+    """
+
+    numbers: NDArray[np.int64]
+    values: NDArray[Any]
+
+
+def _row_type(element: _Element, order: str, lengths: Sequence[int]) -> np.dtype[Any]:
+    """The type of a row whose lists have these lengths."""
+    fields: list[tuple[Any, ...]] = []
+    remaining = iter(lengths)
+    for k, entry in enumerate(element.properties):
+        if entry.counter:
+            fields += [(f"n{k}", order + entry.counter), (f"p{k}", order + entry.kind, (next(remaining),))]
         else:
-            break
-        with np.errstate(invalid="ignore"):  # some numbers that are none complain when they are converted
-            vertices[:, axis] = column
+            fields.append((f"p{k}", order + entry.kind))
+    return np.dtype(fields)
+
+
+def _rows(view: memoryview, position: int, element: _Element, order: str, name: str) -> tuple[list[_Rows], int]:
+    """The rows of an element, and the place after them."""
+    if not element.rows:
+        return [], position
+    lengths, _, _ = _walk(view, position, element, order, 1, name)
+    kind = _row_type(element, order, lengths[0])
+    if kind.itemsize * element.rows <= len(view) - position:
+        values = np.frombuffer(view, kind, element.rows, position)
+        counters = [f"n{k}" for k, entry in enumerate(element.properties) if entry.counter]
+        if all((values[counter] == values[counter][0]).all() for counter in counters):
+            return [_Rows(np.arange(element.rows), values)], position + kind.itemsize * element.rows
+    lengths, begins, position = _walk(view, position, element, order, element.rows, name)
+    starts, data = np.array(begins, np.int64), np.frombuffer(view, np.uint8)
+    same: dict[tuple[int, ...], list[int]] = {}
+    for number, key in enumerate(lengths):
+        same.setdefault(key, []).append(number)
+    groups = []
+    for key, members in same.items():
+        kind, numbers = _row_type(element, order, key), np.array(members)
+        gathered = data[starts[numbers][:, None] + np.arange(kind.itemsize)]
+        groups.append(_Rows(numbers, gathered.view(kind)[:, 0]))
+    return groups, position
+
+
+def _walk(
+    view: memoryview, position: int, element: _Element, order: str, rows: int, name: str
+) -> tuple[list[tuple[int, ...]], list[int], int]:
+    """Lengths of lists and first byte of each row, and the place after the last."""
+    steps, skip = [], 0  # single values to skip, the length of a list, bytes of its items
+    for entry in element.properties:
+        if entry.counter:
+            steps.append((skip, struct.Struct(order + _CODES[entry.counter]), int(entry.kind[1])))
+            skip = 0
+        else:
+            skip += entry.size
+    least = 3 if element.name == "face" and len(steps) == 1 else 0
+    found, begins = [], []
+    for row in range(rows):
+        begins.append(position)
+        lengths = []
+        for before, counter, size in steps:
+            position += before
+            length = counter.unpack_from(view, position)[0] if position + counter.size <= len(view) else -1
+            position += counter.size
+            if not 0 <= length <= (len(view) - position) // size:
+                _fail_row(name, element, row, begins[-1], len(view))
+            if length < least:
+                raise InputError(f"{name}: face {row} (byte {begins[-1]}): a face has at least three corners")
+            lengths.append(length)
+            position += length * size
+        position += skip
+        if position > len(view):
+            _fail_row(name, element, row, begins[-1], len(view))
+        found.append(tuple(lengths))
+    return found, begins, position
+
+
+def _fail_row(name: str, element: _Element, row: int, begin: int, size: int) -> NoReturn:
+    raise InputError(
+        f"{name}: {element.name} {row} (byte {begin}): a list has a negative length or runs past the end of the file "
+        f"({size} bytes)",
+        hint="the file is cut off, or its header does not fit its content",
+    )
+
+
+def _positions(
+    groups: list[_Rows], count: int, xyz: tuple[int, int, int], start: int, name: str
+) -> NDArray[np.float64]:
+    vertices = np.empty((count, 3))
+    with np.errstate(invalid="ignore"):  # signaling NaN complain when they are converted
+        for group in groups:
+            vertices[group.numbers] = np.stack([group.values[f"p{axis}"].astype(np.float64) for axis in xyz], axis=1)
     finite = np.isfinite(vertices).all(axis=1)
     if not finite.all():
-        bad = int(np.flatnonzero(~finite)[0])
-        where = f"vertex {bad} (byte {starts[bad].min()})"
+        bad = int(np.argmin(finite))
+        where = f"vertex {bad} (the vertices begin at byte {start})"
         raise InputError(f"{name}: {where}: a coordinate must be finite, not {vertices[bad].tolist()}")
-    return vertices, after
+    return vertices
 
 
-def _rows(
-    array: NDArray[np.uint8], position: int, element: _Element, order: str, wanted: tuple[int, ...], name: str
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Where the wanted properties of each row begin (rows, wanted), the length of the last one, and the place after."""
-    if not element.has_lists:
-        row = element.least_bytes
-        offsets = np.cumsum([0, *(entry.size for entry in element.properties)])[list(wanted)]
-        count = element.rows if wanted else 0
-        starts = position + row * np.arange(count)[:, None] + offsets.astype(np.int64)
-        return starts, np.ones(count, np.int64), position + row * element.rows
-    counters = np.array([int(entry.counter[1]) if entry.counter else 0 for entry in element.properties], np.int64)
-    signed = np.array([entry.counter[:1] == "i" for entry in element.properties], np.bool_)
-    sizes = np.array([int(entry.kind[1]) for entry in element.properties], np.int64)
-    column = np.full(len(element.properties), -1, np.int64)
-    column[list(wanted)] = range(len(wanted))
-    starts = np.empty((element.rows if wanted else 0, len(wanted)), np.int64)
-    counts = np.empty(starts.shape[0], np.int64)
-    position, row, short = _walk(
-        array, position, element.rows, counters, signed, sizes, column, order == ">", starts, counts
-    )
-    if row >= 0 and short:
-        raise InputError(f"{name}: {element.name} {row} (byte {position}): a face has at least three corners")
-    if row >= 0:
-        raise InputError(
-            f"{name}: {element.name} {row} (byte {position}): a list has a negative length or runs past the end of "
-            f"the file ({array.size} bytes)",
-            hint="the file is cut off, or its header does not fit its content",
-        )
-    return starts, counts, int(position)
-
-
-@jit
-def _integer(array: Bytes, i: int, size: int, signed: bool, big: bool) -> int:
-    value = np.uint64(0)
-    for k in range(size):
-        byte = array[i + k] if big else array[i + size - 1 - k]
-        value = value << np.uint64(8) | np.uint64(byte)
-    if signed:
-        unused = np.uint64(64 - 8 * size)
-        return int(np.int64(value << unused) >> np.int64(unused))
-    return int(np.int64(value))  # beyond 2^63 it turns negative, which no caller accepts
-
-
-@jit
-def _walk(
-    array: Bytes,
-    i: int,
-    rows: int,
-    counters: NDArray[np.int64],
-    signed: NDArray[np.bool_],
-    sizes: NDArray[np.int64],
-    column: NDArray[np.int64],
-    big: bool,
-    starts: NDArray[np.int64],
-    counts: NDArray[np.int64],
-) -> tuple[int, int, bool]:
-    """Follow rows of variable length; returns the place after them and -1.
-
-    Or the place and number of a broken row, and whether it is broken because a wanted list has no three entries.
-    """
-    for row in range(rows):
-        for c in range(sizes.size):
-            length = 1
-            if counters[c] > 0:
-                if i + counters[c] > array.size:
-                    return i, row, False
-                length = _integer(array, i, counters[c], signed[c], big)
-                i += counters[c]
-            if length < 0 or length > (array.size - i) // sizes[c]:
-                return i, row, False
-            if column[c] >= 0:
-                if counters[c] > 0 and length < 3:
-                    return i, row, True
-                starts[row, column[c]] = i
-                counts[row] = length
-            i += length * sizes[c]
-    return i, -1, False
-
-
-@jit
-def _fans(
-    array: Bytes,
-    starts: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    size: int,
-    signed: bool,
-    big: bool,
-    n_vertices: int,
-    faces: NDArray[np.int64],
-) -> int:
-    """Triangles of the polygons; returns the number of a polygon with a wrong vertex, or -1."""
-    m = 0
-    for row in range(starts.size):
-        first, before = 0, 0
-        for k in range(counts[row]):
-            index = _integer(array, starts[row] + k * size, size, signed, big)
-            if index < 0 or index >= n_vertices:
-                return row
-            if k == 0:
-                first = index
-            elif k > 1:
-                faces[m, 0], faces[m, 1], faces[m, 2] = first, before, index
-                m += 1
-            before = index
-    return -1
+def _triangles(groups: list[_Rows], corners: int, n_vertices: int, start: int, name: str) -> NDArray[np.int64]:
+    """The fans of all polygons, in the order of the file."""
+    fans, numbers = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
+    for group in groups:
+        polygons = group.values[f"p{corners}"]
+        wrong = ((polygons < 0) | (polygons >= n_vertices)).any(axis=1)
+        if polygons.shape[1] < 3 or wrong.any():
+            row = group.numbers[np.argmax(wrong)]
+            reason = (
+                "a face has at least three corners"
+                if polygons.shape[1] < 3
+                else f"it names a vertex that does not exist; there are {n_vertices} vertices, numbered from 0"
+            )
+            raise InputError(f"{name}: face {row} (the faces begin at byte {start}): {reason}")
+        first = np.repeat(polygons[:, :1], polygons.shape[1] - 2, axis=1)
+        made = np.stack([first, polygons[:, 1:-1], polygons[:, 2:]], axis=2)
+        fans.append(made.reshape(-1, 3).astype(np.int64))
+        numbers.append(np.repeat(group.numbers, polygons.shape[1] - 2))
+    faces = np.concatenate(fans)
+    return faces if len(groups) == 1 else faces[np.argsort(np.concatenate(numbers), kind="stable")]
 
 
 def encode(

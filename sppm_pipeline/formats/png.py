@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GRAYSCALE = 0
 _FILTER_UP = 2
-_METRE = 1  # the unit of a pHYs chunk
+_METER = 1  # the unit of a pHYs chunk
 _LONGEST = 2**31 - 1  # of an integer in a chunk
 
 
@@ -42,7 +42,7 @@ def encode_layer(
         0 stores, 1 compresses by run lengths (fast, right for layers), 2 to 9 are zlib's general levels (slower, and
         smaller where a pattern repeats).
     pixel_mm : (float, float), optional
-        Width and height of a pixel in mm, written as pixels per metre (rounded, as the format has integers there).
+        Width and height of a pixel in mm, written as pixels per meter (rounded, as the format has integers there).
 
     Returns
     -------
@@ -76,15 +76,15 @@ def encode_layer(
     data = deflate.compress(filtered.data) + deflate.flush()
     parts = [_SIGNATURE, _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, _GRAYSCALE, 0, 0, 0))]
     if pixel_mm is not None:
-        parts.append(_chunk(b"pHYs", struct.pack(">IIB", *(_per_metre(edge) for edge in pixel_mm), _METRE)))
+        parts.append(_chunk(b"pHYs", struct.pack(">IIB", *(_per_meter(edge) for edge in pixel_mm), _METER)))
     parts += [_chunk(b"IDAT", data), _chunk(b"IEND", b"")]
     return b"".join(parts)
 
 
-def _per_metre(edge_mm: float) -> int:
+def _per_meter(edge_mm: float) -> int:
     # the comparisons are false for NaN
     if not 1000.0 / _LONGEST <= edge_mm <= 1000.0:
-        raise ValueError(f"a pixel of {edge_mm} mm can't be written as a whole number of pixels per metre")
+        raise ValueError(f"a pixel of {edge_mm} mm can't be written as an integer number of pixels per meter")
     return round(1000.0 / edge_mm)
 
 

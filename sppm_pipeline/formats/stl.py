@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError, InputError
-from sppm_pipeline.formats.encoding import as_written, in_blocks, largest, within_float32
-from sppm_pipeline.formats.machine_words import store2, store4
-from sppm_pipeline.formats.merging import merge_equal
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces, require_room
-from sppm_pipeline.formats.text import (
-    Bytes,
-    as_lines,
-    fail_at,
-    pending_floats,
-    resolve_floats,
-    scan_float,
-    shown,
-    skip_line,
-    skip_token,
-)
+from sppm_pipeline.formats.encoding import Bytes, as_written, in_blocks, largest, store2, store4, within_float32
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, merge_equal, require_content, require_faces, require_room
+from sppm_pipeline.formats.text import Lines, shown
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
@@ -117,95 +107,43 @@ def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[
 
 
 def _ascii_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float64]:
-    lines = as_lines(data)
-    status, where, n, _ = _scan(lines, np.empty((0, 3)), pending_floats(0), False)
-    if status == _OK:
-        corners, pending = np.empty((n, 3)), pending_floats(3 * n)
-        status, where, _, n_pending = _scan(lines, corners, pending, True)
-    if status != _OK:
-        fail_at(lines, where, name, _MESSAGES[status].format(word=shown(lines, where)))
-    resolve_floats(lines, pending[:n_pending], corners.reshape(-1), name)
+    lines = Lines(data, name, comment=b"")
+    words = _words(lines)
+    coordinates = array("d")
+    in_loop = -1  # vertices in the loop that is open
+    for word in words:
+        keyword = word.lower()
+        if keyword == b"normal" or (keyword == b"vertex" and in_loop >= 0):
+            numbers = list(islice(words, 3))
+            if len(numbers) < 3:
+                lines.fail("the file ends within a triangle")
+            if keyword == b"vertex":
+                coordinates.extend(lines.floats(numbers))
+                in_loop += 1
+        elif (keyword == b"loop" and in_loop >= 0) or (keyword in (b"endloop", b"endsolid") and in_loop not in (-1, 3)):
+            lines.fail("a loop has exactly three vertices", word)
+        elif keyword in (b"loop", b"endloop"):
+            if keyword == b"endloop" and in_loop < 0:
+                lines.fail("a loop has exactly three vertices", word)
+            in_loop = 0 if keyword == b"loop" else -1
+        elif keyword not in (b"facet", b"outer", b"endfacet", b"solid", b"endsolid"):
+            lines.fail(f"{shown(word)} is no word of ASCII STL", word)
+    if in_loop >= 0:
+        lines.fail("the file ends within a triangle")
+    corners = np.frombuffer(coordinates, np.float64).reshape(-1, 3) if coordinates else np.empty((0, 3))
     too_large = np.abs(corners) > np.finfo(np.float32).max
     if too_large.any():
         raise InputError(f"{name}: the coordinate {corners[too_large][0]} is beyond the range of STL (float32)")
     return corners
 
 
-def _word(text: bytes) -> np.uint64:
-    return np.uint64(int.from_bytes(text, "little"))
-
-
-_SOLID, _FACET, _NORMAL, _OUTER, _LOOP = (_word(word) for word in (b"solid", b"facet", b"normal", b"outer", b"loop"))
-_VERTEX, _ENDLOOP, _ENDFACET = (_word(word) for word in (b"vertex", b"endloop", b"endfacet"))
-_ENDSOLID = _word(b"endsolid")
-_OK, _UNKNOWN, _CORNERS, _CUT_OFF = range(4)
-_MESSAGES = {
-    _UNKNOWN: "{word} is no word of ASCII STL",
-    _CORNERS: "a loop has exactly three vertices",
-    _CUT_OFF: "the file ends within a triangle",
-}
-
-
-@jit
-def _scan(
-    data: Bytes, corners: NDArray[np.float64], pending: NDArray[np.int64], fill: bool
-) -> tuple[int, int, int, int]:
-    """Walk over the words; count the corners, or fill the array if `fill`.
-
-    Returns the status, the place of the fault, and the numbers of corners and of pending floats.
-    """
-    n, p, in_loop = 0, 0, 0
-    open_loop = False
-    i = 0
-    while True:
-        while i < data.size and data[i] <= 32:
-            i += 1
-        if i >= data.size:
-            break
-        start = i
-        i = max(skip_token(data, i), i + 1)
-        word = np.uint64(0)
-        if i - start <= 8:
-            for k in range(start, i):
-                letter = data[k] + 32 if 65 <= data[k] <= 90 else data[k]
-                word |= np.uint64(letter) << np.uint64(8 * (k - start))
-        values = 0
-        if word == _VERTEX and open_loop:
-            values = 3
-            in_loop += 1
-        elif word == _NORMAL:
-            values = 3
-        elif word == _LOOP:
-            if open_loop:
-                return _CORNERS, start, n, p
-            open_loop, in_loop = True, 0
-        elif word == _ENDLOOP:
-            if in_loop != 3 or not open_loop:
-                return _CORNERS, start, n, p
-            open_loop = False
-        elif word in (_SOLID, _ENDSOLID):
-            if open_loop:
-                return _CORNERS, start, n, p
-            i = skip_line(data, i)
-        elif word != _FACET and word != _OUTER and word != _ENDFACET:
-            return _UNKNOWN, start, n, p
-        for c in range(values):
-            while i < data.size and data[i] <= 32:
-                i += 1
-            if i >= data.size:
-                return _CUT_OFF, start, n, p
-            if word == _VERTEX and fill:
-                corners[n, c], end, exact = scan_float(data, i)
-                if not exact:
-                    pending[p, 0], pending[p, 1], pending[p, 2] = 3 * n + c, i, end
-                    p += 1
-                i = max(end, i + 1)
-            else:
-                i = max(skip_token(data, i), i + 1)
-        n += word == _VERTEX
-    if open_loop:
-        return _CUT_OFF, data.size, n, p
-    return _OK, 0, n, p
+def _words(lines: Lines) -> Iterator[bytes]:
+    """The words of the file, but for the names of solids."""
+    for words in lines:
+        for word in words:
+            yield word
+            if word.lower() in (b"solid", b"endsolid"):
+                break
 
 
 def encode(

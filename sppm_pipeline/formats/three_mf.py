@@ -1,6 +1,7 @@
 """3MF, the format of 3D printing programs: meshes as XML in a ZIP archive, with a unit, components and items to build.
 
-Read are the core specification and the parts of the production extension that say where an object lies.
+Read are the core specification and the parts of the production extension that say where an object lies. What is placed
+where is found out here, as trimesh knows neither units nor supports, and takes what several components share apart.
 """
 
 from __future__ import annotations
@@ -8,12 +9,18 @@ from __future__ import annotations
 import posixpath
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.archive import Archive
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content, require_faces
-from sppm_pipeline.formats.placing import Matrix, after, place, require_few
+from sppm_pipeline.formats.archive import LARGEST_PART, Archive
+from sppm_pipeline.formats.mesh_arrays import (
+    DecodedMesh,
+    Matrix,
+    after,
+    place,
+    require_content,
+    require_faces,
+    require_few,
+)
 from sppm_pipeline.formats.three_mf_encode import encode as encode
-from sppm_pipeline.formats.three_mf_model import UNITS_IN_MM, Model, Object, Use, read_model
-from sppm_pipeline.formats.xml_events import XmlReader
+from sppm_pipeline.formats.three_mf_model import UNITS_IN_MM, Model, Object, Use, XmlReader, read_model
 
 _RELATIONS = "_rels/.rels"
 _USUAL_MODEL = "3D/3dmodel.model"
@@ -111,7 +118,7 @@ class _Package:
         if part not in self._models:
             if len(self._models) >= _MOST_PARTS:
                 raise InputError(f"{self._name}: it is spread over more than {_MOST_PARTS} parts")
-            model = read_model(self._archive.chunks(part), self._name, part)
+            model = read_model(self._archive.read(part, LARGEST_PART), self._name, part)
             first = next(iter(self._models.values()), model)
             if model.unit != first.unit:
                 raise InputError(f"{self._name}: {part}: its unit is {model.unit}, that of the file {first.unit}")

@@ -8,7 +8,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.formats.archive_writing import Packed, packed, zipped
+from sppm_pipeline.formats.archive import Packed, packed, zipped
 from sppm_pipeline.formats.decimals import Words, decimal_scale, face_rows, vertex_rows
 from sppm_pipeline.formats.encoding import as_written, in_blocks
 from sppm_pipeline.formats.three_mf_model import CORE

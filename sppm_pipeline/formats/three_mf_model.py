@@ -1,17 +1,26 @@
-"""The model part of a 3MF file: objects that are meshes or made of components, and what is to be built."""
+"""The model part of a 3MF file: objects that are meshes or made of components, and what is to be built.
+
+XML is read within bounds: no document type (and so no entities), no nesting without end, no gigabytes of nothing. The
+structure is read here; the tables of vertices and triangles are counted here and read by trimesh.
+"""
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterable
-from typing import NamedTuple
+import codecs
+import io
+import re
+import zipfile
+from collections.abc import Iterable, Iterator
+from itertools import pairwise, zip_longest
+from typing import NamedTuple, NoReturn
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh
-from sppm_pipeline.formats.placing import IDENTITY, MOST_PLACED, MOST_TRIANGLES, Matrix
-from sppm_pipeline.formats.xml_tables import Table, TableReader, real
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.formats.mesh_arrays import IDENTITY, MOST_PLACED, MOST_TRIANGLES, DecodedMesh, Matrix, require_sound
+from sppm_pipeline.formats.trimesh_reader import tables_by_trimesh
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
@@ -44,10 +53,15 @@ _VERTICES, _VERTEX, _TRIANGLES, _TRIANGLE, _COMPONENTS, _COMPONENT = (
     f"{CORE} {tag}" for tag in ("vertices", "vertex", "triangles", "triangle", "components", "component")
 )
 _PATH = f"{PRODUCTION} path"
-_TABLES = (
-    Table(b"<vertices>", _VERTICES, b"<vertex", (b"x", b"y", b"z"), False),
-    Table(b"<triangles>", _TRIANGLES, b"<triangle", (b"v1", b"v2", b"v3"), True),
-)
+_ROWS = {_VERTEX: _VERTICES, _TRIANGLE: _TRIANGLES}
+_COLUMNS = {_VERTEX: ("x", "y", "z"), _TRIANGLE: ("v1", "v2", "v3")}
+_CHUNK = 2**20
+
+_ROWS_AT_ONCE = 2**16
+"""Rows of a table that trimesh reads at a time; it takes a kilobyte of memory for each."""
+
+_POINT, _CORNERS = b'<vertex x="0" y="0" z="0"/>', b'<triangle v1="0" v2="0" v3="0"/>'
+"""Stand in for an empty piece, which trimesh does not read."""
 
 
 class Use(NamedTuple):
@@ -82,7 +96,88 @@ class Model(NamedTuple):
     items: list[Use]
 
 
-def read_model(chunks: Iterable[bytes], name: str, part: str) -> Model:
+DEEPEST = 64
+"""Elements inside each other; 3MF needs six."""
+
+_SLACK, _PER_ELEMENT = 16 * 2**20, 256
+# Bytes without an element, and bytes that each element may bring: a mesh takes some fifty.
+
+
+class XmlReader:
+    """Base of readers of XML parts: `start` and `end` are called with names ``URI local``.
+
+    Parameters
+    ----------
+    name, part : str
+        How to call the file and the part in messages.
+    """
+
+    def __init__(self, name: str, part: str) -> None:
+        self._name = name
+        self._part = part
+        self._elements = 0
+        self.path: list[str] = []
+        """The names of the elements around the place that is being read."""
+        parser = expat.ParserCreate(namespace_separator=" ")
+        parser.buffer_text = True
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.StartDoctypeDeclHandler = self._refuse_doctype
+        parser.EntityDeclHandler = self._refuse_doctype
+        self._parser = parser
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        """An element begins; `path` does not hold it yet."""
+
+    def end(self, tag: str) -> None:
+        """An element ends."""
+
+    def feed(self, chunks: Iterable[bytes]) -> None:
+        """Read a part.
+
+        Raises
+        ------
+        InputError
+            With the part and the line of what is wrong.
+        """
+        try:
+            for chunk in self._counted(chunks):
+                self._parser.Parse(chunk, False)
+            self._parser.Parse(b"", True)
+        except expat.ExpatError as error:
+            self.fail(f"this is no well-formed XML: {expat.ErrorString(error.code)}", error.lineno)
+        except (LookupError, UnicodeError, ValueError) as error:
+            self.fail(f"this is no XML in UTF-8 or UTF-16: {str(error)[:80]}")
+
+    def _counted(self, chunks: Iterable[bytes]) -> Iterator[bytes]:
+        size = 0
+        for chunk in chunks:
+            yield chunk
+            size += len(chunk)
+            if size > _SLACK + _PER_ELEMENT * self._elements:
+                self.fail(f"{size} bytes of XML hold only {self._elements} elements")
+
+    def fail(self, message: str, line: int | None = None, hint: str | None = None) -> NoReturn:
+        """Raise the InputError for the place that is being read."""
+        where = f"{self._part}, line {self._parser.CurrentLineNumber if line is None else line}"
+        raise InputError(f"{self._name}: {where}: {message}", hint=hint)
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._elements += 1
+        if len(self.path) >= DEEPEST:
+            self.fail(f"elements are nested more than {DEEPEST} deep")
+        self.start(tag, attributes)
+        self.path.append(tag)
+
+    def _end(self, tag: str) -> None:
+        self.path.pop()
+        self.end(tag)
+
+    def _refuse_doctype(self, *_: object) -> None:
+        self.fail("a document type declaration (DTD) is not allowed in 3MF", hint="remove the line <!DOCTYPE ...>")
+
+
+def read_model(content: bytes, name: str, part: str) -> Model:
     """Read a model part.
 
     Raises
@@ -90,26 +185,30 @@ def read_model(chunks: Iterable[bytes], name: str, part: str) -> Model:
     InputError
         With the part and the line of what is wrong.
     """
-    reader = _ModelReader(name, part)
-    reader.feed(chunks)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        try:  # slices of the text are handed on, which must know their encoding
+            content = re.sub(r"^<\?xml[^>]*\?>", "", content.decode("utf-16")).encode()
+        except UnicodeDecodeError as error:
+            raise InputError(f"{name}: {part}: this is no XML in UTF-8 or UTF-16") from error
+    reader = _ModelReader(content, name, part)
+    reader.feed(content[start : start + _CHUNK] for start in range(0, len(content), _CHUNK))
     return reader.model()
 
 
-class _ModelReader(TableReader):
-    tables = _TABLES
-
-    def __init__(self, name: str, part: str) -> None:
+class _ModelReader(XmlReader):
+    def __init__(self, content: bytes, name: str, part: str) -> None:
         super().__init__(name, part)
+        self._content = content
         self._unit: str | None = None
         self._objects: dict[int, Object] = {}
         self._items: list[Use] = []
         self._identifier: int | None = None
         self._kind = "model"
-        self._has_mesh = False
+        self._mesh: DecodedMesh | None = None
         self._components: list[Use] = []
         self._uses = 0
-        self._coordinates = array("d")
-        self._corners = array("q")
+        self._cuts: dict[str, list[int]] = {}  # where pieces of the tables of the mesh begin, and where each ends
+        self._counts: dict[str, int] = {}
         self._prefixes: dict[str, str] = {}
         self._parser.StartNamespaceDeclHandler = self._declare
 
@@ -120,22 +219,20 @@ class _ModelReader(TableReader):
         return Model(self._unit, self._objects, self._items)
 
     def _declare(self, prefix: str | None, uri: str | None) -> None:
-        self._prefixes.setdefault(prefix or "", uri or "")
+        self._prefixes[prefix or ""] = uri or ""
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         around = self.path[-1] if self.path else None
-        if tag == _VERTEX and around == _VERTICES:
-            try:
-                self._coordinates.extend([real(attributes[axis]) for axis in "xyz"])
-            except (KeyError, ValueError):
-                self.fail(f"a vertex has three numbers x, y and z, not {_shown(attributes)}")
-            self._require_few()
-        elif tag == _TRIANGLE and around == _TRIANGLES:
-            try:
-                self._corners.extend([_whole(attributes[corner]) for corner in ("v1", "v2", "v3")])
-            except (KeyError, ValueError, OverflowError):
-                self.fail(f"a triangle has three vertex numbers v1, v2 and v3, not {_shown(attributes)}")
-            self._require_few()
+        table = _ROWS.get(tag)
+        if table is not None and around == table:
+            # a word too many in one value would make up for one that is missing in another
+            if any(len(attributes.get(column, "").split()) != 1 for column in _COLUMNS[tag]):
+                vertex = "a vertex has three numbers x, y and z"
+                triangle = "a triangle has three vertex numbers v1, v2 and v3"
+                self.fail(f"{vertex if tag == _VERTEX else triangle}, not {_shown(attributes)}")
+            if self._counts[table] % _ROWS_AT_ONCE == 0:
+                self._cuts[table].append(self._parser.CurrentByteIndex)
+            self._counts[table] += 1
         elif around is None:
             self._start_model(tag, attributes)
         elif tag == _OBJECT and around == _RESOURCES:
@@ -143,27 +240,26 @@ class _ModelReader(TableReader):
             if self._identifier in self._objects:
                 self.fail(f"there are two objects with the id {self._identifier}")
             self._kind = attributes.get("type", "model")
-            self._has_mesh, self._components = False, []
-            self._coordinates, self._corners = array("d"), array("q")
+            self._mesh, self._components = None, []
         elif tag == _MESH and around == _OBJECT:
-            self._has_mesh = True
+            self._cuts = {_VERTICES: [], _TRIANGLES: []}
+            self._counts = {_VERTICES: 0, _TRIANGLES: 0}
+        elif tag in _ROWS.values() and (around != _MESH or self._cuts[tag]):
+            self.fail(f"a mesh has one table <{tag.partition(' ')[2]}>, inside <mesh>")
         elif tag == _COMPONENT and around == _COMPONENTS:
             self._components.append(self._use(attributes))
         elif tag == _ITEM and around == _BUILD:
             self._items.append(self._use(attributes))
 
-    def rows(self, table: Table, values: NDArray[np.float64] | NDArray[np.int64]) -> None:
-        (self._corners if table.whole else self._coordinates).frombytes(values.tobytes())
-        self._require_few()
-
-    def _require_few(self) -> None:
-        if max(len(self._coordinates), len(self._corners)) > 3 * MOST_TRIANGLES:
-            self.fail(f"a mesh has more than {MOST_TRIANGLES} vertices or triangles")
-
     def end(self, tag: str) -> None:
+        if tag in _ROWS.values():
+            self._cuts[tag].append(self._parser.CurrentByteIndex)
+        elif tag == _MESH and self.path[-1] == _OBJECT:
+            if self._mesh is not None:
+                self.fail(f"object {self._identifier} has two meshes")
+            self._mesh = self._tables()
         if tag == _OBJECT and self._identifier is not None and self.path[-1] == _RESOURCES:
-            mesh = self._mesh() if self._has_mesh else None
-            self._objects[self._identifier] = Object(self._kind, mesh, self._components)
+            self._objects[self._identifier] = Object(self._kind, self._mesh, self._components)
             self._identifier = None
             if len(self._objects) > MOST_PLACED:
                 self.fail(f"there are more than {MOST_PLACED} objects")
@@ -180,20 +276,30 @@ class _ModelReader(TableReader):
                 what = _KNOWN.get(uri, f"the extension {uri[:100]}")
                 self.fail(f"the file requires {what}, which is not read", hint="save it as plain meshes")
 
-    def _mesh(self) -> DecodedMesh:
-        vertices = np.frombuffer(self._coordinates, np.float64).reshape(-1, 3) if self._coordinates else _NO_VERTICES
-        faces = np.frombuffer(self._corners, np.int64).reshape(-1, 3) if self._corners else _NO_FACES
-        finite = np.isfinite(vertices).all(axis=1)
-        if not finite.all():
-            bad = int(np.flatnonzero(~finite)[0])
-            self.fail(f"object {self._identifier}, vertex {bad}: a coordinate must be finite")
-        if faces.size and (int(faces.min()) < 0 or int(faces.max()) >= len(vertices)):
-            bad = int(np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))[0])
-            self.fail(
-                f"object {self._identifier}, triangle {bad}: it names a vertex that does not exist, in "
-                f"{faces[bad].tolist()}; there are {len(vertices)} vertices, numbered from 0"
+    def _tables(self) -> DecodedMesh:
+        """The tables of the mesh that has ended, which trimesh reads piece by piece: its memory grows with the text."""
+        if not self._counts[_TRIANGLES]:
+            return np.empty((0, 3)), np.empty((0, 3), np.int64)
+        if max(self._counts.values()) > MOST_TRIANGLES:
+            self.fail(f"a mesh has more than {MOST_TRIANGLES} vertices or triangles")
+        where = f"{self._name}: {self._part}, object {self._identifier}"
+        names = {(f"xmlns:{prefix}" if prefix else "xmlns"): uri for prefix, uri in self._prefixes.items()}
+        declared = " ".join(f"{key}={quoteattr(uri)}" for key, uri in names.items()).encode()
+        points, corners = [np.empty((0, 3))], [np.empty((0, 3), np.int64)]
+        pieces = (pairwise(self._cuts[table]) for table in (_VERTICES, _TRIANGLES))
+        for cut in zip_longest(*pieces, fillvalue=(0, 0)):
+            rows, triangles = (self._content[begin:end] for begin, end in cut)
+            vertices, faces = _read_by_trimesh(rows or _POINT, triangles or _CORNERS, declared, where)
+            points.append(vertices if rows else vertices[:0])
+            corners.append(faces if triangles else faces[:0])
+        made = np.concatenate(points), np.concatenate(corners)
+        counts = tuple(self._counts.values())
+        if (len(made[0]), len(made[1])) != counts:
+            raise InputError(
+                f"{where} has {counts[0]} vertices and {counts[1]} triangles, of which {len(made[0])} and "
+                f"{len(made[1])} can be read as numbers"
             )
-        return vertices, faces
+        return require_sound(where, "its mesh", *made)
 
     def _use(self, attributes: dict[str, str]) -> Use:
         self._uses += 1
@@ -205,7 +311,7 @@ class _ModelReader(TableReader):
     def _number(self, attributes: dict[str, str], key: str) -> int:
         text = attributes.get(key, "")
         if not (text.isascii() and text.isdigit() and len(text) <= 10):
-            self.fail(f"{key} is a positive whole number, not {text[:40]!r}")
+            self.fail(f"{key} is a positive integer, not {text[:40]!r}")
         return int(text)
 
     def _matrix(self, text: str | None) -> Matrix:
@@ -220,14 +326,19 @@ class _ModelReader(TableReader):
         return np.ascontiguousarray(numbers.reshape(4, 3).T)  # 3MF multiplies rows by it
 
 
-_NO_VERTICES, _NO_FACES = np.empty((0, 3)), np.empty((0, 3), np.int64)
+def _read_by_trimesh(vertices: bytes, triangles: bytes, declared: bytes, where: str) -> DecodedMesh:
+    """The numbers of rows of XML, as a 3MF of their own."""
+    package = io.BytesIO()
+    with zipfile.ZipFile(package, "w") as file:
+        file.writestr(
+            "3D/3dmodel.model",
+            b"<model " + declared + b'><resources><object id="1"><mesh><vertices>' + vertices
+            + b"</vertices><triangles>" + triangles
+            + b'</triangles></mesh></object></resources><build><item objectid="1"/></build></model>',
+        )  # fmt: skip
+    ((points, faces),) = tables_by_trimesh(package.getvalue(), "3mf", where).values()
+    return points, faces
 
 
 def _shown(attributes: dict[str, str]) -> str:
     return repr({key[:20]: value[:20] for key, value in list(attributes.items())[:4]})
-
-
-def _whole(text: str) -> int:
-    if "_" in text or len(text) > 20:
-        raise ValueError
-    return int(text)

@@ -1,7 +1,9 @@
-"""What readers of voxel images deliver, and the checks they share."""
+"""Images of voxels: what readers deliver, the checks they share, .npy in and out, and VTK image data out."""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +13,10 @@ from sppm_pipeline.errors import InputError
 
 LARGEST_IMAGE = 2**33
 """Most bytes of an image in memory; a file that claims more is refused before anything is reserved."""
+
+
+_CHUNK = 1 << 24
+_VTK_TYPES = {"uint8": "UInt8", "float32": "Float32"}
 
 
 class VoxelImage(NamedTuple):
@@ -50,18 +56,75 @@ def checked_shape(shape: tuple[int, ...], itemsize: int, name: str) -> tuple[int
     return shape[0], shape[1], shape[2]
 
 
-def numbers(text: str, what: str, name: str, kind: type = float) -> list[Any]:
-    """Numbers separated by blanks.
+def decode_npy(data: bytes, name: str) -> VoxelImage:
+    """Read a .npy file of a three-dimensional array of numbers, indexed x, y, z, without running what it may hide.
 
     Raises
     ------
     InputError
-        If one is none, or not finite.
+        If the file is no such array, is cut, or holds objects.
     """
+    stream = io.BytesIO(data)
     try:
-        found = [kind(word) for word in text.split()]
-    except ValueError:
-        raise InputError(f"{name}: {what} should be numbers, got {text.strip()[:60]!r}") from None
-    if not np.isfinite(np.array(found, np.float64)).all():
-        raise InputError(f"{name}: {what} must be finite, got {text.strip()[:60]!r}")
-    return found
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(stream, max_header_size=10_000)
+    except Exception as error:
+        raise InputError(
+            f"{name} is no .npy file: {(str(error).splitlines() or [type(error).__name__])[0][:120]}"
+        ) from error
+    if dtype.kind not in "buif" or dtype.subdtype is not None:
+        raise InputError(f"{name} holds {dtype}; a voxel image holds booleans, integers or real numbers")
+    wanted = checked_shape(shape, dtype.itemsize, name)
+    count, start = wanted[0] * wanted[1] * wanted[2], stream.tell()
+    if len(data) - start != count * dtype.itemsize:
+        raise InputError(
+            f"{name} claims {count} voxels of {dtype.itemsize} bytes, but {len(data) - start} bytes follow its header",
+            hint="the file was cut or damaged; copy it again",
+        )
+    values = np.frombuffer(data, dtype, count, start).reshape(wanted, order="F" if fortran else "C")
+    return VoxelImage(values, None)
+
+
+def encode_npy(values: NDArray[Any]) -> Iterator[bytes]:
+    """The bytes of a .npy file with x fastest in memory, piece by piece."""
+    head = io.BytesIO()
+    header = {"descr": values.dtype.str, "fortran_order": True, "shape": values.shape}
+    np.lib.format.write_array_header_1_0(head, header)
+    yield head.getvalue()
+    flat = values.reshape(-1, order="F")
+    step = max(1, _CHUNK // values.dtype.itemsize)
+    for start in range(0, flat.size, step):
+        yield flat[start : start + step].tobytes()
+
+
+def encode_vti(
+    values: NDArray[Any], spacing: tuple[float, float, float], origin: tuple[float, float, float], array: str
+) -> Iterator[bytes]:
+    """The bytes of a .vti file with one value a voxel (cell data), raw appended data, piece by piece.
+
+    The format: https://docs.vtk.org/en/latest/design_documents/VTKFileFormats.html.
+    """
+    values = values.view(np.uint8) if values.dtype == bool else values
+    kind = _VTK_TYPES[values.dtype.name]
+    extent = " ".join(f"0 {n}" for n in values.shape)
+    place = " ".join(repr(float(v)) for v in origin)
+    steps = " ".join(repr(float(v)) for v in spacing)
+    yield (
+        '<?xml version="1.0"?>\n'
+        '<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
+        f'  <ImageData WholeExtent="{extent}" Origin="{place}" Spacing="{steps}">\n'
+        f'    <Piece Extent="{extent}">\n'
+        f'      <CellData Scalars="{array}">\n'
+        f'        <DataArray type="{kind}" Name="{array}" format="appended" offset="0"/>\n'
+        "      </CellData>\n"
+        "    </Piece>\n"
+        "  </ImageData>\n"
+        '  <AppendedData encoding="raw">\n_'
+    ).encode()
+    yield np.uint64(values.size * values.dtype.itemsize).astype("<u8").tobytes()
+    flat = values.reshape(-1, order="F").astype(values.dtype.newbyteorder("<"), copy=False)
+    step = max(1, _CHUNK // values.dtype.itemsize)
+    for start in range(0, flat.size, step):
+        yield flat[start : start + step].tobytes()
+    yield b"\n  </AppendedData>\n</VTKFile>\n"

@@ -170,7 +170,7 @@ def _ridge(squared: NDArray[np.int32], wraps: NDArray[np.uint8]) -> NDArray[np.u
                     elif x < 0 or x >= nx:
                         continue
                     other = squared[z, y, x]
-                    # sqrt(other) >= sqrt(own) + sqrt(apart), in whole numbers
+                    # sqrt(other) >= sqrt(own) + sqrt(apart), in integers
                     rest = other - own - apart
                     if rest > 0 and np.int64(rest) * rest >= 4 * np.int64(own) * apart:
                         covered = True

@@ -1,331 +1,367 @@
-"""Charts of results: lines, points and box plots on common axes."""
+r"""Charts of results by matplotlib as PDF, SVG or PNG: points, lines, error bars, box plots and panels of bars.
+
+The same data give the same bytes on every run: the style does not depend on a ``matplotlibrc``, fonts are those that
+come with matplotlib, and files hold neither dates nor versions. Another version of matplotlib may draw other bytes.
+
+Titles and labels may hold mathematics between dollar signs, for instance ``$E_x / E_\mathrm{s}$``.
+"""
 
 from __future__ import annotations
 
-import itertools
+import io
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import PurePath
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.render.lettering import font, printable, text_width
-from sppm_pipeline.render.series import Boxes, Line, Points, box_statistics
-from sppm_pipeline.render.shading import Color
+from sppm_pipeline.errors import ConfigError, DesignError
 
 if TYPE_CHECKING:
-    from PIL.ImageDraw import ImageDraw
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.container import Container
+    from matplotlib.figure import Figure
 
-_COLORS: tuple[Color, ...] = (
-    (46, 98, 158),
-    (206, 96, 62),
-    (66, 140, 104),
-    (136, 92, 158),
-    (196, 148, 44),
-    (96, 104, 114),
-)
-_INK: Color = (52, 58, 66)
-_GRID: Color = (228, 231, 235)
-_FINE = 3  # drawn this much larger and averaged down, for smooth edges
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+"""Told apart with every kind of color vision (Okabe and Ito 2008, "Color Universal Design"), without its yellow, which
+is too light for a line on white."""
+
+_MARKERS = "os^DvPXp"  # one more than colors, so that 56 series differ
+_GRAY = "#888888"
+
+# No date and no version, so that bytes depend on the data only.
+_METADATA: dict[str, dict[str, None]] = {
+    "pdf": dict.fromkeys(("Creator", "Producer", "CreationDate")),
+    "svg": dict.fromkeys(("Creator", "Date")),
+    "png": {"Software": None},
+}
+
+_STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "mathtext.fontset": "dejavusans",
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.linewidth": 0.7,
+    "axes.formatter.use_mathtext": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e4e7eb",
+    "grid.linewidth": 0.6,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.top": True,
+    "ytick.right": True,
+    "legend.frameon": True,
+    "legend.edgecolor": "#e4e7eb",
+    "legend.fontsize": 8.5,
+    "legend.title_fontsize": 8.5,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 4.0,
+    "savefig.dpi": 200.0,
+    "pdf.fonttype": 42,  # TrueType, as publishers ask for
+    "svg.hashsalt": "sppm_pipeline",
+}
+
+# The style of matplotlib is global to the process, while stages may run in several threads.
+_style_lock = Lock()
 
 
-def nice_ticks(low: float, high: float, log: bool = False, most: int = 8) -> list[float]:
-    """Round numbers within low..high: multiples of 1, 2, 2.5 or 5 times a power of ten; powers of ten on a log axis.
+class Series(NamedTuple):
+    """Values over x.
+
+    Attributes
+    ----------
+    x, y : (n,) float
+        What is not finite is left out; it interrupts a line.
+    label : str
+        Entry in the legend; none if empty.
+    kind : {"points", "line", "dashed", "boxes", "means"}
+        Markers, a line, a box plot of the values at each x (box from quartile to quartile, whiskers to the last value
+        within 1.5 interquartile ranges of it, after Tukey), or their mean with its standard deviation as error bar.
+    error : (n,) float, optional
+        Half lengths of error bars of points; NaN for none.
+    color : str, optional
+        Color as matplotlib names it; the next one of `COLORS` otherwise.
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    label: str = ""
+    kind: Literal["points", "line", "dashed", "boxes", "means"] = "points"
+    error: ArrayLike | None = None
+    color: str | None = None
+
+
+class Panel(NamedTuple):
+    """One measure in a chart of bars: its heading, and a value for each row, NaN where there is none."""
+
+    heading: str
+    values: ArrayLike
+
+
+def check_chart(path: str, **texts: str) -> None:
+    """Refuse before any work what could not be drawn.
 
     Parameters
     ----------
-    low, high : float
-        Ends of the axis, low < high, positive on a log axis.
-    log : bool
-        Whether the axis is logarithmic; below two decades it gets 2 and 5 times the powers of ten as well.
-    most : int
-        Largest number of ticks.
+    path : str
+        Name of the file; its extension is the format.
+    **texts : str
+        Options whose values may hold mathematics.
 
-    Returns
-    -------
-    list of float
-        Ticks in rising order.
+    Raises
+    ------
+    ConfigError
+        If matplotlib is not installed, the extension is none of .pdf, .png and .svg, or the mathematics of a text is
+        not valid.
     """
-    if log:
-        first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
-        within = [
-            10.0**e for e in range(first, last + 1) if low <= 10.0**e * (1 + 1e-9) and 10.0**e <= high * (1 + 1e-9)
-        ]
-        if len(within) < 3:
-            steps = [m * 10.0**e for e in range(first, last + 1) for m in (1, 2, 5)]
-            within = [tick for tick in steps if low <= tick * (1 + 1e-9) and tick <= high * (1 + 1e-9)]
-        return within[:: -(-len(within) // most)] if within else []
-    rough = (high - low) / most
-    power = 10.0 ** math.floor(math.log10(rough))
-    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= rough * (1 - 1e-9))
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [n * step for n in range(first, last + 1)]
-
-
-def _tick_text(tick: float) -> str:
-    return "0" if abs(tick) < 1e-12 else f"{tick:.6g}"
-
-
-class _Axis(NamedTuple):
-    low: float
-    high: float
-    log: bool
-    start: float  # pixels
-    end: float
-
-    def at(self, values: ArrayLike) -> NDArray[np.float64]:
-        numbers = np.asarray(values, np.float64)
-        low, high = self.low, self.high
-        if self.log:
-            numbers = np.log10(np.where(numbers > 0.0, numbers, np.nan))
-            low, high = math.log10(low), math.log10(high)
-        return np.asarray(self.start + (numbers - low) / (high - low) * (self.end - self.start))
-
-
-def _reach(
-    values: list[NDArray[np.float64]], given: tuple[float, float] | None, log: bool, name: str
-) -> tuple[float, float]:
-    if given is not None:
-        low, high = given
-        if not low < high or (log and low <= 0.0):
-            raise DesignError(
-                f"the range of the {name} axis is {low} to {high}",
-                hint="the first number must be the smaller one" + (", and positive on a log axis" if log else ""),
-            )
-        return low, high
-    numbers = np.concatenate([v.ravel() for v in values]) if values else np.zeros(0)
-    numbers = numbers[np.isfinite(numbers) & (numbers > 0.0 if log else True)]
-    if not numbers.size:
-        return (1.0, 10.0) if log else (0.0, 1.0)
-    low, high = float(numbers.min()), float(numbers.max())
-    if log:
-        spread = max((high / low) ** 0.05, 1.1)
-        return low / spread, high * spread
-    spread = 0.05 * (high - low) or 0.5 * abs(high) or 0.5
-    return low - spread, high + spread
-
-
-def _paler(color: Color, share: float) -> Color:
-    red, green, blue = (round(255 - share * (255 - c)) for c in color)
-    return red, green, blue
-
-
-def _dashes(points: list[tuple[float, float]], length: float) -> list[list[tuple[float, float]]]:
-    """Cut a line into dashes of `length` with gaps of 0.7 times it."""
-    dashes: list[list[tuple[float, float]]] = [[points[0]]]
-    drawn, left = True, length
-    for (x, y), (x_end, y_end) in itertools.pairwise(points):
-        span = math.hypot(x_end - x, y_end - y)
-        done = 0.0
-        while span - done > left:
-            done += left
-            corner = (x + (x_end - x) * done / span, y + (y_end - y) * done / span)
-            if drawn:
-                dashes[-1].append(corner)
-            else:
-                dashes.append([corner])
-            drawn = not drawn
-            left = length if drawn else 0.7 * length
-        left -= span - done
-        if drawn:
-            dashes[-1].append((x_end, y_end))
-    return [dash for dash in dashes if len(dash) > 1]
-
-
-def _draw_line(pen: ImageDraw, line: Line, x: _Axis, y: _Axis, color: Color, unit: float) -> None:
-    across, up = x.at(line.x), y.at(line.y)
-    known = np.isfinite(across) & np.isfinite(up)
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
-    for first, last in zip(ends[::2], ends[1::2], strict=True):
-        points = list(zip(across[first:last].tolist(), up[first:last].tolist(), strict=True))
-        for piece in _dashes(points, 9 * unit) if line.dashed else [points]:
-            pen.line(piece, fill=color, width=round(2.4 * unit), joint="curve")
-
-
-def _draw_points(pen: ImageDraw, points: Points, x: _Axis, y: _Axis, color: Color, unit: float) -> None:
-    for a, b in zip(x.at(points.x).tolist(), y.at(points.y).tolist(), strict=True):
-        if math.isfinite(a) and math.isfinite(b):
-            radius = 4.2 * unit
-            pen.ellipse(
-                (a - radius, b - radius, a + radius, b + radius), fill=color, outline=(255, 255, 255), width=round(unit)
-            )
-
-
-def _draw_boxes(pen: ImageDraw, boxes: Boxes, x: _Axis, y: _Axis, color: Color, unit: float) -> None:
-    middles = x.at(boxes.x)
-    spacing = float(np.diff(np.sort(middles)).min()) if middles.size > 1 else abs(x.end - x.start) / 4
-    half = min(max(0.32 * spacing, 3 * unit), 34 * unit)
-    for middle, sample in zip(middles.tolist(), boxes.samples, strict=True):
-        numbers = box_statistics(sample)
-        low, lower, median, upper, high = (float(v) for v in y.at(numbers[:5]))
-        thick = round(1.8 * unit)
-        for start, end in ((lower, low), (upper, high)):
-            pen.line([(middle, start), (middle, end)], fill=color, width=thick)
-            pen.line([(middle - half / 2, end), (middle + half / 2, end)], fill=color, width=thick)
-        pen.rectangle(
-            (middle - half, upper, middle + half, lower), fill=_paler(color, 0.28), outline=color, width=thick
+    if find_spec("matplotlib") is None:
+        raise ConfigError(
+            "charts are drawn by the library matplotlib, which is not installed",
+            hint="pip install 'sppm-pipeline[plot]'",
         )
-        pen.line([(middle - half, median), (middle + half, median)], fill=color, width=round(3 * unit))
-        for value in y.at(numbers.outliers).tolist():
-            radius = 3.2 * unit
-            pen.ellipse((middle - radius, value - radius, middle + radius, value + radius), outline=color, width=thick)
+    if PurePath(path).suffix.lower().removeprefix(".") not in _METADATA:
+        raise ConfigError(f"a chart is written as .pdf, .png or .svg, not as {path!r}")
+    for option, text in texts.items():
+        if "$" in text:
+            from matplotlib.cbook import is_math_text
+            from matplotlib.mathtext import MathTextParser
+
+            try:
+                if is_math_text(text):
+                    MathTextParser("path").parse(text)
+            except ValueError as error:
+                raise ConfigError(
+                    f"`{option}` is {text!r}, which is not valid mathematics: {str(error).strip().splitlines()[-1]}",
+                    hint=r"write for instance '$E_x / E_\mathrm{s}$', and \$ for a dollar sign",
+                ) from error
 
 
-def _spread(series: Sequence[Line | Points | Boxes]) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
-    """All x and all y that have to be seen; boxes get room at their sides."""
-    across, up = [], []
-    for one in series:
-        x = np.asarray(one.x, np.float64)
-        if isinstance(one, Boxes):
-            if len(one.samples) != x.size:
-                raise ValueError(f"{x.size} boxes have {len(one.samples)} samples")
-            side = float(np.diff(np.sort(x)).min()) / 2 if x.size > 1 else 0.0
-            across += [x - side, x + side]
-            up += [np.asarray(sample, np.float64) for sample in one.samples]
-        else:
-            y = np.asarray(one.y, np.float64)
-            if x.ndim != 1 or x.shape != y.shape:
-                raise ValueError(f"x and y of a series must be equally long, got {x.shape} and {y.shape}")
-            across.append(x)
-            up.append(y)
-    return across, up
+def plain_text(text: str) -> str:
+    """A string that is drawn as it is, even if it has dollar signs."""
+    return text.replace("$", r"\$")
+
+
+def number_text(value: float) -> str:
+    """Four significant digits as mathematics, without dollar signs."""
+    mantissa, _, exponent = f"{value:.4g}".partition("e")
+    return rf"{mantissa} \times 10^{{{int(exponent)}}}" if exponent else mantissa
+
+
+@contextmanager
+def _styled() -> Iterator[None]:
+    import matplotlib
+
+    with _style_lock, matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE)
+        yield
+
+
+def _file(figure: Figure, path: str) -> bytes:
+    extension = PurePath(path).suffix.lower().removeprefix(".")
+    data = io.BytesIO()
+    figure.savefig(data, format=extension, metadata=_METADATA[extension])
+    return data.getvalue()
 
 
 def chart(
-    series: Sequence[Line | Points | Boxes],
+    series: Sequence[Series],
+    path: str,
     *,
     title: str = "",
     x_label: str = "",
     y_label: str = "",
-    size: tuple[int, int] = (960, 640),
-    x_range: tuple[float, float] | None = None,
-    y_range: tuple[float, float] | None = None,
-    x_log: bool = False,
-    y_log: bool = False,
-    text_size: int = 18,
-) -> NDArray[np.uint8]:
+    legend: str = "",
+    log_x: bool = False,
+    log_y: bool = False,
+    size: tuple[float, float] = (5.0, 3.4),
+) -> bytes:
     """Draw series on common axes.
 
     Parameters
     ----------
-    series : sequence of Line, Points or Boxes
-        What is drawn, the first one at the bottom.
-    title, x_label, y_label : str
-        Texts above, below and at the left of the axes.
+    series : sequence of Series
+        The first one is drawn at the bottom.
+    path : str
+        Name of the file, of which the extension is used: .pdf, .png or .svg.
+    title, x_label, y_label, legend : str
+        Texts above, below and at the left of the axes, and above the entries of the legend.
+    log_x, log_y : bool
+        Whether an axis is logarithmic. Values that are not positive are then left out.
     size : (width, height)
-        Size of the chart in pixels, 160 x 120 at least.
-    x_range, y_range : (low, high), optional
-        Ends of the axes; found from the data otherwise.
-    x_log, y_log : bool
-        Whether an axis is logarithmic. Values that aren't positive are then left out.
-    text_size : int
-        Height of the text in pixels; lines grow with it.
+        Size of the figure in inches.
 
     Returns
     -------
-    (height, width, 3) uint8
-        The chart.
+    bytes
+        The file.
+
+    Raises
+    ------
+    ValueError
+        If the x, y and errors of a series differ in length.
+    """
+    from matplotlib.figure import Figure
+
+    with _styled():
+        figure = Figure(figsize=size, layout="constrained")
+        axes = figure.add_subplot()
+        axes.set(title=title, xlabel=x_label, ylabel=y_label)
+        axes.set_xscale("log" if log_x else "linear")
+        axes.set_yscale("log" if log_y else "linear")
+        axes.minorticks_on()
+        axes.grid(True)
+        boxes = [number for number, one in enumerate(series) if one.kind == "boxes"]
+        drawn: list[Artist | Container] = []
+        for number, one in enumerate(series):
+            x, y = (np.asarray(values, np.float64) for values in (one.x, one.y))
+            error = np.full(x.shape, np.nan) if one.error is None else np.asarray(one.error, np.float64)
+            if not x.ndim == 1 or not x.shape == y.shape == error.shape:
+                raise ValueError(f"x, y and errors of a series have shapes {x.shape}, {y.shape} and {error.shape}")
+            x = np.where(np.isfinite(x) & ((x > 0) | (not log_x)), x, np.nan)
+            y = np.where(np.isfinite(y) & ((y > 0) | (not log_y)), y, np.nan)
+            color = one.color or COLORS[number % len(COLORS)]
+            if one.kind == "boxes":
+                drawn.append(_boxes(axes, x, y, color, (boxes.index(number), len(boxes)), log_x))
+            elif one.kind in ("line", "dashed"):
+                drawn += axes.plot(x, y, "--" if one.kind == "dashed" else "-", color=color)
+            else:
+                joined = one.kind == "means"
+                if joined:
+                    x, y, error = _means(x, y)
+                drawn.append(axes.errorbar(
+                    x, y, error if np.isfinite(error).any() else None, color=color, capsize=2.5, elinewidth=0.9,
+                    linestyle="-" if joined else "none", marker=_MARKERS[number % len(_MARKERS)],
+                    markeredgecolor="white", markeredgewidth=0.4,
+                ))  # fmt: skip
+        if boxes and not log_x:
+            places = np.unique(np.concatenate([np.asarray(series[number].x, np.float64) for number in boxes]))
+            if len(places) <= 12:
+                axes.set_xticks(places[np.isfinite(places)])
+                axes.set_xticks([], minor=True)
+        named = [(artist, one.label) for artist, one in zip(drawn, series, strict=True) if one.label]
+        if len(named) > 6:  # a long list would hide what it explains
+            figure.legend(*zip(*named, strict=True), title=legend or None, loc="outside right upper")
+        elif named:
+            axes.legend(*zip(*named, strict=True), title=legend or None, loc="best")
+        return _file(figure, path)
+
+
+def _samples(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
+    """Each x once, and the values of y there."""
+    known = np.isfinite(x) & np.isfinite(y)
+    places = np.unique(x[known])
+    return places, [y[known & (x == place)] for place in places]
+
+
+def _means(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Each x once, the mean of y there, and its sample standard deviation; NaN for a single value."""
+    places, samples = _samples(x, y)
+    deviations = [sample.std(ddof=1) if len(sample) > 1 else np.nan for sample in samples]
+    return places, np.array([sample.mean() for sample in samples]), np.array(deviations)
+
+
+def _boxes(
+    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], color: str, place: tuple[int, int], log_x: bool
+) -> Artist:
+    """Box plots at each x; `place` is the number of this series among those that stand side by side."""
+    from matplotlib.colors import to_rgba
+    from matplotlib.patches import Patch
+
+    face: dict[str, Any] = {"facecolor": to_rgba(color, 0.25), "edgecolor": color, "linewidth": 0.9}
+
+    positions, samples = _samples(x, y)
+    if not samples:
+        return Patch(**face)
+    along = np.log10(positions) if log_x else positions
+    # boxes far apart would be bands
+    gap = min(float(np.diff(along).min()), float(np.ptp(along)) / 6) if len(along) > 1 else (0.1 if log_x else 1.0)
+    number, count = place
+    width = 0.7 * gap / count
+    left = along + (number - count / 2) * width
+    ends = [10**side if log_x else side for side in (left, left + width)]
+    found = axes.boxplot(
+        samples,
+        positions=(ends[0] + ends[1]) / 2,
+        widths=0.9 * (ends[1] - ends[0]),
+        manage_ticks=False,
+        patch_artist=True,
+        boxprops=face,
+        medianprops={"color": color, "linewidth": 1.6},
+        whiskerprops={"color": color, "linewidth": 0.9},
+        capprops={"color": color, "linewidth": 0.9},
+        flierprops={"marker": "o", "markersize": 3.0, "markeredgecolor": color, "markerfacecolor": "none"},
+    )
+    box: Artist = found["boxes"][0]
+    return box
+
+
+def bars(
+    labels: Sequence[str], panels: Sequence[Panel], path: str, *, title: str = "", marked: Collection[int] = ()
+) -> bytes:
+    """Draw a row for each thing and a panel of bars for each measure, side by side.
+
+    Each panel has a scale of its own that includes zero. Numbers stand beside the bars, a dash where there is none.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Names of the rows, from top to bottom; drawn as they are.
+    panels : sequence of Panel
+        From left to right.
+    path : str
+        Name of the file, of which the extension is used: .pdf, .png or .svg.
+    title : str
+        Text above all panels.
+    marked : collection of int
+        Rows that are drawn in another color.
+
+    Returns
+    -------
+    bytes
+        The file.
 
     Raises
     ------
     DesignError
-        If the size is too small or a range isn't low to high.
+        If there is no row or no panel.
     ValueError
-        If the x and y of a series differ in length.
+        If a panel has another number of values than there are labels.
     """
-    from PIL import Image, ImageDraw  # only pictures with text need Pillow
+    from matplotlib.figure import Figure
 
-    if size[0] < 160 or size[1] < 120:
-        raise DesignError(f"the chart is {size[0]} x {size[1]} pixels, at least 160 x 120 are needed")
-    across, up = _spread(series)
-    x_low, x_high = _reach(across, x_range, x_log, "x")
-    y_low, y_high = _reach(up, y_range, y_log, "y")
-    x_ticks, y_ticks = nice_ticks(x_low, x_high, x_log), nice_ticks(y_low, y_high, y_log)
-    width, height = size[0] * _FINE, size[1] * _FINE
-    text = text_size * _FINE
-    unit = text / 18
-    widest = max((text_width(_tick_text(tick), text) for tick in y_ticks), default=0)
-    left = round(widest + text * (1.1 + (1.6 if y_label else 0.0)))
-    bottom = round(height - text * (2.0 + (1.5 if x_label else 0.0)))
-    top, right = round(text * (2.4 if title else 0.9)), round(width - 1.2 * text)
-    x = _Axis(x_low, x_high, x_log, left, right)
-    y = _Axis(y_low, y_high, y_log, bottom, top)
-    canvas = Image.new("RGB", (width, height), (255, 255, 255))
-    pen = ImageDraw.Draw(canvas)
-    thin = max(round(1.2 * unit), 1)
-    for tick, place in zip(x_ticks, x.at(x_ticks).tolist(), strict=True):
-        pen.line([(place, top), (place, bottom)], fill=_GRID, width=thin)
-        pen.text((place, bottom + 0.75 * text), _tick_text(tick), fill=_INK, font=font(text), anchor="mm")
-    for tick, place in zip(y_ticks, y.at(y_ticks).tolist(), strict=True):
-        pen.line([(left, place), (right, place)], fill=_GRID, width=thin)
-        pen.text((left - 0.5 * text, place), _tick_text(tick), fill=_INK, font=font(text), anchor="rm")
-    # The series are drawn on a copy of which only the part inside the axes is kept.
-    inside = canvas.copy()
-    brush = ImageDraw.Draw(inside)
-    entries: list[tuple[Line | Points | Boxes, Color]] = []
-    for one in series:
-        color = one.color or _COLORS[len(entries) % len(_COLORS)]
-        entries.append((one, color))
-        if isinstance(one, Line):
-            _draw_line(brush, one, x, y, color, unit)
-        elif isinstance(one, Points):
-            _draw_points(brush, one, x, y, color, unit)
-        else:
-            _draw_boxes(brush, one, x, y, color, unit)
-    canvas.paste(inside.crop((left, top, right, bottom)), (left, top))
-    pen.line([(left, top), (left, bottom), (right, bottom)], fill=_INK, width=round(1.6 * unit))
-    _draw_legend(pen, entries, (left, top, right, bottom), np.asarray(canvas), text, unit)
-    if title:
-        heading = round(1.15 * text)
-        pen.text((width / 2, 1.2 * text), printable(title), fill=_INK, font=font(heading), anchor="mm")
-    if x_label:
-        pen.text(((left + right) / 2, bottom + 2.4 * text), printable(x_label), fill=_INK, font=font(text), anchor="mm")
-    if y_label:
-        strip = Image.new("RGB", (bottom - top, round(1.6 * text)), (255, 255, 255))
-        ImageDraw.Draw(strip).text(
-            (strip.width / 2, strip.height / 2), printable(y_label), fill=_INK, font=font(text), anchor="mm"
-        )
-        canvas.paste(strip.rotate(90, expand=True), (round(0.4 * text), top))
-    return np.asarray(canvas.reduce(_FINE), np.uint8).copy()
-
-
-def _draw_legend(
-    pen: ImageDraw,
-    entries: list[tuple[Line | Points | Boxes, Color]],
-    area: tuple[int, int, int, int],
-    drawn: NDArray[np.uint8],
-    text: int,
-    unit: float,
-) -> None:
-    """Legend in the corner in which it hides least."""
-    named = [(one, color) for one, color in entries if one.label]
-    if not named:
-        return
-    left, top, right, bottom = area
-    wide = max(text_width(one.label, text) for one, _ in named) + round(3.8 * text)
-    high = round((1.45 * len(named) + 0.5) * text)
-    pad = round(0.6 * text)
-    corners = [(a, b) for b in (top + pad, bottom - pad - high) for a in (left + pad, right - pad - wide)]
-
-    def hidden(corner: tuple[int, int]) -> int:
-        a, b = max(corner[0], 0), max(corner[1], 0)
-        return int(np.count_nonzero(drawn[b : b + high, a : a + wide].min(axis=2) < min(_GRID) - 10))
-
-    a, b = min(corners, key=hidden)
-    frame = (a, b, a + wide, b + high)
-    pen.rounded_rectangle(frame, 0.4 * text, fill=(255, 255, 255), outline=_GRID, width=round(1.2 * unit))
-    for number, (one, color) in enumerate(named):
-        line = b + (1.45 * number + 0.98) * text
-        start, end = a + 0.7 * text, a + 2.5 * text
-        axis_x, axis_y = _Axis(0.0, 1.0, False, start, end), _Axis(0.0, 1.0, False, line + text / 2, line - text / 2)
-        if isinstance(one, Line):
-            _draw_line(pen, one._replace(x=(0.0, 1.0), y=(0.5, 0.5)), axis_x, axis_y, color, unit)
-        elif isinstance(one, Points):
-            _draw_points(pen, one._replace(x=(0.5,), y=(0.5,)), axis_x, axis_y, color, unit)
-        else:
-            box = (start, line - 0.34 * text, end, line + 0.34 * text)
-            pen.rectangle(box, fill=_paler(color, 0.28), outline=color, width=round(1.8 * unit))
-            pen.line([((start + end) / 2, box[1]), ((start + end) / 2, box[3])], fill=color, width=round(3 * unit))
-        pen.text((a + 3.1 * text, line), printable(one.label), fill=_INK, font=font(text), anchor="lm")
+    if not labels or not panels:
+        raise DesignError(f"{len(labels)} rows and {len(panels)} measures make no chart; at least one each is needed")
+    columns = [np.asarray(panel.values, np.float64) for panel in panels]
+    if any(column.shape != (len(labels),) for column in columns):
+        raise ValueError(f"{len(labels)} rows have panels of shapes {[column.shape for column in columns]}")
+    rows = np.arange(len(labels))
+    colors = [COLORS[1] if row in marked else COLORS[0] for row in rows]
+    with _styled():
+        figure = Figure(figsize=(1.2 + 1.25 * len(panels), 0.6 + 0.19 * len(labels)), layout="constrained")
+        figure.suptitle(title, fontsize=10)
+        for column, (axes, panel) in enumerate(
+            zip(figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True)
+        ):
+            values = np.where(np.isfinite(columns[column]), columns[column], np.nan)
+            drawn = axes.barh(rows, np.nan_to_num(values), height=0.62, color=colors)
+            texts = [f"{value:.3g}" if math.isfinite(value) else "–" for value in values.tolist()]
+            axes.bar_label(drawn, texts, padding=2, fontsize=7.5)
+            axes.barh(rows[::2], 1, height=1, color="#f4f6f8", zorder=0, transform=axes.get_yaxis_transform())
+            axes.axvline(0.0, color=_GRAY, linewidth=0.7)
+            axes.set_title(panel.heading, fontsize=9)
+            axes.spines[:].set_visible(False)
+            axes.tick_params(left=False, right=False, bottom=False, top=False, labelbottom=False)
+            axes.margins(x=0.36, y=0)
+            axes.set_ylim(len(labels) - 0.5, -0.5)
+            if not column:  # the others share its rows
+                axes.set_yticks(rows, [plain_text(label) for label in labels])
+                for row in marked:
+                    axes.get_yticklabels()[row].set_color(COLORS[1])
+        return _file(figure, path)

@@ -1,4 +1,4 @@
-"""Picture of a triangle mesh by a z-buffer."""
+"""Pictures of triangle meshes and of the surfaces of fields, by a z-buffer."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.render.camera import Camera, Frame, framed, projected
 from sppm_pipeline.render.shading import BONE, CUT, Color, Seen, empty_seen, shaded
 
 # Corners at which a triangle and the mean of its neighbors differ by more are edges (of a cut, of a box), not noise.
 _CREASE_COSINE = math.cos(math.radians(38.0))
+
+BORDER = 0.02
+"""How far from the border of the grid, in samples, a surface counts as cut by it."""
 
 
 @jit
@@ -276,3 +280,83 @@ def render_mesh(
     frame = framed(camera or Camera(), used, fine, margin)
     seen = _seen_mesh(points, corners, frame, fine, smooth, colors, values, np.array(cut_color, np.uint8))
     return shaded(seen, supersampling, occlusion, background)
+
+
+def render_field(
+    inner: NDArray[np.float32],
+    outer: NDArray[np.float32] | None,
+    grid: Grid,
+    *,
+    camera: Camera | None = None,
+    size: tuple[int, int] = (1200, 900),
+) -> NDArray[np.uint8]:
+    """Picture of the solid where fields are negative, its cuts in a color of their own.
+
+    Parameters
+    ----------
+    inner : (nz, ny, nx) float32
+        Field of the microstructure.
+    outer : (nz, ny, nx) float32 or None
+        Field of the domain that it is cut to.
+    grid : Grid
+        Where the fields were sampled; the solid is closed at its border.
+    camera : Camera, optional
+        Direction of view; z is up.
+    size : (width, height)
+        Size of the picture in pixels.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+        The picture (sRGB).
+    """
+    from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
+    from sppm_pipeline.numerics.surface.intersection import on_both_fields
+
+    values = inner if outer is None else np.maximum(inner, outer)
+    vertices, faces = capped_marching_cubes(values, 0.0, grid.origin, grid.spacing)
+    if outer is not None:
+        vertices = on_both_fields(vertices, inner, outer, grid)
+    return render_mesh(vertices, faces, camera=camera, size=size, cut=cut_values(vertices, inner, outer, grid))
+
+
+def cut_values(
+    vertices: NDArray[np.float64], inner: NDArray[np.float32], outer: NDArray[np.float32] | None, grid: Grid
+) -> NDArray[np.float64]:
+    """A value at each vertex that is positive where the surface is a cut; its zero line is the rim of the cut.
+
+    A cut lies on the border of the grid, or where the domain's field is zero and not that of the microstructure.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        Of the surface of the larger of the two fields, capped at the border.
+    inner : (nz, ny, nx) float32
+        Field of the microstructure.
+    outer : (nz, ny, nx) float32 or None
+        Field of the domain.
+    grid : Grid
+        Where the fields were sampled.
+
+    Returns
+    -------
+    (n,) float64
+    """
+    place = (vertices - grid.origin) / grid.spacing
+    last = np.array(grid.shape) - 1
+    value: NDArray[np.float64] = BORDER - np.minimum(place, last - place).min(1)
+    if outer is not None:
+        value = np.maximum(value, _at(outer, place, last) - _at(inner, place, last))
+    return value
+
+
+def _at(field: NDArray[np.float32], place: NDArray[np.float64], last: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Trilinear interpolation at `place` (m, 3), in samples."""
+    low = np.clip(np.floor(place).astype(np.int64), 0, last - 1)
+    share = place - low
+    total = np.zeros(len(place))
+    for corner in range(8):
+        offset = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
+        i, j, k = (low + offset).T
+        total += np.where(offset, share, 1 - share).prod(1) * field[k, j, i]
+    return total

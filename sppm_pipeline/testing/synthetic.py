@@ -65,7 +65,7 @@ class ReadNumber(Stage):
 
 @dataclass(frozen=True, kw_only=True)
 class ReadWhole(Stage):
-    """Make a whole number."""
+    """Make an integer."""
 
     name: ClassVar[str] = "read.whole"
 
@@ -136,7 +136,7 @@ class LimitNumber(Stage):
 
 @dataclass(frozen=True, kw_only=True)
 class ToText(Stage):
-    """Write a number as a text."""
+    """Write a number as a string."""
 
     name: ClassVar[str] = "extract.text"
 
@@ -171,7 +171,7 @@ class Repeat(Stage):
 
 @dataclass(frozen=True, kw_only=True)
 class WriteNumber(Stage):
-    """Write a number or a text as a file."""
+    """Write a number or a string as a file."""
 
     name: ClassVar[str] = "write.number"
 
@@ -206,15 +206,15 @@ class Varied(Stage):
     name: ClassVar[str] = "read.varied"
 
     flag: bool = option(False, help="a truth value")
-    whole: int = option(1, help="a whole number", minimum=0, maximum=10)
+    whole: int = option(1, help="an integer", minimum=0, maximum=10)
     number: float = option(0.5, help="a number", above=0, below=1)
     word: str = option("one", help="a word", choices=("one", "two", "three"))
-    text: str = option("", help="any text")
+    text: str = option("", help="any string")
     file: Path | None = option(None, help="an input file")
     length: Length = option(Length(1.0), help="a length", unit="mm", above=0, maximum=100)
-    pair: tuple[int, int] = option((3, 5), help="two whole numbers", minimum=1)
+    pair: tuple[int, int] = option((3, 5), help="two integers", minimum=1)
     numbers: tuple[float, ...] = option((), help="numbers", minimum=-1)
-    maybe: int | None = option(None, help="a whole number or nothing")
+    maybe: int | None = option(None, help="an integer or nothing")
     either: int | tuple[int, int, int] = option(1, help="one number or three", minimum=1)
     sizes: tuple[Length, Length] | None = option(None, help="two lengths")
 

@@ -8,6 +8,7 @@ import pytest
 
 from sppm_pipeline.cli import progress
 from sppm_pipeline.cli.progress import ProgressLines
+from sppm_pipeline.hookspecs import StageEvent
 from sppm_pipeline.numerics import kernel_cache
 
 
@@ -26,7 +27,7 @@ def events(lines: ProgressLines) -> None:
     lines.stage_started("slice.field", 2, 3)
     lines.progress("slice.field", False, 25, 100, "layers")
     lines.warning("slice.field", "thin walls")
-    lines.stage_finished("slice.field", 2.0, {})
+    lines.sppm_stage_finished(StageEvent("slice.field", "slice.field", None, 2.0, {}, {}))
     lines.close()
 
 

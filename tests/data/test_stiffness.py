@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.data.stiffness import StiffnessReport
-from sppm_pipeline.engine.config.jsonable import json_text, jsonable
+from sppm_pipeline.engine.strict_json import json_text, jsonable
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic
 
 SOLID = ((1.0, 2.0, 0.3),)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.cli.main import VERBS
+from sppm_pipeline.cli.main import VERBS, place_of
 
 PLAIN = {"-h", "--help", "help", "-V", "--version"}
 
@@ -22,7 +22,8 @@ def parser_of(verb: str) -> argparse.ArgumentParser:
     """The verb's parser, which raises instead of ending the program."""
     parser = argparse.ArgumentParser(prog=f"sppm {verb}", allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--debug", action="store_true")
-    importlib.import_module(f"sppm_pipeline.cli.{verb}").configure(parser)
+    module, function = place_of(verb)[0]
+    getattr(importlib.import_module(module), function)(parser)
     return parser
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.cli.arguments import BUILTINS
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.sweep import check_sweep, sweep_rows
 from sppm_pipeline.errors import ConfigError, ConfigErrors, WiringError
@@ -22,9 +21,9 @@ PLACEHOLDER = "pipeline:\n  - {stage: read.primitive, shape: box, size: [1, 1, 1
 
 def check(path: Path, plugins: tuple[Path, ...] = ()) -> list[ConfigError]:
     """What ``sppm check`` says against a file; a page that builds an installed plugin again does without them."""
-    order = RunRequest(str(path), BUILTINS, plugins=tuple(str(plugin) for plugin in plugins), distributions=not plugins)
+    request = RunRequest(str(path), plugins=tuple(str(plugin) for plugin in plugins), distributions=not plugins)
     try:
-        session = open_session(order)
+        session = open_session(request)
         session.plan()
         if session.configuration.sweep is not None:
             check_sweep(session, sweep_rows(session.configuration.sweep, session.configuration.params))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.engine.config.substitution import Overrides
+from sppm_pipeline.engine.config.parameters import Overrides
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.session import RunRequest, Session, open_session
 from sppm_pipeline.engine.run.runner import run_plan

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from sppm_pipeline.engine.config.schema import configuration_schema
 from sppm_pipeline.engine.plan.describe import stage_list, stage_text
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.schema import configuration_schema
 from sppm_pipeline.errors import PluginError
 
 RENAMED = '''

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sppm_pipeline.engine.cache import keeper
+from sppm_pipeline.engine.cache import session
 from sppm_pipeline.engine.cache.housekeeping import contents, damaged_entries, parse_size, prune
-from sppm_pipeline.engine.cache.reasons import differences, reasons_of
+from sppm_pipeline.engine.cache.keys import differences
+from sppm_pipeline.engine.cache.session import reasons_of
 from sppm_pipeline.engine.cache.store import Store
-from sppm_pipeline.engine.run.files import digest_of
-from sppm_pipeline.engine.run.locks import FolderLock
-from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.files import FolderLock, digest_of
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 
@@ -53,7 +53,7 @@ class Lab:
         self.monitor = Telling()
         monkeypatch.setenv("RAN", str(self.log))
         # as if the stages took long, so that what is kept does not depend on how busy the machine is
-        monkeypatch.setattr(keeper, "SHARE", 1000.0)
+        monkeypatch.setattr(session, "SHARE", 1000.0)
 
     def run(self, text=TEXT, *, to="out", cap=None, cache=True, until=None, **how):
         self.log.write_text("")
@@ -492,7 +492,7 @@ def sweep(lab, text=SWEEP, **how):
 
 @pytest.mark.parametrize("share", [0.0, 1000.0], ids=["nothing kept", "everything kept"])
 def test_finished_rows_are_taken_as_they_are(lab, share, monkeypatch):
-    monkeypatch.setattr(keeper, "SHARE", share)
+    monkeypatch.setattr(session, "SHARE", share)
     before = sweep(lab)
     assert lab.ran == ["sample.draw", "field.shift", "write.numbers"] * 3
     assert bool(contents(Store(lab.cache))) == bool(share)
@@ -511,7 +511,7 @@ def test_finished_rows_are_taken_as_they_are(lab, share, monkeypatch):
 
 
 def test_a_row_of_other_options_is_not_taken(lab, monkeypatch):
-    monkeypatch.setattr(keeper, "SHARE", 0.0)
+    monkeypatch.setattr(session, "SHARE", 0.0)
     sweep(lab)
     sweep(lab, p=["by=3.0"])
     assert len(lab.ran) == 9
@@ -520,7 +520,7 @@ def test_a_row_of_other_options_is_not_taken(lab, monkeypatch):
 
 
 def test_what_costs_too_much_to_keep_is_not_kept(lab, monkeypatch):
-    monkeypatch.setattr(keeper, "SHARE", 0.0)
+    monkeypatch.setattr(session, "SHARE", 0.0)
     lab.run()
     assert contents(Store(lab.cache)) == []
     assert lab.run()["status"] == "done"

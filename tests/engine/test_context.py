@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.engine.run.context import StageLog, generator
-from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.testing.plain_context import PlainContext
 
 

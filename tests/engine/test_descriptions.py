@@ -7,10 +7,10 @@ import json
 import pytest
 
 from sppm_pipeline.engine.config.options import options_of
-from sppm_pipeline.engine.config.schema import configuration_schema
 from sppm_pipeline.engine.plan.describe import explain_plan, purpose_of, stage_data, stage_list, stage_text
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.schema import configuration_schema
 from sppm_pipeline.testing.synthetic import Varied
 
 
@@ -49,7 +49,7 @@ def test_references_say_everything_about_an_option(registry):
         "length: a length in mm, above 0, at most 100; default 1.0",
         "word: one of one, two, three; default one",
         "flag: true or false; default false",
-        "maybe: a whole number; default none",
+        "maybe: an integer; default none",
     ):
         assert words in text
     assert "value: a number, at least -1e+06, at most 1e+06; required" in stage_text(

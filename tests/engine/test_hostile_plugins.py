@@ -133,7 +133,7 @@ BROKEN = {
     "an odd interface": ("SPPM_API_VERSION = 'new'\n", "written for version 'new' of the interface"),
     "shadows a built-in": (
         "@hookimpl\ndef sppm_stages():\n    return {'read.mesh': 'x:Y'}\n",
-        "the stage 'read.mesh' comes from the built-in stages and from sppm-strange 2.5",
+        "the stage 'read.mesh' comes from sppm itself and from sppm-strange 2.5",
     ),
 }
 

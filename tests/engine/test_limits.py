@@ -151,8 +151,8 @@ def test_ranges_of_sweeps(work, to):
 
 
 def test_a_long_sweep_is_checked_by_a_part_of_its_rows(work, monkeypatch):
-    from sppm_pipeline.engine.plan.session import Session
-    from sppm_pipeline.engine.run.sweep import MOST_CHECKED, check_sweep, sweep_rows
+    from sppm_pipeline.engine.config.parameters import sweep_rows
+    from sppm_pipeline.engine.plan.session import MOST_CHECKED, Session, check_sweep
 
     planned = []
     original = Session.plan

@@ -65,9 +65,9 @@ def test_a_whole_number_becomes_a_float_where_a_float_is_wanted():
     [
         ("flag", "yes", "true or false"),
         ("flag", 1, "true or false"),
-        ("whole", 3.5, "a whole number"),
-        ("whole", True, "a whole number"),
-        ("whole", "3", "a whole number"),
+        ("whole", 3.5, "an integer"),
+        ("whole", True, "an integer"),
+        ("whole", "3", "an integer"),
         ("whole", 11, "at most 10"),
         ("whole", -1, "at least 0"),
         ("whole", 10**400, "at most 10"),
@@ -78,7 +78,7 @@ def test_a_whole_number_becomes_a_float_where_a_float_is_wanted():
         ("number", 10**400, "a number"),
         ("word", "tow", "did you mean 'two'"),
         ("word", 2, "one of one, two, three"),
-        ("text", 5, "text"),
+        ("text", 5, "expected a string"),
         ("file", 5, "a path"),
         ("file", "", "a path"),
         ("file", "a\0b", "a path"),
@@ -87,14 +87,14 @@ def test_a_whole_number_becomes_a_float_where_a_float_is_wanted():
         ("length", "11 cm", "at most 100"),
         ("length", math.nan, "finite"),
         ("length", 10**400, "a length"),
-        ("pair", [1], "a list of 2 whole numbers"),
-        ("pair", 3, "a list of 2 whole numbers"),
+        ("pair", [1], "a list of 2 integers"),
+        ("pair", 3, "a list of 2 integers"),
         ("pair", [1, "x"], "element 2"),
         ("pair", [1, 0], "at least 1"),
         ("numbers", [0, math.inf], "element 2"),
-        ("either", "x", "a whole number or a list of 3 whole numbers"),
-        ("either", [1, 2], "a list of 3 whole numbers"),
-        ("maybe", "x", "a whole number"),
+        ("either", "x", "an integer or a list of 3 integers"),
+        ("either", [1, 2], "a list of 3 integers"),
+        ("maybe", "x", "an integer"),
         ("whole", None, "got nothing"),
     ],
 )
@@ -129,7 +129,7 @@ ODD = st.one_of(
 @settings(max_examples=400, deadline=None, derandomize=True)
 @given(st.sampled_from(NUMERIC), ODD)
 def test_numeric_options_never_take_odd_values(name, value):
-    # without an upper bound a huge whole number is a whole number
+    # without an upper bound a huge integer is an integer
     assume(not (name in ("maybe", "either") and isinstance(value, int) and not isinstance(value, bool)))
     with pytest.raises(ValueError):
         parse(name, value)
@@ -173,7 +173,7 @@ def test_all_errors_of_a_file_with_place_value_and_what_is_allowed(work):
     )
     assert [work.place(error) for error in errors] == [(4, 12), (5, 5), (6, 11), (7, 13), (8, 33)]
     texts = [str(error) for error in errors]
-    assert "expected a whole number, at least 0, at most 10, got 'eleven'" in texts[0]
+    assert "expected an integer, at least 0, at most 10, got 'eleven'" in texts[0]
     assert "no option 'nubmer'" in texts[1]
     assert "did you mean 'number'" in texts[1]
     assert "element 2: expected a list" not in texts[2]
@@ -202,7 +202,7 @@ def test_paths_start_from_the_configuration_and_from_where_they_were_typed(work,
 def test_words_for_users():
     assert allowed_words(OPTIONS["length"]) == "a length in mm, above 0, at most 100"
     assert allowed_words(OPTIONS["word"]) == "one of one, two, three"
-    assert type_words(OPTIONS["either"].kind) == "a whole number or a list of 3 whole numbers"
+    assert type_words(OPTIONS["either"].kind) == "an integer or a list of 3 integers"
 
 
 @dataclass(frozen=True, kw_only=True)

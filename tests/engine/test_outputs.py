@@ -7,9 +7,9 @@ import os
 
 import pytest
 
-from sppm_pipeline.engine.config.jsonable import json_text
-from sppm_pipeline.engine.run.files import digest_of, write_whole
+from sppm_pipeline.engine.files import digest_of, write_whole
 from sppm_pipeline.engine.run.outputs import RunFolder
+from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
 
 RECORD = {"sppm_run": 1, "config": {}}

@@ -182,7 +182,7 @@ def test_two_plugins_with_one_stage_are_an_error_that_names_both(work, monkeypat
     pretend_installed(monkeypatch, ("foreign", stages_of({"read.number": "x:Y"})))
     with pytest.raises(PluginError) as caught:
         work.plan("pipeline: [read.varied]\n", distributions=True)
-    assert "'read.number' comes from the built-in stages and from sppm-foreign 1.2.3" in str(caught.value)
+    assert "'read.number' comes from sppm itself and from sppm-foreign 1.2.3" in str(caught.value)
 
 
 class Abstract(synthetic.Stage):
@@ -202,7 +202,7 @@ class Undecorated(synthetic.ReadWhole):
     [
         ("no_such_module_anywhere:X", "'no_such_module_anywhere' is not installed"),
         ("sppm_pipeline.testing.synthetic:Nothing", "can't be imported"),
-        ("sppm_pipeline.testing.synthetic", "'module:Class'"),
+        ("sppm_pipeline.testing.synthetic", "'module:name'"),
         (synthetic.ReadNumber, "has the name 'read.number'"),
         (dict, "no subclass of Stage"),
         (Abstract, "does not implement run"),

@@ -8,14 +8,15 @@ import weakref
 import numpy as np
 import pytest
 
-from sppm_pipeline.engine.config.jsonable import json_text, jsonable
+from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.plan.planning import make_plan
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
-from sppm_pipeline.engine.run.files import digest_of
-from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.runner import run_plan
-from sppm_pipeline.engine.run.running import last_uses
+from sppm_pipeline.engine.run.steps import last_uses
+from sppm_pipeline.engine.strict_json import json_text, jsonable
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, PluginError, ResourceError, SppmError
+from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.stage import Rejected
 from sppm_pipeline.testing import synthetic
 
@@ -103,10 +104,10 @@ def test_a_record_repeats_its_run_from_anywhere(work, monkeypatch):
     (work.folder / "config.yaml").unlink()
 
     def again(to, **overrides):
-        from sppm_pipeline.engine.config.substitution import Overrides
+        from sppm_pipeline.engine.config.parameters import Overrides
 
-        order = RunRequest("er/run.json", ("sppm_pipeline.testing.synthetic",), (), False, Overrides(**overrides))
-        return run_plan(open_session(order).plan(), work.folder / to, threads=1)
+        request = RunRequest("er/run.json", ("sppm_pipeline.testing.synthetic",), (), False, Overrides(**overrides))
+        return run_plan(open_session(request).plan(), work.folder / to, threads=1)
 
     second = again("b")
     for name in ("number.txt", "text.txt"):
@@ -237,7 +238,7 @@ def test_a_stage_can_change_options_of_its_recipe(work, target):
         ("limti", "maximum", 1, "did you mean 'limit'"),
         ("limit", "maxumim", 1, "did you mean 'maximum'"),
         ("sample.random", "count", 0, "at least 1"),
-        ("sample.random", "count", 1.5, "a whole number"),
+        ("sample.random", "count", 1.5, "an integer"),
     ],
 )
 def test_options_that_a_stage_can_not_change(work, stage_, option, value, words):
@@ -295,8 +296,9 @@ def test_the_monitor_is_told(work):
         def progress(self, stage, inner, done, total, what):
             told.append(("progress", stage, inner, done, total, what))
 
-        def stage_finished(self, stage, seconds, summary):
-            told.append(("finished", stage))
+        @hookimpl
+        def sppm_stage_finished(self, event):
+            told.append(("finished", event.address))
 
         def warning(self, stage, message):
             told.append(("warning", stage, message))

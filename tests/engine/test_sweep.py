@@ -12,10 +12,10 @@ import pytest
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor
-from sppm_pipeline.engine.run.monitor import Monitor
-from sppm_pipeline.engine.run.sweep import run_sweep, sweep_rows
-from sppm_pipeline.engine.run.sweep_table import csv_text, numbers_of, rows_of
+from sppm_pipeline.engine.run.runner import StepRunner
+from sppm_pipeline.engine.run.sweep import csv_text, numbers_of, rows_of, run_sweep, sweep_rows
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
 
 TEXT = """name: sweep
@@ -75,8 +75,8 @@ def test_a_range_can_have_steps(work):
         ("{factor: 3}", "must be a list of values"),
         ("{seed: {from: 5, to: 1}}", "must be a list of values"),
         ("{seed: {from: 1, to: 5, step: 0}}", "must be a list of values"),
-        ("{seed: [1, -1]}", "a seed is a whole number"),
-        ("{seed: [x]}", "a seed is a whole number"),
+        ("{seed: [1, -1]}", "a seed is an integer"),
+        ("{seed: [x]}", "a seed is an integer"),
         ("{seed: {from: 1, to: 50000}, factor: {from: 1, to: 50000}}", "at most 100000"),
         ("{}", "no runs"),
         ("[]", "no runs"),
@@ -139,7 +139,7 @@ def test_a_sweep_can_be_repeated_from_its_record_and_into_its_directory(work):
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
 
     (work.folder / "copy.json").write_text(record)
-    session = open_session(RunRequest(str(work.folder / "copy.json"), work.session(TEXT).order.builtins, (), False))
+    session = open_session(RunRequest(str(work.folder / "copy.json"), work.session(TEXT).request.builtins, (), False))
     run_sweep(session, session.plan(), work.folder / "a", workers=1, executor=None, threads=1)
     assert (work.folder / "a" / "sweep.csv").read_bytes() == before
     assert sorted(path.name for path in (work.folder / "a" / "runs").iterdir()) == [f"{i:04}" for i in range(6)]
@@ -278,10 +278,16 @@ def test_numbers_of_short_lists_get_columns():
 
 
 def test_the_stages_of_after_are_given_the_files_of_the_runs(work, monkeypatch):
-    given = {}
-    monkeypatch.setattr("sppm_pipeline.engine.run.sweep.run_steps", lambda *_, **how: given.update(how["given"]))
+    available = {}
+
+    class Noting(StepRunner):
+        def __init__(self, *steps, **how):
+            available.update(how["available"])
+            super().__init__(*steps, **how)
+
+    monkeypatch.setattr("sppm_pipeline.engine.run.sweep.StepRunner", Noting)
     run(work)
-    table = given["sweep"]
+    table = available["sweep"]
     assert list(table.files) == ["number.txt"]
     for file, name in zip(table.files["number.txt"], table.columns["run"], strict=True):
         path = work.folder / "out" / "runs" / name / "number.txt"

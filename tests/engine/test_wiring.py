@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from sppm_pipeline.engine.plan.graph import dot_graph, mermaid_graph, wiring_text
+from sppm_pipeline.engine.plan.describe import dot_graph, mermaid_graph, wiring_text
 from sppm_pipeline.engine.plan.ports import artifact_words, fits, signature_of
 from sppm_pipeline.errors import ConfigErrors, PluginError, WiringError
 from sppm_pipeline.stage import Context, Recipe, Stage

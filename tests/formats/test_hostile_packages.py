@@ -14,7 +14,7 @@ import pytest
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.detect import FORMATS, decode_mesh
-from sppm_pipeline.formats.placing import MOST_PLACED, MOST_TRIANGLES
+from sppm_pipeline.formats.mesh_arrays import MOST_PLACED, MOST_TRIANGLES
 from sppm_pipeline.formats.three_mf_encode import _RELATIONS, _TYPES
 from sppm_pipeline.formats.three_mf_model import CORE, PRODUCTION
 
@@ -200,11 +200,11 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     # GLB: numbers
     "count.glb": (lambda: with_accessor(0, count=10**9), "take 12000000000 bytes of a bufferView of 48"),
     "count_indices.glb": (lambda: with_accessor(1, count=10**18), "bufferView of 24"),
-    "count_negative.glb": (lambda: with_accessor(0, count=-4), "'count' must be a whole number >= 0, not -4"),
-    "count_true.glb": (lambda: with_accessor(0, count=True), "'count' must be a whole number"),
-    "count_real.glb": (lambda: with_accessor(0, count=4.0), "'count' must be a whole number"),
+    "count_negative.glb": (lambda: with_accessor(0, count=-4), "'count' must be an integer >= 0, not -4"),
+    "count_true.glb": (lambda: with_accessor(0, count=True), "'count' must be an integer"),
+    "count_real.glb": (lambda: with_accessor(0, count=4.0), "'count' must be an integer"),
     "count_missing.glb": (lambda: with_accessor(0, count=None), "'count' is missing"),
-    "count_13.glb": (lambda: with_accessor(1, count=11), "11 corners are no whole number of triangles"),
+    "count_13.glb": (lambda: with_accessor(1, count=11), "11 corners are not a multiple of 3"),
     "offset.glb": (lambda: with_accessor(0, byteOffset=2**63), "bytes of a bufferView"),
     "offset_negative.glb": (lambda: with_accessor(0, byteOffset=-12), "'byteOffset' must be"),
     "view.glb": (lambda: with_accessor(0, bufferView=7), "there is no bufferView 7"),
@@ -233,7 +233,10 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "buffer_claims.glb": (lambda: glb(scene(buffers=[{"byteLength": 10**15}]), BINARY[:50]), "buffer of 50 bytes"),
     "external.glb": (lambda: glb(scene(buffers=[{"byteLength": 72, "uri": "/etc/passwd"}])), "outside of the file"),
     "no_binary.glb": (lambda: glb(scene(), b""), "buffer of 0 bytes"),
-    "index.glb": (lambda: glb(scene(), POINTS.tobytes() + (FACES + 1).tobytes()), "names vertex 4; there are 4"),
+    "index.glb": (
+        lambda: glb(scene(), POINTS.tobytes() + (FACES + 1).tobytes()),
+        r"not exist, in \[1, 2, 4\]; there are 4",
+    ),
     "position_nan.glb": (lambda: glb(scene(), (POINTS * np.nan).tobytes() + FACES.tobytes()), "vertex 0.*finite"),
     "position_signalling_nan.glb": (lambda: glb(scene(), b"\x01\x00\xa0\x7f" * 12 + FACES.tobytes()), "finite"),
     "position_inf.glb": (lambda: glb(scene(), (POINTS + np.inf).tobytes() + FACES.tobytes()), "finite"),
@@ -312,8 +315,8 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "no_build.3mf": (lambda: package(model(items="")), "nothing is to be built"),
     "no_object.3mf": (lambda: package(model(items='<item objectid="9"/>')), "no object 9"),
     "same_id.3mf": (lambda: package(model(OBJECT + OBJECT)), "two objects with the id 1"),
-    "id.3mf": (lambda: package(model(items='<item objectid="-1"/>')), "positive whole number, not '-1'"),
-    "id_long.3mf": (lambda: package(model(items=f'<item objectid="{"9" * 10_000}"/>')), "positive whole number"),
+    "id.3mf": (lambda: package(model(items='<item objectid="-1"/>')), "positive integer, not '-1'"),
+    "id_long.3mf": (lambda: package(model(items=f'<item objectid="{"9" * 10_000}"/>')), "positive integer"),
     "support.3mf": (lambda: package(model(OBJECT.replace('id="1"', 'id="1" type="support"'))), "no faces"),
     "empty_mesh.3mf": (lambda: with_mesh("", ""), "no faces"),
     "no_vertices.3mf": (lambda: with_mesh(""), "triangle 0.*there are 0 vertices"),
@@ -322,13 +325,16 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
         r"triangle 0.*\[0, 1, 4\].*4 vertices",
     ),
     "index_negative.3mf": (lambda: with_mesh(triangles='<triangle v1="0" v2="1" v3="-1"/>'), "triangle 0"),
-    "index_huge.3mf": (lambda: with_mesh(triangles=f'<triangle v1="0" v2="1" v3="{10**30}"/>'), "three vertex numbers"),
-    "index_digits.3mf": (lambda: with_mesh(triangles=f'<triangle v1="0" v2="1" v3="{"1" * 9999}"/>'), "three vertex"),
-    "index_real.3mf": (lambda: with_mesh(triangles='<triangle v1="0" v2="1" v3="2.0"/>'), "three vertex numbers"),
+    "index_huge.3mf": (lambda: with_mesh(triangles=f'<triangle v1="0" v2="1" v3="{10**30}"/>'), "be read|exist"),
+    "index_digits.3mf": (
+        lambda: with_mesh(triangles=f'<triangle v1="0" v2="1" v3="{"1" * 9999}"/>'),
+        "be read|exist",
+    ),
+    "index_real.3mf": (lambda: with_mesh(triangles='<triangle v1="0" v2="1" v3="2.0"/>'), "be read"),
     "index_missing.3mf": (lambda: with_mesh(triangles='<triangle v1="0" v2="1"/>'), "three vertex numbers"),
     "nan.3mf": (lambda: with_mesh(VERTICES.replace('"1"', '"nan"')), "finite|three numbers"),
     "inf.3mf": (lambda: with_mesh(VERTICES.replace('"1"', '"1e999"')), "vertex 1.*finite"),
-    "word.3mf": (lambda: with_mesh(VERTICES.replace('"1"', '"one"')), "a number is expected, not b'one'"),
+    "word.3mf": (lambda: with_mesh(VERTICES.replace('"1"', '"one"')), "be read"),
     "no_z.3mf": (lambda: with_mesh(VERTICES.replace("z=", "w=")), "three numbers"),
     "transform.3mf": (lambda: package(model(items='<item objectid="1" transform="1 0 0"/>')), "twelve"),
     "transform_nan.3mf": (lambda: package(model(items=f'<item objectid="1" transform="{"nan " * 12}"/>')), "twelve"),

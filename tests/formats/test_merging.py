@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.formats.merging import merge_equal
+from sppm_pipeline.formats.mesh_arrays import merge_equal
 
 
 def obvious(rows: np.ndarray) -> tuple[list[int], list[int]]:

@@ -10,7 +10,7 @@ import pytest
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.detect import decode_mesh, decode_mesh_file
-from sppm_pipeline.formats.placing import IDENTITY, after, place, require_few
+from sppm_pipeline.formats.mesh_arrays import IDENTITY, after, place, require_few
 from sppm_pipeline.formats.three_mf_model import CORE, PRODUCTION
 from sppm_pipeline.numerics.meshcheck.measures import volume
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-from sppm_pipeline.cli.arguments import BUILTINS
 from sppm_pipeline.cli.main import main
 from sppm_pipeline.engine.plan.plugins import load_plugins
 
@@ -81,7 +80,7 @@ def test_loading_them_imports_none_of_their_stages() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
-    assert STAGES.keys() <= {plugin.name for plugin in load_plugins(BUILTINS).plugins}
+    assert STAGES.keys() <= {plugin.name for plugin in load_plugins().plugins}
 
 
 def run(tmp_path: Path, file: Path, *options: str) -> dict[str, Any]:

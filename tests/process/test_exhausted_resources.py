@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from sppm_pipeline.cli import main as cli
-from sppm_pipeline.engine.run.files import clear
+from sppm_pipeline.engine.files import clear
 from sppm_pipeline.process.budget import exhausted_resource
 
 

@@ -1,135 +1,214 @@
-"""Charts: statistics by known numbers, drawings by where the colors are."""
+"""Charts: what is drawn where, what the files hold, and that their bytes depend on nothing but the data."""
 
 from __future__ import annotations
 
+import io
+import itertools
+import subprocess
+import sys
+import threading
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from PIL import Image
 
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.render.charts import chart, nice_ticks
-from sppm_pipeline.render.series import Boxes, Line, Points, box_statistics
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.render import charts
+from sppm_pipeline.render.charts import COLORS, Panel, Series, bars, chart, check_chart, number_text, plain_text
 
-GREEN = (0, 160, 0)
-
-
-def painted(picture, color=GREEN):
-    return abs(picture.astype(int) - color).max(axis=2) < 40
+X = np.array([1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, np.nan, 3.0])
+Y = np.array([1.0, 2.0, 3.0, 6.0, 2.0, 4.0, 9.0, 5.0, np.inf])
+NAMES = ["one", "two", "three"]
 
 
-def test_box_statistics_by_hand():
-    found = box_statistics([1, 2, 3, 4, 5, 6, 7, 8, 30])
-    assert found[:5] == (1.0, 3.0, 5.0, 7.0, 8.0)
-    assert found.outliers.tolist() == [30.0]
-    assert box_statistics([4.0])[:5] == (4.0,) * 5
-    with pytest.raises(ValueError, match="at least one"):
-        box_statistics([])
+@pytest.fixture
+def figure_of(monkeypatch):
+    """Function from the arguments of a drawing function to the figure, in place of the file."""
+    monkeypatch.setattr(charts, "_file", lambda figure, path: figure)
+    return lambda draw, *arguments, **options: draw(*arguments, "a.png", **options)
 
 
-@given(low=st.floats(-1e6, 1e6), span=st.floats(1e-3, 1e6))
-@settings(deadline=None, derandomize=True)
-def test_ticks_are_few_inside_and_evenly_spaced(low, span):
-    ticks = nice_ticks(low, low + span)
-    assert 2 <= len(ticks) <= 9
-    slack = 1e-6 * span
-    assert ticks[0] >= low - slack
-    assert ticks[-1] <= low + span + slack
-    steps = np.diff(ticks)
-    assert np.allclose(steps, steps[0], rtol=1e-6)
+def test_points_and_lines_are_where_the_data_are(figure_of):
+    axes = figure_of(
+        chart, [Series(X, Y), Series([0, 1], [2, 3], kind="line"), Series([0, 1], [2, 3], kind="dashed")]
+    ).axes[0]
+    points, line, dashed = axes.lines
+    kept = np.isfinite(points.get_xdata()) & np.isfinite(points.get_ydata())
+    assert points.get_xdata()[kept].tolist() == X[:7].tolist()
+    assert points.get_ydata()[kept].tolist() == Y[:7].tolist()
+    assert [one.get_linestyle() for one in (points, line, dashed)] == ["None", "-", "--"]
+    assert [one.get_color() for one in (points, line, dashed)] == list(COLORS[:3])
 
 
-def test_ticks_are_round():
-    assert nice_ticks(0.0, 1.0) == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    assert nice_ticks(17.0, 123.0) == pytest.approx([20, 40, 60, 80, 100, 120])
-    assert nice_ticks(0.02, 3000.0, log=True) == pytest.approx([0.1, 1, 10, 100, 1000])
-    assert nice_ticks(20.0, 600.0, log=True) == pytest.approx([20, 50, 100, 200, 500])
-    assert len(nice_ticks(1e-20, 1e20, log=True)) <= 8
+def test_error_bars_have_the_length_of_the_error(figure_of):
+    axes = figure_of(chart, [Series([1, 2, 3], [5, 6, 7], error=[0.5, np.nan, 2])]).axes[0]
+    lengths = [segment[1, 1] - segment[0, 1] for segment in axes.collections[0].get_segments() if len(segment)]
+    assert [length for length in lengths if np.isfinite(length)] == [1.0, 4.0]
 
 
-def test_points_are_where_the_axes_say():
-    found = []
-    for x, y in ((0.2, 0.3), (0.8, 0.3), (0.2, 0.9)):
-        picture = chart([Points([x], [y], color=GREEN)], x_range=(0, 1), y_range=(0, 1), size=(600, 400))
-        rows, columns = np.nonzero(painted(picture))
-        found.append((columns.mean(), rows.mean()))
-    (x0, y0), (x1, y1), (x2, y2) = found
-    assert y1 == pytest.approx(y0, abs=0.3)
-    assert x2 == pytest.approx(x0, abs=0.3)
-    # Three fifths of each axis.
-    assert x1 - x0 == pytest.approx(0.6 * (x1 - x0) / 0.6)
-    assert 0.6 * 500 < x1 - x0 < 0.6 * 600
-    assert 0.6 * 300 < y0 - y2 < 0.6 * 400
+def test_means_of_equal_x_with_their_standard_deviation(figure_of):
+    axes = figure_of(chart, [Series(X, Y, kind="means")]).axes[0]
+    assert axes.lines[0].get_xdata().tolist() == [1, 2]
+    assert axes.lines[0].get_ydata().tolist() == [3, 5]
+    segments = axes.collections[0].get_segments()
+    found = [(segment[1, 1] - segment[0, 1]) / 2 for segment in segments]
+    assert found == pytest.approx([np.std([1, 2, 3, 6], ddof=1), np.std([2, 4, 9], ddof=1)])
 
 
-def test_equal_ratios_are_equal_distances_on_a_log_axis():
-    columns = []
-    for x in (1.0, 10.0, 100.0):
-        picture = chart([Points([x], [1.0], color=GREEN)], x_range=(0.5, 200), y_range=(0, 2), x_log=True)
-        columns.append(np.nonzero(painted(picture))[1].mean())
-    assert columns[2] - columns[1] == pytest.approx(columns[1] - columns[0], abs=0.5)
+@pytest.mark.parametrize("log_x", [False, True])
+def test_boxes_of_several_series_stand_side_by_side(figure_of, log_x):
+    x = np.repeat([10.0, 20.0, 40.0], 5)
+    y = np.tile([1.0, 2.0, 3.0, 4.0, 30.0], 3)
+    axes = figure_of(chart, [Series(x, y, kind="boxes"), Series(x, y, kind="boxes")], log_x=log_x).axes[0]
+    boxes = [patch.get_path().get_extents() for patch in axes.patches]
+    assert len(boxes) == 6
+    assert all((box.y0, box.y1) == (2, 4) for box in boxes)  # the quartiles
+    sides = sorted((box.x0, box.x1) for box in boxes)
+    assert all(first[1] < second[0] for first, second in itertools.pairwise(sides))
+    for place, (left, right) in zip((10, 20, 40), zip(sides[::2], sides[1::2], strict=True), strict=True):
+        assert left[1] < place < right[0]
+    outliers = [line for line in axes.lines if line.get_marker() == "o"]
+    assert [line.get_ydata().tolist() for line in outliers] == [[30.0]] * 6
+    if not log_x:
+        assert axes.get_xticks().tolist() == [10, 20, 40]
 
 
-def test_lines_are_clipped_and_interrupted():
-    full = chart([Line([0, 1], [0.5, 0.5], color=GREEN)], x_range=(0, 1), y_range=(0, 1))
-    beyond = chart([Line([-5, 6], [0.5, 0.5], color=GREEN)], x_range=(0, 1), y_range=(0, 1))
-    assert painted(beyond).sum() == pytest.approx(painted(full).sum(), rel=0.02)
-    gap = chart([Line([0, 0.4, np.nan, 0.6, 1], [0.5] * 5, color=GREEN)], x_range=(0, 1), y_range=(0, 1))
-    assert painted(gap).sum() == pytest.approx(0.8 * painted(full).sum(), rel=0.03)
-    dashed = chart([Line([0, 1], [0.5, 0.5], color=GREEN, dashed=True)], x_range=(0, 1), y_range=(0, 1))
-    assert painted(dashed).sum() == pytest.approx(painted(full).sum() / 1.7, rel=0.06)
+def test_logarithmic_axes_leave_out_what_is_not_positive(figure_of):
+    axes = figure_of(chart, [Series([-1, 0, 1, 10], [1, 1, 0, 5])], log_x=True, log_y=True).axes[0]
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    kept = np.isfinite(axes.lines[0].get_xdata()) & np.isfinite(axes.lines[0].get_ydata())
+    assert kept.tolist() == [False, False, False, True]
 
 
-def test_boxes_reach_from_quartile_to_quartile():
-    values = np.linspace(0.0, 8.0, 101)
-    picture = chart([Boxes([1.0], [values], color=GREEN)], x_range=(0, 2), y_range=(-1, 9), size=(600, 500))
-    rows = np.nonzero(painted(picture).sum(axis=1) > 20)[0]
-    point = chart([Points([1.0, 1.0], [2.0, 6.0], color=GREEN)], x_range=(0, 2), y_range=(-1, 9), size=(600, 500))
-    marks = np.nonzero(painted(point))[0]
-    upper, lower = marks[marks < marks.mean()].mean(), marks[marks > marks.mean()].mean()
-    # Rows with wide strokes: whisker ends, quartiles, median.
-    assert abs(rows - upper).min() <= 1.5
-    assert abs(rows - lower).min() <= 1.5
-    assert abs(rows - (upper + lower) / 2).min() <= 1.5
+def test_legends_have_a_title_and_all_names_in_order(figure_of):
+    few = [Series([1], [1], "b"), Series([1, 2], [1, 2], "a", "line"), Series([1, 2], [1, 2], "", "line")]
+    legend = figure_of(chart, few, legend=r"$\omega$").axes[0].get_legend()
+    assert legend.get_title().get_text() == r"$\omega$"
+    assert [text.get_text() for text in legend.get_texts()] == ["b", "a"]
+    figure = figure_of(chart, [Series([1], [1], f"series {n}") for n in range(9)])
+    assert figure.axes[0].get_legend() is None
+    assert len(figure.legends[0].get_texts()) == 9
+    looks = {(line.get_color(), line.get_marker()) for line in figure.axes[0].lines}
+    assert len(looks) == 9
 
 
-def test_series_get_different_colors_and_a_legend():
-    x = np.arange(5.0)
-    bare, named = (chart([Line(x, x, a), Line(x, 4 - x, b)]) for a, b in (("", ""), ("one", "two")))
-    assert (bare != named).any()
-    assert len(np.unique(named.reshape(-1, 3), axis=0)) > 20
+def test_bars_are_as_long_as_their_values(figure_of):
+    figure = figure_of(bars, NAMES, [Panel("a", [4, -2, np.nan]), Panel("$b$", [1e6, 2e6, np.inf])], marked=[1])
+    assert len(figure.axes) == 2
+    first, second = figure.axes
+    assert [bar.get_width() for bar in first.containers[0]] == [4, -2, 0]
+    assert [bar.get_width() for bar in second.containers[0]] == [1e6, 2e6, 0]
+    assert [text.get_text() for text in first.texts] == ["4", "-2", "–"]
+    assert [text.get_text() for text in second.texts] == ["1e+06", "2e+06", "–"]
+    assert [text.get_text() for text in first.get_yticklabels()] == NAMES
+    bottom, top = first.get_ylim()
+    assert bottom > top  # the first row is the highest
+    from matplotlib.colors import to_hex
+
+    assert [to_hex(bar.get_facecolor()) for bar in first.containers[0]] == [COLORS[0], COLORS[1], COLORS[0]]
 
 
-def test_labels_take_room():
-    plain, labeled = (
-        chart([Points([0.5], [0.5], color=GREEN)], x_range=(0, 1), y_range=(0, 1), x_label=a, y_label=a, title=a)
-        for a in ("", "porosity")
+def drawings():
+    yield chart, [Series(X, Y, "a", "boxes"), Series(X, Y, "b", "means"), Series([1, 2], [1, 2], "$c^2$", "line")]
+    yield bars, NAMES, [Panel(r"$\nu_{xy}$", [4, -2, np.nan]), Panel("b", [1, 2, 3])]
+
+
+@pytest.mark.parametrize(("extension", "start"), [("png", b"\x89PNG"), ("PDF", b"%PDF"), ("svg", b"<?xml")])
+@pytest.mark.parametrize("drawing", list(drawings()), ids=["chart", "bars"])
+def test_files_are_the_same_each_time_and_hold_no_date_or_version(drawing, extension, start):
+    import matplotlib
+
+    draw, *arguments = drawing
+    first, second = (draw(*arguments, f"a.{extension}", title="Title") for _ in range(2))
+    assert first == second
+    assert first.startswith(start)
+    assert matplotlib.__version__.encode() not in first
+    assert b"CreationDate" not in first
+    assert b"dc:date" not in first
+    if extension == "png":
+        with Image.open(io.BytesIO(first)) as image:
+            assert len(np.unique(np.asarray(image.convert("RGB")).reshape(-1, 3), axis=0)) > 20
+            assert image.info.keys() == {"dpi"}
+    elif extension == "PDF":
+        assert b"DejaVuSans" in first
+
+
+def test_a_style_of_the_user_changes_nothing_and_is_left_alone(tmp_path):
+    import matplotlib
+
+    arguments = [Series(X, Y, "a"), Series([1, 2], [1, 2], "b", "line")], "a.svg"
+    plain = chart(*arguments, title="T")
+    with matplotlib.rc_context({"font.size": 20, "axes.facecolor": "red", "lines.linewidth": 9, "svg.hashsalt": None}):
+        assert chart(*arguments, title="T") == plain
+        assert matplotlib.rcParams["font.size"] == 20
+        assert matplotlib.rcParams["svg.hashsalt"] is None
+    settings = tmp_path / "matplotlibrc"
+    settings.write_text(
+        "font.size: 20\naxes.facecolor: red\nsavefig.bbox: tight\nsvg.fonttype: none\nsavefig.pad_inches: 2\n"
     )
-    assert np.nonzero(painted(labeled))[1].mean() > np.nonzero(painted(plain))[1].mean() + 5
+    code = (
+        "import sys; from sppm_pipeline.render.charts import *; nan, inf = float('nan'), float('inf')\n"
+        f"series = [Series({X.tolist()}, {Y.tolist()}, 'a'), Series([1, 2], [1, 2], 'b', 'line')]\n"
+        "sys.stdout.buffer.write(chart(series, 'a.svg', title='T'))"
+    )
+    environment = {"MATPLOTLIBRC": str(settings), "MPLBACKEND": "pdf", "HOME": str(tmp_path), "PATH": ""}
+    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True, timeout=120)
+    assert found.stdout == plain
 
 
-def test_same_series_same_bytes():
-    series = [Boxes([1, 2], [[1, 2, 3], [2, 3, 9]], "boxes"), Line([1, 2], [2, 3], "line")]
-    first, second = (chart(series, title="Twice", size=(300, 200)) for _ in range(2))
-    assert first.tobytes() == second.tobytes()
-    assert first.shape == (200, 300, 3)
-    assert first.dtype == np.uint8
+def test_threads_do_not_disturb_each_other():
+    arguments = [Series(X, Y, "a")], "a.png"
+    alone = chart(*arguments)
+    made: list[bytes] = []
+    threads = [threading.Thread(target=lambda: made.append(chart(*arguments))) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert made == [alone] * 3
 
 
-def test_charts_of_nothing_and_of_one_value():
-    assert chart([]).shape == (640, 960, 3)
-    assert painted(chart([Points([3.0], [3.0], color=GREEN)])).any()
-    assert not painted(chart([Points([-1.0], [2.0], color=GREEN)], x_log=True)).any()
+def test_text_without_mathematics_is_drawn_as_it_is(figure_of):
+    assert plain_text("5 $ to 6 $") == r"5 \$ to 6 \$"
+    figure = figure_of(bars, ["a$_2$"], [Panel("x", [1])])
+    assert figure.axes[0].get_yticklabels()[0].get_text() == r"a\$_2\$"
+    assert number_text(0.25) == "0.25"
+    assert number_text(-1.25e-7) == r"-1.25 \times 10^{-7}"
+    chart([Series([1], [1], f"${number_text(1e-9)}$")], "a.png")  # and is valid
+
+
+def test_what_cannot_be_drawn_is_refused_beforehand(monkeypatch):
+    check_chart("deep/a.SVG", title=r"$E_x / E_\mathrm{s}$", x_label="5 $", y_label=r"\$ and \$")
+    with pytest.raises(ConfigError, match=r"\.pdf, \.png or \.svg, not as 'a.jpg'"):
+        check_chart("a.jpg")
+    with pytest.raises(ConfigError, match=r"`title` is .*\\nosuch.*not valid mathematics") as caught:
+        check_chart("a.png", title=r"$\nosuch_x$")
+    assert "mathrm" in caught.value.hint
+    monkeypatch.setattr(charts, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match="matplotlib, which is not installed") as caught:
+        check_chart("a.png")
+    assert caught.value.hint == "pip install 'sppm-pipeline[plot]'"
 
 
 def test_wrong_arguments():
-    with pytest.raises(DesignError, match="range of the x axis"):
-        chart([], x_range=(1, 0))
-    with pytest.raises(DesignError, match="range of the y axis"):
-        chart([], y_range=(0, 1), y_log=True)
-    with pytest.raises(DesignError, match="100 x 100"):
-        chart([], size=(100, 100))
-    with pytest.raises(ValueError, match="equally long"):
-        chart([Line([1, 2], [1])])
-    with pytest.raises(ValueError, match="boxes"):
-        chart([Boxes([1, 2], [[1]])])
+    with pytest.raises(ValueError, match="have shapes"):
+        chart([Series([1, 2], [1])], "a.png")
+    with pytest.raises(ValueError, match="have shapes"):
+        chart([Series([1, 2], [1, 2], error=[1])], "a.png")
+    with pytest.raises(DesignError, match="0 rows"):
+        bars([], [Panel("a", [])], "a.png")
+    with pytest.raises(DesignError, match="0 measures"):
+        bars(NAMES, [], "a.png")
+    with pytest.raises(ValueError, match="3 rows"):
+        bars(NAMES, [Panel("a", [1, 2])], "a.png")
+
+
+def test_charts_of_nothing_and_of_one_value():
+    for series in (
+        [],
+        [Series([], [])],
+        [Series([3], [3], "a")],
+        [Series([np.nan], [1], "a", "boxes")],
+        [Series([3], [3], kind="boxes")],
+    ):
+        assert chart(series, "a.png").startswith(b"\x89PNG")

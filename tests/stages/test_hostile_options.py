@@ -23,8 +23,6 @@ from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import ConfigError, ConfigErrors, SppmError
 from sppm_pipeline.stages import BUILT_IN, sppm_stages
 
-BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
-
 RECIPE = """  cell:
     - {stage: sample.mirrored_faces, count: 6, spacing: 0.25}
     - {stage: sample.dart_throwing, count: 5, spacing: 0.25}
@@ -167,7 +165,7 @@ def _split(given: str) -> list[str]:
 
 
 def plan_of(path: Path):
-    return open_session(RunRequest(str(path), BUILTINS, (), False)).plan()
+    return open_session(RunRequest(str(path), distributions=False)).plan()
 
 
 @pytest.mark.parametrize("name", PLACES)
@@ -190,7 +188,7 @@ def test_hostile_values(name, tmp_path, request):
                 assert all(one.where is not None and one.where.line == line for one in errors), (value, str(refused))
                 words = str(refused)
                 assert len(words) < 900, (option.name, value)
-                if "not allowed in a text" not in words and "`" not in words:  # options that exclude each other
+                if "not allowed in a string" not in words and "`" not in words:  # options that exclude each other
                     assert f"option {option.name!r}" in words, (value, words)
                     assert "expected" in words or "output" in words, (value, words)
                 continue
@@ -204,7 +202,7 @@ def test_hostile_values(name, tmp_path, request):
 
 
 def ends(option) -> list[str]:
-    """Values at the ends of what is allowed, as YAML; whole numbers only where they stay small."""
+    """Values at the ends of what is allowed, as YAML; integers only where they stay small."""
     spec, kinds = option.spec, members(option.kind)
     found = []
     for bound, step in ((spec.minimum, 0), (spec.above, 1), (spec.maximum, 0), (spec.below, -1)):

@@ -63,7 +63,7 @@ class Hyperuniform(MeasuredSampler):
         return thrown
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
-        """Pores of one interior, (count, 3), cell edges."""
+        """Pores of one interior, (count, 3), cell sizes."""
         start = rng.random((self.count, 3))
         points = stealthy(start, self._waves(), tolerance=TOLERANCE, steps=20_000)
         return box.lower + points * (box.upper - box.lower)

@@ -41,7 +41,7 @@ class LatticePoints(MeasuredSampler):
     )
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
-        """Pores of one interior, cell edges."""
+        """Pores of one interior, cell sizes."""
         basis = np.array(BASES[self.lattice]) / 4
         basis += (1 - basis.max()) / 2  # as far from the low sides of the box as from the high ones
         cubes = np.stack(np.meshgrid(*[np.arange(self.repeat)] * 3, indexing="ij"), -1).reshape(-1, 1, 3)

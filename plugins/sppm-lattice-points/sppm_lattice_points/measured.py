@@ -11,7 +11,7 @@ from sppm_pipeline.stage import Context
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredSampler(Sampler):
-    """Base of samplers that take no spacing as a wish and so have to measure it."""
+    """Base of samplers that are given no spacing and so have to measure it."""
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the pores of all interiors and report the smallest distance of two pores of one interior."""

@@ -56,7 +56,7 @@ def stealthy(
     Parameters
     ----------
     points : (n, 3) float64
-        Where to start, cell edges.
+        Where to start, cell sizes.
     waves : (m, 3) float64
     tolerance : float
     steps : int
@@ -90,6 +90,6 @@ def stealthy(
         points = points + moved
     raise DesignError(
         f"after {steps} steps the largest structure factor is {float((np.abs(density) ** 2).max()) / n:.2g}, "
-        f"wished is {tolerance:g}",
+        f"the target is {tolerance:g}",
         hint="bind fewer degrees of freedom with a smaller `stealth`, or give another seed",
     )

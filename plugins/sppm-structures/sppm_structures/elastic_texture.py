@@ -69,7 +69,7 @@ class ElasticTexture(FieldMaker):
         thickest, most = radius * max([1.0, *texture.radii.values()]), LARGEST_RADIUS / self.repeat
         if not (thickest < most and blend < most):
             raise ConfigError(
-                f"the thickest radius {thickest:g} and the blend {blend:g} must be less than {most:g} cell edges"
+                f"the thickest radius {thickest:g} and the blend {blend:g} must be less than {most:g} cell sizes"
             )
         graph = texture_graph(texture)
         return StrutField(

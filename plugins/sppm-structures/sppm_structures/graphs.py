@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import InputError
 
 _SAME = 1e-9
-"""Positions nearer than this, in cell edges, are one node."""
+"""Positions nearer than this, in cell sizes, are one node."""
 
 
 class StrutGraph(NamedTuple):
@@ -54,7 +54,7 @@ def strut_graph(
     lengths = np.linalg.norm(ends - starts, axis=1)
     if lengths.min() < 1e-6 or lengths.max() > 2:
         bad = int(np.argmin(lengths)) if lengths.min() < 1e-6 else int(np.argmax(lengths))
-        raise InputError(f"strut {bad} is {lengths[bad]:g} cell edges long; allowed are 1e-6 to 2")
+        raise InputError(f"strut {bad} is {lengths[bad]:g} cell sizes long; allowed are 1e-6 to 2")
     found: dict[tuple[int, ...], tuple[float, ...]] = {}
     for a, b, ra, rb in zip(starts, ends, *radii, strict=True):
         ways = []

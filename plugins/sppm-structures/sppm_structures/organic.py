@@ -34,11 +34,11 @@ class OrganicField(PlacedField):
     Attributes
     ----------
     pores : (n, 3) float64
-        Centers from the low corner, cell edges.
+        Centers from the low corner, cell sizes.
     tunnels : (m, 2) int64
         Pores that are joined.
     omega, mu : float
-        Size parameters of pores and tunnels, 1 / cell edge^2 and 1 / cell edge.
+        Size parameters of pores and tunnels, 1 / cell size^2 and 1 / cell size.
     level : float
     """
 
@@ -147,8 +147,8 @@ class Organic(PartFieldMaker):
         tunnel = self.in_cells(self.tunnel_radius) if self.tunnel_radius is not None else 0.16 * spacing
         if max(pore, tunnel) > 4 * spacing or not 1e-3 < spacing <= max(region):
             raise ConfigError(
-                f"pores of radius {pore:g} and tunnels of {tunnel:g} cell edges don't fit a spacing of {spacing:g}",
-                hint=f"radii are below 4 spacings, the spacing lies between 0.001 and {max(region)} cell edges",
+                f"pores of radius {pore:g} and tunnels of {tunnel:g} cell sizes don't fit a spacing of {spacing:g}",
+                hint=f"radii are below 4 spacings, the spacing lies between 0.001 and {max(region)} cell sizes",
             )
         expected = math.prod(0.75 * (n + 2 * spacing) / spacing for n in region) / 0.75**2
         if expected > MOST_PORES:

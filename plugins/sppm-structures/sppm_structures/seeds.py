@@ -37,7 +37,7 @@ class HashedSeeds(NamedTuple):
 
     @property
     def furthest(self) -> float:
-        """No point is further than this from the nearest seed, cell edges."""
+        """No point is further than this from the nearest seed, cell sizes."""
         return float(np.sqrt(3.0) * (1 + self.jitter) / (2 * self.along))
 
     def near(self, cell: CellIndex, margin: float, periodic: bool) -> tuple[NDArray[np.float64], int]:

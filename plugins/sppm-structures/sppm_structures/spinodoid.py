@@ -55,11 +55,11 @@ class Spinodoid(FieldMaker):
     After Kumar, Tan, Zheng and Kochmann 2020, "Inverse-designed spinodoid metamaterials". Wave vectors lie near a
     sphere and within cones around the axes; a cone of 90 degrees takes every direction (isotropic), one small cone
     makes layers (lamellar), two make columns, three a cubic structure. Theirs is drawn from a continuous sphere and
-    does not repeat; ours takes whole numbers of waves along the cell edge, from a shell about the sphere, so that the
+    does not repeat; ours takes integers of waves along the cell edge, from a shell about the sphere, so that the
     field is periodic. A field of few waves is less random: raise `wavenumber`, or make the shell thicker.
 
     Solid is where the field lies below the level; ``tune.porosity`` changes it. Without tuning, the level is that at
-    which a Gaussian field has the wished density.
+    which a Gaussian field has the target density.
     """
 
     name: ClassVar[str] = "field.spinodoid"
@@ -132,7 +132,7 @@ def wave_vectors(wavenumber: float, shell: float, cones: tuple[float, float, flo
     if not inside.any():
         raise DesignError(
             f"no wave of {wavenumber - shell:g} to {wavenumber + shell:g} periods a cell edge lies in the cones",
-            hint="make `shell` thicker, or `wavenumber` a whole number",
+            hint="make `shell` thicker, or `wavenumber` an integer",
         )
     chosen: NDArray[np.int64] = every[inside]
     return chosen

@@ -139,6 +139,6 @@ class StochasticGyroid(FieldMaker):
 
 
 def _slope(waves: Waves, axis: int) -> float:
-    """Standard deviation of the derivative along an axis, for positions in cell edges."""
+    """Standard deviation of the derivative along an axis, for positions in cell sizes."""
     squares = waves.real**2 + waves.imaginary**2
     return float(2 * np.pi * np.sqrt((squares * waves.vectors[:, axis] ** 2).sum() / 2))

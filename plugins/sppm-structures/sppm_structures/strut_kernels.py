@@ -27,7 +27,7 @@ class StrutTable(NamedTuple):
     Attributes
     ----------
     struts : (m, 8) float64
-        Start, end, radius at the start, radius at the end, cell edges.
+        Start, end, radius at the start, radius at the end, cell sizes.
     begin, end : (BUCKETS^3,) int64
         Where the list of each bucket begins and ends.
     listed : (n,) int32
@@ -43,7 +43,7 @@ class StrutTable(NamedTuple):
 def strut_table(graph: StrutGraph, radius: float, blend: float) -> StrutTable:
     """Sort struts of some mean radius, and those of the neighboring cells, into buckets, for a blend length.
 
-    All in cell edges.
+    All in cell sizes.
     """
     # no point of the cell is further than this from the nearest strut
     spread = images(graph, 1.0)
@@ -64,7 +64,7 @@ def table_of_struts(struts: NDArray[np.float64], blend: float) -> StrutTable:
 def evaluate_struts(
     table: StrutTable, blend: float, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Blended distance from the surface of the struts, (nz, ny, nx) float32, cell edges.
+    """Blended distance from the surface of the struts, (nz, ny, nx) float32, cell sizes.
 
     Parameters
     ----------

@@ -31,11 +31,11 @@ class StrutField(FormulaField):
     ----------
     lattice : str
     starts, ends, radii : (m, 3), (m, 3), (m, 2) float64
-        Axes of the struts in cell edges; radii at both ends over `radius`.
+        Axes of the struts in cell sizes; radii at both ends over `radius`.
     radius : float
         Cell edges.
     blend : float
-        Length over which joints are rounded, cell edges; 0 for none.
+        Length over which joints are rounded, cell sizes; 0 for none.
     repeat : int
         Copies along the cell edge.
     """
@@ -48,7 +48,7 @@ class StrutField(FormulaField):
     blend: float
     repeat: int = 1
     grown: float = 0.0
-    """What was added to all radii after the shares were applied, cell edges."""
+    """What was added to all radii after the shares were applied, cell sizes."""
     kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
@@ -85,7 +85,7 @@ class Struts(FieldMaker):
     joints get fillets. ``tune.porosity`` adds the same to all radii.
 
     A graph of one's own is a JSON file ``{"nodes": [[x, y, z], ...], "edges": [[i, j], ...], "radii": [...]}`` with
-    positions in cell edges and, if wanted, a radius for each node over the option `radius`; or a CSV file with a strut
+    positions in cell sizes and, if wanted, a radius for each node over the option `radius`; or a CSV file with a strut
     in each row: x1, y1, z1, x2, y2, z2. Ends may lie in neighboring cells; copies are counted once.
     """
 

@@ -102,7 +102,7 @@ def texture_graph(texture: Texture) -> StrutGraph:
     Raises
     ------
     DesignError
-        If the struts of neighboring cells do not all hang together.
+        If the struts of neighboring cells are not all connected.
     """
     starts, ends, radii = [], [], []
     for a, b in texture.edges:
@@ -114,7 +114,7 @@ def texture_graph(texture: Texture) -> StrutGraph:
     graph = strut_graph(np.array(starts), np.array(ends), sizes[:, 0], sizes[:, 1])
     if not any("c" not in node for edge in texture.edges for node in edge) or _parts(graph) > 1:
         raise DesignError(
-            "the struts of this pattern do not all hang together",
+            "the struts of this pattern are not all connected",
             hint="join its nodes by a path, and let one of them lie on the face of the cube: a name without c",
         )
     return graph

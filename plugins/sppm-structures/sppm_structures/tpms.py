@@ -37,7 +37,7 @@ class TpmsField(FormulaField):
     turned : bool
         Whether a network is the other of the two.
     level, width : float
-        The width of a sheet in units of f, of a wall in cell edges.
+        The width of a sheet in units of f, of a wall in cell sizes.
     """
 
     surface: str

@@ -22,7 +22,7 @@ from sppm_pipeline.stage import Context, option
 from sppm_structures.seeds import MOST_SEEDS, HashedSeeds, blue_noise, images_near
 
 MOST_SHARED = np.sqrt(3.0) / 2
-"""No point of a periodic cell is further than this from a seed, cell edges."""
+"""No point of a periodic cell is further than this from a seed, cell sizes."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,9 +37,9 @@ class VoronoiFoam(CellwiseField):
     given : (n, 3) float64
         Seeds of the periodic cell, if they are not drawn.
     half : float
-        Radius of the struts, or half the thickness of the walls, cell edges.
+        Radius of the struts, or half the thickness of the walls, cell sizes.
     blend : float
-        Length over which joints of struts are rounded, cell edges.
+        Length over which joints of struts are rounded, cell sizes.
     """
 
     form: str
@@ -50,7 +50,7 @@ class VoronoiFoam(CellwiseField):
 
     @property
     def furthest(self) -> float:
-        """No point is further than this from the nearest seed, cell edges."""
+        """No point is further than this from the nearest seed, cell sizes."""
         return min(self.hashed.furthest, MOST_SHARED if self.periodic else np.inf) if self.hashed else MOST_SHARED
 
     def seeds_near(self, cell: CellIndex, margin: float) -> tuple[NDArray[np.float64], int]:
@@ -168,7 +168,7 @@ class Voronoi(PartFieldMaker):
         blend = self.in_cells(self.blend, edge) if self.form == "open" else 0.0
         if not (half < 0.5 and blend < 0.1):
             raise ConfigError(
-                f"half thickness {half:g} must be less than 0.5, blend {blend:g} less than 0.1 cell edges"
+                f"half thickness {half:g} must be less than 0.5, blend {blend:g} less than 0.1 cell sizes"
             )
         given, hashed = np.empty((0, 3)), None
         if pores is not None:

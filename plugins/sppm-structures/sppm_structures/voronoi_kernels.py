@@ -16,7 +16,7 @@ from sppm_pipeline.numerics.compiled import jit
 from sppm_structures.strut_kernels import BUCKETS, LEVELS, longer, place_of
 
 _SAME = 1e-9
-"""Lengths below this, in cell edges, are none."""
+"""Lengths below this, in cell sizes, are none."""
 
 
 class WallTable(NamedTuple):
@@ -70,7 +70,7 @@ def wall_table(seeds: NDArray[np.float64]) -> WallTable:
 def evaluate_walls(
     table: WallTable, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Distance from the nearest face between two Voronoi cells, (nz, ny, nx) float32, cell edges.
+    """Distance from the nearest face between two Voronoi cells, (nz, ny, nx) float32, cell sizes.
 
     Exact: a Voronoi cell is convex, so the distance from its boundary is that from the nearest of the planes that
     bound it; that between seeds a and b is at ``(|p - b|^2 - |p - a|^2) / (2 |b - a|)`` from a point p near a.

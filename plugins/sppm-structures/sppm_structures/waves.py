@@ -50,7 +50,7 @@ def half_space(vectors: NDArray[np.int64]) -> NDArray[np.int64]:
 def sum_of_waves(
     waves: Waves, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The sum at the points of three axes (nx,), (ny,), (nz,), cell edges: (nz, ny, nx)."""
+    """The sum at the points of three axes (nx,), (ny,), (nz,), cell sizes: (nz, ny, nx)."""
     from sppm_structures.wave_kernels import add_waves
 
     values = np.zeros((len(z), len(y), len(x)))

@@ -163,9 +163,9 @@ def test_all_structures_are_compared():
 
 @pytest.mark.parametrize("name", ["compare_structures.yaml", "published_curves.yaml"])
 def test_without_this_plugin_the_missing_stages_are_named(name):
-    order = RunRequest(str(ROOT / "configs" / name), ("sppm_pipeline.stages",), (), False)
+    request = RunRequest(str(ROOT / "configs" / name), ("sppm_pipeline.stages",), (), False)
     with pytest.raises(ConfigErrors, match=r"there is no stage 'field\.(tpms|struts)'"):
-        open_session(order).plan()
+        open_session(request).plan()
     assert "pip install ./plugins/sppm-structures" in (ROOT / "configs" / name).read_text(encoding="utf-8")
 
 
@@ -181,4 +181,4 @@ def test_published_curves(tmp_path):
     spec.loader.exec_module(module)
     module.draw(tmp_path / "run", tmp_path / "curves.png")
     with Image.open(tmp_path / "curves.png") as image:
-        assert image.size == (960, 640)
+        assert image.size == (1000, 720)

@@ -1,17 +1,20 @@
-"""What is in a cache, whether it is sound, and how it stays small."""
+"""Where a cache lies, what is in it, whether it is sound, and how it stays small."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
 import os
+import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.storage import DamagedError
-from sppm_pipeline.engine.cache.store import Store
-from sppm_pipeline.engine.run.locks import FolderLock
+from sppm_pipeline.engine.cache.store import CAP, Store
+from sppm_pipeline.engine.files import FolderLock
+from sppm_pipeline.errors import ConfigError
 
 AFTER_PRUNING = 0.8
 """Share of the cap that is left after entries were removed, so that not every run has to remove some."""
@@ -165,3 +168,46 @@ def _change_usage(root: Path, change: Any) -> int | None:
                 lock.release()
     except OSError:
         return None
+
+
+FOLDER, SIZE = "SPPM_CACHE", "SPPM_CACHE_CAP"
+"""Environment variables for the folder, or ``off``, and for the cap."""
+
+
+def cache_folder(given: Path | None = None) -> Path | None:
+    """The folder of the cache: `given`, else ``SPPM_CACHE``, else in the user's cache folder; None if turned off."""
+    if given is not None:
+        return given.absolute()
+    if set_by := os.environ.get(FOLDER):
+        return None if set_by.lower() == "off" else Path(set_by).absolute()
+    if sys.platform == "win32":
+        root = os.environ.get("LOCALAPPDATA")
+    else:
+        home = os.environ.get("HOME")
+        root = os.environ.get("XDG_CACHE_HOME") or (os.path.join(home, ".cache") if home else None)
+    if root:
+        return Path(root).absolute() / "sppm" / "results"
+    user = getattr(os, "getuid", lambda: "user")()
+    return Path(tempfile.gettempdir()) / f"sppm-results-{user}"
+
+
+def cache_cap() -> int:
+    """Bytes that the cache may take.
+
+    Raises
+    ------
+    ConfigError
+        If ``SPPM_CACHE_CAP`` is no size.
+    """
+    text = os.environ.get(SIZE)
+    if not text:
+        return CAP
+    try:
+        return parse_size(text)
+    except ValueError as error:
+        raise ConfigError(f"{SIZE}: {error}") from None
+
+
+def open_store(folder: Path) -> Store:
+    """The cache in a folder, with the cap that the environment asks for."""
+    return Store(folder, cache_cap())

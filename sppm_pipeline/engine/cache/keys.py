@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.cache.identity import code_of, environment
+from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.plan.planning import Plan, step_options
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.wiring import Step
-from sppm_pipeline.engine.run.files import digest_of
 
 KEY_FORMAT = 1
 """Raised when the same ingredients come to mean something else."""
@@ -153,3 +153,55 @@ def key_of(ingredients: Mapping[str, Any]) -> str:
     """The key, 64 hexadecimal digits."""
     text = json.dumps(ingredients, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=True)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
+    """What has changed between two lists of ingredients, in words."""
+    if not now:
+        return
+    if before.get("stage") != now.get("stage"):
+        yield f"the stage was {before.get('stage')}, and is {now.get('stage')}"
+        return
+    if before.get("version") != now.get("version"):
+        yield f"the version of the stage has changed from {before.get('version')} to {now.get('version')}"
+    yield from _changed_options(before.get("options", {}), now.get("options", {}))
+    old_files, new_files = before.get("files", {}), now.get("files", {})
+    for name in new_files:
+        if name in old_files and [d for _, d in old_files[name]] != [d for _, d in new_files[name]]:
+            yield f"the content of the file of option {name!r} has changed"
+    old_code, new_code = before.get("code", {}), now.get("code", {})
+    if old_code.get("version") != new_code.get("version"):
+        yield (
+            f"{new_code.get('supplier')} has changed from version {old_code.get('version')} "
+            f"to {new_code.get('version')}"
+        )
+    elif old_code != new_code:
+        yield f"the code of {new_code.get('supplier')} has changed"
+    yield from _changed_recipes(before.get("recipes", {}), now.get("recipes", {}))
+    old_world, new_world = before.get("environment", {}), now.get("environment", {})
+    for name in sorted({*old_world, *new_world}):
+        if old_world.get(name) != new_world.get(name):
+            yield f"{name} has changed from {old_world.get(name)} to {new_world.get(name)}"
+    old_inputs, new_inputs = before.get("inputs", {}), now.get("inputs", {})
+    for port in new_inputs:
+        if old_inputs.get(port) != new_inputs[port]:
+            yield f"its input {port!r} is another"
+
+
+def _changed_options(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
+    for name in now:
+        if name not in before:
+            yield f"option {name!r} is new"
+        elif before[name] != now[name]:
+            yield f"option {name!r} has changed from {before[name]!r} to {now[name]!r}"
+
+
+def _changed_recipes(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
+    for port, recipe in now.items():
+        old = before.get(port, {"stages": []})
+        if [s["id"] for s in old["stages"]] != [s["id"] for s in recipe["stages"]]:
+            yield f"the recipe {recipe['name']!r} has other stages"
+            continue
+        for was, is_ in zip(old["stages"], recipe["stages"], strict=True):
+            for text in differences(was, {**is_, "environment": was.get("environment", {})}):
+                yield f"in the recipe {recipe['name']!r}, stage {is_['id']!r}: {text}"

@@ -27,9 +27,8 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value, save_value
-from sppm_pipeline.engine.config.jsonable import json_text
-from sppm_pipeline.engine.run.locks import FolderLock
-from sppm_pipeline.engine.run.sealing import BrokenSealError, read_sealed, sealed
+from sppm_pipeline.engine.files import FolderLock
+from sppm_pipeline.engine.strict_json import BrokenSealError, json_text, read_sealed, sealed
 
 FORMAT = 1
 

@@ -24,7 +24,7 @@ RESERVED = ("stage", "id", "from", "recipe")
 KEYS = {
     "sppm": "version of the file format, 1",
     "name": "name of the design; the default run directory is runs/<name>",
-    "seed": "whole number from which all random numbers are drawn",
+    "seed": "integer from which all random numbers are drawn",
     "params": "values that stand in for ${name}",
     "plugins": "Python files with further stages, relative to this file",
     "recipes": "named lists of stages that other stages repeat",
@@ -104,7 +104,20 @@ class StageEntry:
 
 
 def read_configuration(path: Path) -> Configuration:
-    """Read a file and check its top level.
+    """Read a file and check its top level; see `parse_configuration`."""
+    return parse_configuration(read_yaml(path), path, path.parent)
+
+
+def parse_configuration(root: Node, path: Path, base: str | Path) -> Configuration:
+    """Check the top level of a document.
+
+    Parameters
+    ----------
+    root : Node
+    path : Path
+        The file, or the name of what was not read from a file.
+    base : str or Path
+        The folder that the key `folder` is relative to.
 
     Raises
     ------
@@ -112,7 +125,6 @@ def read_configuration(path: Path) -> Configuration:
         If the format is another, or params, recipes or the pipeline can't be read, so that the rest would only give
         errors that follow from it.
     """
-    root = read_yaml(path)
     problems = Problems()
     if not isinstance(root.value, dict):
         raise ConfigError("a configuration is a map that starts with `sppm: 1`", where=root.where)
@@ -124,11 +136,11 @@ def read_configuration(path: Path) -> Configuration:
     if "pipeline" not in top:
         problems.report("the key `pipeline` is missing", root.where, hint="add `pipeline:` with a list of stages")
     name = _name(top, path, problems)
-    folder = Path(os.path.abspath(path.parent / str(_value(top, "folder", str, "text", problems, default="."))))
-    seed = _value(top, "seed", int, "a whole number, at least 0", problems, default=0)
+    folder = Path(os.path.abspath(Path(base, str(_value(top, "folder", str, "a string", problems, default=".")))))
+    seed = _value(top, "seed", int, "an integer, at least 0", problems, default=0)
     if not 0 <= seed <= MAX_SEED:
         problems.report(
-            f"`seed` must be a whole number, at least 0, at most {MAX_SEED}, got {shown(seed)}", top["seed"].node.where
+            f"`seed` must be an integer, at least 0, at most {MAX_SEED}, got {shown(seed)}", top["seed"].node.where
         )
     params = _value(top, "params", dict, "a map", problems, default={})
     for key, entry in params.items():
@@ -185,7 +197,7 @@ def _name(top: Mapping[str, Entry], path: Path, problems: Problems) -> str:
     node = top["name"].node
     if not isinstance(node.value, str) or not _NAME.fullmatch(node.value) or node.value.endswith((".", " ")):
         problems.report(
-            f"`name` must be text of letters, digits, blanks and ._+- of at most 100 characters, got "
+            f"`name` must be a string of letters, digits, blanks and ._+- of at most 100 characters, got "
             f"{shown(plain(node))}",
             node.where,
         )

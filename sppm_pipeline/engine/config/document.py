@@ -2,17 +2,18 @@
 
 The tree is composed here from the parser's events, one by one, so that a document that would explode (deep nesting,
 aliases of aliases, merge keys of merge keys) is refused at the event where it passes a limit. Scalars follow the core
-schema of YAML 1.2: ``1e-3`` is a number, ``no`` is text.
+schema of YAML 1.2: ``1e-3`` is a number, ``no`` is a string.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.engine.config.limits import (
     MAX_DEPTH,
     MAX_DIGITS,
@@ -46,9 +47,6 @@ class Override(Position):
 
     def __init__(self, argument: str) -> None:
         super().__init__(argument, 0, 0)
-
-    def __str__(self) -> str:
-        return self.file
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +116,57 @@ def as_node(value: Any, where: Position) -> Node:
         return Node([as_node(item, where) for item in value], where)
     if isinstance(value, dict):
         return Node({str(key): Entry(where, as_node(item, where)) for key, item in value.items()}, where)
+    return Node(value, where)
+
+
+def compose(value: Mapping[str, Any], name: str) -> Node:
+    """Plain Python values as the tree of a document, under the same limits as a file.
+
+    Parameters
+    ----------
+    value : mapping
+        Of None, bool, int, float, str, `pathlib.Path`, `Length`, numpy scalars, lists, tuples and mappings.
+    name : str
+        What positions show, with the path to the value: ``name: pipeline[2].count``.
+
+    Raises
+    ------
+    ConfigError
+        If a value is of another type, or a limit is passed.
+    """
+    node = _composed(value, name, "", 0)
+    if count_nodes(node) > MAX_NODES:
+        raise ConfigError(f"the document has more than {MAX_NODES} values", where=node.where)
+    return node
+
+
+def _composed(value: Any, name: str, path: str, depth: int) -> Node:
+    where = Position(f"{name}: {path}" if path else name, 0, 0)
+    if depth > MAX_DEPTH:
+        raise ConfigError(f"nested deeper than {MAX_DEPTH} levels", where=where)
+    if isinstance(value, Mapping):
+        entries = {}
+        for key, item in value.items():
+            if not isinstance(key, str):
+                raise ConfigError(f"keys must be strings, got {_shown(key)}", where=where)
+            node = _composed(item, name, f"{path}.{key}" if path else key, depth + 1)
+            entries[key] = Entry(node.where, node)
+        return Node(entries, where)
+    if isinstance(value, (list, tuple)):
+        return Node([_composed(item, name, f"{path}[{i}]", depth + 1) for i, item in enumerate(value)], where)
+    if isinstance(value, Length):
+        value = f"{value.value!r} {value.unit}" if value.unit else value.value
+    elif isinstance(value, PurePath):
+        value = str(value)
+    elif hasattr(value, "tolist"):  # numpy's scalars and arrays
+        return _composed(value.tolist(), name, path, depth)
+    if isinstance(value, str):
+        if len(value) > MAX_SCALAR:
+            raise ConfigError(f"the string {value[:20]!r}... is longer than {MAX_SCALAR} characters", where=where)
+        if (bad := unprintable(value)) is not None:
+            raise ConfigError(f"the character {bad} is not allowed in a string", where=where)
+    elif value is not None and not isinstance(value, (bool, int, float)):
+        raise ConfigError(f"a configuration can't hold {type(value).__name__}: {value!r:.60}", where=where)
     return Node(value, where)
 
 
@@ -223,10 +272,10 @@ class _Composer:
         if kind == "ScalarEvent":
             if len(event.value) > MAX_SCALAR:
                 raise ConfigError(
-                    f"the text {event.value[:20]!r}... is longer than {MAX_SCALAR} characters", where=where
+                    f"the string {event.value[:20]!r}... is longer than {MAX_SCALAR} characters", where=where
                 )
             if (bad := unprintable(event.value)) is not None:
-                raise ConfigError(f"the character {bad} is not allowed in a text", where=where)
+                raise ConfigError(f"the character {bad} is not allowed in a string", where=where)
             node = Node(self._scalar(event.value, where) if event.implicit[0] else event.value, where)
         elif kind == "SequenceStartEvent":
             items = []
@@ -261,7 +310,7 @@ class _Composer:
             if isinstance(key, str) and len(key) > MAX_KEY:
                 raise ConfigError(f"the key {key[:20]!r}... is longer than {MAX_KEY} characters", where=where)
             if not isinstance(key, str):
-                raise ConfigError(f"keys must be text, got {_shown(key)}", where=where, hint="put quotes around it")
+                raise ConfigError(f"keys must be strings, got {_shown(key)}", where=where, hint="put quotes around it")
             if key in entries:
                 raise ConfigError(f"the key {key!r} is given twice; first at {entries[key].where}", where=where)
             entries[key] = Entry(where, value)

@@ -302,9 +302,9 @@ def _parse_tuple(kind: Any, value: Any, option: Option, folder: Path) -> tuple[A
 
 _WORDS = {
     bool: ("true or false", "true-or-false words"),
-    int: ("a whole number", "whole numbers"),
+    int: ("an integer", "integers"),
     float: ("a number", "numbers"),
-    str: ("text", "texts"),
+    str: ("a string", "strings"),
     Path: ("a path", "paths"),
     Length: ("a length", "lengths"),
     types.NoneType: ("nothing", "nothing"),
@@ -312,7 +312,7 @@ _WORDS = {
 
 
 def type_words(kind: Any, *, plural: bool = False) -> str:
-    """A type as users say it: "a whole number", "a list of 3 numbers"."""
+    """A type as users say it: "an integer", "a list of 3 numbers"."""
     members = [member for member in _members(kind) if member is not types.NoneType]
     return " or ".join(_member_words(member, plural) for member in members)
 

@@ -12,8 +12,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import ONE, RecipeSize, Size
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.rates import WORTH, Cost, Speed, cost, learn_speed
-from sppm_pipeline.engine.plan.wiring import Step
-from sppm_pipeline.engine.run.running import last_uses
+from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
 

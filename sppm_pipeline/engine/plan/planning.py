@@ -20,8 +20,8 @@ from sppm_pipeline.engine.config.options import (
     plain_option,
     with_current_names,
 )
+from sppm_pipeline.engine.config.parameters import Overrides, Substitution, override_options, override_params
 from sppm_pipeline.engine.config.problems import Problems
-from sppm_pipeline.engine.config.substitution import Overrides, Substitution, override_options, override_params
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.wiring import Draft, Step, recipe_order, wire
@@ -50,6 +50,8 @@ class Plan:
     warnings : tuple of str
     document : dict
         The configuration with overrides and defaults written out; run again, it gives the same.
+    plugins : tuple of Plugin
+        All that were loaded.
     """
 
     configuration: Configuration
@@ -61,6 +63,12 @@ class Plan:
     after: tuple[Step, ...]
     warnings: tuple[str, ...]
     document: dict[str, Any] = field(repr=False)
+    plugins: tuple[Plugin, ...] = field(repr=False)
+
+    def until(self, until: str | None) -> tuple[Step, ...]:
+        """The steps of the pipeline up to the one of this id; all if it is None."""
+        ids = [step.id for step in self.steps]
+        return self.steps if until is None else self.steps[: ids.index(until) + 1]
 
 
 def make_plan(
@@ -127,6 +135,7 @@ def make_plan(
         after=tuple(after),
         warnings=(*renamed.values(), *unused),
         document=_document(configuration, seed, params, steps, wired, after, single=row is not None),
+        plugins=tuple(registry.plugins.plugins),
     )
 
 

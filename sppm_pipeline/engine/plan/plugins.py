@@ -20,13 +20,17 @@ import pluggy
 
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
-from sppm_pipeline.errors import ConfigError, PluginError
+from sppm_pipeline.errors import ConfigError, PluginError, SppmError
 from sppm_pipeline.process.containment import contained
 
 if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
     from concurrent.futures import Executor
 
     from sppm_pipeline.stage import Stage, StageAlias
+
+BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors", "sppm_pipeline.cli.commands")
+"""Modules whose hook implementations are always there."""
 
 API_CONSTANT = "SPPM_API_VERSION"
 """Name under which the module of a plugin may say which version of the interface it was written for."""
@@ -34,7 +38,7 @@ API_CONSTANT = "SPPM_API_VERSION"
 
 @dataclass
 class Plugin:
-    """Where stages and executors come from.
+    """Where stages, executors and verbs come from.
 
     Attributes
     ----------
@@ -48,8 +52,11 @@ class Plugin:
     error : PluginError or None
         Why it could not be loaded.
     stages : dict of stage name to class or "module:Class"
+    module : object or None
+        What was loaded.
     aliases : dict of former stage name to current name or StageAlias
     executors : dict of name to function of the number of workers
+    commands : dict of verb to Command
     """
 
     name: str
@@ -58,13 +65,15 @@ class Plugin:
     target: str | None = None
     builtin: bool = False
     error: PluginError | None = None
+    module: object | None = None
     stages: dict[str, type[Stage] | str] = field(default_factory=dict)
     aliases: dict[str, str | StageAlias] = field(default_factory=dict)
     executors: dict[str, Callable[[int], Executor]] = field(default_factory=dict)
+    commands: dict[str, hookspecs.Command] = field(default_factory=dict)
 
     def __str__(self) -> str:
         if self.builtin:
-            return "the built-in stages"
+            return "sppm itself"
         if self.distribution:
             return f"{self.distribution} {self.version} (plugin {self.name!r})"
         return f"the plugin {self.name}"
@@ -124,7 +133,7 @@ def _normal(name: str) -> str:
 
 
 def load_plugins(
-    builtins: Sequence[str],
+    builtins: Sequence[str] = BUILTINS,
     *,
     files: Iterable[Path] = (),
     distributions: bool = True,
@@ -184,11 +193,11 @@ def _refuse_unknown(allowed: Sequence[str]) -> None:
 def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], Any]) -> None:
     """Load one plugin and ask it for its stages; a failure is kept in `plugin.error`."""
 
-    def blame(message: str) -> PluginError:
+    def fault(message: str) -> PluginError:
         return PluginError(f"{plugin} can't be loaded: its import {message}")
 
     try:
-        with nullcontext() if plugin.builtin else contained(blame):
+        with nullcontext() if plugin.builtin else contained(fault):
             module = load()
     except PluginError as error:
         plugin.error = error
@@ -210,6 +219,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
     try:
         manager.register(module, plugin.name)
         manager.check_pending()
+        plugin.module = module
     except (pluggy.PluginValidationError, ValueError) as error:
         if manager.has_plugin(plugin.name):
             manager.unregister(name=plugin.name)
@@ -256,7 +266,8 @@ def _is_alias(value: Any) -> bool:
 _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
     ("sppm_stages", "stages", _is_class_or_place, "classes or 'module:Class'"),
     ("sppm_stage_aliases", "aliases", _is_alias, "stages or a StageAlias"),
-    ("sppm_executors", "executors", _is_class_or_place, "functions"),
+    ("sppm_executors", "executors", callable, "functions"),
+    ("sppm_commands", "commands", lambda value: isinstance(value, hookspecs.Command), "a Command"),
 )
 """Hooks that return a map of names: where the map goes in `Plugin`, what its values may be, and that in words."""
 
@@ -319,16 +330,68 @@ def _stage_classes(module: ModuleType) -> list[type[Stage]]:
     ]
 
 
+def imported(plugin: Plugin, what: str, target: Any) -> Any:
+    """What a plugin supplies as ``"module:attribute"``, imported; anything else as it is.
+
+    Raises
+    ------
+    PluginError
+        If it can't be imported.
+    """
+    if not isinstance(target, str):
+        return target
+    module, colon, attribute = target.partition(":")
+    if not colon:
+        raise PluginError(f"{plugin}: {what} must be given as 'module:name', got {target!r}")
+
+    def fault(message: str) -> PluginError:
+        return PluginError(f"{plugin}: {what} can't be imported: the import {message}")
+
+    try:
+        with nullcontext() if plugin.builtin else contained(fault):
+            return getattr(importlib.import_module(module), attribute)
+    except PluginError:
+        raise
+    except Exception as error:
+        raise PluginError(
+            f"{plugin}: {what} can't be imported: {type(error).__name__}: {error}", hint=_missing(error)
+        ) from error
+
+
+def ready_command(
+    verb: str, plugin: Plugin, command: hookspecs.Command
+) -> tuple[Callable[[ArgumentParser], None], Callable[[Namespace], int]]:
+    """The two functions of a plugin's verb; what they raise that is not for the user names the plugin."""
+
+    def call(what: str, target: Any, argument: Any) -> Any:
+        function = imported(plugin, f"{what} of the verb {verb!r}", target)
+        try:
+            return function(argument)
+        except SppmError:
+            raise
+        except Exception as error:
+            raise PluginError(f"{plugin}: the verb {verb!r} raised {type(error).__name__}: {error}") from error
+
+    def execute(args: Namespace) -> int:
+        code = call("execute", command.execute, args)
+        if not isinstance(code, int):
+            raise PluginError(f"{plugin}: the verb {verb!r} must return an exit code, got {shown(code)}")
+        return code
+
+    return lambda parser: call("configure", command.configure, parser), execute
+
+
 def _refuse_duplicates(plugins: list[Plugin]) -> None:
-    """Two plugins with one stage name: the later one is at fault, both are named."""
-    for kinds in (("stages", "aliases"), ("executors",)):  # former names of stages must not hide stages
+    """Two plugins that supply the same name: the later one is at fault, both are named."""
+    # former names of stages are of one kind with names, as they must not hide stages
+    for words, *kinds in (("stage", "stages", "aliases"), ("executor", "executors"), ("verb", "commands")):
         owners: dict[str, Plugin] = {}
         for kind, plugin in ((kind, plugin) for kind in kinds for plugin in plugins):
             for name in list(getattr(plugin, kind)):
                 if name in owners:
                     del getattr(plugin, kind)[name]
                     plugin.error = plugin.error or BrokenContract(
-                        f"the {kinds[0][:-1]} {name!r} comes from {owners[name]} and from {plugin}",
+                        f"the {words} {name!r} comes from {owners[name]} and from {plugin}",
                         hint="rename one, or remove one of the plugins",
                     )
                 owners.setdefault(name, plugin)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import inspect
 from collections.abc import Iterator
-from contextlib import nullcontext
 
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.config.problems import listed, nearest, shown
-from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
+from sppm_pipeline.engine.plan.plugins import Plugin, Plugins, imported
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.errors import ConfigError, PluginError, Position
-from sppm_pipeline.process.containment import contained
 from sppm_pipeline.stage import FAMILIES, Stage, StageAlias
 
 
@@ -102,27 +99,7 @@ class Registry:
 
     def _load(self, name: str) -> type[Stage]:
         owner = self._owners[name]
-        target = owner.stages[name]
-        if isinstance(target, str):
-            module, colon, attribute = target.partition(":")
-            if not colon:
-                raise PluginError(f"{owner}: the stage {name!r} must be given as 'module:Class', got {target!r}")
-
-            def blame(message: str) -> PluginError:
-                return PluginError(f"{owner}: the stage {name!r} can't be imported: the import {message}")
-
-            try:
-                with nullcontext() if owner.builtin else contained(blame):
-                    target = getattr(importlib.import_module(module), attribute)
-            except PluginError:
-                raise
-            except Exception as error:
-                hint = None
-                if isinstance(error, ModuleNotFoundError):
-                    hint = f"the module {error.name!r} is not installed"
-                raise PluginError(
-                    f"{owner}: the stage {name!r} can't be imported: {type(error).__name__}: {error}", hint=hint
-                ) from error
+        target = imported(owner, f"the stage {name!r}", owner.stages[name])
         problem = None
         if not inspect.isclass(target) or not issubclass(target, Stage):
             problem = "is no subclass of Stage"
@@ -142,4 +119,5 @@ class Registry:
                 signature_of(target)
             except PluginError as error:
                 raise PluginError(f"{owner}: the stage {name!r}: {error.message}", hint=error.hint) from error
-        return target
+        cls: type[Stage] = target
+        return cls

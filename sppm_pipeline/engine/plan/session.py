@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.engine.config.configuration import Configuration, read_configuration
-from sppm_pipeline.engine.config.document import Entry
-from sppm_pipeline.engine.config.substitution import Overrides
+from sppm_pipeline.engine.config.configuration import Configuration, parse_configuration, read_configuration
+from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml
+from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
+from sppm_pipeline.engine.config.problems import Problems, did_you_mean
+from sppm_pipeline.engine.plan.estimate import PlanEstimate, estimate_plan, refuse_what_cannot_fit
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
-from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
+from sppm_pipeline.engine.plan.plugins import BUILTINS, Plugins, load_plugins
+from sppm_pipeline.engine.plan.rates import Speed
 from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -22,7 +27,7 @@ class RunRequest:
     Attributes
     ----------
     file : str
-        The configuration.
+        The configuration file; with `text` or `document`, the name by which messages and the run record call it.
     builtins : tuple of str
         Modules with the built-in hook implementations.
     plugins : tuple of str
@@ -32,73 +37,162 @@ class RunRequest:
     overrides : Overrides
     allowed : tuple of str or None
         Installed plugins that may be imported, by distribution or entry point; all if None.
+    text : str or None
+        The configuration itself as YAML, instead of a file.
+    document : mapping or None
+        The configuration as plain Python values, instead of a file; see `compose`.
+    folder : str or None
+        Folder that relative paths in `text` or `document` start from; the current folder if None.
     """
 
     file: str
-    builtins: tuple[str, ...]
+    builtins: tuple[str, ...] = BUILTINS
     plugins: tuple[str, ...] = ()
     distributions: bool = True
     overrides: Overrides = field(default_factory=Overrides)
     allowed: tuple[str, ...] | None = None
+    text: str | None = None
+    document: Mapping[str, Any] | None = field(default=None, hash=False)
+    folder: str | None = None
 
     def absolute(self) -> RunRequest:
-        """The same with absolute plugin files; the configuration keeps its name, which messages show."""
-        return replace(self, plugins=tuple(str(Path(path).absolute()) for path in self.plugins))
+        """The same with absolute paths, for another process; the configuration keeps its name, which messages show."""
+        plugins = tuple(str(Path(path).absolute()) for path in self.plugins)
+        return replace(self, plugins=plugins, folder=os.path.abspath(self.folder or "."))
+
+    def read(self) -> Configuration:
+        """The configuration that is asked for, without the sweep axes that overrides fix.
+
+        Raises
+        ------
+        ConfigError
+        """
+        path = Path(self.file)
+        if self.document is not None:
+            configuration = parse_configuration(compose(self.document, self.file), path, self.folder or ".")
+        elif self.text is not None:
+            configuration = parse_configuration(parse_yaml(self.text, self.file), path, self.folder or ".")
+        else:
+            configuration = read_configuration(path)
+        return without_fixed_axes(configuration, self.overrides)
 
 
 @dataclass(frozen=True)
 class Session:
     """A configuration that was read, with the plugins it needs."""
 
-    order: RunRequest
+    request: RunRequest
     configuration: Configuration
     plugins: Plugins
     registry: Registry
 
     def plan(self, row: Mapping[str, Entry] | None = None) -> Plan:
         """Plan the run, or one row of its sweep; see `make_plan`."""
-        return make_plan(self.configuration, self.registry, self.order.overrides, row)
+        return make_plan(self.configuration, self.registry, self.request.overrides, row)
 
 
-def open_session(order: RunRequest) -> Session:
+def open_session(request: RunRequest) -> Session:
     """Read the configuration and load the plugins.
 
     Raises
     ------
     ConfigError, PluginError
     """
-    configuration = without_fixed_axes(read_configuration(Path(order.file)), order.overrides)
-    files: list[Any] = [Path(path) for path in order.plugins]
-    if order.distributions:
-        files += [path for path in configuration.plugins if order.allowed is None or path.name in order.allowed]
-    names = None if order.allowed is None else [name for name in order.allowed if not name.endswith(".py")]
-    plugins = load_plugins(order.builtins, files=files, distributions=order.distributions, allowed=names)
+    configuration = request.read()
+    files = [Path(path) for path in request.plugins]
+    if request.distributions:
+        files += [path for path in configuration.plugins if request.allowed is None or path.name in request.allowed]
+    names = None if request.allowed is None else [name for name in request.allowed if not name.endswith(".py")]
+    plugins = load_plugins(request.builtins, files=files, distributions=request.distributions, allowed=names)
     plugins.raise_broken()
-    return Session(order, configuration, plugins, Registry(plugins))
+    return Session(request, configuration, plugins, Registry(plugins))
 
 
-def without_fixed_axes(configuration: Configuration, overrides: Overrides) -> Configuration:
-    """The configuration without the axes of a sweep that the command line gives one value.
+Row = Mapping[str, Entry]
 
-    ``-p cells=[8, 8, 8]`` of a sweep over `cells` asks for that value and no other. Without axes there is no sweep
-    left, and nothing comes after it.
+MOST_CHECKED = 1000
+"""Rows that are planned before any work."""
+
+MAXIMUM_ROWS = 50
+"""Rows of a sweep that are estimated; of more, evenly spread ones stand for all."""
+
+
+def checked(session: Session, until: str | None = None) -> tuple[Plan, Sequence[Row]]:
+    """The plan and the rows of its sweep, none if there is no sweep.
+
+    Raises
+    ------
+    ConfigError
+        With the errors of all of them.
     """
-    sweep = configuration.sweep
-    fixed = {text.partition("=")[0].strip() for text in overrides.params}
-    if overrides.seed is not None:
-        fixed.add("seed")
-    if sweep is None or not fixed:
-        return configuration
-    if isinstance(sweep.value, dict):
-        left: Any = {name: entry for name, entry in sweep.value.items() if name not in fixed}
-    elif all(isinstance(row.value, dict) for row in sweep.value):
-        rows = [
-            replace(row, value={name: entry for name, entry in row.value.items() if name not in fixed})
-            for row in sweep.value
-        ]
-        left = rows if any(row.value for row in rows) else []
-    else:
-        return configuration
-    if not left:
-        return replace(configuration, sweep=None, after=None)
-    return replace(configuration, sweep=replace(sweep, value=left))
+    problems = Problems()
+    plan: Plan | None = None
+    rows: Sequence[Row] = []
+    try:
+        plan = session.plan()
+        check_until(plan, until)
+    except ConfigError as error:
+        problems.add(error)
+    if session.configuration.sweep is not None:
+        try:
+            rows = sweep_rows(session.configuration.sweep, session.configuration.params)
+            if plan is not None:
+                check_sweep(session, rows)
+        except ConfigError as error:
+            problems.add(error)
+    problems.raise_any()
+    assert plan is not None
+    return plan, rows
+
+
+def estimates(
+    session: Session, plan: Plan, rows: Sequence[Row], until: str | None = None, speed: Speed | None = None
+) -> list[PlanEstimate]:
+    """The estimate of the plan, or of the rows of its sweep."""
+    if not rows:
+        return [estimate_plan(plan, until=until, speed=speed)]
+    step = -(-len(rows) // MAXIMUM_ROWS)
+    return [estimate_plan(session.plan(row), until=until, speed=speed) for row in rows[::step]]
+
+
+def refuse_unfit(
+    session: Session, plan: Plan, rows: Sequence[Row], folder: Path, *, workers: int = 1, until: str | None = None
+) -> None:
+    """Raise `ResourceError` if the run or any of a sweep's can't fit into memory or onto the disk."""
+    found = estimates(session, plan, rows, until)
+    runs = max(1, len(rows))
+    for estimate in found:
+        refuse_what_cannot_fit(estimate, folder, workers=min(workers, runs))
+    if runs > 1:
+        total = sum(estimate.disk for estimate in found) / len(found) * runs
+        largest = max(found, key=lambda estimate: estimate.disk)
+        if largest.disk:
+            refuse_what_cannot_fit(largest, folder, runs=round(total / largest.disk) or 1)
+
+
+def check_until(plan: Plan, until: str | None) -> None:
+    """Raise `ConfigError` if the pipeline has no stage `until`."""
+    ids = [step.id for step in plan.steps]
+    if until is not None and until not in ids:
+        raise ConfigError(f"--until: the pipeline has no stage {until!r}", hint=did_you_mean(until, ids))
+
+
+def check_sweep(session: Session, rows: Sequence[Row]) -> None:
+    """Plan with every value that occurs, so that a bad one is found before any work.
+
+    In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
+    than `MOST_CHECKED` a part is tried.
+    """
+    sweep = session.configuration.sweep
+    first = rows[0]
+    problems = Problems()
+    if sweep is not None and isinstance(sweep.value, dict):
+        rows = [row for row in rows if sum(row[name].node is not first[name].node for name in row) <= 1]
+    if len(rows) > MOST_CHECKED:  # of a long range, values spread evenly over it stand for all, both ends among them
+        rows = [*rows[: -1 : -(-len(rows) // MOST_CHECKED)], rows[-1]]
+    for row in rows:
+        try:
+            session.plan(row)
+        except ConfigError as error:
+            problems.add(error)
+    problems.raise_any()

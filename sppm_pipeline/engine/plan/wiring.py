@@ -75,6 +75,17 @@ class Step:
         return self.entry.where
 
 
+def last_uses(steps: Sequence[Step]) -> list[set[str]]:
+    """For each step the ids whose results nobody needs after it."""
+    last: dict[str, int] = {}
+    for number, step in enumerate(steps):
+        last[step.id] = number
+        for source in step.inputs.values():
+            if source is not None:
+                last[source] = number
+    return [{id_ for id_, at in last.items() if at == number} for number in range(len(steps))]
+
+
 def recipe_order(drafts: Mapping[str, Sequence[Draft | None]], problems: Problems) -> list[str]:
     """Names of the recipes, each after those that it uses; a cycle is reported and cut."""
     order: list[str] = []

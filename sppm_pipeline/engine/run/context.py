@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.engine.config.jsonable import jsonable
-from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
+from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.process.budget import planning_memory, requested_memory
 from sppm_pipeline.process.interruption import check

@@ -14,8 +14,17 @@ from typing import TYPE_CHECKING, Any
 from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.config.names import STAGING as _STAGING
 from sppm_pipeline.engine.config.names import collide, folded, output_parts
-from sppm_pipeline.engine.run.files import clear, digest_of, files_in, remove, size_of, sync, tree_digest, write_whole
-from sppm_pipeline.engine.run.locks import FolderLock
+from sppm_pipeline.engine.files import (
+    FolderLock,
+    clear,
+    digest_of,
+    files_in,
+    remove,
+    size_of,
+    sync,
+    tree_digest,
+    write_whole,
+)
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
 
 if TYPE_CHECKING:
@@ -256,13 +265,15 @@ class RunFolder:
 
 
 class Scratch:
-    """Takes the outputs of a stage that is run again, and throws them away."""
+    """Takes the outputs of a stage that is run for what it makes, and throws them away."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._claims: set[str] = set()
 
     def claim(self, stage: str, name: str) -> Path:
         """See `RunFolder.claim`."""
+        self._claims.add(name)
         staged = self._path.joinpath(*output_parts(name))
         staged.parent.mkdir(parents=True, exist_ok=True)
         return staged
@@ -271,8 +282,17 @@ class Scratch:
         """See `RunFolder.restart`."""
         self.discard()
 
+    def pending(self) -> set[str]:
+        """Names that were claimed and not discarded."""
+        return set(self._claims)
+
+    def scratch(self) -> Scratch:
+        """See `RunFolder.scratch`."""
+        return Scratch(self._path)
+
     def discard(self) -> None:
         """Remove everything."""
+        self._claims.clear()
         clear(self._path)
 
 

@@ -1,19 +1,30 @@
-"""The run record: what was run, with which versions, and what came of it."""
+"""The run record: what was run, with which versions, and what came of it; true on disk at every moment."""
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+import json
 import os
 import platform
 import sys
+import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import sppm_pipeline
+from sppm_pipeline.engine.cache.identity import installed_version
 from sppm_pipeline.engine.config.document import RECORD_KEY
-from sppm_pipeline.engine.plan.distributions import installed_version
+from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.planning import Plan
-from sppm_pipeline.errors import SppmError
+from sppm_pipeline.engine.run.events import Monitor, Observers
+from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, RunFolder
+from sppm_pipeline.engine.strict_json import json_text, sealed
+from sppm_pipeline.errors import NativeCrash, SppmError
+from sppm_pipeline.hookspecs import StageEvent, hookimpl
+from sppm_pipeline.process.interruption import register, requested, unregister
 
 RECORD_VERSION = 1
 
@@ -30,7 +41,8 @@ def record_of(
     seconds: float,
     threads: int,
     until: str | None,
-    extra: Mapping[str, Any],
+    warnings: Sequence[str],
+    extra: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The record as a dict; `config` comes first so that `sppm run run.json` need not read the rest."""
     plugins = {
@@ -67,7 +79,7 @@ def record_of(
             "machine": platform.machine(),
             "processors": os.cpu_count(),
         },
-        "warnings": list(plan.warnings),
+        "warnings": list(warnings),
         "error": error_entry(error) if error is not None else None,
     }
     return record | dict(extra) | {"stages": list(stages)}
@@ -99,3 +111,143 @@ def peak_memory_mb() -> float | None:
         return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return round(peak / (1e6 if sys.platform == "darwin" else 1e3 / 1.024), 1)
+
+
+class Recorder:
+    """Keeps ``run.json`` of a run directory true: written when the run begins, as it goes on and however it ends.
+
+    Attributes
+    ----------
+    folder : RunFolder
+    stages : list of dict
+        What is recorded of each finished stage.
+    extra : dict
+        Further entries of the record.
+    status : str
+        What the record says after a good end.
+    record : dict
+        As written last.
+    """
+
+    def __init__(self, plan: Plan, path: Path, *, threads: int, until: str | None, monitor: Monitor) -> None:
+        self._plan = plan
+        self._threads = threads
+        self._until = until
+        self._monitor = monitor
+        self.folder = RunFolder(path, threads)
+        self.stages: list[dict[str, Any]] = []
+        self.warnings: list[str] = list(plan.warnings)
+        self.extra: dict[str, Any] = {}
+        self.status = "done"
+        self.record: dict[str, Any] = {}
+
+    def __enter__(self) -> Recorder:
+        self.folder.prepare()
+        self._began, self._started = datetime.datetime.now(datetime.UTC), time.perf_counter()
+        try:
+            self._write("running", None)  # from here on the directory is known to be a run's
+        except BaseException:
+            self.folder.discard()
+            raise
+        register(self, self.folder.path)
+        for message in self.warnings:
+            self._monitor.warning(None, message)
+        return self
+
+    def observers(self) -> Observers:
+        """Who hears of the run's stages: this recorder, the monitor, the plugins."""
+        return Observers([self, self._monitor], self._plan.plugins, self.warn)
+
+    @hookimpl
+    def sppm_stage_finished(self, event: StageEvent) -> None:
+        """Keep what the record says of a stage that ended well."""
+        if event.error is None:
+            self.stages.append(dict(event.record))
+
+    def warn(self, message: str) -> None:
+        """Keep a warning that is none of a stage, and show it."""
+        self.warnings.append(message)
+        self._monitor.warning(None, message)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        try:
+            if requested():  # whatever followed from it
+                self._write("interrupted", None)
+            elif error is None:
+                self.folder.settle()
+                self._write(self.status, None)
+            elif isinstance(error, SppmError):
+                self._write("failed", error)
+                error.record = self.record  # type: ignore[attr-defined]
+            else:
+                self._write("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", None)
+        finally:
+            unregister(self)
+            self.folder.discard()
+
+    def checkpoint(self) -> None:
+        """Write down what is finished and which files are about to be put into place.
+
+        Whoever comes after a process that was killed then knows all files that are from this run.
+        """
+        self._write("running", None)
+
+    def cancel(self, error: SppmError | None) -> None:
+        """Say that the run failed or was interrupted, from another thread than its own, which will not end in time."""
+        self._write("failed" if error is not None else "interrupted", error)
+        self.folder.discard()
+
+    def _write(self, status: str, error: SppmError | None) -> None:
+        finished = status != "running"
+        extra = dict(self.extra)
+        accounted = [output["path"] for stage in self.stages for output in stage.get("outputs", ())]
+        accounted += [output["path"] for output in extra.get("outputs", ())]
+        if finished and (sums := self.folder.write_sums(accounted)) is not None:
+            extra["sums"] = sums
+        if earlier := sorted((self.folder.earlier | self.folder.pending()) - set(accounted)):
+            extra["earlier"] = earlier
+        record = record_of(
+            self._plan,
+            self.stages,
+            status=status,
+            error=error,
+            started=self._began,
+            seconds=time.perf_counter() - self._started,
+            threads=self._threads,
+            until=self._until,
+            warnings=self.warnings,
+            extra=extra,
+        )
+        self.record = sealed(record)
+        write_whole(self.folder.path / RECORD, json_text(self.record), durable=finished)
+
+
+def mark_ended(path: Path, status: str = "interrupted", error: str | None = None) -> None:
+    """Put the directory of a run into order whose process was ended, and those of its rows if it is a sweep.
+
+    Nothing is done to runs that had ended by themselves, or that somebody goes on with.
+
+    Parameters
+    ----------
+    path : Path
+        The run directory.
+    status : {"interrupted", "failed"}
+    error : str, optional
+        What took the process down.
+    """
+    runs = path / SWEEP_RUNS
+    for row in sorted(runs.glob("[0-9]*")) if runs.is_dir() else ():
+        mark_ended(row)
+    try:
+        record = json.loads((path / RECORD).read_bytes())
+        if record["status"] != "running":
+            return
+        folder = RunFolder(path)
+        folder.prepare()
+    except (OSError, ValueError, KeyError, TypeError, SppmError):
+        return
+    if error is not None:
+        record["error"] = error_entry(NativeCrash(error))
+    with contextlib.suppress(SppmError):
+        write_whole(path / RECORD, json_text(sealed(record | {"status": status})))
+    folder.discard()

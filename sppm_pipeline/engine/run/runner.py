@@ -1,31 +1,34 @@
-"""Running a plan into a run directory."""
+"""Running the steps of a plan into a run directory."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.engine.config.problems import did_you_mean
+from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.plan.estimate import learn
 from sppm_pipeline.engine.plan.planning import Plan, step_options
-from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.engine.plan.session import check_until
+from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.run.context import RunContext, StageLog
-from sppm_pipeline.engine.run.monitor import Monitor
+from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
-from sppm_pipeline.engine.run.record import peak_memory_mb
-from sppm_pipeline.engine.run.recorder import Recorder
-from sppm_pipeline.engine.run.running import RecipeSteps, last_uses, run_step, summary_of
+from sppm_pipeline.engine.run.record import Recorder, peak_memory_mb
+from sppm_pipeline.engine.run.steps import RecipeSteps, run_step, summary_of
 from sppm_pipeline.engine.run.verification import finished_run
-from sppm_pipeline.errors import ConfigError, SppmError
+from sppm_pipeline.errors import SppmError
+from sppm_pipeline.hookspecs import StageEvent
 from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
-    from sppm_pipeline.engine.cache.keeper import CacheSession
+    from sppm_pipeline.engine.cache.session import CacheSession
     from sppm_pipeline.engine.cache.store import Store
+    from sppm_pipeline.engine.run.memory import MemoryRun
 
 
 def available_threads() -> int:
@@ -33,13 +36,6 @@ def available_threads() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def check_until(plan: Plan, until: str | None) -> None:
-    """Raise `ConfigError` if the pipeline has no stage `until`."""
-    ids = [step.id for step in plan.steps]
-    if until is not None and until not in ids:
-        raise ConfigError(f"--until: the pipeline has no stage {until!r}", hint=did_you_mean(until, ids))
 
 
 def run_plan(
@@ -52,6 +48,7 @@ def run_plan(
     store: Store | None = None,
     about: str = "",
     key: str | None = None,
+    earlier: MemoryRun | None = None,
 ) -> dict[str, Any]:
     """Run the pipeline and write ``run.json``, also when a stage fails.
 
@@ -65,7 +62,7 @@ def run_plan(
     until : str, optional
         Id of the last stage to run.
     monitor : Monitor, optional
-        Is told what happens.
+        Is notified of what happens.
     store : Store, optional
         The cache; without one every stage runs, and nothing is kept.
     about : str
@@ -73,6 +70,8 @@ def run_plan(
     key : str, optional
         Digest of all that the run depends on; with a store, a finished run of the same key in `path` that is sound to
         the byte is taken as it is.
+    earlier : MemoryRun, optional
+        A run of the same plan in memory; its stages that write nothing are not run again.
 
     Returns
     -------
@@ -91,107 +90,186 @@ def run_plan(
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         if key is not None:
             recorder.extra["key"] = key
-        run_steps(
-            plan.steps,
+        StepRunner(
+            plan.until(until),
             plan.recipes,
-            recorder.stages,
             seed=plan.seed,
             threads=threads,
-            until=until,
             folder=recorder.folder,
             monitor=monitor,
+            observers=recorder.observers(),
             store=store,
             about=about,
             checkpoint=recorder.checkpoint,
-        )
+            earlier=earlier.runner if earlier is not None else None,
+        ).run()
     return recorder.record
 
 
-def run_steps(
-    steps: Sequence[Step],
-    recipes: RecipeSteps,
-    stages: list[dict[str, Any]],
-    *,
-    seed: int,
-    threads: int,
-    until: str | None,
-    folder: RunFolder | None,
-    monitor: Monitor,
-    given: Mapping[str, Any] | None = None,
-    store: Store | None = None,
-    about: str = "",
-    checkpoint: Callable[[], None] = lambda: None,
-) -> dict[str, Any]:
-    """Run stages in order, append what is known of each to `stages`, free results nobody needs any more.
+def only_writes(step: Step) -> bool:
+    """Whether a step makes nothing but files."""
+    return not step.makes and any(option.spec.output for option in options_of(type(step.stage)).values())
 
-    A stage whose result is in the cache does not run, and the result is only loaded if a later stage needs it.
 
-    Returns the results that are left: that of the last stage, unless it came from the cache.
+class StepRunner:
+    """Runs steps in order; knows what they made, and what is to be recorded of each.
+
+    A step whose result is in the cache does not run, and the result is only loaded if a later step needs it. Results
+    that no later step needs are freed, but for those to `keep`.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+    recipes : mapping of recipe name to sequence of Step
+    seed, threads : int
+    folder : RunFolder or Scratch
+        Where outputs go. With a `Scratch`, they are thrown away, and steps that only write are left out.
+    monitor : Monitor
+    observers : Observers
+    store : Store, optional
+    about : str
+        See `run_plan`.
+    available : mapping of id to artifact
+        Results that are there before the first step.
+    checkpoint : function
+        Called before outputs are moved to their places.
+    keep : collection of str
+        Ids of results that are kept.
+    earlier : StepRunner, optional
+        A runner of the same steps; what it has run is not run again, unless it writes.
+
+    Attributes
+    ----------
+    entries : list of dict
+        What the run record says of each step.
     """
-    if until is not None:
-        steps = steps[: [step.id for step in steps].index(until) + 1]
-    keeper: CacheSession | None = None
-    if store is not None:
-        from sppm_pipeline.engine.cache.keeper import CacheSession
-
-        keeper = CacheSession(store, monitor, seed=seed, recipes=recipes, about=about)
-    run = _Run(steps, recipes, seed, threads, folder, monitor, keeper, dict(given or {}), checkpoint)
-    try:
-        last = last_uses(steps)
-        for number, step in enumerate(steps, 1):
-            check()
-            monitor.stage_started(step.id, number, len(steps))
-            entry = run.step(step)
-            stages.append(entry)
-            monitor.stage_finished(step.id, entry["seconds"], entry["summary"])
-            if number < len(steps):
-                run.forget({id_ for done in last[:number] for id_ in done})
-        if store is not None:
-            learn(store, steps, recipes, stages)
-    finally:
-        if keeper is not None:
-            keeper.close()
-    return run.results
-
-
-class _Run:
-    """The steps of one run and what they made so far."""
 
     def __init__(
         self,
         steps: Sequence[Step],
         recipes: RecipeSteps,
+        *,
         seed: int,
         threads: int,
-        folder: RunFolder | None,
+        folder: RunFolder | Scratch,
         monitor: Monitor,
-        keeper: CacheSession | None,
-        given: dict[str, Any],
-        checkpoint: Callable[[], None],
+        observers: Observers,
+        store: Store | None = None,
+        about: str = "",
+        available: Mapping[str, Any] = MappingProxyType({}),
+        checkpoint: Callable[[], None] = lambda: None,
+        keep: Collection[str] = (),
+        earlier: StepRunner | None = None,
     ) -> None:
-        self.results = given
+        self.entries: list[dict[str, Any]] = []
         self._steps = {step.id: step for step in steps}
         self._recipes = recipes
         self._seed = seed
         self._threads = threads
         self._folder = folder
         self._monitor = monitor
-        self._keeper = keeper
+        self._observers = observers
         self._checkpoint = checkpoint
-        if keeper is not None:
-            for id_, artifact in given.items():
-                keeper.given(id_, artifact.digest())
+        self._keep = keep
+        self._earlier = earlier
+        self._facts: dict[str, dict[str, Any]] = {}
+        self._results = dict(available)
+        self._cache: CacheSession | None = None
+        if store is not None:
+            from sppm_pipeline.engine.cache.session import CacheSession
 
-    def step(self, step: Step) -> dict[str, Any]:
-        """Take a step from the cache or run it; its entry in the record."""
+            self._cache = CacheSession(store, monitor.warning, seed=seed, recipes=recipes, about=about)
+            for id_, artifact in available.items():
+                self._cache.given(id_, artifact.digest())
+
+    def run(self) -> None:
+        """Run all steps, and notify monitor and observers of each.
+
+        Raises
+        ------
+        SppmError
+            What stopped a step.
+        """
+        steps = list(self._steps.values())
+        last = last_uses(steps)
+        try:
+            for number, step in enumerate(steps, 1):
+                check()
+                self._monitor.stage_started(step.id, number, len(steps))
+                started = time.perf_counter()
+                try:
+                    entry = self._entry(step)
+                except Exception as error:
+                    self._observers.stage_finished(
+                        StageEvent(
+                            step.address, step.stage.name, None, time.perf_counter() - started, {}, {}, str(error)
+                        )
+                    )
+                    raise
+                self.entries.append(entry)
+                self._observers.stage_finished(
+                    StageEvent(
+                        address=step.address,
+                        stage=step.stage.name,
+                        made=entry.get("made"),
+                        seconds=entry["seconds"],
+                        summary=MappingProxyType(entry["summary"]),
+                        record=MappingProxyType(entry),
+                        from_cache=entry.get("cached", False),
+                    )
+                )
+                if number < len(steps):
+                    for id_ in {id_ for done in last[:number] for id_ in done} - set(self._keep):
+                        self._results.pop(id_, None)
+            if self._cache is not None:
+                learn(self._cache.store, steps, self._recipes, self.entries)
+        finally:
+            if self._cache is not None:
+                self._cache.close()
+
+    def close(self) -> None:
+        """Release what loading results from the cache has opened."""
+        if self._cache is not None:
+            self._cache.store.close()
+
+    def result(self, id_: str) -> Any:
+        """What a step made: still there, loaded, or made again because only its summary was kept."""
+        if id_ in self._results:
+            return self._results[id_]
+        step = self._steps[id_]
+        if isinstance(self._folder, Scratch) and only_writes(step):
+            return None
+        if self._earlier is not None:
+            self._results[id_] = self._earlier.result(id_)
+            return self._results[id_]
+        assert self._cache is not None
+        same_as = self._cache.same_as(id_)
+        made = self.result(source) if same_as and (source := step.inputs[same_as]) else self._cache.load(id_)
+        if made is None and step.makes:
+            inputs = self._inputs(step)
+            scratch = self._folder.scratch()
+            log = StageLog(Monitor(), step.address)
+            started = time.perf_counter()
+            try:
+                made = self._made(step, inputs, log, scratch)
+            finally:
+                scratch.discard()
+            self._cache.keep_again(step, made, inputs, time.perf_counter() - started)
+        self._results[id_] = made
+        return made
+
+    def _entry(self, step: Step) -> dict[str, Any]:
+        """Take a step from the cache or run it; what the run record says of it."""
         started = time.perf_counter()
-        facts = self._kept(step) if self._keeper is not None else None
+        about: dict[str, Any] = {"id": step.id, "stage": step.stage.name}
+        if isinstance(self._folder, Scratch) and only_writes(step):
+            return {**about, "made": None, "seconds": 0.0, "skipped": True, "summary": {}}
+        facts = self._cached(step)
         cached = facts is not None
-        if facts is None:
-            facts = self._fresh(step)
+        facts = facts or self._reused(step) or self._fresh(step)
+        self._facts[step.id] = facts
         entry: dict[str, Any] = {
-            "id": step.id,
-            "stage": step.stage.name,
+            **about,
             "made": facts["made"],
             "seconds": round(time.perf_counter() - started, 6),
             "peak_memory_mb": peak_memory_mb(),
@@ -207,28 +285,29 @@ class _Run:
         empty: tuple[Any, ...] = ({}, [], False)
         return {name: value for name, value in entry.items() if value not in empty or name == "summary"}
 
-    def forget(self, ids: set[str]) -> None:
-        """Free results that nobody needs any more."""
-        for id_ in ids:
-            self.results.pop(id_, None)
-
-    def _kept(self, step: Step) -> dict[str, Any] | None:
+    def _cached(self, step: Step) -> dict[str, Any] | None:
         """What the cache says of a step whose outputs are there or could be written again."""
-        assert self._keeper is not None
-        entry = self._keeper.look_up(step, (step.id,))
-        if entry is None:
+        entry = self._cache.look_up(step, (step.id,)) if self._cache is not None else None
+        if entry is None or self._cache is None:
             return None
         facts = dict(entry.facts)
         outputs = facts["outputs"]
+        facts["wrote"] = bool(outputs)
         if outputs:
-            if self._folder is None:
-                return None
-            there = self._folder.holds(step.address, outputs)
-            if not there and not self._keeper.restore(step, self._folder, outputs, self._checkpoint):
+            if isinstance(self._folder, Scratch):
+                facts["outputs"] = []
+            elif not self._folder.holds(step.address, outputs) and not self._cache.restore(
+                step, self._folder, outputs, self._checkpoint
+            ):
                 return None
         for at, message in facts["warnings"]:
             self._monitor.warning(at, message)
         return facts
+
+    def _reused(self, step: Step) -> dict[str, Any] | None:
+        """What an earlier runner says of a step that wrote nothing."""
+        facts = self._earlier._facts.get(step.id) if self._earlier is not None else None
+        return None if facts is None or facts["wrote"] else facts
 
     def _fresh(self, step: Step) -> dict[str, Any]:
         """Run a step; what the record says of it."""
@@ -236,31 +315,32 @@ class _Run:
         inputs = self._inputs(step)
         started = time.perf_counter()
         made = self._made(step, inputs, log, self._folder)
-        facts = self._facts(step, made, log)
-        if self._folder is not None and self._folder.pending():
-            try:
-                self._checkpoint()
-                facts["outputs"] = self._folder.commit()
-            except SppmError as error:
-                error.where, error.stage = step.where, step.address
-                raise
-        if self._keeper is not None:
-            seconds = time.perf_counter() - started
-            outputs = [(o["path"], self._folder.path / o["path"]) for o in facts["outputs"]] if self._folder else []
-            self._keeper.keep(step, facts, made, inputs, outputs=outputs, seconds=seconds, drew=log.drew)
-        self.results[step.id] = made
-        return facts
-
-    def _facts(self, step: Step, made: Any, log: StageLog) -> dict[str, Any]:
-        return {
+        facts: dict[str, Any] = {
             "made": None if made is None else type(made).__name__,
             "summary": summary_of(made, log.values.get(step.address, {}), step),
             "warnings": [list(warning) for warning in log.warnings],
             "outputs": [],
             "inner": list(log.inner.values()),
         }
+        wrote = bool(self._folder.pending())
+        files: list[tuple[str, Path]] = []
+        if isinstance(self._folder, Scratch):
+            self._folder.discard()
+        elif wrote:
+            try:
+                self._checkpoint()
+                facts["outputs"] = self._folder.commit()
+            except SppmError as error:
+                error.where, error.stage = step.where, step.address
+                raise
+            files = [(output["path"], self._folder.path / output["path"]) for output in facts["outputs"]]
+        if self._cache is not None and not (wrote and isinstance(self._folder, Scratch)):
+            seconds = time.perf_counter() - started
+            self._cache.keep(step, facts, made, inputs, outputs=files, seconds=seconds, drew=log.drew)
+        self._results[step.id] = made
+        return {**facts, "wrote": wrote}
 
-    def _made(self, step: Step, inputs: Mapping[str, Any], log: StageLog, folder: RunFolder | Scratch | None) -> Any:
+    def _made(self, step: Step, inputs: Mapping[str, Any], log: StageLog, folder: RunFolder | Scratch) -> Any:
         context = RunContext(
             seed=self._seed,
             path=(step.id,),
@@ -273,26 +353,4 @@ class _Run:
         return run_step(step, step.stage, inputs, context, self._recipes)
 
     def _inputs(self, step: Step) -> dict[str, Any]:
-        return {port: self._result(source) if source else None for port, source in step.inputs.items()}
-
-    def _result(self, id_: str) -> Any:
-        """What a step made: still there, loaded, or made again because only the facts of it were kept."""
-        if id_ in self.results:
-            return self.results[id_]
-        assert self._keeper is not None
-        step = self._steps[id_]
-        same_as = self._keeper.same_as(id_)
-        made = self._result(source) if same_as and (source := step.inputs[same_as]) else self._keeper.load(id_)
-        if made is None:
-            inputs = self._inputs(step)
-            scratch = self._folder.scratch() if self._folder is not None else None
-            log = StageLog(Monitor(), step.address)
-            started = time.perf_counter()
-            try:
-                made = self._made(step, inputs, log, scratch)
-            finally:
-                if scratch is not None:
-                    scratch.discard()
-            self._keeper.keep_again(step, made, inputs, time.perf_counter() - started)
-        self.results[id_] = made
-        return made
+        return {port: self.result(source) if source else None for port, source in step.inputs.items()}

@@ -2,127 +2,34 @@
 
 from __future__ import annotations
 
+import csv
 import functools
-import itertools
-import math
+import io
+import json
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.engine.config.configuration import MAX_SEED
-from sppm_pipeline.engine.config.document import Entry, Node, plain
-from sppm_pipeline.engine.config.jsonable import json_text
-from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
+from sppm_pipeline.engine.config.document import plain
+from sppm_pipeline.engine.config.parameters import sweep_rows
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
-from sppm_pipeline.engine.plan.session import RunRequest, Session, open_session
+from sppm_pipeline.engine.plan.session import RunRequest, Session, check_sweep, check_until, open_session
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import make_executor
-from sppm_pipeline.engine.run.monitor import Monitor
 from sppm_pipeline.engine.run.outputs import SWEEP_RUNS, remove_stale_runs
-from sppm_pipeline.engine.run.record import error_entry
-from sppm_pipeline.engine.run.recorder import Recorder, mark_ended
-from sppm_pipeline.engine.run.runner import check_until, run_plan, run_steps
-from sppm_pipeline.engine.run.sweep_table import columns_of, csv_text, numbers_of, rows_of
-from sppm_pipeline.errors import ConfigError, NativeCrash, SppmError
+from sppm_pipeline.engine.run.record import Recorder, error_entry, mark_ended
+from sppm_pipeline.engine.run.runner import StepRunner, run_plan
+from sppm_pipeline.engine.strict_json import json_text
+from sppm_pipeline.errors import NativeCrash, SppmError
 from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
     from sppm_pipeline.data.table import Table
     from sppm_pipeline.engine.cache.store import Store
 
-MAX_ROWS = 100_000
-
-MOST_CHECKED = 1000
-"""Rows that are planned before any work."""
-
 LISTENING = 0.25
 """Seconds between two looks at whether the sweep was asked to stop."""
-
-Row = Mapping[str, Entry]
-
-
-def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]:
-    """The rows of a sweep: of a grid with its last parameter changing fastest, of a table as written.
-
-    In a grid, ``{from: 1, to: 50}`` stands for the whole numbers from 1 to 50, ``{from: 0, to: 100, step: 5}`` for
-    every fifth.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter is unknown, a list is empty, or there are too many rows.
-    """
-    problems = Problems()
-    rows: list[dict[str, Entry]]
-    if isinstance(sweep.value, dict):
-        axes = {name: _axis(name, entry, problems) for name, entry in sweep.value.items()}
-        count = math.prod(len(axis) for axis in axes.values())
-        if count > MAX_ROWS:
-            problems.report(f"the sweep has {count} runs; at most {MAX_ROWS} are allowed", sweep.where)
-            problems.raise_any()
-        rows = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())] if axes else []
-    else:
-        rows = []
-        for node in sweep.value:
-            if isinstance(node.value, dict) and node.value:
-                rows.append(dict(node.value))
-            else:
-                problems.report("a row of a sweep is a map of parameters to values", node.where)
-    names = [*params, "seed"]
-    entries = {(name, id(entry.node)): (name, entry) for row in rows for name, entry in row.items()}
-    for name, entry in entries.values():
-        value = entry.node.value
-        if name not in names:
-            hint = did_you_mean(name, names)
-            problems.report(f"the sweep varies {name!r}, which is no parameter", entry.where, hint=hint)
-        elif name == "seed" and (isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_SEED):
-            problems.report(
-                f"a seed is a whole number, at least 0, at most {MAX_SEED}, got {shown(plain(entry.node))}",
-                entry.node.where,
-            )
-    if not rows and not problems.errors:
-        problems.report("the sweep has no runs", sweep.where)
-    problems.raise_any()
-    return rows
-
-
-def _axis(name: str, entry: Entry, problems: Problems) -> list[Entry]:
-    """The values of one parameter of a grid."""
-    value, where = entry.node.value, entry.node.where
-    if isinstance(value, list) and value:
-        return [Entry(entry.where, node) for node in value]
-    if isinstance(value, dict):
-        ends = {key: inner.node.value for key, inner in value.items()}
-        whole = all(isinstance(end, int) and not isinstance(end, bool) for end in ends.values())
-        if {"from", "to"} <= set(ends) <= {"from", "to", "step"} and whole:
-            step = ends.get("step", 1)
-            if step > 0 and 0 <= ends["to"] - ends["from"] < MAX_ROWS * step:
-                return [Entry(entry.where, Node(number, where)) for number in range(ends["from"], ends["to"] + 1, step)]
-    problems.report(
-        f"the sweep of {name!r} must be a list of values, or whole numbers such as {{from: 1, to: 50}}", where
-    )
-    return []
-
-
-def check_sweep(session: Session, rows: Sequence[Row]) -> None:
-    """Plan with every value that occurs, so that a bad one is found before any work.
-
-    In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
-    than `MOST_CHECKED` a part is tried.
-    """
-    sweep = session.configuration.sweep
-    first = rows[0]
-    problems = Problems()
-    if sweep is not None and isinstance(sweep.value, dict):
-        rows = [row for row in rows if sum(row[name].node is not first[name].node for name in row) <= 1]
-    if len(rows) > MOST_CHECKED:  # of a long range, values spread evenly over it stand for all, both ends among them
-        rows = [*rows[: -1 : -(-len(rows) // MOST_CHECKED)], rows[-1]]
-    for row in rows:
-        try:
-            session.plan(row)
-        except ConfigError as error:
-            problems.add(error)
-    problems.raise_any()
 
 
 def run_sweep(
@@ -186,19 +93,18 @@ def run_sweep(
         ]
         done = [run["status"] == "done" for run in runs]
         if plan.after and until is None and any(done):
-            run_steps(
+            StepRunner(
                 plan.after,
                 plan.recipes,
-                recorder.stages,
                 seed=plan.seed,
                 threads=threads,
-                until=None,
                 folder=recorder.folder,
                 monitor=monitor,
-                given={SWEEP_ID: _table(columns, found, path)},
+                observers=recorder.observers(),
+                available={SWEEP_ID: _table(columns, found, path)},
                 store=_store(cache),
                 checkpoint=recorder.checkpoint,
-            )
+            ).run()
         recorder.status = "done" if all(done) else "failed"
     return recorder.record
 
@@ -234,7 +140,7 @@ def _row_names(count: int) -> list[str]:
 def _store(cache: Path | None) -> Store | None:
     if cache is None:
         return None
-    from sppm_pipeline.engine.cache.location import open_store
+    from sppm_pipeline.engine.cache.housekeeping import open_store
 
     return open_store(cache)
 
@@ -253,8 +159,13 @@ def _run_rows(
     """Hand the rows to an executor; results in the order of the rows."""
     from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 
-    order = session.order.absolute()
-    common = {"order": order, "sweep": uuid.uuid4().hex, "threads": threads, "until": until, "cache": cache}
+    common = {
+        "request": session.request.absolute(),
+        "sweep": uuid.uuid4().hex,
+        "threads": threads,
+        "until": until,
+        "cache": cache,
+    }
     tasks = [{**common, "row": i, "path": str(path / SWEEP_RUNS / name)} for i, name in enumerate(names)]
     pool = make_executor(executor, workers, session.plugins)
     try:
@@ -301,9 +212,9 @@ def _stop_workers() -> None:
 
 
 @functools.lru_cache(maxsize=1)
-def _session(order: RunRequest, sweep: str) -> Session:
+def _session(request: RunRequest, sweep: str) -> Session:
     """One session a sweep and worker process, whatever the number of its rows."""
-    return open_session(order)
+    return open_session(request)
 
 
 def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
@@ -312,7 +223,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     task : mapping
-        ``order`` (a `RunRequest`), ``sweep`` (a string that no other sweep has), ``row`` (number of the row),
+        ``request`` (a `RunRequest`), ``sweep`` (a string that no other sweep has), ``row`` (number of the row),
         ``path`` (run directory), ``threads``, ``until`` and ``cache`` (folder of the cache, or None).
 
     Returns
@@ -321,7 +232,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         ``run``, ``params``, ``status``, ``error``, ``seconds``, ``warnings``, ``columns``, ``files`` (names and
         digests), and as ``record`` the digest of the row's record.
     """
-    session = _session(task["order"], task["sweep"])
+    session = _session(task["request"], task["sweep"])
     assert session.configuration.sweep is not None
     row = sweep_rows(session.configuration.sweep, session.configuration.params)[task["row"]]
     path = Path(task["path"])
@@ -361,3 +272,58 @@ def _warnings(record: Mapping[str, Any]) -> list[str]:
         for stage in record.get("stages", ())
         for message in stage.get("warnings", ())
     ]
+
+
+MOST_LISTED = 6
+"""Longest list whose numbers get columns of their own: vectors, and the rows and columns of a stiffness matrix."""
+
+
+def numbers_of(stages: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Numbers in the summaries of a run record's stages, as ``<stage id>.<name>``; truth values as 1 and 0.
+
+    Those of short lists are counted from 1, row by row: ``E.1``, ``C.4.4``.
+    """
+    return {f"{stage['id']}.{name}": value for stage in stages for name, value in _numbers(stage.get("summary", {}))}
+
+
+def _numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    for name, value in summary.items():
+        if isinstance(value, (bool, int, float)):
+            yield name, int(value) if isinstance(value, bool) else value
+        elif isinstance(value, dict):
+            yield from ((f"{name}.{inner}", number) for inner, number in _numbers(value))
+        elif isinstance(value, list) and len(value) <= MOST_LISTED:
+            listed = {str(number): one for number, one in enumerate(value, 1) if not isinstance(one, dict)}
+            yield from ((f"{name}.{inner}", number) for inner, number in _numbers(listed))
+
+
+def columns_of(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Columns ``run``, the parameters, ``status``, ``error``, then the numbers in the order in which they appear.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        With the keys run, params, status, error and columns, in order.
+    """
+    params = list(dict.fromkeys(name for run in runs for name in run["params"]))
+    numbers = list(dict.fromkeys(name for run in runs for name in run["columns"]))
+    columns: dict[str, list[Any]] = {"run": [run["run"] for run in runs]}
+    columns |= {name: [run["params"].get(name) for run in runs] for name in params}
+    columns["status"] = [run["status"] for run in runs]
+    columns["error"] = [run["error"]["message"] if run["error"] else None for run in runs]
+    return columns | {name: [run["columns"].get(name) for run in runs] for name in numbers}
+
+
+def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """The table as a list of rows."""
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+
+def csv_text(columns: Mapping[str, Sequence[Any]]) -> str:
+    """The table as CSV; lists as JSON, nothing as an empty field."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in rows_of(columns):
+        writer.writerow([json.dumps(v) if isinstance(v, (list, dict, bool)) else v for v in row.values()])
+    return text.getvalue()

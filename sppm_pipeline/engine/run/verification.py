@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.config.document import RECORD_KEY
-from sppm_pipeline.engine.run.files import digest_of, files_in, tree_digest
+from sppm_pipeline.engine.files import digest_of, files_in, tree_digest
 from sppm_pipeline.engine.run.outputs import RECORD, SUMS, SWEEP_RUNS
-from sppm_pipeline.engine.run.sealing import BrokenSealError, read_sealed
+from sppm_pipeline.engine.strict_json import BrokenSealError, read_sealed
 from sppm_pipeline.errors import InputError
 
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")

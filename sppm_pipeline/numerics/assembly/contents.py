@@ -18,7 +18,7 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Kernel sets from which every cell of a tiling is put together; all lengths in cell edges.
+    """Kernel sets from which every cell of a tiling is put together; all lengths in cell sizes.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ def assemble(
     Parameters
     ----------
     bank : PatchBank
-        Sampled pieces; sample (i, j, k) lies at ``(i + bank.offset) / bank.n`` cell edges, and so on.
+        Sampled pieces; sample (i, j, k) lies at ``(i + bank.offset) / bank.n`` cell sizes, and so on.
     tiling : TilingArrays
         Which piece stands where.
     layer_start, layer_stop, x0, x1, y0, y1 : int

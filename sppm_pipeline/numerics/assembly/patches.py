@@ -38,7 +38,7 @@ FULL = 32767
 
 
 class PatchBank(NamedTuple):
-    """Samples of all pieces at n voxels a cell edge; sample i lies at (i + offset) / n cell edges.
+    """Samples of all pieces at n voxels a cell edge; sample i lies at (i + offset) / n cell sizes.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ def spanning_subgraph(
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centers; the unit is the cell edge if an axis is periodic.
+        Pore centers; the unit is the cell size if an axis is periodic.
     degree : (int, int)
         Bounds A and B. See `feasible_degrees`, and `clamped_degrees` for faces with few pores.
     mode : {"exact", "lp_fix", "greedy"}

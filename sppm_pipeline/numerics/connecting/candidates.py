@@ -34,7 +34,7 @@ def candidate_graph(
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centers; the unit is the cell edge if an axis is periodic.
+        Pore centers; the unit is the cell size if an axis is periodic.
     k : int
         Neighbors of each pore.
     periodic : bool or 3 bools
@@ -57,7 +57,7 @@ def candidate_graph(
     inside, cells = wrapped(points, axes)
     # at most 27 images of each other pore can be a neighbor; more slots would only stay empty
     slots = min(k, (n - 1) * 27)
-    # sweeping along the widest axis visits the fewest pores that are not neighbors
+    # sweeping along the widest axis visits the minimum pores that are not neighbors
     axis = int(np.argmax(np.ptp(inside, axis=0)))
     order = np.argsort(inside[:, axis], kind="stable")
     neighbors, codes = _nearest(inside, axes, order, axis, slots)

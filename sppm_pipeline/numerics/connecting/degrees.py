@@ -70,7 +70,7 @@ def clamped_degrees(n: int, lower: int, upper: int, *, images: int = 1) -> tuple
     lower, upper : int
         The bounds to use.
     relaxed : bool
-        Whether they differ from those given, so that the caller can tell its user.
+        Whether they differ from those given, so that the caller can report it.
     """
     low = min(lower, images * max(n - 1, 0))
     high = upper + 1 if low == upper and n * low % 2 else upper

@@ -119,8 +119,8 @@ class _Program:
         self.low = [np.full(n, float(lower))]
         self.high = [np.full(n, float(upper))]
         # with odd n * lower the sum of the degrees is odd nowhere: half an edge that the relaxation would miss
-        fewest = max(-(-lower * n // 2), n if loops else n - 1)
-        self._add(np.arange(m), fewest, n - 1 if self.tree else np.inf)
+        minimum = max(-(-lower * n // 2), n if loops else n - 1)
+        self._add(np.arange(m), minimum, n - 1 if self.tree else np.inf)
         if self.tree:
             self._add_clusters()
 

@@ -260,7 +260,7 @@ def make_loops(
     near: NDArray[np.int64],
     upper: int,
 ) -> bool:
-    """Remove all bridges: join the smallest block that hangs on one bridge to another block, until one block is left.
+    """Remove all bridges: join the smallest block that has one bridge to another block, until one block is left.
 
     Either one edge is added, or one edge of each block is replaced by two edges between the blocks; an edge of a loop
     leaves its block connected, and the two new edges close a loop through both. Returns False if no edge does it.
@@ -279,17 +279,17 @@ def make_loops(
                 a, b = find_root(block, edge[e, 0]), find_root(block, edge[e, 1])
                 block[max(a, b)] = min(a, b)
         size = np.zeros(n, np.int64)
-        hangs = np.zeros(n, np.int64)
+        bridges_of = np.zeros(n, np.int64)
         for v in range(n):
             block[v] = find_root(block, v)
             size[block[v]] += 1
         for e in range(m):
             if bridge[e]:
-                hangs[block[edge[e, 0]]] += 1
-                hangs[block[edge[e, 1]]] += 1
+                bridges_of[block[edge[e, 0]]] += 1
+                bridges_of[block[edge[e, 1]]] += 1
         leaf = -1
         for v in range(n):
-            if hangs[v] == 1 and (leaf < 0 or size[v] < size[leaf]):
+            if bridges_of[v] == 1 and (leaf < 0 or size[v] < size[leaf]):
                 leaf = v
         best = np.inf
         out1 = out2 = in1 = in2 = none

@@ -96,7 +96,7 @@ def minimum_spanning_tree(
     Parameters
     ----------
     points : (n, 3) float64
-        Pore centers; the unit is the cell edge if an axis is periodic.
+        Pore centers; the unit is the cell size if an axis is periodic.
     periodic : bool or 3 bools
         Whether the axes repeat with period 1.
 

@@ -54,7 +54,7 @@ def way_for(closed: bool) -> Method:
 
 
 def inside_test(vertices: NDArray[np.float64], faces: NDArray[np.int32], method: Method | None = None) -> InsideTest:
-    """Wind a mesh outwards, choose how its inside is told, and find out on a coarse grid how sure that is.
+    """Wind a mesh outwards, choose its inside test, and estimate on a coarse grid how reliable that is.
 
     Parameters
     ----------

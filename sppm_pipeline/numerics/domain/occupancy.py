@@ -26,7 +26,7 @@ def gray_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tup
     Raises
     ------
     ValueError
-        If the samples are no whole number of pixels.
+        If the samples are not an integer number of pixels.
     """
     sheets = samples[None] if samples.ndim == 2 else samples
     fx, fy = factor

@@ -1,6 +1,6 @@
 """Which voxels are inside a mesh with holes: where its generalized winding number is above one half.
 
-The number is not computed for every voxel. The open edges are spanned by triangles to the middle of each rim, however
+The number is not computed for every voxel. The open edges are spanned by triangles to the middle of each loop, however
 badly these fit. Together with them the mesh is closed, so that signed scanlines count exactly how often it goes around
 a voxel, and the winding number of the mesh alone is that count less the winding number of the spanning triangles. There
 are few of these, and from some way off they are seen under less than half of everything: there the count decides, and
@@ -30,7 +30,7 @@ _QUICK = 1.5  # radii beyond which dipoles are taken at first; their sum is then
 _CLEAR = 0.35  # numbers of spanning triangles below this leave the count alone: a half, less the error
 _CLOSE = 0.2  # numbers of the mesh nearer than this to one half are computed again, better
 _LARGE, _SMALL = 32, 4  # edges of blocks, in voxels
-_OFF = (0.00131, -0.00173, 0.00097)  # keeps spanning triangles out of the planes that voxels and rims share
+_OFF = (0.00131, -0.00173, 0.00097)  # keeps spanning triangles out of the planes that voxels and boundary loops share
 
 
 class SpannedScan(NamedTuple):
@@ -58,10 +58,10 @@ class SpannedScan(NamedTuple):
 def spanning_triangles(
     vertices: NDArray[np.float64], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Triangles that make a mesh closed: from each edge that is left over to the middle of its rim.
+    """Triangles that make a mesh closed: from each edge that is left over to the middle of its boundary loop.
 
     An edge is left over as often as it runs more in one direction than in the other. At every vertex as many of them
-    arrive as leave, so whatever rims they make, triangles to any common point cancel each other's sides. What is inside
+    arrive as leave, so whatever loops they make, triangles to any common point cancel each other's sides. The inside
     does not depend on the point; it is a little off the middle, as a hole often lies in a plane of voxels.
 
     Parameters
@@ -71,8 +71,8 @@ def spanning_triangles(
 
     Returns
     -------
-    vertices : (n + rims, 3) float64
-        Those given, and a point near the middle of each rim; rims that touch have one.
+    vertices : (n + loops, 3) float64
+        Those given, and a point near the middle of each boundary loop; loops that touch have one.
     spans : (k, 3) int32
     """
     triangles = np.asarray(faces, np.int64)
@@ -87,12 +87,12 @@ def spanning_triangles(
     forward = np.repeat(excess > 0, np.abs(excess))
     low, high = left // n, left % n
     start, end = np.where(forward, low, high), np.where(forward, high, low)
-    count, rim = components(np.stack([start, end, end], axis=1))
-    weights = np.bincount(rim, minlength=count)[:, None]
-    middles = np.stack([np.bincount(rim, vertices[start, a], count) for a in range(3)], axis=1) / weights
-    sizes = np.sqrt(np.bincount(rim, np.square(vertices[start] - middles[rim]).sum(axis=1), count))
+    count, loop = components(np.stack([start, end, end], axis=1))
+    weights = np.bincount(loop, minlength=count)[:, None]
+    middles = np.stack([np.bincount(loop, vertices[start, a], count) for a in range(3)], axis=1) / weights
+    sizes = np.sqrt(np.bincount(loop, np.square(vertices[start] - middles[loop]).sum(axis=1), count))
     middles += np.multiply.outer(sizes, _OFF)
-    spans = np.stack([end, start, n + rim], axis=1)
+    spans = np.stack([end, start, n + loop], axis=1)
     return np.concatenate([vertices, middles]), spans.astype(np.int32)
 
 

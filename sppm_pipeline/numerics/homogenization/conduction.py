@@ -28,7 +28,7 @@ from sppm_pipeline.numerics.homogenization.multigrid.transfer import coarsened, 
 
 _LAYERS = 8
 _FLOOR = 1e-6
-_NOTHING = 1e-9
+_NO_FLUX = 1e-9
 
 #: Rows of scratch: sum and difference along z, 4 modes of the line before, 4 flows carried to the next line, 4 flows
 #: of the line, the flows of a row of nodes.
@@ -40,12 +40,12 @@ _R = tuple(np.uint64(STRIDE * row) for row in range(SCRATCH_ROWS))
 
 
 class Conducted(NamedTuple):
-    """Effective conductivity and how it was reached.
+    """Effective conductivity and how it was computed.
 
     Attributes
     ----------
     conductivity : (3, 3) float64
-        Mean flow over mean gradient; the unit of the voxels' conductivity.
+        Mean flux over mean gradient; the unit of the voxels' conductivity.
     solved : tuple of 3 Solved
     precision : str
     """
@@ -103,7 +103,7 @@ def conductivity(
     matrix, solved, reached = load_cases(
         hierarchy, _energies, mean, Stop(residual, tolerance, iterations), _FLOOR, dtype, threads
     )
-    nothing = np.diag(matrix) < _NOTHING * mean
+    nothing = np.diag(matrix) < _NO_FLUX * mean
     matrix[nothing] = 0
     matrix[:, nothing] = 0
     return Conducted(matrix * scale, solved, reached)
@@ -130,19 +130,19 @@ def _energies(hierarchy: Hierarchy, fields: NDArray[Any], threads: int) -> NDArr
     return total
 
 
-def tortuosity(effective: NDArray[np.float64], share: float, bulk: float = 1.0) -> list[float | None]:
-    """``share * bulk / effective`` along x, y, z: how much longer the way is, squared; None where nothing flows.
+def tortuosity(effective: NDArray[np.float64], fraction: float, bulk: float = 1.0) -> list[float | None]:
+    """``fraction * bulk / effective`` along x, y, z: the squared ratio of path lengths; None without flux.
 
     Parameters
     ----------
     effective : (3, 3)
         Effective conductivity of a phase in an insulator.
-    share : float
-        Volume share of the phase.
+    fraction : float
+        Volume fraction of the phase.
     bulk : float
         Its conductivity.
     """
-    return [share * bulk / float(value) if value > 0 else None for value in np.diag(effective)]
+    return [fraction * bulk / float(value) if value > 0 else None for value in np.diag(effective)]
 
 
 class ConductionLevel:
@@ -180,7 +180,7 @@ class ConductionLevel:
         apply_conductivity(APPLY, zero, zero, self.weight, self.k, c, self.size, out, work.plane, work.rows)
 
     def rounding(self) -> float:
-        """What flows of a homogeneous conductor may come to."""
+        """Rounding error to expect in the fluxes of a homogeneous conductor."""
         largest = float(np.abs(self.c[:3]).max()) * float(self.k.max())
         return 8 * float(np.finfo(self.c.dtype).eps) * largest * float(np.sqrt(np.prod(self.edges)))
 

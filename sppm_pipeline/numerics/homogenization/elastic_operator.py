@@ -303,7 +303,7 @@ def apply_stiffness(
     plane: NDArray[Any],
     s: NDArray[Any],
 ) -> float:
-    """Forces ``f = K v`` of displacements, and at once what is wanted of them.
+    """Forces ``f = K v`` of displacements, or what a solver needs of them.
 
     Parameters
     ----------

@@ -17,26 +17,26 @@ from sppm_pipeline.numerics.homogenization.multigrid.transfer import coarsened, 
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame
 
 _LAYERS = 8
-"""Layers of voxels whose energies are summed in one go; a constant, so that sums do not depend on threads."""
+"""Layers of voxels whose energies are summed at once; a constant, so that sums do not depend on threads."""
 
 _FLOOR = 1e-6
-"""Stiffness over the mean of the voxels' stiffness below which no digits are asked for ..."""
+"""Stiffness over the mean of the voxels' stiffness below which no accuracy is requested ..."""
 
-_NOTHING = 1e-9
-"""... and below which a direction is said to carry nothing."""
+_NO_LOAD_PATH = 1e-9
+"""... and below which a direction has no load path."""
 
 
 class Homogenized(NamedTuple):
-    """Effective stiffness and how it was reached.
+    """Effective stiffness and how it was computed.
 
     Attributes
     ----------
     stiffness : (6, 6) float64
         Voigt order xx, yy, zz, yz, xz, xy, engineering shear strains; the unit of Young's modulus.
     solved : tuple of 6 Solved
-        How the load cases went.
+        Iterations, residual and error of each load case.
     precision : str
-        In which it was solved in the end: double, if single precision did not do.
+        Of the final solution: double, if single precision was not enough.
     """
 
     stiffness: NDArray[np.float64]
@@ -59,7 +59,7 @@ def stiffness(
 
     The displacement is that of a constant mean strain plus a periodic one. With the energies of the exact solutions
     the error of the stiffness is of second order in that of the displacements, so that single precision gives about
-    six digits. Voids have no stiffness at all. Parts of the solid that hang on nothing move along freely.
+    six digits. Voids have no stiffness at all. Disconnected parts of the solid move freely and carry no load.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def stiffness(
 
     stop = Stop(residual, tolerance, iterations)
     matrix, solved, reached = load_cases(hierarchy, _energies, np.diag(mean), stop, _FLOOR, dtype, threads)
-    void = np.diag(matrix) < _NOTHING * np.diag(mean)
+    void = np.diag(matrix) < _NO_LOAD_PATH * np.diag(mean)
     matrix[void] = 0
     matrix[:, void] = 0
     return Homogenized(matrix * scale, solved, reached)
@@ -193,7 +193,7 @@ class ElasticLevel:
         apply_stiffness(APPLY, zero, zero, self.weight, self.lam, self.mu, c, self.size, out, work.plane, work.rows)
 
     def rounding(self) -> float:
-        """What forces of a homogeneous body may come to."""
+        """Rounding error to expect in the forces of a homogeneous body."""
         largest = float(np.abs(self.c[:3]).max()) * float(self.lam.max() + 2 * self.mu.max())
         return 8 * float(np.finfo(self.c.dtype).eps) * largest * float(np.sqrt(np.prod(self.edges)))
 
@@ -217,8 +217,8 @@ def elastic_hierarchy(
 ) -> Hierarchy:
     """All grids of a periodic body.
 
-    Coarse grids have the mean Lamé constants of eight voxels. That is stiffer than the truth, but cheap, and conjugate
-    gradients make up for it.
+    Coarse grids have the mean Lamé constants of eight voxels. That is stiffer than Galerkin's
+    operator, but cheap, and conjugate gradients make up for it.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def elastic_hierarchy(
     dtype : float32 or float64
         Precision of all vectors.
     safe : bool
-        Damp the smoother so that it can't fail, instead of as much as seems needed.
+        Damp the smoother by a bound of the eigenvalues instead of an estimate.
     """
     bound = safe_eigenvalue(lam, mu, edges)
     levels = [ElasticLevel(lam, mu, edges, dtype)]

@@ -20,7 +20,7 @@ would show in the last digits."""
 
 
 class TetHomogenized(NamedTuple):
-    """Effective stiffness and how it was found.
+    """Effective stiffness and how it was computed.
 
     Attributes
     ----------
@@ -54,8 +54,8 @@ def homogenize_tetrahedra(
     faces: str = "mortar",
     face_tolerance: float = 1e-6,
     tolerance: float = 1e-8,
-    most: int = 2000,
-    told: Callable[[int], None] | None = None,
+    iterations: int = 2000,
+    progress: Callable[[int], None] | None = None,
 ) -> TetHomogenized:
     """Homogenize linear elasticity on a mesh of a periodic cell.
 
@@ -76,10 +76,10 @@ def homogenize_tetrahedra(
         How far nodes of a face may lie from the box, over the longest edge of the box.
     tolerance : float
         Residual of each load case over its load.
-    most : int
-        Iterations of one load case.
-    told : function, optional
-        Is called with the number of load cases done.
+    iterations : int
+        Maximum number of iterations of one load case.
+    progress : function, optional
+        Called with the number of load cases that are done.
 
     References
     ----------
@@ -106,30 +106,30 @@ def homogenize_tetrahedra(
         if count:
             project = Projector(joined)
     precondition = multigrid(built.matrix, rigid_modes(nodes[kept]))
-    fields, iterations, residuals = [], [], []
+    fields, counts, residuals = [], [], []
     for number, load in enumerate(built.loads):
-        found = conjugate_gradients(built.matrix, -load, precondition, project, tolerance, most)
+        found = conjugate_gradients(built.matrix, -load, precondition, project, tolerance, iterations)
         fields.append(found.values)
-        iterations.append(found.iterations)
+        counts.append(found.iterations)
         residuals.append(found.residual)
-        if told is not None:
-            told(number + 1)
+        if progress is not None:
+            progress(number + 1)
     u = np.array(fields)
     forces = np.array([built.matrix @ field for field in fields])
     work = np.einsum("in,jn->ij", u, built.loads)
     energy = built.mean + work + work.T + np.einsum("in,jn->ij", u, forces)
     stiffness = (energy + energy.T) / 2 / float(np.prod(box[1] - box[0]))
-    return TetHomogenized(stiffness, iterations, residuals, 3 * len(kept), 3 * count, built.volume)
+    return TetHomogenized(stiffness, counts, residuals, 3 * len(kept), 3 * count, built.volume)
 
 
 class Solution(NamedTuple):
-    """What the solver found.
+    """A solution and how accurate it is.
 
     Attributes
     ----------
     values : (n,) float64
     residual : float
-        Norm of what is left over that of the right-hand side.
+        Norm of the residual over that of the right-hand side.
     iterations : int
     """
 
@@ -158,7 +158,7 @@ def multigrid(matrix: Any, modes: NDArray[np.float64]) -> Callable[[Vector], Vec
     matrix : scipy.sparse.bsr_matrix, (3 n, 3 n)
         Symmetric, positive semidefinite.
     modes : (3 n, 6) float64
-        Motions that cost little energy.
+        Modes of little energy.
 
     References
     ----------
@@ -188,7 +188,7 @@ def multigrid(matrix: Any, modes: NDArray[np.float64]) -> Callable[[Vector], Vec
 
 
 class Projector:
-    """The orthogonal projection onto the displacements that fulfil ``constraints @ u = 0`` in each component.
+    """The orthogonal projection onto the displacements with ``constraints @ u = 0`` in each component.
 
     Constraints may repeat each other; what is left of such a repetition after factorization is removed by iterative
     refinement.
@@ -226,7 +226,7 @@ def conjugate_gradients(
     precondition: Callable[[Vector], Vector],
     project: Callable[[Vector], Vector] | None,
     tolerance: float,
-    most: int,
+    iterations: int,
 ) -> Solution:
     """Solve ``matrix x = right`` for a positive semidefinite matrix and a right-hand side in its range.
 
@@ -240,8 +240,8 @@ def conjugate_gradients(
         Projection onto the space that the solution is sought in.
     tolerance : float
         Of the residual's norm over that of the right-hand side.
-    most : int
-        Iterations after which the best so far is returned; its residual tells.
+    iterations : int
+        Maximum number of iterations; the solution so far is returned with its residual.
     """
     keep = project or (lambda values: values)
     x = np.zeros_like(right)
@@ -251,10 +251,10 @@ def conjugate_gradients(
         return Solution(x, 0.0, 0)
     z = keep(precondition(residual))
     direction, rz = z.copy(), _dot(residual, z)
-    for iteration in range(1, most + 1):
+    for iteration in range(1, iterations + 1):
         forward = keep(matrix @ direction)
         curvature = _dot(direction, forward)
-        if not curvature > 0:  # rounding has eaten the direction: nothing more is to be had
+        if not curvature > 0:  # lost to rounding: no further progress is possible
             return Solution(x, _norm(residual) / start, iteration)
         step = rz / curvature
         x += step * direction
@@ -265,7 +265,7 @@ def conjugate_gradients(
         z = keep(precondition(residual))
         rz, before = _dot(residual, z), rz
         direction = z + (rz / before) * direction
-    return Solution(x, _norm(residual) / start, most)
+    return Solution(x, _norm(residual) / start, iterations)
 
 
 def _dot(a: Vector, b: Vector) -> float:

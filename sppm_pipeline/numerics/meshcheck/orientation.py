@@ -185,14 +185,14 @@ def _turn_patches(
 
 
 def _samples(
-    triangles: NDArray[np.float64], labels: NDArray[np.int32], wanted: NDArray[np.bool_], n: int
+    triangles: NDArray[np.float64], labels: NDArray[np.int32], selected: NDArray[np.bool_], n: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Points spread evenly over the area of each wanted patch, with normals and triangles."""
+    """Points spread evenly over the area of each selected patch, with normals and triangles."""
     order = np.argsort(labels, kind="stable")
     areas = _areas(triangles)[order]
     ends = np.cumsum(np.bincount(labels, minlength=n))
     own = []
-    for patch in np.flatnonzero(wanted):
+    for patch in np.flatnonzero(selected):
         start = ends[patch - 1] if patch else 0
         share = np.cumsum(areas[start : ends[patch]])
         if share[-1] > 0:

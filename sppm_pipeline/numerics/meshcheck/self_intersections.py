@@ -17,7 +17,7 @@ from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.box_tree import DEPTH, BoxTree
 from sppm_pipeline.numerics.meshcheck.predicates import side_of_line, side_of_plane
 
-MOST_PAIRS = 200_000_000
+MAX_PAIRS = 200_000_000
 """Pairs with overlapping boxes that are looked at; then the search is given up, for it would not end in time."""
 
 _LEAVES_AT_ONCE = 4096
@@ -41,7 +41,7 @@ class SelfIntersections(NamedTuple):
     complete: bool
 
 
-def self_intersections(tree: BoxTree, most_pairs: int = MOST_PAIRS) -> SelfIntersections:
+def self_intersections(tree: BoxTree, max_pairs: int = MAX_PAIRS) -> SelfIntersections:
     """Find the triangles that run into others, by exact predicates.
 
     Flat triangles are left out. Corners with equal coordinates are one, whatever their numbers.
@@ -49,7 +49,7 @@ def self_intersections(tree: BoxTree, most_pairs: int = MOST_PAIRS) -> SelfInter
     Parameters
     ----------
     tree : BoxTree
-    most_pairs : int
+    max_pairs : int
         Give up after so many pairs whose boxes overlap. Ordinary meshes have about ten a triangle.
     """
     marked = np.zeros(len(tree.order), np.bool_)
@@ -58,14 +58,14 @@ def self_intersections(tree: BoxTree, most_pairs: int = MOST_PAIRS) -> SelfInter
     pairs, tried = 0, 0
     for first in range(0, leaves, _LEAVES_AT_ONCE):
         last = min(leaves, first + _LEAVES_AT_ONCE)
-        found, more = _pairs(tree.triangles, tree.boxes, tree.starts, flat, first, last, most_pairs - tried, marked)
+        found, more = _pairs(tree.triangles, tree.boxes, tree.starts, flat, first, last, max_pairs - tried, marked)
         pairs += int(found)
         tried += int(more)
-        if tried >= most_pairs:
+        if tried >= max_pairs:
             break
     faces = np.zeros_like(marked)
     faces[tree.order] = marked
-    return SelfIntersections(faces, pairs, tried < most_pairs)
+    return SelfIntersections(faces, pairs, tried < max_pairs)
 
 
 @jit
@@ -96,7 +96,7 @@ def _pairs(
     flat: NDArray[np.bool_],
     first: int,
     last: int,
-    most: int,
+    max_pairs: int,
     marked: NDArray[np.bool_],
 ) -> tuple[int, int]:
     """Pairs of triangles in leaves first to last with those in the same leaf or later ones."""
@@ -144,7 +144,7 @@ def _pairs(
                         pairs += 1
                         marked[i] = True
                         marked[j] = True
-        if tried >= most:
+        if tried >= max_pairs:
             break
     return pairs, tried
 

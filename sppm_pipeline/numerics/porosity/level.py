@@ -26,7 +26,7 @@ class LevelFit(NamedTuple):
     level : float
         C; representable in the type of the samples.
     porosity : float
-        Share of the samples with G >= C, counted. Differs from the wish by at most half a sample, unless many samples
+        Share of the samples with G >= C, counted. Differs from the target by at most half a sample, unless many samples
         share one value.
     """
 
@@ -35,14 +35,14 @@ class LevelFit(NamedTuple):
 
 
 def level_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target: float) -> LevelFit:
-    """The level at which a wished share of the samples is void (G >= C).
+    """The level at which a requested fraction of the samples is void (G >= C).
 
     Parameters
     ----------
     samples : array of any shape, float32 or float64
         The kernel sum G (not G - C) at points of equal weight, such as the voxel centers of a periodic cell.
     target : float
-        Wished porosity, between 0 and 1, both excluded.
+        Target porosity, between 0 and 1, both excluded.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def level_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], targe
 
 
 def cut_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target: float) -> LevelFit:
-    """The value, of any sign, at which to cut any field for a wished share of void; see `level_for_porosity`."""
+    """The value, of any sign, at which to cut any field for a requested fraction of void; see `level_for_porosity`."""
     if not 0.0 < target < 1.0:
         raise DesignError(f"a porosity of {target} can't be reached by a level", hint="give a value between 0 and 1")
     flat: NDArray[Any] = np.array(samples, copy=True).ravel()
@@ -132,7 +132,7 @@ def search_monotone(
     low, high : float
         Interval, low < high.
     target : float
-        Wished value.
+        Target value.
     tolerance : float
         How far from the target is near enough; not negative.
     max_evaluations : int

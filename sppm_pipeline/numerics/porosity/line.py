@@ -100,13 +100,13 @@ def predict_porosity(line: PorosityLine, n: float) -> float:
 
 
 def count_for_porosity(line: PorosityLine, porosity: float) -> int:
-    """The number of pores whose porosity on the line is nearest to a wish.
+    """The number of pores whose porosity on the line is nearest to a target.
 
     Parameters
     ----------
     line : PorosityLine
     porosity : float
-        Wished porosity.
+        Target porosity.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def count_for_porosity(line: PorosityLine, porosity: float) -> int:
     Raises
     ------
     DesignError
-        If the wish lies off the fitted range by more than half a pore; the message names the range that can be
+        If the target lies off the fitted range by more than half a pore; the message names the range that can be
         reached.
     """
     n = (porosity - line.intercept) / line.slope
@@ -125,6 +125,6 @@ def count_for_porosity(line: PorosityLine, porosity: float) -> int:
         raise DesignError(
             f"a porosity of {porosity:g} is outside of what the line was fitted to: "
             f"{low:.4g} to {high:.4g} for {line.n_min} to {line.n_max} pores",
-            hint="wish for a porosity in that range, fit a wider range of n, or change the radii",
+            hint="choose a porosity in that range, fit a wider range of n, or change the radii",
         )
     return min(max(round(n), line.n_min), line.n_max)

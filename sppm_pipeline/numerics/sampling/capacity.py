@@ -52,7 +52,7 @@ def box_capacity(side: float | Sequence[float], spacing: float, periodic: bool |
     Parameters
     ----------
     side : float or 3 floats
-        Edges a_i of the box in which the centers lie, in cell edges; zero edges make it a plane or a line.
+        Edges a_i of the box in which the centers lie, in cell sizes; zero edges make it a plane or a line.
     spacing : float
         Smallest distance l of two centers; 0 gives infinity.
     periodic : bool or 3 bools
@@ -79,7 +79,7 @@ def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) 
     Parameters
     ----------
     spacing : float
-        Smallest distance l of two pores, cell edges; positive.
+        Smallest distance l of two pores, cell sizes; positive.
     colors : int
         Number of face colors.
     margin : float, optional
@@ -107,14 +107,14 @@ def largest_spacing(count: int, sides: Sequence[float], *, periodic: bool | Sequ
     count : int
         Number of pores; positive.
     sides : 1 to 3 floats
-        Edges of the box, cell edges; their number (less the zero ones) is the dimension.
+        Edges of the box, cell sizes; their number (less the zero ones) is the dimension.
     periodic : bool or one bool an axis
         Axes of period 1.
 
     Returns
     -------
     float
-        Spacing in cell edges, to a relative 1e-12; never above 1 along a periodic axis, infinite for a lone pore.
+        Spacing in cell sizes, to a relative 1e-12; never above 1 along a periodic axis, infinite for a lone pore.
     """
     if count < 1:
         raise ValueError(f"count must be positive, got {count}")
@@ -160,6 +160,6 @@ def check_capacity(
         raise DesignError(
             f"{count} pores with a spacing of {spacing:.6g} do not fit into the {what}: {reason}",
             hint=f"ask for fewer pores, or for a spacing below {largest_spacing(count, sides, periodic=flags):.4g} "
-            "(cell edges), at which this count is 100 % of the capacity",
+            "(cell sizes), at which this count is 100 % of the capacity",
         )
     return count / capacity if count else 0.0

@@ -50,9 +50,9 @@ def throw(
     count : int or None
         Exact number of pores; None to fill up to `share`.
     spacing : float
-        Smallest distance of two pores, cell edges. 0 throws independent points.
+        Smallest distance of two pores, cell sizes. 0 throws independent points.
     lower, upper : (3,)
-        Corners of the box of centers, cell edges. Equal coordinates along an axis give points in a plane (or line).
+        Corners of the box of centers, cell sizes. Equal coordinates along an axis give points in a plane (or line).
     periodic : 3 bools
         Axes along which everything, obstacles included, repeats with period 1; the box is at most 1 long there.
     obstacles : (k, 3), optional
@@ -69,7 +69,7 @@ def throw(
     Returns
     -------
     (count, 3) float64
-        Positions in order of throwing, cell edges.
+        Positions in order of throwing, cell sizes.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def throw(
     raise DesignError(
         f"only {best} of {wanted} pores fit with a spacing of {spacing:.6g} ({wanted / capacity:.0%} of the capacity "
         f"of the empty box, {throws} throws, each until no free spot was left)",
-        hint=f"ask for at most {best} pores, or for a spacing of about {0.98 * near:.4g} (cell edges)",
+        hint=f"ask for at most {best} pores, or for a spacing of about {0.98 * near:.4g} (cell sizes)",
     )
 
 

@@ -1,4 +1,4 @@
-"""Sample elimination: exactly n well-spread points, without a spacing to be wished for.
+"""Sample elimination: exactly n well-spread points, without a spacing to be chosen.
 
 Yuksel 2015, "Sample elimination for generating Poisson disk sample sets" (Computer Graphics Forum 34): start from many
 random points and take away, one by one, the point most crowded by its neighbors, until n are left.
@@ -136,11 +136,11 @@ def elimination_order(
     Parameters
     ----------
     points : (m, 3)
-        Points inside the box, cell edges.
+        Points inside the box, cell sizes.
     count : int
         Number of points to leave; at most m.
     lower, upper : (3,)
-        Corners of the box, cell edges; equal coordinates along an axis mean a plane or a line.
+        Corners of the box, cell sizes; equal coordinates along an axis mean a plane or a line.
     periodic : 3 bools
         Axes of period 1.
 
@@ -189,7 +189,7 @@ def eliminate(
     count : int
         Number of points.
     lower, upper : (3,)
-        Corners of the box, cell edges; equal coordinates along an axis give points in a plane or on a line.
+        Corners of the box, cell sizes; equal coordinates along an axis give points in a plane or on a line.
     periodic : 3 bools
         Axes of period 1. Along the others points gather at the walls, as nothing outside crowds them.
     oversampling : float
@@ -198,7 +198,7 @@ def eliminate(
     Returns
     -------
     (count, 3) float64
-        Positions in cell edges, in no meaningful order.
+        Positions in cell sizes, in no meaningful order.
 
     Raises
     ------

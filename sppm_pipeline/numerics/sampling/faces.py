@@ -68,24 +68,24 @@ def split_between_faces_and_interior(
     def in_cell(l: float) -> float:  # noqa: E741
         return FILLED * box_capacity(1.0, l, periodic=True)
 
-    wished = face_count if total is None else total
-    if wished == 0:
+    requested = face_count if total is None else total
+    if requested == 0:
         return 0, 0.5 if spacing is None else spacing
     capacity = on_faces if total is None else in_cell
     if spacing is None:
-        assert wished is not None
+        assert requested is not None
         assert share is not None
         low, high = 1e-3, 0.5
-        if wished < share * capacity(high):
+        if requested < share * capacity(high):
             raise DesignError(
-                f"{wished} pores at a packing share of {share:g} would need a spacing above half a cell",
+                f"{requested} pores at a packing share of {share:g} would need a spacing above half a cell",
                 hint="give more pores, a larger share, or the spacing itself",
             )
         for _ in range(60):  # the capacity falls with the spacing
             middle = (low + high) / 2
-            low, high = (middle, high) if share * capacity(middle) > wished else (low, middle)
+            low, high = (middle, high) if share * capacity(middle) > requested else (low, middle)
         spacing = low
-    elif wished is None:
+    elif requested is None:
         assert share is not None
         return round(share * on_faces(spacing)), spacing
     if face_count is not None:
@@ -174,11 +174,11 @@ def mirrored_faces(
     count_per_face : int or None
         Pores of each pattern; None when `total` is given.
     spacing : float
-        Smallest distance of two pores, cell edges; in (0, 1].
+        Smallest distance of two pores, cell sizes; in (0, 1].
     colors : int
         Number of face colors.
     margin : float, optional
-        Distance kept from the border of the face square, cell edges, below 1/2. Default 0 for one color, where the
+        Distance kept from the border of the face square, cell sizes, below 1/2. Default 0 for one color, where the
         pattern repeats in its plane, and half the spacing for several, the least that keeps faces of different colors
         apart.
     total : int, optional
@@ -189,7 +189,7 @@ def mirrored_faces(
     Returns
     -------
     list over axis (3) of list over color of (count, 3) float64
-        Positions in cell edges; the coordinate along the pattern's axis is 0.
+        Positions in cell sizes; the coordinate along the pattern's axis is 0.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def mirrored_faces(
     if colors < 1:
         raise ValueError(f"colors must be at least 1, got {colors}")
     if not 0.0 < spacing <= 1.0:
-        raise DesignError(f"the spacing of face pores must lie in (0, 1] cell edges, got {spacing}")
+        raise DesignError(f"the spacing of face pores must lie in (0, 1] cell sizes, got {spacing}")
     border = (0.0 if colors == 1 else spacing / 2.0) if margin is None else float(margin)
     if not 0.0 <= border < 0.5:
         if margin is None:
@@ -258,5 +258,5 @@ def _thrown(
         f"only {best} of {rows} face pores fit with a spacing of {spacing:.6g} ({wanted.shape[1]} colors, "
         f"{throws} throws, each until no free spot was left): about {per_face:.1f} on each face",
         hint=f"ask for at most {math.floor(0.95 * per_face)} pores a face, or for a spacing of about "
-        f"{0.97 * spacing * math.sqrt(best / rows):.4g} (cell edges)",
+        f"{0.97 * spacing * math.sqrt(best / rows):.4g} (cell sizes)",
     )

@@ -2,7 +2,7 @@
 
 manifold3d never raises: a mesh that is no oriented manifold becomes an empty solid with a status, and every result that
 it takes part in is empty; an inside-out mesh and a double sheet give garbage, or nothing, with the status "NoError". So
-every mesh is judged before, and the volume of every result is held against what set theory allows.
+every mesh is checked before, and the volume of every result is compared with what set theory allows.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def run_boolean(
     second_faces: NDArray[np.int32],
     operation: str,
 ) -> BooleanOutcome:
-    """The call into the native library and nothing else: arrays in, arrays out, no judgement."""
+    """The call into the native library and nothing else: arrays in, arrays out, no checks."""
     import manifold3d
 
     def solid(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> manifold3d.Manifold:

@@ -1,8 +1,8 @@
 """What happens to a surface at the border of the box: closed by a cap, or left open for the next periodic cell.
 
 A field of n + 1 samples an edge whose opposite faces are equal (`wrapped`) gives, without a cap, a surface whose
-opposite rims match vertex by vertex. `capped_marching_cubes` closes the solid with flat caps that lie exactly in the
-border of the box.
+opposite boundaries match vertex by vertex. `capped_marching_cubes` closes the solid with flat caps that lie exactly in
+the border of the box.
 
 How a cap is made: a layer of void around the samples makes the extractor close the surface just outside the box; the
 vertices between sample and void layer are then moved into the border plane. The samples on an edge of the box have two

@@ -26,7 +26,7 @@ STEP = 2.0**-8
 def run_level_set(
     samples: NDArray[np.float32], origin: tuple[float, float, float], spacing: float, tolerance: float | None = None
 ) -> tuple[Mesh, str]:
-    """The surface of the solid in a box, by the native library; no judgement.
+    """The surface of the solid in a box, by the native library; no checks.
 
     Parameters
     ----------

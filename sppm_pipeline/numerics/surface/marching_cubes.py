@@ -308,7 +308,7 @@ def marching_cubes_slabs(
             words_before = np.zeros((slab.shape[1], -(-slab.shape[2] // 64)), np.uint64)
             base = np.zeros((5, slab.shape[1]), np.int64)
         if slab.ndim != 3 or slab.shape[1:] != carry.shape:
-            raise ValueError(f"slabs of (k, {carry.shape[0]}, {carry.shape[1]}) samples wanted, got {slab.shape}")
+            raise ValueError(f"slabs of (k, {carry.shape[0]}, {carry.shape[1]}) samples expected, got {slab.shape}")
         if slab.shape[0] == 0:
             yield np.empty((0, 3)), np.empty((0, 3), np.int32)
             continue
@@ -359,7 +359,7 @@ def joined_mesh(pieces: Iterable[Mesh], expected: Callable[[], tuple[int, int]] 
             room = expected()
             vertices, faces = np.empty((room[0], 3)), np.empty((room[1], 3), np.int32)
         n, m = n + len(more_vertices), m + len(more_faces)
-        # nobody else holds a reference yet, whatever a debugger or a profiler counts
+        # no other reference exists yet, whatever a debugger or a profiler counts
         if n > len(vertices):
             vertices.resize((n, 3), refcheck=False)
         if m > len(faces):

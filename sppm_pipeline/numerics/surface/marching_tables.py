@@ -47,8 +47,8 @@ def _edge(a: int, b: int) -> int:
     return 4 * axis + (y + 2 * z, x + 2 * z, x + 2 * y)[axis]
 
 
-_RIMS = tuple(tuple(_edge(face[i - 1], face[i]) for i in range(4)) for face in _FACES)
-_FACES_OF_EDGE = tuple(frozenset(f for f, rim in enumerate(_RIMS) if edge in rim) for edge in range(12))
+_FACE_EDGES = tuple(tuple(_edge(face[i - 1], face[i]) for i in range(4)) for face in _FACES)
+_FACES_OF_EDGE = tuple(frozenset(f for f, edges in enumerate(_FACE_EDGES) if edge in edges) for edge in range(12))
 
 
 def _middle(edge: int) -> tuple[int, int, int]:
@@ -71,14 +71,14 @@ _COST = tuple(tuple(_diagonal_cost(a, b) for b in range(12)) for a in range(12))
 def _loops(case: int) -> list[list[int]]:
     """The closed polygons of a case as lists of edges, in the order of their smallest edge."""
     following: dict[int, int] = {}
-    for face, rim in zip(_FACES, _RIMS, strict=True):
+    for face, edges in zip(_FACES, _FACE_EDGES, strict=True):
         solid = [case >> corner & 1 for corner in face]
         entries = [i for i in range(4) if solid[i] and not solid[i - 1]]
         for i in entries:
             leave = i + 1
             while solid[leave % 4]:
                 leave += 1
-            following[rim[i]] = rim[leave % 4]
+            following[edges[i]] = edges[leave % 4]
     loops = []
     for start in range(12):
         if start in following:

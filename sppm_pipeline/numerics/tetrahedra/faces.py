@@ -49,7 +49,7 @@ def boundary_triangles(tets: NDArray[np.integer], neighbors: NDArray[np.int32]) 
 
 
 def components(neighbors: NDArray[np.int32]) -> tuple[int, NDArray[np.int32]]:
-    """Parts of a mesh that hang together by faces.
+    """Connected components of a mesh: cells that share faces.
 
     Returns
     -------

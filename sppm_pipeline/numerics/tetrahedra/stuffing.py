@@ -17,10 +17,10 @@ from sppm_pipeline.numerics.tetrahedra.stencils import cut_tetrahedra
 ANGLES = (10.7, 164.8)
 """Degrees; the paper's bounds of the dihedral angles, which halves of tetrahedra in the box are held to as well."""
 
-MOST_CUBES = 2**24
+MAX_CUBES = 2**24
 """Cubes of a lattice, at about 100 bytes each."""
 
-MOST_TETRAHEDRA = 50_000_000
+MAX_TETRAHEDRA = 50_000_000
 """Tetrahedra of a mesh, at about 250 bytes each while it is made."""
 
 
@@ -74,9 +74,9 @@ def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.
     require_room(nx, ny, nz)
     # twelve for each cube, which has a corner and a center to itself
     expected = 6 * int(np.count_nonzero(values < 0))
-    if expected > MOST_TETRAHEDRA:
+    if expected > MAX_TETRAHEDRA:
         raise ResourceError(
-            f"the solid would take about {expected} tetrahedra; the limit is {MOST_TETRAHEDRA}",
+            f"the solid would take about {expected} tetrahedra; the limit is {MAX_TETRAHEDRA}",
             hint="lower the resolution, or mesh a smaller piece",
         )
     found = find_crossings(values, periodic)
@@ -110,9 +110,9 @@ def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.
 
 def require_room(nx: int, ny: int, nz: int) -> None:
     """Raise `ResourceError` for a lattice of more cubes than can be dealt with."""
-    if nx * ny * nz > MOST_CUBES:
+    if nx * ny * nz > MAX_CUBES:
         raise ResourceError(
-            f"a lattice of {nx} x {ny} x {nz} cubes is too large; the limit is {MOST_CUBES} cubes",
+            f"a lattice of {nx} x {ny} x {nz} cubes is too large; the limit is {MAX_CUBES} cubes",
             hint="lower the resolution, or mesh a smaller piece",
         )
 
@@ -206,7 +206,7 @@ def _positions(
 
 
 def without_islands(mesh: Stuffed) -> tuple[Stuffed, float]:
-    """The part of the mesh of largest volume that hangs together by faces, across faces of a periodic box as well.
+    """The connected component of largest volume, across faces of cells and of a periodic box as well.
 
     Returns
     -------

@@ -213,10 +213,8 @@ def entropy_per_cell(mask: ArrayLike, kind: str, colors: int, interiors: int = 1
         colored = sum(_runs(np.moveaxis(cells, axis, 0), periodic) for axis in range(3))
     elif kind == "free":
         faces = face_presence(cells, periodic)
-        colored = sum(
-            int(np.count_nonzero(np.take(there, range(cells.shape[axis] + (not periodic)), axis)))
-            for axis, there in enumerate(faces)
-        )
+        planes = (range(n + (not periodic)) for n in cells.shape)
+        colored = sum(int(np.take(faces[axis], plane, axis).sum()) for axis, plane in enumerate(planes))
     elif kind == "corner":
         corners = np.zeros([n + 1 for n in cells.shape], np.bool_)
         for step in itertools.product((0, 1), repeat=3):

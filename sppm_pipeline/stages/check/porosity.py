@@ -1,4 +1,4 @@
-"""``check.porosity``: the share of void."""
+"""``check.porosity``: the void fraction."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class CheckSizes(Stage):
     The local thickness at a point is the diameter of the largest ball that fits into the phase and covers the point
     (Hildebrand and Rüegsegger 1997); its distribution is weighted by volume. As balls sit
     on voxel centers, sizes come out too small, by three voxels at most. They are millimeters where the cell has a
-    physical size, else cell edges.
+    physical size, else cell sizes.
 
     The specific surface is the area of the isosurface, per volume of the cell; that of an image of voxels, which has
     only stairs, is not given.
@@ -77,7 +77,7 @@ def _described(phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool], spac
 
 
 def _solid_and_area(field: ScalarField, n: int, threads: int) -> tuple[NDArray[np.uint8], float]:
-    """Voxels, and the area of the surface between them in cell edges^2, divided by the number of cells."""
+    """Voxels, and the area of the surface between them in cell sizes^2, divided by the number of cells."""
     from sppm_pipeline.numerics.meshcheck.measures import surface_area
     from sppm_pipeline.numerics.surface.closing import wrapped
     from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes

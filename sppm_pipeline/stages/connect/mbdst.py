@@ -27,7 +27,9 @@ class BoundedDegreeSubgraph(Connector):
 
     name: ClassVar[str] = "connect.mbdst"
 
-    degree: tuple[int, int] = option((3, 5), help="fewest and most tunnels of a pore, A and B", minimum=1, maximum=64)
+    degree: tuple[int, int] = option(
+        (3, 5), help="minimum and maximum number of tunnels of a pore, A and B", minimum=1, maximum=64
+    )
     mode: str = option(
         "lp_fix",
         help="exact: proven optimum; lp_fix: within about 0.15 % of it; greedy: within about 5 %, in milliseconds",
@@ -38,12 +40,12 @@ class BoundedDegreeSubgraph(Connector):
     )
     two_edge_connected: bool = option(False, help="no single tunnel may hold the graph together")
     clearance: Length | None = option(
-        None, help="smallest distance between tunnels that share no pore", unit="cell lengths", above=0, maximum=1e6
+        None, help="smallest distance between tunnels that share no pore", unit="cell size", above=0, maximum=1e6
     )
     connector_clearance: Length | None = option(
         None,
         help="a face pore takes the second nearest interior pore if its tunnel would run closer to another one",
-        unit="cell lengths",
+        unit="cell size",
         above=0,
         maximum=1e6,
     )
@@ -63,12 +65,12 @@ class BoundedDegreeSubgraph(Connector):
         from sppm_pipeline.numerics.connecting.bounded import spanning_subgraph
         from sppm_pipeline.numerics.connecting.degrees import clamped_degrees
 
-        fewest, most = self.degree
+        minimum, maximum = self.degree
         if piece.region == "face":
-            fewest, most, _ = clamped_degrees(len(piece.points), fewest, most)
+            minimum, maximum, _ = clamped_degrees(len(piece.points), minimum, maximum)
         return spanning_subgraph(
             piece.points,
-            (fewest, most),
+            (minimum, maximum),
             mode=self.mode,
             periodic=piece.periodic,
             k=self.neighbors,

@@ -86,7 +86,7 @@ class ManifoldSdf(Stage):
         return field.grid(n, triangles=COARSER * field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
-        """Sample a grid of half the spacing, extract, cut, judge; in mm (cell edges for a cell without a size)."""
+        """Sample a grid of half the spacing, extract, cut, check; in mm (cell edges for a cell without a size)."""
         from sppm_pipeline.numerics.surface.booleans import check_solid
 
         part = field if isinstance(field, Part) else None
@@ -109,7 +109,7 @@ class ManifoldSdf(Stage):
         return SurfaceMesh(*made, name="surface")
 
     def _level_set(self, context: Context, samples: NDArray[np.float32], field: ScalarField, grid: Grid) -> Mesh:
-        """The surface of one field, placed in the world and judged."""
+        """The surface of one field, placed in the world and checked."""
         from sppm_pipeline.numerics.surface.booleans import check_solid
         from sppm_pipeline.numerics.surface.level_set import lattice_samples
 

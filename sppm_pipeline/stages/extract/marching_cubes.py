@@ -51,7 +51,7 @@ class MarchingCubes(Stage):
         maximum=1e6,
     )
     caps: bool = option(
-        True, help="close the surface at the border of a cell or tiling; without, it ends there in open rims"
+        True, help="close the surface at the border of a cell or tiling; without, it ends there in open boundaries"
     )
     islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
     backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))

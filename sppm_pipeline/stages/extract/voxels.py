@@ -41,8 +41,8 @@ class ExtractVoxels(Stage):
                 f"the image would have {' x '.join(map(str, grid.shape))} voxels; the limit is {LARGEST_IMAGE}",
                 hint="lower `resolution`, or take fewer cells",
             )
-        if told := field.coarseness(1 / n):
-            context.warn(told)
+        if coarse := field.coarseness(1 / n):
+            context.warn(coarse)
         solid = np.empty(grid.shape[::-1], np.uint8)
         for layer in range(cells[2]):
             solid[layer * n : (layer + 1) * n] = field.solid_layers(grid, layer * n, (layer + 1) * n, context.threads)

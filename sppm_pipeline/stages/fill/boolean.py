@@ -69,7 +69,7 @@ class BooleanFill(Stage):
         return replace(field, geometry=made).grid(n, triangles=made.triangles(n) + ends + domain.triangles)
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> SurfaceMesh:
-        """Extract, predict the memory, intersect, judge."""
+        """Extract, predict the memory, intersect, check."""
         from sppm_pipeline.numerics.meshcheck.bodies import find_shells, largest_body
         from sppm_pipeline.numerics.meshcheck.measures import volume
         from sppm_pipeline.numerics.surface.booleans import check_solid

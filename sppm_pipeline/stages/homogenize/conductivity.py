@@ -72,7 +72,7 @@ class HomogenizeConductivity(VoxelHomogenizer):
             porosity=cell.porosity,
             tortuosity=tuple(tortuosity(found.conductivity, float(k.mean(dtype=np.float64)))),
             grid=cell.shape,
-            fractions=cell.share is not None,
+            fractions=cell.fraction is not None,
             precision=found.precision,
             iterations=tuple(case.iterations for case in found.solved),
             residuals=tuple(float(case.residual) for case in found.solved),
@@ -102,6 +102,6 @@ class HomogenizeConductivity(VoxelHomogenizer):
                 f"conductivities are given for {len(bulk)} phases, and a field or an image of fractions has one",
                 hint="give one number",
             )
-        assert cell.share is not None
-        share: NDArray[Any] = cell.share if self.of == "solid" else 1 - cell.share
-        return share.astype(dtype) * dtype.type(bulk[0])
+        assert cell.fraction is not None
+        fraction: NDArray[Any] = cell.fraction if self.of == "solid" else 1 - cell.fraction
+        return fraction.astype(dtype) * dtype.type(bulk[0])

@@ -69,7 +69,7 @@ class HomogenizeTet(Stage):
             try:
                 mismatched = face_match(mesh.nodes, mesh.cells[:, :4], mesh.box, MATCHED_TOLERANCE).mismatched.any()
                 stand_in = None if mismatched else matched_nodes(mesh.nodes, mesh.box, MATCHED_TOLERANCE)
-            except ValueError:  # nodes closer than the tolerance: whose copy they are can't be told
+            except ValueError:  # nodes closer than the tolerance: which is whose copy is ambiguous
                 stand_in = None
         context.report(joined="nodes" if stand_in is not None else self.faces.replace("auto", "mortar"))
         try:
@@ -83,8 +83,8 @@ class HomogenizeTet(Stage):
                 faces="collocation" if self.faces == "collocation" else "mortar",
                 face_tolerance=self.face_tolerance,
                 tolerance=self.tolerance,
-                most=self.iterations,
-                told=lambda done: context.progress(done, 6, "load cases"),
+                iterations=self.iterations,
+                progress=lambda done: context.progress(done, 6, "load cases"),
             )
         except ValueError as error:
             raise InputError(f"{mesh.name} can't be homogenized: {error}", hint="see `check.volume_mesh`") from error
@@ -131,9 +131,9 @@ class HomogenizeTet(Stage):
         from sppm_pipeline.numerics.tetrahedra.quality import volumes
 
         moduli, ratios = self._constants(mesh)
-        shares = np.bincount(mesh.material_of_cells, volumes(mesh.nodes, mesh.cells[:, :4])) / cell
-        phases = [(float(shares[m + 1]), moduli[m], ratios[m]) for m in range(len(shares) - 1)]
+        fractions = np.bincount(mesh.material_of_cells, volumes(mesh.nodes, mesh.cells[:, :4])) / cell
+        phases = [(float(fractions[m + 1]), moduli[m], ratios[m]) for m in range(len(fractions) - 1)]
         # a mesh may overfill its box by rounding
-        void = max(0.0, 1 - float(shares.sum()))
-        total = void + float(shares.sum())
-        return tuple((share / total, e, nu) for share, e, nu in [*phases, (void, 0.0, 0.0)])
+        void = max(0.0, 1 - float(fractions.sum()))
+        total = void + float(fractions.sum())
+        return tuple((fraction / total, e, nu) for fraction, e, nu in [*phases, (void, 0.0, 0.0)])

@@ -77,7 +77,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
         return StiffnessReport(
             found.stiffness,
             self._phases(cell),
-            f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.share is None else 'solid fractions'}",
+            f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.fraction is None else 'solid fractions'}",
             unit=None if self.unit == "relative" else self.unit,
             solver={
                 "grid": list(cell.shape),
@@ -92,14 +92,16 @@ class ElasticHomogenizer(VoxelHomogenizer):
         )
 
     def _phases(self, cell: Cell) -> tuple[tuple[float, float, float], ...]:
-        """Share, Young's modulus and Poisson's ratio of each phase, void last."""
+        """Volume fraction, Young's modulus and Poisson's ratio of each phase, void last."""
         young, poisson = self._materials()
         void = (self.ersatz * young[0], poisson[0]) if self.ersatz else (0.0, 0.0)
         if cell.phase is None:
             return ((1 - cell.porosity, young[0], poisson[0]), (cell.porosity, *void))
-        shares = np.bincount(cell.phase.reshape(-1), minlength=2) / cell.phase.size
-        solid = tuple((float(shares[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(shares)))
-        return (*solid, (float(shares[0]), *void))
+        fractions = np.bincount(cell.phase.reshape(-1), minlength=2) / cell.phase.size
+        solid = tuple(
+            (float(fractions[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(fractions))
+        )
+        return (*solid, (float(fractions[0]), *void))
 
     def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
         """Lamé constants of all voxels."""
@@ -123,11 +125,11 @@ class ElasticHomogenizer(VoxelHomogenizer):
                 f"materials are given for {len(young)} phases, and a field or an image of solid fractions has one",
                 hint="give one Young's modulus and one Poisson's ratio",
             )
-        assert cell.share is not None
-        share: NDArray[Any] = cell.share.astype(dtype)
+        assert cell.fraction is not None
+        fraction: NDArray[Any] = cell.fraction.astype(dtype)
         if self.ersatz:
-            share = self.ersatz + (1 - self.ersatz) * share
-        return share * dtype.type(constants[1, 0]), share * dtype.type(constants[1, 1])
+            fraction = self.ersatz + (1 - self.ersatz) * fraction
+        return fraction * dtype.type(constants[1, 0]), fraction * dtype.type(constants[1, 1])
 
 
 _STRAINS = ("xx", "yy", "zz", "yz", "xz", "xy")
@@ -138,7 +140,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
     """Compute the effective stiffness of a periodic cell on voxels (paper, section 3.2).
 
     Trilinear bricks, six unit strains, periodic displacements, no stiffness at all in the void. A field is sampled;
-    voxels at its surface get the stiffness of the solid times the share of them that is solid, which converges much
+    voxels at its surface get the stiffness of the solid times their solid fraction, which converges much
     faster than the binary voxels of the paper. Images may hold several phases, each with a material of its own.
 
     With more than one grid, each coarser by a third than the next, the limit of fine grids is extrapolated
@@ -147,7 +149,9 @@ class HomogenizeVoxel(ElasticHomogenizer):
 
     name: ClassVar[str] = "homogenize.voxel"
 
-    grids: int = option(1, help="grids over which the error is estimated, for fields: 1 for none", minimum=1, maximum=3)
+    grids: int = option(
+        1, help="grids over which the error is estimated, for fields; 1 for no estimate", minimum=1, maximum=3
+    )
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         """All grids; the finest needs most memory."""
@@ -160,7 +164,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
         return [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
-        """Homogenize, on coarser grids first if an error bar is wanted."""
+        """Homogenize, on coarser grids first if an error bar is requested."""
         if self.grids == 1:
             return self.stiffness_of(context, source)
         if isinstance(source, Voxels):

@@ -15,7 +15,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.families.input_file import content_of
+from sppm_pipeline.formats.input_file import content_of
 from sppm_pipeline.stage import Context, Stage, option
 
 LARGEST_FILE = 2 * 2**30
@@ -40,16 +40,17 @@ a bunny differ from it by less than a third."""
 
 @dataclass(frozen=True, kw_only=True)
 class ReadMesh(Stage):
-    """Read an STL, OBJ, PLY, OFF, 3MF or GLB file, turn, scale and place it, and judge whether it encloses a volume.
+    """Read an STL, OBJ, PLY, OFF, 3MF or GLB file, turn, scale and place it, and test whether it bounds a volume.
 
-    The unit that a file or its format states is honoured, and so is its upward axis: 3MF files name their unit, GLB
-    files are in metres with y up. Then the mesh is turned, then scaled, then placed.
+    The unit that a file or its format states is honored, and so is its upward axis: 3MF files name their unit, GLB
+    files are in meters with y up; other formats are read if the library trimesh reads them. Then the mesh is
+    turned, then scaled, then placed.
     """
 
     name: ClassVar[str] = "read.mesh"
     advice: ClassVar[str] = "simplify the mesh"
 
-    path: Path = option(help="file to read: .stl, .obj, .ply, .off, .3mf or .glb")
+    path: Path = option(help="file to read: .stl, .obj, .ply, .off, .3mf, .glb, or what trimesh reads besides")
     unit: str | None = option(
         None,
         help="unit of the coordinates in the file; what the file states (3MF, GLB), or else mm, if omitted",
@@ -75,7 +76,7 @@ class ReadMesh(Stage):
     accept: str = option(
         "closed",
         help="closed: refuse a mesh with holes or faces wound against each other; any: pass it on with a warning, "
-        "for `check.mesh` to say what is wrong, or for `fill.implicit` to judge whether it can be filled all the same",
+        "for `check.mesh` to say what is wrong, or for `fill.implicit` to find out whether it can still be filled",
         choices=("closed", "any"),
     )
 
@@ -141,7 +142,7 @@ class ReadMesh(Stage):
                 raise InputError(
                     message,
                     hint="repair the mesh; or give `accept: any`, to have `check.mesh` say what is wrong, "
-                    "or `fill.implicit` judge whether it can be filled all the same",
+                    "or `fill.implicit` find out whether it can be filled all the same",
                 )
             context.warn(message)
         elif abs(enclosed) <= FLAT * float((upper - lower).prod()):

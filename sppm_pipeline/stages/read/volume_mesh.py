@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib
-import io
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,7 +11,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import UNITS_IN_MM
 from sppm_pipeline.data.volume_mesh import VolumeMesh
-from sppm_pipeline.errors import ConfigError, InputError, ResourceError
+from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.formats.input_file import library, require_file, third_party_reader
 from sppm_pipeline.stage import Context, Stage, option
 
 READERS = {".vtu": "vtu", ".vtk": "vtk", ".inp": "abaqus", ".msh": "gmsh"}
@@ -94,40 +91,11 @@ class ReadVolumeMesh(Stage):
         return VolumeMesh(nodes, cells, box, matched, materials, name=self.path.name)
 
     def _read(self) -> Any:
-        try:
-            size = self.path.stat().st_size
-            with self.path.open("rb"):
-                pass
-        except OSError as error:
-            raise InputError(
-                f"cannot read {self.path}: {error.strerror or error}", hint="check the path and the permissions"
-            ) from error
-        if size > LARGEST_FILE:
-            raise InputError(f"{self.path} has {size} bytes; the limit is {LARGEST_FILE}")
-        try:
-            reader = importlib.import_module(f"meshio.{READERS[self.path.suffix.lower()]}")
-        except ImportError as error:
-            raise ResourceError(
-                "volume meshes are read by the library meshio, which is not installed",
-                hint="pip install 'sppm-pipeline[volume]'",
-            ) from error
-        # it talks to its user, and any mistake in a file may surface as any exception
-        with (
-            contextlib.redirect_stdout(io.StringIO()),
-            contextlib.redirect_stderr(io.StringIO()),
-            warnings.catch_warnings(),
-        ):
-            warnings.simplefilter("ignore")
-            try:
-                return reader.read(self.path)
-            except MemoryError:
-                raise
-            except (Exception, SystemExit) as error:
-                raise InputError(
-                    f"{self.path.name} is no readable {self.path.suffix[1:].upper()} file: "
-                    f"{type(error).__name__} {error}".rstrip(),
-                    hint="is it cut off, or of a version that meshio does not know? write it again, perhaps as VTU",
-                ) from error
+        require_file(self.path, LARGEST_FILE)
+        reader = library(f"meshio.{READERS[self.path.suffix.lower()]}", "volume")
+        hint = "is it cut off, or of a version that meshio does not know? write it again, perhaps as VTU"
+        with third_party_reader("meshio", self.path.name, hint):
+            return reader.read(self.path)
 
     def _oriented(self, context: Context, nodes: NDArray[np.float64], cells: NDArray[np.int32]) -> NDArray[np.int32]:
         from sppm_pipeline.numerics.tetrahedra.quality import volumes

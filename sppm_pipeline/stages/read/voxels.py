@@ -15,12 +15,12 @@ from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE, VoxelImage
 from sppm_pipeline.stage import Context, Stage, option
 
-ENDINGS = (".npy", ".tif", ".tiff", ".vti", ".nrrd")
+ENDINGS = (".npy", ".tif", ".tiff", ".nrrd")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReadVoxels(Stage):
-    """Read a voxel image: .npy, a TIFF file of many pages, a folder of PNG or TIFF files, .vti or .nrrd.
+    """Read a voxel image: .npy, a TIFF file of many pages, a folder of PNG or TIFF files, or .nrrd.
 
     The image becomes phases (0 is void) or solid fractions. An image of two values is void and solid; one with the
     values 0, 1, 2 ... holds phases; a gray one needs a threshold, or to be told that its values are fractions.
@@ -32,7 +32,7 @@ class ReadVoxels(Stage):
     values: str = option(
         "auto",
         help="what the values are: auto tells images of two values and of phases; threshold and otsu cut gray ones; "
-        "fractions are solid shares, 0 to 1 or over the full range of an integer type",
+        "fractions are solid fractions, 0 to 1 or over the full range of an integer type",
         choices=("auto", "phases", "fractions", "threshold", "otsu"),
     )
     threshold: float | None = option(
@@ -40,7 +40,6 @@ class ReadVoxels(Stage):
     )
     invert: bool = option(False, help="solid is where the values are low")
     axes: str = option("xyz", help="what the axes of a .npy array are, in order", choices=("xyz", "zyx"))
-    array: str = option("", help="name of the array of a .vti file; may be empty if there is only one")
     spacing: Length | None = option(
         None,
         help="edge of a voxel; what the file says if omitted, in mm, else one cell is the whole image",
@@ -55,12 +54,12 @@ class ReadVoxels(Stage):
             raise ConfigError("`values: threshold` and a `threshold` belong together")
 
     def run(self, context: Context) -> Voxels:
-        """Read and judge."""
+        """Read the image and make phases or fractions of it."""
         image = self._read()
         values = image.values if self.axes == "xyz" or self.path.suffix != ".npy" else image.values.transpose(2, 1, 0)
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise InputError(f"{self.path.name} holds values that are not finite")
-        made = self._judged(context, values)
+        made = self._segmented(context, values)
         if self.spacing is not None:
             spacing, physical = (self.spacing.mm(),) * 3, True
         elif image.spacing is not None:
@@ -74,35 +73,25 @@ class ReadVoxels(Stage):
         return voxels
 
     def _read(self) -> VoxelImage:
-        from sppm_pipeline.formats import image_stack, npy, nrrd, vti
+        from sppm_pipeline.formats import image_stack, nrrd, voxel_image
+        from sppm_pipeline.formats.input_file import content_of
 
-        try:
-            if self.path.is_dir():
-                return image_stack.read_folder(self.path)
-            if not self.path.is_file():
-                raise InputError(f"there is no file {str(self.path)!r}", hint="check the path")
-            ending = self.path.suffix.lower()
-            if ending not in ENDINGS:
-                raise InputError(
-                    f"{self.path.name} ends in {ending!r}; voxel images end in {', '.join(ENDINGS)}",
-                    hint="PNG files are read as a folder of one picture a layer",
-                )
-            if self.path.stat().st_size > LARGEST_IMAGE:
-                raise InputError(f"{self.path.name} is larger than {LARGEST_IMAGE // 2**30} GiB")
-            data = self.path.read_bytes()
-        except OSError as error:
+        if self.path.is_dir():
+            return image_stack.read_folder(self.path)
+        ending = self.path.suffix.lower()
+        if ending not in ENDINGS:
+            hints = {
+                ".png": "PNG files are read as a folder of one picture a layer",
+                ".vti": "save the image as .nrrd, .tif or .npy, for instance by ParaView or by pyvista and numpy.save",
+            }
             raise InputError(
-                f"cannot read {self.path}: {error.strerror or error}", hint="check the path and the permissions"
-            ) from error
-        if ending == ".npy":
-            return npy.decode(data, self.path.name)
-        if ending == ".vti":
-            return vti.decode(data, self.path.name, self.array or None)
-        if ending == ".nrrd":
-            return nrrd.decode(data, self.path.name)
-        return image_stack.decode_pages(data, self.path.name)
+                f"{self.path.name} ends in {ending!r}; voxel images end in {', '.join(ENDINGS)}", hint=hints.get(ending)
+            )
+        data = content_of(self.path, LARGEST_IMAGE)
+        decode = {".npy": voxel_image.decode_npy, ".nrrd": nrrd.decode}.get(ending, image_stack.decode_tiff)
+        return decode(data, self.path.name)
 
-    def _judged(self, context: Context, values: NDArray[Any]) -> NDArray[Any]:
+    def _segmented(self, context: Context, values: NDArray[Any]) -> NDArray[Any]:
         """Phases or fractions."""
         from sppm_pipeline.numerics.segmentation import labels_of, otsu
 
@@ -131,7 +120,7 @@ class ReadVoxels(Stage):
         if self.values == "auto" and labels is not None and len(labels) <= 2:
             solid = values == labels[-1] if len(labels) == 2 or labels[0] > 0 else values != values
             return (~solid if self.invert else solid).astype(np.uint8)
-        kind = "phases are whole numbers from 0 to 63" if self.values == "phases" else "it is a gray image"
+        kind = "phases are integers from 0 to 63" if self.values == "phases" else "it is a gray image"
         count = "many" if labels is None else str(len(labels))
         raise InputError(
             f"{name} has {count} different values from {values.min():g} to {values.max():g}: {kind}",

@@ -32,12 +32,15 @@ class DartThrowing(Sampler):
     spacing: Length | None = option(
         None,
         help="smallest distance between pores; that of the face pores if omitted",
-        unit="cell lengths",
+        unit="cell size",
         above=0,
         maximum=1e6,
     )
     share: float | None = option(
-        None, help="fill up to this share of the most that the spacing allows; 1 until nothing fits", above=0, maximum=1
+        None,
+        help="fill up to this fraction of the maximum that the spacing allows; 1 until nothing fits",
+        above=0,
+        maximum=1,
     )
     clear_faces: bool = option(True, help="keep the spacing between interior pores and face pores, too")
 
@@ -49,7 +52,7 @@ class DartThrowing(Sampler):
         if self.spacing is not None and self.share is not None and (self.count, self.total) != (None, None):
             raise ConfigError("the number of pores, `spacing` and `share` are one too many: leave one out")
 
-    def wished_spacing(self, cell: Cell) -> float | None:
+    def requested_spacing(self, cell: Cell) -> float | None:
         return None if self.spacing is None else cell.fraction(self.spacing)
 
     def gap_from_faces(self, cell: Cell, pores: PoreSet) -> float:
@@ -60,7 +63,7 @@ class DartThrowing(Sampler):
         return whole / 2 if self.gap is None and self.clear_faces else whole
 
     def kept_spacing(self, cell: Cell, before: PoreSet) -> float | None:
-        known = [spacing for spacing in (self.wished_spacing(cell), before.spacing) if spacing is not None]
+        known = [spacing for spacing in (self.requested_spacing(cell), before.spacing) if spacing is not None]
         if not known or (len(before.centers) and before.spacing is None):
             return None
         apart = self.clear_faces or (before.has_faces and self.gap_from_faces(cell, before) >= min(known))
@@ -71,7 +74,7 @@ class DartThrowing(Sampler):
         from sppm_pipeline.numerics.sampling.capacity import box_capacity
 
         thrown = super().run(context, pores)
-        spacing = self.wished_spacing(thrown.cell) or (pores.spacing if pores else None)
+        spacing = self.requested_spacing(thrown.cell) or (pores.spacing if pores else None)
         if spacing:
             inside = float((thrown.piece < thrown.interiors).sum()) / thrown.interiors
             gap = self.gap_from_faces(thrown.cell, pores or thrown)

@@ -1,4 +1,4 @@
-"""``sample.elimination``: exactly n well-spaced pores, without a wished spacing."""
+"""``sample.elimination``: exactly n well-spaced pores, without a requested spacing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sppm_pipeline.stage import option
 class Elimination(Sampler):
     """Weighted sample elimination (Yuksel 2015): many uniform candidates, the most crowded removed until n are left.
 
-    It always ends with the wished number and needs no spacing; it keeps away from face pores only through `gap`.
+    It always ends with the requested number and needs no spacing; it keeps away from face pores only through `gap`.
     """
 
     name: ClassVar[str] = "sample.elimination"

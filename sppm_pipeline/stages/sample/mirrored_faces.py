@@ -41,15 +41,15 @@ class MirroredFaces(Stage):
         maximum=100_000,
     )
     spacing: Length | None = option(
-        None, help="smallest distance between pores", unit="cell lengths", above=0, maximum=1e6
+        None, help="smallest distance between pores", unit="cell size", above=0, maximum=1e6
     )
     share: float | None = option(
-        None, help="packing: pores as a share of the most that the spacing allows", above=0, maximum=1
+        None, help="packing: pores as a fraction of the maximum that the spacing allows", above=0, maximum=1
     )
     margin: Length | None = option(
         None,
         help="distance of face pores from the border of the face; with several colors at least half the spacing",
-        unit="cell lengths",
+        unit="cell size",
         minimum=0,
         maximum=1e6,
     )
@@ -105,7 +105,7 @@ class MirroredFaces(Stage):
         margin = None if self.margin is None else cell.fraction(self.margin)
         if margin is not None and not (spacing / 2 if max(colors) > 1 else 0) <= margin < 0.5:
             raise ConfigError(
-                f"the margin is {margin:g} cell edges, allowed is less than 0.5"
+                f"the margin is {margin:g} cell sizes, allowed is less than 0.5"
                 + (f" and, with several face colors, at least half the spacing of {spacing:.4g}" * (max(colors) > 1)),
                 hint="leave `margin` out for the least that works",
             )
@@ -127,12 +127,12 @@ class MirroredFaces(Stage):
         free = spacing / np.sqrt(2)
         if margin is not None and margin < free:
             raise ConfigError(
-                f"the margin of {margin:g} cell edges is too small for this many face patterns; the least is {free:.4g}"
+                f"the margin of {margin:g} cell sizes is too small for this many face patterns; the least is {free:.4g}"
             )
         border = margin or free
         if border >= 0.5:
             raise DesignError(
-                f"this many face patterns keep {border:.4g} cell edges from the border, which leaves no face",
+                f"this many face patterns keep {border:.4g} cell sizes from the border, which leaves no face",
                 hint="choose a smaller spacing",
             )
         lower, upper = np.full(3, border), np.full(3, 1 - border)

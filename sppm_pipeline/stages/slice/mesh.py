@@ -16,7 +16,7 @@ from sppm_pipeline.fields.mesh_slices import MeshSlices
 from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
 from sppm_pipeline.stage import Context, Stage, option
 
-MOST_PIXELS = 2**31
+MAX_PIXELS = 2**31
 """Pixels of a layer; more are a mistaken unit."""
 
 
@@ -56,7 +56,7 @@ class SliceMesh(Stage):
         return replace(made, triangles=mesh.triangles)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:
-        """Judge the mesh and place the pixels; no layer is computed yet."""
+        """Test the mesh and place the pixels; no layer is computed yet."""
         mesh, method = outward_mesh(context, mesh, self.inside)
         pixel = self.pixel.mm()
         layer = self.layer.mm() if self.layer is not None else pixel
@@ -66,7 +66,7 @@ class SliceMesh(Stage):
         first = [math.floor((v - s) / h + 1e-6) for v, s, h in zip(mesh.lower, start, pitch, strict=True)]
         last = [math.ceil((v - s) / h - 1e-6) for v, s, h in zip(mesh.upper, start, pitch, strict=True)]
         nx, ny, nz = (max(1, b - a) for a, b in zip(first, last, strict=True))
-        if nx * ny * self.gray**2 > MOST_PIXELS:
+        if nx * ny * self.gray**2 > MAX_PIXELS:
             raise DesignError(
                 f"a layer would have {nx} x {ny} pixels of {pixel:g} mm, {self.gray} x {self.gray} samples each",
                 hint="take a larger `pixel`, or check the unit of the mesh",

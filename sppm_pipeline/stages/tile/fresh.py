@@ -49,7 +49,7 @@ class FreshTiling(Stage):
     resolution: int = option(
         32, help="voxels along a cell edge when porosity is measured", unit="voxels", minimum=8, maximum=256
     )
-    limit: int = option(5000, help="most cells that are drawn", minimum=1, maximum=1_000_000)
+    limit: int = option(5000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
 
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))

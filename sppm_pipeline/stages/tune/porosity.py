@@ -1,4 +1,4 @@
-"""``tune.porosity``: find the number of pores, then the level or the gap, for a wished porosity."""
+"""``tune.porosity``: find the number of pores, then the level or the gap, for a target porosity."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sppm_pipeline.stage import Context, Recipe, Stage, option
 Options = dict[str, dict[str, Any]]
 
 OFF_SYMMETRY = (0.3090, 0.7236, 0.1459)
-"""Where the first point lies, as shares of the distance of points."""
+"""Where the first point lies, as fractions of the distance of points."""
 
 LARGEST = 1.5e8
 """Most samples of a field at once; a single cell of 512 voxels along its edge has as many."""
@@ -42,7 +42,7 @@ class TunePorosity(Stage):
 
     name: ClassVar[str] = "tune.porosity"
 
-    target: float = option(help="wished porosity", above=0, below=1)
+    target: float = option(help="target porosity", above=0, below=1)
     by: str = option("level", help="what is tuned at last", choices=("level", "gap"))
     fit_count: bool = option(
         False, help="choose the number of pores by a fitted line; the recipe's stages then need `total`"
@@ -50,7 +50,9 @@ class TunePorosity(Stage):
     samples: int = option(3, help="trial cells for each number of pores on the line", minimum=1, maximum=200)
     resolution: int = option(64, help="voxels along the cell edge", unit="voxels", minimum=8, maximum=512)
     tolerance: float = option(0.001, help="largest error of the porosity, checked on a finer grid", above=0, below=0.5)
-    evaluations: int = option(40, help="most cells drawn while the gap is searched", minimum=3, maximum=1000)
+    evaluations: int = option(
+        40, help="maximum number of cells drawn while the gap is searched", minimum=3, maximum=1000
+    )
 
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
         n, trials = self.resolution, 8 * self.samples if self.fit_count else 0
@@ -180,7 +182,7 @@ class TunePorosity(Stage):
         high = _widest_gap(int((first.graph.pores.piece == 0).sum()), spacing)
         if high <= spacing:
             raise DesignError(
-                f"the interior is too full to make the gap wider than the spacing of {spacing:g} cell edges",
+                f"the interior is too full to make the gap wider than the spacing of {spacing:g} cell sizes",
                 hint="give fewer pores or a smaller spacing, or tune `by: level`",
             )
 
@@ -196,7 +198,7 @@ class TunePorosity(Stage):
         context.report(gap_evaluations=result.evaluations)
         if not result.met:
             raise DesignError(
-                f"no gap between {spacing:.4g} and {high:.4g} cell edges gives the porosity {self.target:g}; the best "
+                f"no gap between {spacing:.4g} and {high:.4g} cell sizes gives the porosity {self.target:g}; the best "
                 f"is the gap {result.x:g} with {result.value:.5f}",
                 hint="change the number of pores (`fit_count: true`), or tune `by: level`",
             )

@@ -21,7 +21,7 @@ class Retry(Stage):
 
     name: ClassVar[str] = "tune.retry"
 
-    attempts: int = option(20, help="most draws", minimum=1, maximum=100_000)
+    attempts: int = option(20, help="maximum number of draws", minimum=1, maximum=100_000)
 
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
         # how often a check rejects is not known beforehand

@@ -1,4 +1,4 @@
-"""``tune.stiffness``: from a wished Young's modulus back to the design."""
+"""``tune.stiffness``: from a target Young's modulus back to the design."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sppm_pipeline.stages.homogenize.voxel import ElasticHomogenizer
 
 @dataclass(frozen=True, kw_only=True)
 class TuneStiffness(ElasticHomogenizer):
-    """Find the structure whose Young's modulus is the wished one ("we can uniquely determine the structure at a target
+    """Find the structure whose Young's modulus is the target ("we can uniquely determine the structure at a target
     Young's modulus", paper, section 3.2).
 
     One option of the recipe is varied, the porosity that its `tune.porosity` or tile set aims at unless `vary` names
@@ -29,7 +29,7 @@ class TuneStiffness(ElasticHomogenizer):
 
     name: ClassVar[str] = "tune.stiffness"
 
-    target: float = option(help="wished Young's modulus, in the unit of `young`", above=0, maximum=1e15)
+    target: float = option(help="target Young's modulus, in the unit of `young`", above=0, maximum=1e15)
     modulus: str = option(
         "isotropic", help="which modulus: of the nearest isotropic material, or along an axis",
         choices=("isotropic", "x", "y", "z"),
@@ -39,7 +39,7 @@ class TuneStiffness(ElasticHomogenizer):
     low: float = option(0.3, help="smallest value of the varied option", minimum=-1e15, maximum=1e15)
     high: float = option(0.85, help="largest value of the varied option", minimum=-1e15, maximum=1e15)
     first: int = option(4, help="values that are homogenized before any is proposed", minimum=2, maximum=50)
-    evaluations: int = option(20, help="most homogenizations", minimum=3, maximum=1000)
+    evaluations: int = option(20, help="maximum number of homogenizations", minimum=3, maximum=1000)
 
     def check_options(self) -> None:
         super().check_options()

@@ -12,7 +12,7 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import Context, Stage, option
 
 MOST_ROWS = 200
-"""Rows that a picture of readable size takes."""
+"""Maximum number of rows of a chart of readable size."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,32 +20,34 @@ class WriteBars(Stage):
     """Draw several columns of a table as panels of bars, one row for each row of the table.
 
     Each panel has a scale of its own, from zero, and the numbers stand beside the bars; where a run has no number there
-    is a dash.
+    is a dash. Headings and the title may hold mathematics between dollar signs. Charts are drawn by matplotlib:
+    ``pip install 'sppm-pipeline[plot]'``.
     """
 
     name: ClassVar[str] = "write.bars"
 
-    path: str = option("bars.png", help="picture to write", output=True)
+    path: str = option("bars.png", help="file to write: .pdf, .svg or .png", output=True)
     label: str = option("run", help="column with the names of the rows")
     columns: tuple[str, ...] = option(help="columns that are drawn, from left to right")
-    headings: tuple[str, ...] = option((), help="texts above the columns; their names if omitted")
+    headings: tuple[str, ...] = option((), help="headings above the columns; their names if omitted")
     sort: str = option("", help="column by which rows are sorted; as they stand if empty")
     descending: bool = option(False, help="sort from large to small")
     mark: tuple[str, ...] = option((), help="names of rows that are drawn in another color")
-    title: str = option("", help="text above the picture")
+    title: str = option("", help="text above the chart")
 
     def check_options(self) -> None:
-        """Columns, and a heading for each."""
+        """Columns, a heading for each, and a chart that can be drawn."""
+        from sppm_pipeline.render.charts import check_chart
+
         check_columns(self.columns, self.headings)
+        check_chart(self.path, title=self.title, **{f"headings[{n}]": text for n, text in enumerate(self.headings)})
 
     def estimate(self, palette: Palette, table: Size) -> Size:
         return Size()
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the panels."""
-        from PIL import Image
-
-        from sppm_pipeline.render.bars import Panel, bar_panels
+        from sppm_pipeline.render.charts import Panel, bars, plain_text
 
         if not 0 < table.rows <= MOST_ROWS:
             raise ConfigError(f"the table has {table.rows} rows; bars can be drawn of 1 to {MOST_ROWS}")
@@ -54,14 +56,11 @@ class WriteBars(Stage):
         unknown = [name for name in self.mark if name not in names]
         if unknown:
             raise ConfigError(f"no row of column {self.label!r} is called {unknown[0]!r}", hint=f"there are {names}")
-        headings = self.headings or self.columns
-        panels = [
-            Panel(heading, table.numbers(column)[rows])
-            for column, heading in zip(self.columns, headings, strict=True)
-        ]  # fmt: skip
+        headings = self.headings or tuple(plain_text(column) for column in self.columns)
+        panels = [Panel(head, table.numbers(name)[rows]) for name, head in zip(self.columns, headings, strict=True)]
         marked = [place for place, row in enumerate(rows) if names[row] in self.mark]
-        picture = bar_panels([names[row] for row in rows], panels, title=self.title, marked=marked)
-        Image.fromarray(picture).save(context.output(self.path))
+        data = bars([names[row] for row in rows], panels, self.path, title=self.title, marked=marked)
+        context.output(self.path).write_bytes(data)
 
 
 def check_columns(columns: tuple[str, ...], headings: tuple[str, ...]) -> None:

@@ -1,4 +1,4 @@
-"""``write.chart``: a diagram of a table."""
+"""``write.chart``: a chart of a table."""
 
 from __future__ import annotations
 
@@ -17,69 +17,91 @@ from sppm_pipeline.stage import Context, Stage, option
 
 @dataclass(frozen=True, kw_only=True)
 class WriteChart(Stage):
-    """Draw one column of a table over another: as points, as boxes for equal x, with a fitted line if wished.
+    """Draw one column of a table over another: points, box plots or means of equal x, and a fitted line if requested.
 
-    The table is that of a sweep, or one that a stage makes.
+    The table is that of a sweep, or one that a stage makes. Labels and titles may hold mathematics between dollar
+    signs. Charts are drawn by matplotlib: ``pip install 'sppm-pipeline[plot]'``.
     """
 
     name: ClassVar[str] = "write.chart"
 
-    path: str = option("chart.png", help="picture to write", output=True)
-    x: str = option(help="column along the axis")
-    y: str = option(help="column upward")
-    kind: str = option("points", help="how the values are shown", choices=("points", "boxes"))
-    group: str = option("", help="column whose values are told apart by color; none if empty")
+    path: str = option("chart.png", help="file to write: .pdf, .svg or .png", output=True)
+    x: str = option(help="column along the horizontal axis")
+    y: str = option(help="column along the vertical axis")
+    kind: str = option(
+        "points",
+        help="points, box plots of the values at equal x, or their means with standard deviations as error bars",
+        choices=("points", "boxes", "means"),
+    )
+    error: str = option("", help="column with half lengths of the error bars of points; none if empty")
+    group: str = option("", help="column by whose values the rows are told apart by color; none if empty")
     line: bool = option(False, help="draw the least-squares line through all points and report it")
-    log_x: bool = option(False, help="logarithmic axis of x; what is not positive is left out")
-    log_y: bool = option(False, help="logarithmic axis of y; what is not positive is left out")
-    title: str = option("", help="text above the diagram")
-    x_label: str = option("", help="text below the axis; the column's name if empty")
-    y_label: str = option("", help="text beside the axis; the column's name if empty")
+    log_x: bool = option(False, help="logarithmic horizontal axis; values that are not positive are left out")
+    log_y: bool = option(False, help="logarithmic vertical axis; values that are not positive are left out")
+    title: str = option("", help="text above the chart")
+    x_label: str = option("", help="text below the horizontal axis; the column's name if empty")
+    y_label: str = option("", help="text beside the vertical axis; the column's name if empty")
+    group_label: str = option("", help="title of the legend; the name of the column `group` if empty")
+
+    def check_options(self) -> None:
+        """A chart that can be drawn, and error bars for points only."""
+        from sppm_pipeline.render.charts import check_chart
+
+        texts = {name: getattr(self, name) for name in ("title", "x_label", "y_label", "group_label")}
+        check_chart(self.path, **texts)
+        if self.error and self.kind != "points":
+            raise ConfigError(f"`error` belongs to points, not to {self.kind}", hint="leave out `error` or `kind`")
 
     def estimate(self, palette: Palette, table: Size) -> Size:
         return Size()
 
     def run(self, context: Context, table: Table) -> None:
-        """Draw the diagram."""
-        from PIL import Image
-
-        from sppm_pipeline.numerics.porosity.line import fit_line
-        from sppm_pipeline.render.charts import chart
-        from sppm_pipeline.render.series import Boxes, Line, Points
+        """Draw the chart."""
+        from sppm_pipeline.render.charts import Series, chart, number_text, plain_text
 
         x, y = table.numbers(self.x), table.numbers(self.y)
-        names = list(table.column(self.group)) if self.group else [""] * len(x)
-        good = np.isfinite(x) & np.isfinite(y)
-        x, y, names = x[good], y[good], [name for name, there in zip(names, good, strict=True) if there]
-        if len(x) < 2:
-            raise ConfigError(f"columns {self.x!r} and {self.y!r} have fewer than two rows with numbers in both")
-        shown: list[Boxes | Line | Points] = []
-        for group in _in_order(names):
-            own = np.array([name == group for name in names])
-            own_x, own_y = x[own], y[own]
-            label = _group_text(self.group, group)
-            if self.kind == "boxes":
-                places = np.unique(own_x)
-                shown.append(Boxes(places, [own_y[own_x == place] for place in places], label=label))
-            else:
-                shown.append(Points(own_x, own_y, label=label))
+        error = table.numbers(self.error) if self.error else np.full(len(x), np.nan)
+        groups = table.column(self.group) if self.group else ("",) * len(x)
+        shown = np.isfinite(x) & np.isfinite(y) & ((x > 0) | (not self.log_x)) & ((y > 0) | (not self.log_y))
+        if shown.sum() < 2:
+            raise ConfigError(
+                f"columns {self.x!r} and {self.y!r} have fewer than two rows with numbers in both",
+                hint="a logarithmic axis takes positive numbers only" if self.log_x or self.log_y else None,
+            )
+        series = []
+        for group in _in_order([group for group, there in zip(groups, shown, strict=True) if there]):
+            own = shown & np.array([value == group for value in groups])
+            label = plain_text(group) if isinstance(group, str) else f"{group:g}"
+            series.append(Series(x[own], y[own], label, self.kind, error[own]))  # type: ignore[arg-type]  # a choice
         if self.line:
-            line = fit_line(x, y)
-            ends = np.array([x.min(), x.max()])
-            label = f"{line.slope:.4g} n + {line.intercept:.4g}, R2 = {line.r_squared:.3f}"
-            shown.append(Line(ends, line.slope * ends + line.intercept, label=label))
-            context.report(slope=line.slope, intercept=line.intercept, r_squared=line.r_squared)
-        picture = chart(shown, title=self.title, x_label=self.x_label or self.x, y_label=self.y_label or self.y,
-                        x_log=self.log_x, y_log=self.log_y)  # fmt: skip
-        Image.fromarray(picture).save(context.output(self.path))
+            slope, intercept, r_squared = _fitted(x[shown], y[shown])
+            context.report(slope=slope, intercept=intercept, r_squared=r_squared)
+            # enough points to be a curve on logarithmic axes
+            along = np.linspace(x[shown].min(), x[shown].max(), 200 if self.log_x or self.log_y else 2)
+            sign = "+" if intercept >= 0 else "-"
+            label = f"$y = {number_text(slope)} x {sign} {number_text(abs(intercept))}$, $R^2 = {r_squared:.3f}$"
+            series.append(Series(along, slope * along + intercept, label, "line", color="#000000"))
+        data = chart(
+            series, self.path, title=self.title, x_label=self.x_label or plain_text(self.x),
+            y_label=self.y_label or plain_text(self.y), legend=self.group_label or plain_text(self.group),
+            log_x=self.log_x, log_y=self.log_y,
+        )  # fmt: skip
+        context.output(self.path).write_bytes(data)
+
+
+def _fitted(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
+    """Slope and intercept of the least-squares line, and the share of the variance that it explains."""
+    from_mean = x - x.mean()
+    if not from_mean.any():
+        raise ConfigError("a line needs at least two different values of x", hint="leave out `line`")
+    slope = float(from_mean @ (y - y.mean()) / (from_mean @ from_mean))
+    intercept = float(y.mean() - slope * x.mean())
+    total = float(((y - y.mean()) ** 2).sum())
+    residuals = y - (slope * x + intercept)
+    return slope, intercept, 1.0 - float(residuals @ residuals) / total if total else 1.0
 
 
 def _in_order(names: Sequence[Any]) -> list[Any]:
-    """Each group once: numbers from small to large, then texts as they come; rows without a group belong to none."""
+    """Each group once: numbers from small to large, then strings as they come; rows without a group belong to none."""
     known = [name for name in dict.fromkeys(names) if name is not None and name == name]
     return sorted((n for n in known if not isinstance(n, str)), key=float) + [n for n in known if isinstance(n, str)]
-
-
-def _group_text(column: str, group: Any) -> str:
-    """How the legend names a group."""
-    return group if isinstance(group, str) else f"{column} = {group:g}"

@@ -45,5 +45,5 @@ class WriteGraph(Stage):
             text = json.dumps(networkx.node_link_data(exported, edges="edges"), indent=1, sort_keys=True)
             target.write_text(text + "\n", encoding="utf-8")
         else:
-            networkx.write_graphml(exported, target)
+            networkx.write_graphml_xml(exported, target)  # not by lxml where that is installed: other bytes
         context.report(**graph_statistics(pores.centers, graph.edges, graph.shift)._asdict())

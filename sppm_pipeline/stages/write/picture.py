@@ -82,6 +82,9 @@ class WritePicture(Stage):
         return Camera(azimuth=self.azimuth, elevation=self.elevation)
 
     def _field(self, context: Context, field: ScalarField) -> NDArray[np.uint8]:
+        """The surface of a field on as fine a grid as the picture needs."""
+        from sppm_pipeline.render.mesh_view import render_field
+
         low, high = np.zeros(3), np.array(field.cells, float)
         if isinstance(field, Part):
             edge = field.physical_edge()
@@ -96,29 +99,15 @@ class WritePicture(Stage):
         nx, ny, nz = (int(v) for v in last - first + 1)
         x, y, z = (float(v) / n for v in first)
         grid = Grid((x, y, z), (1 / n,) * 3, (nx, ny, nz))
-        if not isinstance(field, Part):
-            return self._surface(field.sample(grid, context.threads), None, grid, self.size)
-        inner, outer = field.sample_apart(grid, context.threads)
-        return self._surface(inner, outer, grid, self.size)
-
-    def _surface(
-        self, inner: NDArray[np.float32], outer: NDArray[np.float32] | None, grid: Grid, size: tuple[int, int]
-    ) -> NDArray[np.uint8]:
-        """The surface of the solid, cut faces in a color of their own."""
-        from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
-        from sppm_pipeline.numerics.surface.intersection import on_both_fields
-        from sppm_pipeline.render.cut_faces import cut_values
-        from sppm_pipeline.render.mesh_view import render_mesh
-
-        values = inner if outer is None else np.maximum(inner, outer)
-        vertices, faces = capped_marching_cubes(values, 0.0, grid.origin, grid.spacing)
-        if outer is not None:
-            vertices = on_both_fields(vertices, inner, outer, grid)
-        cut = cut_values(vertices, inner, outer, grid)
-        return render_mesh(vertices, faces, camera=self._camera(), size=size, cut=cut)
+        if isinstance(field, Part):
+            inner, outer = field.sample_apart(grid, context.threads)
+            return render_field(inner, outer, grid, camera=self._camera(), size=self.size)
+        return render_field(field.sample(grid, context.threads), None, grid, camera=self._camera(), size=self.size)
 
     def _sheet(self, context: Context, tileset: TileSet) -> NDArray[np.uint8]:
-        from sppm_pipeline.render.plates import contact_sheet
+        """All tiles, each with its porosity."""
+        from sppm_pipeline.render.mesh_view import render_field
+        from sppm_pipeline.render.sheets import contact_sheet
 
         pictures, labels = [], []
         c = tileset.palette_colors
@@ -127,7 +116,7 @@ class WritePicture(Stage):
             colors = (t // c**2, t // c % c, t % c) if tileset.kind == "wang" else (0, 0, 0)
             grid = cell_nodes(self.resolution)
             values = tileset.micro.alone(t, colors).sample(grid, context.threads)
-            pictures.append(self._surface(values, None, grid, (300, 270)))
+            pictures.append(render_field(values, None, grid, camera=self._camera(), size=(300, 270)))
             share = f"  {tileset.porosity[t]:.1%}" if t < len(tileset.porosity) else ""
             name = "".join("xyz"[a] + str(colors[a] + 1) for a in range(3)) if tileset.kind == "wang" else str(t)
             labels.append(name + share)

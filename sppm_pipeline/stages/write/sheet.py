@@ -49,7 +49,7 @@ class WriteSheet(Stage):
         """Collect the pictures."""
         from PIL import Image
 
-        from sppm_pipeline.render.plates import contact_sheet
+        from sppm_pipeline.render.sheets import contact_sheet
 
         if self.picture not in table.files:
             known = ", ".join(sorted(table.files)) or "no files"

@@ -47,7 +47,7 @@ class WriteStiffness(Stage):
         from PIL import Image
 
         from sppm_pipeline.formats import ply
-        from sppm_pipeline.formats.material_card import abaqus_card
+        from sppm_pipeline.formats.inp import abaqus_card
         from sppm_pipeline.numerics.homogenization.stiffness.directional import sphere_mesh, young_along
 
         folder = context.output(self.path)
@@ -81,8 +81,8 @@ def young_picture(
     size: tuple[int, int],
 ) -> NDArray[np.uint8]:
     """The surface of moduli in color, with a scale beside it."""
-    from sppm_pipeline.render.color_scale import colors_of, with_scale
     from sppm_pipeline.render.mesh_view import render_mesh
+    from sppm_pipeline.render.sheets import colors_of, with_scale
 
     low, high = float(young.min()), float(young.max())
     # of a nearly isotropic material a range of rounding errors would look like a range

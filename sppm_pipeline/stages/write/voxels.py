@@ -42,13 +42,13 @@ class WriteVoxels(Stage):
         context.report(bytes=size, voxels=voxels.values.size)
 
     def _encoded(self, voxels: Voxels) -> Iterable[bytes]:
-        from sppm_pipeline.formats import image_stack, npy, vti
+        from sppm_pipeline.formats import image_stack, voxel_image
 
         extension = extension_of(self.path)
         if extension == ".npy":
-            return npy.encode(voxels.values)
+            return voxel_image.encode_npy(voxels.values)
         if extension == ".vti":
             array = "fraction" if voxels.fractions else "phase"
-            return vti.encode(voxels.values, voxels.spacing, (0.0, 0.0, 0.0), array)
+            return voxel_image.encode_vti(voxels.values, voxels.spacing, (0.0, 0.0, 0.0), array)
         several = voxels.fractions or voxels.values.max() > 1
         return [image_stack.encode_tiff(voxels.values if several else voxels.solid())]

@@ -122,7 +122,8 @@ def test_a_lone_cell_is_the_periodic_cell(sets) -> None:
 def test_moving_a_lone_cell_by_a_voxel_moves_the_field(sets) -> None:
     pieces, n = sets.pieces(13), 16
     offset = np.array([3.0, 0.0, -2.0]) / n
-    moved = pieces._replace(
+    moved = replace(
+        pieces,
         interiors=tuple(k.shifted(offset) for k in pieces.interiors),
         faces=tuple(tuple(k.shifted(offset) for k in axis) for axis in pieces.faces),
         connectors={key: k.shifted(offset) for key, k in pieces.connectors.items()},

@@ -146,7 +146,7 @@ def test_all_pairs_are_found(seed):
     assert pairs > 300
     assert (found.pairs, found.complete) == (pairs, True)
     assert np.array_equal(found.faces, expected)
-    again = self_intersections(box_tree(t), most_pairs=pairs)
+    again = self_intersections(box_tree(t), max_pairs=pairs)
     assert not again.complete
 
 

@@ -220,7 +220,7 @@ def test_nothing_solid():
 def test_too_many_tetrahedra_are_refused_before_they_are_made(monkeypatch):
     values = np.full((13, 13, 13), -1, np.float32)
     count = len(stuff(values, True).tets)
-    monkeypatch.setattr("sppm_pipeline.numerics.tetrahedra.stuffing.MOST_TETRAHEDRA", count // 2)
+    monkeypatch.setattr("sppm_pipeline.numerics.tetrahedra.stuffing.MAX_TETRAHEDRA", count // 2)
     with pytest.raises(ResourceError, match="tetrahedra"):
         stuff(values, True)
 

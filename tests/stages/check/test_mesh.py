@@ -5,7 +5,7 @@ import pytest
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.engine.config.jsonable import json_text
+from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_mesh
 from sppm_pipeline.stage import Rejected

@@ -1,4 +1,4 @@
-"""Meshes from files: read, moved, judged."""
+"""Meshes from files: read, moved, tested for a volume."""
 
 import numpy as np
 import pytest

@@ -94,11 +94,15 @@ def test_all_void_is_said(save):
 
 
 def test_what_cannot_be_read(tmp_path, save):
-    with pytest.raises(InputError, match="no file"):
+    with pytest.raises(InputError, match="cannot read"):
         read(tmp_path / "none.npy")
     (tmp_path / "a.raw").write_bytes(b"x")
     with pytest.raises(InputError, match="raw"):
         read(tmp_path / "a.raw")
+    (tmp_path / "a.vti").write_bytes(b"x")
+    with pytest.raises(InputError, match="vti") as caught:
+        read(tmp_path / "a.vti")
+    assert "nrrd" in caught.value.hint
     with pytest.raises(InputError, match="not finite"):
         read(save(np.full((2, 2, 2), np.nan)))
     with pytest.raises(ConfigError, match="belong together"):

@@ -125,6 +125,18 @@ def test_formats_without_copies_refuse_them(name, repeated, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", FORMATS)
+def test_former_stages_write_their_format_under_their_former_id(name, run_yaml, summary):
+    record, folder = run_yaml(f"""
+pipeline:
+  - {{stage: read.primitive, shape: box, size: [1 mm, 2 mm, 3 mm]}}
+  - {{stage: write.{name}}}
+  - {{stage: write.mesh, path: new.{name}}}
+""")
+    assert (folder / f"mesh.{name}").read_bytes() == (folder / f"new.{name}").read_bytes()
+    assert summary(record, f"write.{name}")["triangles"] == 12
+
+
 def test_titles_are_text(ball, tmp_path):
     with pytest.raises(ConfigError, match="printed"):
         WriteMesh(path="mesh.3mf", title="a\0b").check_options()

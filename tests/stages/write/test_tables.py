@@ -51,6 +51,10 @@ def test_a_csv_table(tmp_path):
 @pytest.mark.parametrize(
     ("stage", "words"),
     [
+        (WriteBars(columns=("a",), headings=("$x",), path="a.gif"), "not as 'a.gif'"),
+        (WriteBars(columns=("a",), headings=(r"$\x_$",)), r"`headings\[0\]` is"),
+        (WriteChart(x="x", y="y", y_label="$_$"), "`y_label` is"),
+        (WriteChart(x="x", y="y", kind="boxes", error="e"), "`error` belongs to points"),
         (WriteTable(columns=()), "no column"),
         (WriteTable(columns=("a",), headings=("x", "y")), "2 headings for 1"),
         (WriteTable(columns=("a",), path="t.xls"), "as .md or .csv"),
@@ -66,14 +70,14 @@ def test_bars_follow_the_order_and_the_mark(tmp_path):
     def pixels(**options):
         data, _ = run(WriteBars(label="name", columns=("E", "n"), **options), Table(COLUMNS), tmp_path)
         with Image.open(tmp_path / "bars.png") as image:
-            return np.asarray(image).copy(), data
+            return np.asarray(image.convert("RGB")).copy(), data
 
     plain, data = pixels()
     assert pixels()[1] == data
     assert not np.array_equal(pixels(sort="E")[0], plain)
-    marked = pixels(mark=("gyroid",))[0]
-    assert ((marked == (206, 96, 62)).all(axis=2)).sum() > 100
-    assert not ((plain == (206, 96, 62)).all(axis=2)).any()
+    orange = (0xD5, 0x5E, 0x00)
+    assert ((pixels(mark=("gyroid",))[0] == orange).all(axis=2)).sum() > 100
+    assert not ((plain == orange).all(axis=2)).any()
     with pytest.raises(ConfigError, match="called 'gyriod'"):
         pixels(mark=("gyriod",))
     with pytest.raises(ConfigError, match="no column 'x'"):
@@ -123,12 +127,30 @@ def test_sheets_of_what_is_not_there(pictures, tmp_path):
         run(WriteSheet(picture="cell.png"), pictures, tmp_path)
 
 
-def test_charts_take_texts_as_groups_and_logarithmic_axes(tmp_path):
+def test_charts_take_groups_error_bars_and_logarithmic_axes(tmp_path):
     table = Table({"x": (1, 2, 3, 4), "y": (1.0, 10.0, 100.0, 1000.0), "g": ("b", "a", "b", None), "k": (2, 1, 2, 1)})
     seen = set()
-    for options in ({}, {"group": "g"}, {"group": "k"}, {"log_y": True}, {"log_x": True, "group": "g"}):
+    for options in (
+        {}, {"group": "g"}, {"group": "k"}, {"group": "k", "group_label": "$k$"}, {"error": "x"}, {"kind": "means"},
+        {"log_y": True}, {"log_x": True, "group": "g"}, {"x_label": r"$\nu_{xy}$"},
+    ):  # fmt: skip
         stage = WriteChart(x="x", y="y", **options)
         data = run(stage, table, tmp_path)[0]
         assert run(stage, table, tmp_path)[0] == data
         seen.add(data)
-    assert len(seen) == 5
+    assert len(seen) == 9
+    for extension, start in (("pdf", b"%PDF"), ("svg", b"<?xml")):
+        assert run(WriteChart(x="x", y="y", path=f"a.{extension}"), table, tmp_path)[0].startswith(start)
+        assert run(WriteBars(columns=("y",), label="g", path=f"b.{extension}"), table, tmp_path)[0].startswith(start)
+
+
+def test_lines_may_fall_and_need_two_values_of_x(tmp_path):
+    table = Table({"x": (1, 2, 3), "y": (3.0, 2.0, 1.0), "one": (1, 1, 1), "minus": (-1, -2, 3)})
+    reported = run(WriteChart(x="x", y="y", line=True), table, tmp_path)[1].reported
+    assert reported == pytest.approx({"slope": -1, "intercept": 4, "r_squared": 1})
+    assert run(WriteChart(x="x", y="one", line=True), table, tmp_path)[1].reported["r_squared"] == 1
+    with pytest.raises(ConfigError, match="two different values of x"):
+        run(WriteChart(x="one", y="y", line=True), table, tmp_path)
+    with pytest.raises(ConfigError, match="fewer than two rows") as caught:
+        run(WriteChart(x="x", y="minus", log_y=True), table, tmp_path)
+    assert "positive" in caught.value.hint

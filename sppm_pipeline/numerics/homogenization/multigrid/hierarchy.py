@@ -14,7 +14,7 @@ from sppm_pipeline.numerics.homogenization.multigrid.transfer import interpolate
 from sppm_pipeline.numerics.homogenization.multigrid.vectors import dense_product, dot, weighted
 
 COARSEST = 2
-"""Axes of the coarsest grid have at most so many voxels: its matrix is so small that no library shares it out."""
+"""Maximum number of voxels of the coarsest grid along an axis: its matrix is so small that no library uses threads."""
 
 _SINGULAR = 1e-5
 """Eigenvalues of the coarsest matrix below this part of the largest are rounding."""
@@ -26,7 +26,7 @@ _POWER_STEPS = 10
 
 
 class Level(Protocol):
-    """One grid of a problem: how a pass over it looks.
+    """One grid of a problem, with its operator.
 
     Attributes
     ----------
@@ -48,15 +48,15 @@ class Level(Protocol):
     weight: NDArray[Any]
 
     def apply(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
-        """A pass over the grid, see `rows.APPLY` and its neighbors; vectors are flat."""
+        """Apply the operator in one of the modes of `rows`: APPLY, RESIDUAL, SMOOTH; vectors are flat."""
         ...
 
     def forces(self, load: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:
-        """What a constant load, a mean strain or gradient, does to the nodes, written to `out`."""
+        """Nodal forces of a constant load, a mean strain or gradient, written to `out`."""
         ...
 
     def rounding(self) -> float:
-        """What rounding may make of forces that should be zero, for each node."""
+        """Rounding error to expect in forces that should be zero, for each node."""
         ...
 
 
@@ -85,7 +85,7 @@ def node_sums(values: NDArray[Any]) -> NDArray[Any]:
 
 
 class Workspace:
-    """What one thread needs for a cycle, made once.
+    """Work arrays of one thread for a cycle.
 
     Parameters
     ----------
@@ -143,8 +143,8 @@ class Hierarchy:
         levels : list of Level
         scratch_rows : int
         largest : float
-            Bound of the eigenvalues of the matrix over its diagonal, for cycles that can't fail; 0 to
-            estimate it, and to visit coarse grids twice.
+            Bound of the eigenvalues of the matrix over its diagonal, for cycles that are always
+            positive definite; 0 to estimate it, and to visit coarse grids twice.
         """
         work = Workspace(levels, scratch_rows)
         for level in levels:
@@ -222,7 +222,7 @@ def _largest_eigenvalue(level: Level, work: Workspace) -> float:
 
 
 def _inverse(level: Level, work: Workspace) -> NDArray[np.float64]:
-    """Pseudo-inverse of the matrix of a small level: translations, and loose parts, have no stiffness."""
+    """Pseudo-inverse of the matrix of a small level: translations and disconnected parts have no stiffness."""
     size = level.components * level.weight.size
     matrix = np.empty((size, size))
     unit, column = np.zeros(size, level.weight.dtype), np.empty(size, level.weight.dtype)

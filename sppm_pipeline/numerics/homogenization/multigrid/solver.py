@@ -49,7 +49,7 @@ class Stop(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """How an iteration went.
+    """The outcome of an iteration.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Solved(NamedTuple):
     residual : float
         Over the right-hand side, 2-norm, as updated by the iteration.
     energy : float
-        What is left of the energy.
+        Of the solution.
     error : float
         Estimated relative error of that.
     converged : bool
@@ -165,20 +165,20 @@ def load_cases(
 ) -> tuple[NDArray[np.float64], tuple[Solved, ...], str]:
     """Solve one load case for each constant load, and return the mutual energies of the solutions over the volume.
 
-    If the damping or the visits of the cycle turn out to be too bold, all is done again without risk; if rounding takes
-    over, in double precision.
+    If the preconditioner turns out not to be positive definite, all is solved again with a safe one; if rounding
+    dominates, in double precision.
 
     Parameters
     ----------
     hierarchy_of : callable
-        From a precision, and whether to take no risks, to the grids.
+        From a precision, and whether the cycle has to be safe, to the grids.
     energies : callable
         From the grids, the solutions and a number of threads to the (m, m) matrix of energies.
     mean : (m,)
         Energies over the volume of the constant loads alone.
     stop : Stop
     floor : float
-        Part of `mean` below which no digits are asked for.
+        Part of `mean` below which no accuracy is requested.
     dtype : dtype
     threads : int
 

@@ -1,5 +1,5 @@
-"""What a stiffness matrix says: engineering constants, isotropy, bounds, directions, error bars.
+"""What follows from a stiffness matrix: engineering constants, isotropy, bounds, directions, error bars.
 
-Stiffness matrices are 6x6 in Voigt order xx, yy, zz, yz, xz, xy with engineering shear strains. A structure that gives
-way has singular ones: such a direction has modulus 0, never an error.
+Stiffness matrices are 6x6 in Voigt order xx, yy, zz, yz, xz, xy with engineering shear strains. Mechanisms have
+singular ones: such a direction has modulus 0, never an error.
 """

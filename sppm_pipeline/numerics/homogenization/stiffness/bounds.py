@@ -1,4 +1,4 @@
-"""Bounds on the stiffness of a composite from its phases and their shares alone."""
+"""Bounds on the stiffness of a composite from its phases and their fractions alone."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Interval(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What is known before any simulation, and whether a computed stiffness keeps to it.
+    """Bounds from the phases alone, and whether a computed stiffness satisfies them.
 
     Attributes
     ----------
@@ -52,23 +52,23 @@ def voigt(phases: list[tuple[float, float, float]]) -> NDArray[np.float64]:
 
     Parameters
     ----------
-    phases : list of (share, Young's modulus, Poisson's ratio)
-        Shares sum to 1; void has modulus 0.
+    phases : list of (fraction, Young's modulus, Poisson's ratio)
+        Fractions sum to 1; void has modulus 0.
     """
     total = np.zeros((6, 6))
-    for share, young, poisson in phases:
-        total += share * isotropic(young, poisson)
+    for fraction, young, poisson in phases:
+        total += fraction * isotropic(young, poisson)
     return total
 
 
 def reuss(phases: list[tuple[float, float, float]]) -> NDArray[np.float64]:
     """Inverse of the mean of the compliances, (6, 6): the lower bound; zero if there is void. See `voigt`."""
-    if any(share > 0 and young == 0 for share, young, _ in phases):
+    if any(fraction > 0 and young == 0 for fraction, young, _ in phases):
         return np.zeros((6, 6))
     total = np.zeros((6, 6))
-    for share, young, poisson in phases:
-        if share > 0:
-            total += share * np.linalg.inv(isotropic(young, poisson))
+    for fraction, young, poisson in phases:
+        if fraction > 0:
+            total += fraction * np.linalg.inv(isotropic(young, poisson))
     return np.asarray(np.linalg.inv(total), np.float64)
 
 
@@ -79,17 +79,17 @@ def hashin_shtrikman(phases: list[tuple[float, float, float]]) -> tuple[Interval
     ----------
     Hashin and Shtrikman 1963; in the form of Berryman 1980, with the moduli of the softest and the stiffest phase.
     """
-    present = [(share, *_bulk_and_shear(young, poisson)) for share, young, poisson in phases if share > 0]
+    present = [(fraction, *_bulk_and_shear(young, poisson)) for fraction, young, poisson in phases if fraction > 0]
     bulks, shears = [bulk for _, bulk, _ in present], [shear for _, _, shear in present]
 
     def bulk(shear: float) -> float:
-        return _shifted_mean([(share, k) for share, k, _ in present], 4 * shear / 3)
+        return _shifted_mean([(fraction, k) for fraction, k, _ in present], 4 * shear / 3)
 
     def zeta(k: float, g: float) -> float:
         return g / 6 * (9 * k + 8 * g) / (k + 2 * g) if g > 0 else 0.0
 
     def shear(shift: float) -> float:
-        return _shifted_mean([(share, g) for share, _, g in present], shift)
+        return _shifted_mean([(fraction, g) for fraction, _, g in present], shift)
 
     return (
         Interval(bulk(min(shears)), bulk(max(shears))),
@@ -103,7 +103,7 @@ def bounds(stiffness: NDArray[np.float64], phases: list[tuple[float, float, floa
     Parameters
     ----------
     slack : float
-        Violations up to this share of the upper bound are rounding.
+        Violations up to this part of the upper bound are rounding.
     """
     upper, lower = voigt(phases), reuss(phases)
     room = slack * float(np.linalg.norm(mandel(upper)))
@@ -130,4 +130,4 @@ def _shifted_mean(terms: list[tuple[float, float]], shift: float) -> float:
     """The harmonic mean of values to which `shift` was added, less `shift`."""
     if shift == 0 and any(value == 0 for _, value in terms):
         return 0.0
-    return 1 / sum(share / (value + shift) for share, value in terms) - shift
+    return 1 / sum(fraction / (value + shift) for fraction, value in terms) - shift

@@ -1,4 +1,4 @@
-"""A smooth curve through few homogenizations, by which the parameter for a wished modulus is guessed."""
+"""Monotone interpolation of few homogenizations, to propose the parameter for a target modulus."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def parameter_for(
     from scipy.interpolate import PchipInterpolator
 
     order = np.argsort(parameters)
-    x, y, wanted = parameters[order], np.log(moduli[order]), np.log(target)
-    crossed = np.flatnonzero((y[:-1] - wanted) * (y[1:] - wanted) <= 0)
+    x, y, goal = parameters[order], np.log(moduli[order]), np.log(target)
+    crossed = np.flatnonzero((y[:-1] - goal) * (y[1:] - goal) <= 0)
     if not len(crossed):
         raise ValueError("the target lies outside of the samples")
     # of several crossings the one between the samples that come nearest
-    best = crossed[np.argmin(np.minimum(np.abs(y[crossed] - wanted), np.abs(y[crossed + 1] - wanted)))]
+    best = crossed[np.argmin(np.minimum(np.abs(y[crossed] - goal), np.abs(y[crossed + 1] - goal)))]
     low, high = float(x[best]), float(x[best + 1])
     curve = PchipInterpolator(x, y)
     a, b = low, high
     for _ in range(60):
         middle = (a + b) / 2
-        if (curve(middle) - wanted) * (curve(a) - wanted) <= 0:
+        if (curve(middle) - goal) * (curve(a) - goal) <= 0:
             b = middle
         else:
             a = middle

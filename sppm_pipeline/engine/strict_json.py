@@ -1,10 +1,12 @@
-"""Values as strict JSON has them."""
+"""Strict JSON: numbers and arrays of results as plain values, and files whose last entry is their own digest."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -49,3 +51,36 @@ def _text(value: Any, newline: str) -> str:
     if isinstance(value, list) and any(isinstance(item, (dict, list)) and item for item in value):
         return "[" + inside + ("," + inside).join(_text(item, inside) for item in value) + newline + "]"
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+SEAL = "sha256"
+"""Key of the digest, the last of the file."""
+
+_END = re.compile(rb',\n "sha256": "([0-9a-f]{64})"\n\}\n\Z')
+
+
+class BrokenSealError(ValueError):
+    """The text is not what was written."""
+
+
+def sealed(value: Mapping[str, Any]) -> dict[str, Any]:
+    """`value` with its digest as last entry; `json_text` of it is what `read_sealed` accepts."""
+    bare = {key: item for key, item in value.items() if key != SEAL}
+    return {**bare, SEAL: hashlib.sha256(json_text(bare).encode()).hexdigest()}
+
+
+def read_sealed(data: bytes) -> dict[str, Any]:
+    """The content of a sealed file.
+
+    Raises
+    ------
+    BrokenSealError
+        If it has no seal, or the seal does not fit.
+    """
+    end = _END.search(data)
+    if end is None:
+        raise BrokenSealError("the digest at its end is missing")
+    if hashlib.sha256(data[: end.start()] + b"\n}\n").hexdigest() != end[1].decode():
+        raise BrokenSealError("its content does not fit its digest")
+    value: dict[str, Any] = json.loads(data)
+    return value

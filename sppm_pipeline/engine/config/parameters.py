@@ -1,18 +1,25 @@
-"""Parameters and overrides: ``${name}``, ``-p name=value`` and ``-s stage.option=value``."""
+"""Parameters: ``${name}``, overrides by ``-p name=value`` and ``-s stage.option=value``, and the rows of a sweep."""
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-from sppm_pipeline.engine.config.configuration import RESERVED, StageEntry
-from sppm_pipeline.engine.config.document import Entry, Node, Override, count_nodes, parse_value
+from sppm_pipeline.engine.config.configuration import MAX_SEED, RESERVED, Configuration, StageEntry
+from sppm_pipeline.engine.config.document import Entry, Node, Override, count_nodes, parse_value, plain
 from sppm_pipeline.engine.config.limits import MAX_NODES
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, shown
 from sppm_pipeline.errors import ConfigError
 
 _WHOLE = re.compile(r"\$\{\s*(\w+)\s*\}")
+
+
+MAX_ROWS = 100_000
+"""Runs of a sweep."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +85,7 @@ class Substitution:
             self._problems.report(
                 f"${{name}} stands for a whole value, got {shown(node.value)}",
                 node.where,
-                hint="there is no text around a parameter; put the whole text into `params`",
+                hint="there is no text around a parameter; put the whole string into `params`",
             )
             self._problems.explained(node.where)
             return node
@@ -173,3 +180,91 @@ def _matching(entries: Sequence[StageEntry], target: str) -> list[int]:
         if found:
             return found
     return []
+
+
+def sweep_rows(sweep: Node, params: Mapping[str, Any]) -> list[dict[str, Entry]]:
+    """The rows of a sweep: of a grid with its last parameter changing fastest, of a table as written.
+
+    In a grid, ``{from: 1, to: 50}`` stands for the integers from 1 to 50, ``{from: 0, to: 100, step: 5}`` for
+    every fifth.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter is unknown, a list is empty, or there are too many rows.
+    """
+    problems = Problems()
+    rows: list[dict[str, Entry]]
+    if isinstance(sweep.value, dict):
+        axes = {name: _axis(name, entry, problems) for name, entry in sweep.value.items()}
+        count = math.prod(len(axis) for axis in axes.values())
+        if count > MAX_ROWS:
+            problems.report(f"the sweep has {count} runs; at most {MAX_ROWS} are allowed", sweep.where)
+            problems.raise_any()
+        rows = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())] if axes else []
+    else:
+        rows = []
+        for node in sweep.value:
+            if isinstance(node.value, dict) and node.value:
+                rows.append(dict(node.value))
+            else:
+                problems.report("a row of a sweep is a map of parameters to values", node.where)
+    names = [*params, "seed"]
+    entries = {(name, id(entry.node)): (name, entry) for row in rows for name, entry in row.items()}
+    for name, entry in entries.values():
+        value = entry.node.value
+        if name not in names:
+            hint = did_you_mean(name, names)
+            problems.report(f"the sweep varies {name!r}, which is no parameter", entry.where, hint=hint)
+        elif name == "seed" and (isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_SEED):
+            problems.report(
+                f"a seed is an integer, at least 0, at most {MAX_SEED}, got {shown(plain(entry.node))}",
+                entry.node.where,
+            )
+    if not rows and not problems.errors:
+        problems.report("the sweep has no runs", sweep.where)
+    problems.raise_any()
+    return rows
+
+
+def _axis(name: str, entry: Entry, problems: Problems) -> list[Entry]:
+    """The values of one parameter of a grid."""
+    value, where = entry.node.value, entry.node.where
+    if isinstance(value, list) and value:
+        return [Entry(entry.where, node) for node in value]
+    if isinstance(value, dict):
+        ends = {key: inner.node.value for key, inner in value.items()}
+        whole = all(isinstance(end, int) and not isinstance(end, bool) for end in ends.values())
+        if {"from", "to"} <= set(ends) <= {"from", "to", "step"} and whole:
+            step = ends.get("step", 1)
+            if step > 0 and 0 <= ends["to"] - ends["from"] < MAX_ROWS * step:
+                return [Entry(entry.where, Node(number, where)) for number in range(ends["from"], ends["to"] + 1, step)]
+    problems.report(f"the sweep of {name!r} must be a list of values, or integers such as {{from: 1, to: 50}}", where)
+    return []
+
+
+def without_fixed_axes(configuration: Configuration, overrides: Overrides) -> Configuration:
+    """The configuration without the axes of a sweep that the command line gives one value.
+
+    ``-p cells=[8, 8, 8]`` of a sweep over `cells` asks for that value and no other. Without axes there is no sweep
+    left, and nothing comes after it.
+    """
+    sweep = configuration.sweep
+    fixed = {text.partition("=")[0].strip() for text in overrides.params}
+    if overrides.seed is not None:
+        fixed.add("seed")
+    if sweep is None or not fixed:
+        return configuration
+    if isinstance(sweep.value, dict):
+        left: Any = {name: entry for name, entry in sweep.value.items() if name not in fixed}
+    elif all(isinstance(row.value, dict) for row in sweep.value):
+        rows = [
+            replace(row, value={name: entry for name, entry in row.value.items() if name not in fixed})
+            for row in sweep.value
+        ]
+        left = rows if any(row.value for row in rows) else []
+    else:
+        return configuration
+    if not left:
+        return replace(configuration, sweep=None, after=None)
+    return replace(configuration, sweep=replace(sweep, value=left))

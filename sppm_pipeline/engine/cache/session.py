@@ -7,15 +7,17 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.data.storage import DamagedError, NotStorable, stored_bytes
 from sppm_pipeline.engine.cache.housekeeping import account
-from sppm_pipeline.engine.cache.keys import InputFiles, ingredients_of, key_of
+from sppm_pipeline.engine.cache.keys import InputFiles, differences, ingredients_of, key_of
 from sppm_pipeline.engine.cache.store import Entry, Store
+from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.wiring import Step
-from sppm_pipeline.engine.run.monitor import Monitor
-from sppm_pipeline.engine.run.outputs import RunFolder
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.run.outputs import RunFolder
 
 STORE_RATE = 4e8
 """Bytes a second that are written and hashed, at least."""
@@ -39,14 +41,17 @@ DURABLE = 1.0
 """Seconds; what took longer is kept so that it survives a power cut."""
 
 
+Warn = Callable[[str | None, str], None]
+
+
 class CacheSession:
     """Finds and keeps the results of one run.
 
     Parameters
     ----------
     store : Store
-    monitor : Monitor
-        Is told once if nothing can be kept, and of what was damaged.
+    warn : function of (stage id or None, message)
+        Called once if nothing can be kept, and for every damaged entry.
     seed : int
     recipes : mapping of recipe name to sequence of Step
     about : str
@@ -56,14 +61,14 @@ class CacheSession:
     def __init__(
         self,
         store: Store,
-        monitor: Monitor,
+        warn: Warn,
         *,
         seed: int,
         recipes: Mapping[str, Sequence[Step]],
         about: str = "",
     ) -> None:
         self.store = store
-        self._monitor = monitor
+        self._warn = warn
         self._seed = seed
         self._recipes = recipes
         self._about = about
@@ -122,7 +127,7 @@ class CacheSession:
 
     def damaged(self, id_: str, error: Exception) -> None:
         """Tell of a damaged entry and take it away; the stage is run again."""
-        self._monitor.warning(id_, f"a kept result is damaged and is made again ({error})")
+        self._warn(id_, f"a kept result is damaged and is made again ({error})")
         entry = self._entries.pop(id_, None)
         if entry is not None:
             self.store.remove(entry.key)
@@ -248,7 +253,7 @@ class CacheSession:
         self._broken = True
         self._facts.clear()
         detail = error.strerror if isinstance(error, OSError) else error
-        self._monitor.warning(
+        self._warn(
             None, f"the cache {str(self.store.root)!r} can't be written ({detail}); results of this run are not kept"
         )
 
@@ -304,3 +309,44 @@ def _size_of(outputs: Sequence[tuple[str, Path]]) -> tuple[int, int]:
                 return 1 << 62, 0
             size, count = size + about.st_size, count + 1
     return size, count
+
+
+def reasons_of(plan: Plan, store: Store, about: str) -> dict[str, tuple[bool, str]]:
+    """For each stage of the pipeline, whether its result is kept, and in words since when or why not.
+
+    Parameters
+    ----------
+    plan : Plan
+    store : Store
+    about : str
+        Name under which the last run was remembered; see `CacheSession`.
+    """
+    cache = CacheSession(store, lambda stage, message: None, seed=plan.seed, recipes=plan.recipes)
+    recent = store.read_text(recent_name(about)) or {}
+    before: Mapping[str, Any] = recent.get("stages", {})
+    found: dict[str, tuple[bool, str]] = {}
+    for step in plan.steps:
+        entry = cache.look_up(step, (step.id,))
+        if entry is not None:
+            found[step.id] = True, f"kept; it took {entry.manifest['seconds']:.3g} s"
+            continue
+        now = cache.ingredients(step.id)
+        again = [source for source in step.inputs.values() if source and not found[source][0]]
+        if not step.stage.cacheable:
+            why = "it runs every time, as its result depends on more than can be known"
+        elif step.id not in before:
+            why = "no run of this configuration is known that had it"
+        elif again:
+            # the keys of what runs again are not known yet, so that only its own changes can be told
+            own = [text for text in differences(before[step.id], now or {}) if not text.startswith("its input")]
+            why = "; ".join([*own, *(f"{source!r} runs again" for source in dict.fromkeys(again))])
+        elif now is None:
+            why = "an input file can't be read"
+        else:
+            own = list(differences(before[step.id], now))
+            if recent.get("seed") != plan.seed:
+                own.append(f"the seed has changed from {recent.get('seed')} to {plan.seed}")
+            why = "; ".join(own) or "its result is not in the cache, or not any more"
+        found[step.id] = False, why
+    store.close()
+    return found

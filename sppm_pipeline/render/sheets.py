@@ -1,21 +1,55 @@
-"""Several pictures on one sheet."""
+"""What stands around pictures: sheets of several of them, labels, and the scale of the colors of a surface."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.render.lettering import font, printable, text_width
 from sppm_pipeline.render.shading import Color
+
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont, ImageFont
 
 _INK: Color = (52, 58, 66)
 _PAPER: Color = (255, 255, 255)
 _SOLID: Color = (64, 74, 88)
 _VOID: Color = (238, 240, 243)
+
+_ANCHORS = np.array(
+    [[42, 46, 112], [38, 92, 150], [36, 138, 152], [72, 178, 128], [160, 208, 96], [246, 226, 104]], np.float64
+)
+"""From low to high, each lighter than the one before, so that the order survives printing in gray."""
+
+# The font has the letters and signs of ASCII and little more; what it lacks is spelt out, not shown as empty boxes.
+_SPELT = {
+    "α": "alpha", "β": "beta", "γ": "gamma", "δ": "delta", "ε": "epsilon", "θ": "theta", "κ": "kappa", "λ": "lambda",
+    "μ": "u", "µ": "u", "ν": "nu", "ξ": "xi", "ρ": "rho", "σ": "sigma", "φ": "phi", "ω": "omega", "−": "-", "–": "-",
+    "—": "-", "×": "x", "²": "^2", "³": "^3", "≤": "<=", "≥": ">=", "≈": "~", "…": "...",
+}  # fmt: skip
+
+
+@lru_cache(maxsize=32)
+def font(size: int) -> FreeTypeFont | ImageFont:
+    """The font at a size in pixels."""
+    from PIL import ImageFont as fonts  # only pictures with text need Pillow
+
+    return fonts.load_default(size)
+
+
+def printable(text: str) -> str:
+    """`text` with Greek letters and signs that the font lacks spelt out."""
+    return "".join(_SPELT.get(letter, letter) for letter in text)
+
+
+def text_width(text: str, size: int) -> int:
+    """Width of a line of text in pixels, rounded up."""
+    return int(-(-font(size).getlength(printable(text)) // 1))
 
 
 def contact_sheet(
@@ -165,3 +199,40 @@ def layer_sheet(
         mixed = share * np.array(solid) + (1.0 - share) * np.array(void)
         pictures.append(np.rint(mixed).astype(np.uint8))
     return contact_sheet(pictures, labels, columns=columns, title=title)
+
+
+def colors_of(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.uint8]:
+    """Colors (n, 3) of values (n,) between two ends; what lies outside takes the color of the end."""
+    span = high - low
+    share = np.clip((values - low) / span if span > 0 else np.zeros_like(values), 0, 1) * (len(_ANCHORS) - 1)
+    channels = [np.interp(share, np.arange(len(_ANCHORS)), _ANCHORS[:, channel]) for channel in range(3)]
+    return np.round(np.stack(channels, axis=1)).astype(np.uint8)
+
+
+def _round_numbers(low: float, high: float) -> list[float]:
+    """At most seven multiples of 1, 2, 2.5 or 5 times a power of ten within low..high."""
+    power = 10.0 ** math.floor(math.log10((high - low) / 6))
+    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= (high - low) / 6 * (1 - 1e-9))
+    return [n * step for n in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+
+
+def with_scale(picture: NDArray[np.uint8], low: float, high: float, title: str, width: int) -> NDArray[np.uint8]:
+    """The picture (h, w, 3) with a bar of colors of some width to its right."""
+    from PIL import Image, ImageDraw
+
+    height = len(picture)
+    panel = Image.new("RGB", (width, height), (255, 255, 255))
+    pen = ImageDraw.Draw(panel)
+    top, bottom, left, right = round(0.16 * height), round(0.9 * height), round(0.12 * width), round(0.28 * width)
+    shares = np.linspace(1, 0, bottom - top)
+    bar = np.repeat(colors_of(shares, 0, 1)[:, None], right - left, axis=1)
+    panel.paste(Image.fromarray(bar), (left, top))
+    pen.rectangle((left, top, right, bottom), outline=(60, 60, 60))
+    letters = font(max(11, round(height / 50)))
+    for tick in _round_numbers(low, high):
+        if low <= tick <= high and high > low:
+            y = bottom - (tick - low) / (high - low) * (bottom - top)
+            pen.line((right, y, right + 5, y), fill=(60, 60, 60))
+            pen.text((right + 9, y), f"{tick:.6g}", fill=(30, 30, 30), font=letters, anchor="lm")
+    pen.text((left, top - 16), printable(title), fill=(30, 30, 30), font=letters, anchor="ls")
+    return np.concatenate([picture, np.asarray(panel)], axis=1)

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.engine.config.jsonable import jsonable
 from sppm_pipeline.engine.config.options import current_name, options_of, parse_typed
 from sppm_pipeline.engine.config.problems import did_you_mean, listed
 from sppm_pipeline.engine.plan.ports import artifact_words
-from sppm_pipeline.engine.plan.wiring import Step
-from sppm_pipeline.engine.run import contract
+from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.run.context import RunContext
+from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, InputError, PluginError, ResourceError, SppmError
 from sppm_pipeline.process.budget import exhausted_resource
 from sppm_pipeline.process.containment import contained, limited
@@ -36,7 +40,7 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
     """
     handed = {port: StepRecipe(name, recipes) for port, name in step.recipes.items()}
     optional = {port.name: None for port in step.signature.ports if port.optional}
-    before = contract.digests(inputs) if contract.is_strict() else {}
+    before = digests(inputs) if is_strict() else {}
     try:
         what = f"{step.owner}: the stage {step.stage.name!r}"
         with limited(what, builtin=step.owner.builtin, where=step.where, stage=step.address):
@@ -46,7 +50,7 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
                 with contained(lambda message: _blame(step, message)):
                     made = stage.run(context, **{**optional, **inputs, **handed})
         _check_result(step, made)
-        if ports := contract.changed(inputs, before):
+        if ports := changed(inputs, before):
             raise _blame(step, f"changed its input {listed(ports)}, which other stages share")
         return made
     except SppmError as error:
@@ -97,7 +101,7 @@ def _check_result(step: Step, made: Any) -> None:
         except Exception as error:
             raise _blame(step, f"made a {type(made).__name__} that can't be checked: {type(error).__name__}: {error}") \
                 from error  # fmt: skip
-    if (not step.owner.builtin or contract.is_strict()) and (place := contract.not_finite(made)) is not None:
+    if (not step.owner.builtin or is_strict()) and (place := not_finite(made)) is not None:
         raise _blame(step, f"made a {type(made).__name__} with numbers that are not finite: {place}")
 
 
@@ -110,17 +114,6 @@ def summary_of(made: Any, reported: Mapping[str, Any], step: Step) -> dict[str, 
     except Exception as error:
         raise _blame(step, f"the summary of {type(made).__name__} raised {type(error).__name__}: {error}") from error
     return {**reported, **{name: value for name, value in own.items() if name not in reported}}
-
-
-def last_uses(steps: Sequence[Step]) -> list[set[str]]:
-    """For each step the ids whose results nobody needs after it."""
-    last: dict[str, int] = {}
-    for number, step in enumerate(steps):
-        last[step.id] = number
-        for source in step.inputs.values():
-            if source is not None:
-                last[source] = number
-    return [{id_ for id_, at in last.items() if at == number} for number in range(len(steps))]
 
 
 class StepRecipe(Recipe):
@@ -222,3 +215,58 @@ class StepRecipe(Recipe):
         stage = dataclasses.replace(step.stage, **parsed)
         stage.check_options()
         return stage
+
+
+CONTRACT = "SPPM_CONTRACT"
+"""Environment variable that switches the costly checks on, for those who write plugins."""
+
+
+def is_strict() -> bool:
+    """Whether inputs are digested before and after each stage, and results of built-in stages looked at, too."""
+    return os.environ.get(CONTRACT, "") not in ("", "0")
+
+
+def not_finite(made: Any) -> str | None:
+    """The place of a NaN or infinity in the arrays and numbers of an artifact; None if there is none.
+
+    Infinities in private fields, and in fields that no comparison looks at, are the artifact's own business.
+    """
+    for place, value in _parts(made, type(made).__name__):
+        if isinstance(value, np.ndarray):
+            if value.dtype.kind in "fc" and not np.isfinite(value).all():
+                bad = np.argwhere(~np.isfinite(value))
+                return f"{place}{bad[0].tolist()} is {value[tuple(bad[0])]} ({len(bad)} of {value.size} are not finite)"
+        elif isinstance(value, float) and not math.isfinite(value):
+            return f"{place} is {value}"
+    return None
+
+
+def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """Arrays and numbers of artifacts, tuples and lists, with their places; tables may hold NaN where a run failed."""
+    if isinstance(value, Artifact):
+        for field in dataclasses.fields(value):  # type: ignore[arg-type]
+            if field.compare and not field.name.startswith("_"):
+                yield from _parts(getattr(value, field.name), f"{place}.{field.name}")
+    elif isinstance(value, (tuple, list)):
+        names: Any = getattr(value, "_fields", range(len(value)))
+        for name, item in zip(names, value, strict=True):
+            yield from _parts(item, f"{place}.{name}" if isinstance(name, str) else f"{place}[{name}]")
+    else:
+        yield place, value
+
+
+def digests(inputs: Mapping[str, Any]) -> dict[str, str]:
+    """The digest of each input that has one."""
+    found = {}
+    for port, value in inputs.items():
+        if isinstance(value, Artifact):
+            try:
+                found[port] = value.digest()
+            except (TypeError, AttributeError):  # an artifact that computes what it holds while it is read
+                continue
+    return found
+
+
+def changed(inputs: Mapping[str, Any], before: Mapping[str, str]) -> list[str]:
+    """The ports whose artifacts are not what they were."""
+    return [port for port, digest in digests({name: inputs[name] for name in before}).items() if digest != before[port]]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.render.lettering import font, printable, text_width
-from sppm_pipeline.render.plates import contact_sheet, layer_sheet
+from sppm_pipeline.render.sheets import contact_sheet, font, layer_sheet, printable, text_width
 
 RED = np.full((30, 40, 3), (200, 10, 10), np.uint8)
 BLUE = np.full((20, 30, 3), (10, 10, 200), np.uint8)

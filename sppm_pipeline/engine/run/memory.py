@@ -1,0 +1,115 @@
+"""Running a plan in memory: nothing is written, and every result is at hand."""
+
+from __future__ import annotations
+
+import datetime
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sppm_pipeline.engine.config.problems import did_you_mean
+from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.plan.session import check_until
+from sppm_pipeline.engine.run.events import Monitor, Observers
+from sppm_pipeline.engine.run.outputs import Scratch
+from sppm_pipeline.engine.run.record import record_of
+from sppm_pipeline.engine.run.runner import StepRunner
+from sppm_pipeline.errors import ConfigError
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.cache.store import Store
+
+
+class MemoryRun:
+    """A run that has written nothing: its record, and what its stages made.
+
+    Attributes
+    ----------
+    record : dict
+        As ``run.json`` holds it, but for its digest; stages that only write files are marked ``skipped``.
+    """
+
+    def __init__(self, record: dict[str, Any], runner: StepRunner) -> None:
+        self.record = record
+        self.runner = runner
+
+    def result(self, id_: str) -> Any:
+        """What a stage made, also if it came from the cache; None for a stage that makes nothing.
+
+        Raises
+        ------
+        ConfigError
+            If there is no stage of this id.
+        """
+        ids = [entry["id"] for entry in self.record["stages"]]
+        if id_ not in ids:
+            raise ConfigError(f"the run has no stage {id_!r}", hint=did_you_mean(id_, ids))
+        try:
+            return self.runner.result(id_)
+        finally:
+            self.runner.close()
+
+
+def run_in_memory(
+    plan: Plan,
+    *,
+    threads: int,
+    until: str | None = None,
+    monitor: Monitor | None = None,
+    store: Store | None = None,
+    about: str = "",
+) -> MemoryRun:
+    """Run the pipeline without a run directory and keep what every stage makes.
+
+    Stages that make nothing but files are left out; hand the result to `run_plan` as `earlier` to run them. Files that
+    other stages write on the way are thrown away.
+
+    Parameters
+    ----------
+    plan, threads, until, monitor, store, about
+        As for `run_plan`.
+
+    Raises
+    ------
+    SppmError
+        What stopped the run.
+    """
+    check_until(plan, until)
+    monitor = monitor or Monitor()
+    started, began = datetime.datetime.now(datetime.UTC), time.perf_counter()
+    warnings = list(plan.warnings)
+    for message in warnings:
+        monitor.warning(None, message)
+
+    def warn(message: str) -> None:
+        warnings.append(message)
+        monitor.warning(None, message)
+
+    steps = plan.until(until)
+    with tempfile.TemporaryDirectory(prefix="sppm-") as scratch:
+        runner = StepRunner(
+            steps,
+            plan.recipes,
+            seed=plan.seed,
+            threads=threads,
+            folder=Scratch(Path(scratch)),
+            monitor=monitor,
+            observers=Observers([monitor], plan.plugins, warn),
+            store=store,
+            about=about,
+            keep={step.id for step in steps},
+        )
+        runner.run()
+    record = record_of(
+        plan,
+        runner.entries,
+        status="done",
+        error=None,
+        started=started,
+        seconds=time.perf_counter() - began,
+        threads=threads,
+        until=until,
+        warnings=warnings,
+    )
+    return MemoryRun(record, runner)
