@@ -1,6 +1,7 @@
 """Measure what stages cost for each unit of their size, and write the table that `sppm estimate` uses.
 
     python -m benchmarks.rates [NAME ...]     # all pipelines, or some; of the others what was measured last counts
+    python -m benchmarks.rates --fit          # fit again what was measured
 
 Each pipeline runs in several sizes in one process, the smallest first, to load libraries and compiled kernels. The
 seconds of a stage are processor time on one thread, without those of its recipe; its memory is the peak that the kernel
@@ -384,7 +385,7 @@ def main(names: list[str]) -> None:
             print(json.dumps(measure(names[1], Path(folder))))
         return
     ROWS.mkdir(parents=True, exist_ok=True)
-    for name in names or PIPELINES:
+    for name in () if names == ["--fit"] else names or PIPELINES:
         print(name, file=sys.stderr, flush=True)
         command = [sys.executable, "-m", "benchmarks.rates", "--measure", name]
         done = subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.PIPE, text=True)
