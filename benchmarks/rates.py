@@ -1,6 +1,7 @@
 """Measure what stages cost for each unit of their size, and write the table that `sppm estimate` uses.
 
     python -m benchmarks.rates [NAME ...]     # all pipelines, or some; of the others what was measured last counts
+    python -m benchmarks.rates --fit          # fit again what was measured
 
 Each pipeline runs in several sizes in one process, the smallest first, to load libraries and compiled kernels. The
 seconds of a stage are processor time on one thread, without those of its recipe; its memory is the peak that the kernel
@@ -225,10 +226,10 @@ def measure(name: str, folder: Path) -> tuple[list[dict[str, Any]], float]:
     from sppm_pipeline.data.size import ONE
     from sppm_pipeline.engine.plan.estimate import estimate_steps
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
-    from sppm_pipeline.engine.run import runner, running
+    from sppm_pipeline.engine.run import runner, steps
 
     watch = Watch()
-    watch.around(runner, running)
+    watch.around(runner, steps)
     text, values = PIPELINES[name]
     rows = []
     for number, row in enumerate(zip(*values.values(), strict=True)):
@@ -384,7 +385,7 @@ def main(names: list[str]) -> None:
             print(json.dumps(measure(names[1], Path(folder))))
         return
     ROWS.mkdir(parents=True, exist_ok=True)
-    for name in names or PIPELINES:
+    for name in () if names == ["--fit"] else names or PIPELINES:
         print(name, file=sys.stderr, flush=True)
         command = [sys.executable, "-m", "benchmarks.rates", "--measure", name]
         done = subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.PIPE, text=True)

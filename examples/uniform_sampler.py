@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.families import Sampler
-from sppm_pipeline.stage import option
+from sppm_pipeline import Sampler, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,3 +1,298 @@
-"""Design, verify, simulate and print stochastic porous microstructures."""
+"""Design, verify, simulate and print stochastic porous microstructures.
+
+The public face: everything that third-party stages, scripts and notebooks use is here, and in `sppm_pipeline.testing`.
+Names are loaded when they are first used, so that the import costs next to nothing.
+
+Run a configuration, or call its stages as functions::
+
+    import sppm_pipeline as sppm
+
+    run = sppm.run("cell.yaml", params={"porosity": 0.6}, seed=3)
+    run["field.gaussian"], run.numbers["tune.porosity.porosity"]
+
+    pores = sppm.sample.dart_throwing(total=66, share=0.55, seed=1)
+    graph = sppm.connect.mbdst(pores, seed=1)
+    cell = sppm.field.gaussian(pore_radius=0.13, tunnel_radius=0.04)(graph)
+    cell.sample(64), sppm.homogenize.voxel(resolution=64)(cell).C
+
+Write a stage::
+
+    @dataclass(frozen=True, kw_only=True)
+    class Shrink(sppm.Stage):
+        '''Make a mesh smaller.'''
+
+        name: ClassVar[str] = "mesh.shrink"
+        factor: float = sppm.option(0.99, help="what lengths are multiplied by", above=0, maximum=1)
+
+        def run(self, context: sppm.Context, mesh: sppm.SurfaceMesh) -> sppm.SurfaceMesh:
+            return sppm.SurfaceMesh(self.factor * mesh.vertices, mesh.faces)
+"""
+
+from __future__ import annotations
 
 __version__ = "0.1.0"
+
+TYPE_CHECKING = False  # as type checkers understand it; importing `typing` would take longer than all else here
+if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
+    from typing import Any
+
+    from sppm_pipeline.api.functions import (
+        SppmWarning,
+        StageFunction,
+        check,
+        connect,
+        extract,
+        field,
+        fill,
+        homogenize,
+        mesh,
+        read,
+        sample,
+        slice,
+        step,
+        tile,
+        tileset,
+        tune,
+        write,
+    )
+    from sppm_pipeline.api.pipeline import Pipeline, Run, load, run
+    from sppm_pipeline.data.artifact import Artifact, frozen
+    from sppm_pipeline.data.conductivity import ConductivityReport
+    from sppm_pipeline.data.length import Cell, Length
+    from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
+    from sppm_pipeline.data.palette import Palette
+    from sppm_pipeline.data.pores import PoreSet
+    from sppm_pipeline.data.size import Size
+    from sppm_pipeline.data.stiffness import StiffnessReport
+    from sppm_pipeline.data.table import Table
+    from sppm_pipeline.data.tunnels import TunnelGraph
+    from sppm_pipeline.data.volume_mesh import VolumeMesh
+    from sppm_pipeline.data.voxels import Voxels
+    from sppm_pipeline.errors import (
+        ConfigError,
+        ConfigErrors,
+        DesignError,
+        InputError,
+        NativeCrash,
+        PluginError,
+        ResourceError,
+        SppmError,
+        WiringError,
+    )
+    from sppm_pipeline.families import (
+        Connector,
+        FieldMaker,
+        InteriorBox,
+        Lattice,
+        LayerWriter,
+        MeshWriter,
+        PartFieldMaker,
+        Piece,
+        Sampler,
+        Tiler,
+        TileSetMaker,
+        VoxelHomogenizer,
+        lattice_for,
+    )
+    from sppm_pipeline.fields.formula import CellIndex, CellwiseField, FormulaField, PlacedField
+    from sppm_pipeline.fields.microstructure import Microstructure
+    from sppm_pipeline.fields.part import Part
+    from sppm_pipeline.fields.scalar_field import ScalarField
+    from sppm_pipeline.fields.slice_stack import SliceStack
+    from sppm_pipeline.fields.tileset import TileSet
+    from sppm_pipeline.fields.tiling import Tiling
+    from sppm_pipeline.fields.wrapped import WrappedField
+    from sppm_pipeline.hookspecs import hookimpl
+    from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
+    from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
+    from sppm_pipeline.numerics.compiled import inline_jit, jit
+    from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
+    from sppm_pipeline.numerics.kernels.kernels import Kernels
+    from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
+    from sppm_pipeline.numerics.meshcheck.measures import components as mesh_components
+    from sppm_pipeline.numerics.meshcheck.measures import edge_counts as mesh_edges
+    from sppm_pipeline.numerics.meshcheck.measures import measure_surface as mesh_measures
+    from sppm_pipeline.numerics.meshcheck.measures import surface_area as mesh_area
+    from sppm_pipeline.numerics.meshcheck.measures import volume as mesh_volume
+    from sppm_pipeline.numerics.sampling.capacity import largest_spacing
+    from sppm_pipeline.numerics.sampling.darts import throw as throw_darts
+    from sppm_pipeline.numerics.sampling.spacing import min_spacing as smallest_spacing
+    from sppm_pipeline.numerics.tiling.corners import tile_corners
+    from sppm_pipeline.numerics.tiling.hashed import tile_hashed
+    from sppm_pipeline.numerics.tiling.lattice import hash_places
+    from sppm_pipeline.process import ArraySpec, NativeResult, notify, run_native
+    from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
+
+_PLACES = {
+    "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize mesh read sample "
+    "slice step tile tileset tune write",
+    "api.pipeline": "Pipeline Run load run",
+    "data.artifact": "Artifact frozen",
+    "data.conductivity": "ConductivityReport",
+    "data.length": "Cell Length",
+    "data.mesh": "RepeatedMesh SurfaceMesh",
+    "data.palette": "Palette",
+    "data.pores": "PoreSet",
+    "data.size": "Size",
+    "data.stiffness": "StiffnessReport",
+    "data.table": "Table",
+    "data.tunnels": "TunnelGraph",
+    "data.volume_mesh": "VolumeMesh",
+    "data.voxels": "Voxels",
+    "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError ResourceError "
+    "SppmError WiringError",
+    "families": "Connector FieldMaker InteriorBox Lattice LayerWriter MeshWriter PartFieldMaker Piece "
+    "Sampler TileSetMaker Tiler VoxelHomogenizer lattice_for",
+    "fields.formula": "CellIndex CellwiseField FormulaField PlacedField",
+    "fields.microstructure": "Microstructure",
+    "fields.part": "Part",
+    "fields.scalar_field": "ScalarField",
+    "fields.slice_stack": "SliceStack",
+    "fields.tileset": "TileSet",
+    "fields.tiling": "Tiling",
+    "fields.wrapped": "WrappedField",
+    "hookspecs": "hookimpl",
+    "numerics.assembly.contents": "Pieces TilingArrays",
+    "numerics.assembly.gather": "make_catalog sample_exact",
+    "numerics.compiled": "inline_jit jit",
+    "numerics.grid": "Grid cell_centers cell_nodes",
+    "numerics.kernels.kernels": "Kernels",
+    "numerics.kernels.profiles": "TUNNEL_PROFILES omega_from_radius",
+    "numerics.meshcheck.measures": "mesh_area=surface_area mesh_components=components mesh_edges=edge_counts "
+    "mesh_measures=measure_surface mesh_volume=volume",
+    "numerics.sampling.capacity": "largest_spacing",
+    "numerics.sampling.darts": "throw_darts=throw",
+    "numerics.sampling.spacing": "smallest_spacing=min_spacing",
+    "numerics.tiling.corners": "tile_corners",
+    "numerics.tiling.hashed": "tile_hashed",
+    "numerics.tiling.lattice": "hash_places",
+    "process": "ArraySpec NativeResult notify run_native",
+    "stage": "Context Recipe Rejected Stage option",
+}
+"""Modules below this package, and what the public face takes from each: ``name``, or ``public name=name there``."""
+
+_PLACE_OF = {
+    public: (module, name or public)
+    for module, names in _PLACES.items()
+    for public, _, name in (entry.partition("=") for entry in names.split())
+}
+
+__all__ = [
+    "TUNNEL_PROFILES",
+    "ArraySpec",
+    "Artifact",
+    "Cell",
+    "CellIndex",
+    "CellwiseField",
+    "ConductivityReport",
+    "ConfigError",
+    "ConfigErrors",
+    "Connector",
+    "Context",
+    "DesignError",
+    "FieldMaker",
+    "FormulaField",
+    "Grid",
+    "InputError",
+    "InteriorBox",
+    "Kernels",
+    "Lattice",
+    "LayerWriter",
+    "Length",
+    "MeshWriter",
+    "Microstructure",
+    "NativeCrash",
+    "NativeResult",
+    "Palette",
+    "Part",
+    "PartFieldMaker",
+    "Piece",
+    "Pieces",
+    "Pipeline",
+    "PlacedField",
+    "PluginError",
+    "PoreSet",
+    "Recipe",
+    "Rejected",
+    "RepeatedMesh",
+    "ResourceError",
+    "Run",
+    "Sampler",
+    "ScalarField",
+    "Size",
+    "SliceStack",
+    "SppmError",
+    "SppmWarning",
+    "Stage",
+    "StageFunction",
+    "StiffnessReport",
+    "SurfaceMesh",
+    "Table",
+    "TileSet",
+    "TileSetMaker",
+    "Tiler",
+    "Tiling",
+    "TilingArrays",
+    "TunnelGraph",
+    "VolumeMesh",
+    "VoxelHomogenizer",
+    "Voxels",
+    "WiringError",
+    "WrappedField",
+    "cell_centers",
+    "cell_nodes",
+    "check",
+    "connect",
+    "extract",
+    "field",
+    "fill",
+    "frozen",
+    "hash_places",
+    "homogenize",
+    "hookimpl",
+    "inline_jit",
+    "jit",
+    "largest_spacing",
+    "lattice_for",
+    "load",
+    "make_catalog",
+    "mesh",
+    "mesh_area",
+    "mesh_components",
+    "mesh_edges",
+    "mesh_measures",
+    "mesh_volume",
+    "notify",
+    "omega_from_radius",
+    "option",
+    "read",
+    "run",
+    "run_native",
+    "sample",
+    "sample_exact",
+    "slice",
+    "smallest_spacing",
+    "step",
+    "throw_darts",
+    "tile",
+    "tile_corners",
+    "tile_hashed",
+    "tileset",
+    "tune",
+    "write",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first used."""
+    if name not in _PLACE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    module, there = _PLACE_OF[name]
+    value = globals()[name] = getattr(import_module(f"{__name__}.{module}"), there)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__", "testing"])

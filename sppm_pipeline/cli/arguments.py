@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import sys
-import sysconfig
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,17 +12,12 @@ if TYPE_CHECKING:
     from sppm_pipeline.engine.plan.session import RunRequest, Session
     from sppm_pipeline.hookspecs import Command
 
-ALLOWED = "SPPM_PLUGINS"
-"""Environment variable with the plugins that may be imported."""
-
 
 def allowed_from(args: Namespace) -> tuple[str, ...] | None:
     """Names of the plugins that may be imported; None for all."""
-    return _names(args.allow_plugins if args.allow_plugins is not None else os.environ.get(ALLOWED))
+    from sppm_pipeline.engine.plan.plugins import allowed_plugins
 
-
-def _names(text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else tuple(name for part in text.split(",") if (name := part.strip()))
+    return allowed_plugins(args.allow_plugins)
 
 
 def add_plugins(parser: ArgumentParser) -> None:
@@ -35,7 +28,7 @@ def add_plugins(parser: ArgumentParser) -> None:
         metavar="NAMES",
         default=None,
         help="import only these installed plugins, and Python files that the configuration names: names separated by "
-        f"commas, of distributions, entry points or files; from the environment variable {ALLOWED} if omitted",
+        "commas, of distributions, entry points or files; from the environment variable SPPM_PLUGINS if omitted",
     )
     parser.add_argument(
         "--no-plugins", action="store_true", help="load neither installed plugins nor those the configuration names"
@@ -63,42 +56,10 @@ def _seed(text: str) -> int:
 _seed.__name__ = "integer from 0 to 2^63 - 1"  # argparse shows it: "invalid integer ... value"
 
 
-def find_configuration(name: str) -> Path:
-    """A file by its path, or a packaged example by its name.
-
-    Raises
-    ------
-    ConfigError
-        If there is neither.
-    """
-    from sppm_pipeline.engine.config.problems import did_you_mean
-    from sppm_pipeline.errors import ConfigError
-
-    path = Path(name)
-    if path.exists():
-        return path
-    examples: dict[str, Path] = {}
-    package = Path(__file__).resolve().parents[1]
-    for folder in (
-        package.parent / "configs",
-        package / "configs",
-        Path(sysconfig.get_path("data")) / "share" / "sppm_pipeline" / "configs",
-    ):
-        for example in sorted(folder.glob("*.yaml")):
-            examples.setdefault(example.stem, example)
-    if name in examples:
-        return examples[name]
-    hint = did_you_mean(name, examples) if path.name == name and not path.suffix else None
-    if hint is None:
-        siblings = [p.name for p in path.parent.glob("*") if p.suffix in (".yaml", ".yml", ".json")]
-        hint = did_you_mean(path.name, siblings) if siblings else None
-    raise ConfigError(f"there is no configuration {name!r}", hint=hint)
-
-
 def request_from(args: Namespace) -> RunRequest:
     """What the arguments ask for."""
     from sppm_pipeline.engine.config.parameters import Overrides
-    from sppm_pipeline.engine.plan.session import RunRequest
+    from sppm_pipeline.engine.plan.session import RunRequest, find_configuration
 
     return RunRequest(
         file=str(find_configuration(args.file)),
@@ -152,9 +113,9 @@ def commands_of_plugins(*, load: bool = True) -> tuple[dict[str, tuple[Plugin, C
     PluginError
         If a plugin breaks the contract, for instance by taking the name of a built-in verb.
     """
-    from sppm_pipeline.engine.plan.plugins import load_plugins
+    from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins
 
-    plugins = load_plugins(distributions=load, allowed=_names(os.environ.get(ALLOWED)))
+    plugins = load_plugins(distributions=load, allowed=allowed_plugins())
     plugins.raise_broken()
     found = {
         verb: (plugin, command)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import html
 import importlib
+import io
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -40,10 +42,48 @@ class Artifact:
         _feed(h, self)
         return h.hexdigest()
 
+    def __init_subclass__(cls) -> None:
+        """Keep `__repr__` short: the one that `dataclass` would write prints whole arrays."""
+        super().__init_subclass__()
+        if "__repr__" not in vars(cls):
+            setattr(cls, "__repr__", Artifact.__repr__)  # noqa: B010 - assigned for a reason that types can't follow
+
+    def __repr__(self) -> str:
+        names: list[str] = [f.name for f in fields(self) if f.repr] if is_dataclass(self) else []
+        parts = [f"{name}={_brief(getattr(self, name))}" for name in names]
+        return f"{type(self).__name__}({', '.join(parts)})"
+
+    def _repr_png_(self) -> bytes | None:
+        """A picture, as notebooks show it; None for what has none."""
+        return None
+
     def _repr_html_(self) -> str:
-        """The summary as a table, as notebooks show it."""
-        rows = "".join(f"<tr><th>{escaped(k)}</th><td>{escaped(shown(v))}</td></tr>" for k, v in self.summary().items())
-        return f"<table><caption>{escaped(type(self).__name__)}</caption>{rows}</table>"
+        """Picture and summary, as notebooks show them."""
+        png = self._repr_png_()
+        picture = f'<img src="data:image/png;base64,{base64.b64encode(png).decode()}">' if png else ""
+        return f"{picture}<table><caption>{escaped(type(self).__name__)}</caption>{_rows(self.summary())}</table>"
+
+
+def _brief(value: Any) -> str:
+    """A field of an artifact: arrays by type and shape, other artifacts by name."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{list(value.shape)}"
+    if isinstance(value, (bool, int, float, str, type(None))) or is_dataclass(value):
+        return repr(value) if not is_dataclass(value) or isinstance(value, Artifact) else f"{type(value).__name__}(...)"
+    return repr(value) if isinstance(value, tuple) and len(value) <= 3 and not hasattr(value, "_fields") else "..."
+
+
+def _rows(summary: dict[str, Any]) -> str:
+    return "".join(f"<tr><th>{escaped(str(name))}</th><td>{_cell(value)}</td></tr>" for name, value in summary.items())
+
+
+def _cell(value: Any) -> str:
+    """A value of a summary; a small matrix as a table of its own."""
+    array = value if isinstance(value, np.ndarray) else None
+    if array is None or array.ndim != 2 or max(array.shape) > 6:
+        return escaped(shown(value))
+    rows = ("".join(f"<td>{escaped(shown(v))}</td>" for v in row) for row in array.tolist())
+    return "<table>" + "".join(f"<tr>{row}</tr>" for row in rows) + "</table>"
 
 
 MOST_SHOWN = 200
@@ -67,9 +107,22 @@ def shown(value: Any) -> str:
     return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
-def escaped(text: str) -> str:
+def escaped(text: str, most: int = 400) -> str:
     """A name or value as HTML shows it, cut if it is very long."""
-    return html.escape(text[: 2 * MOST_SHOWN])
+    return html.escape(text[:most])
+
+
+NOTEBOOK_SIZE = (320, 260)
+"""Width and height of pictures in notebooks."""
+
+
+def png_of(picture: NDArray[np.uint8]) -> bytes:
+    """A picture (height, width, 3) as a PNG file."""
+    from PIL import Image
+
+    data = io.BytesIO()
+    Image.fromarray(picture).save(data, "PNG", optimize=True)
+    return data.getvalue()
 
 
 def optional_module(name: str) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import Artifact, frozen, optional_module
+from sppm_pipeline.data.artifact import NOTEBOOK_SIZE, Artifact, frozen, optional_module, png_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +100,13 @@ class SurfaceMesh(Artifact):
     def upper(self) -> NDArray[np.float64]:
         """High corner of the bounding box of the triangles, (3,) mm."""
         return self._bounds[1]
+
+    def _repr_png_(self) -> bytes | None:
+        if not len(self.faces):
+            return None
+        from sppm_pipeline.render.mesh_view import render_mesh
+
+        return png_of(render_mesh(self.vertices, self.faces, size=NOTEBOOK_SIZE))
 
     def summary(self) -> dict[str, Any]:
         """Counts, box and signed volume."""

@@ -117,6 +117,11 @@ class ScalarField(Artifact, ABC):
             f"cell edges: some void may look closed; {wanted} or more{edge} show them"
         )
 
+    def _repr_png_(self) -> bytes | None:
+        from sppm_pipeline.fields.picture import notebook_png
+
+        return notebook_png(self)
+
     def physical_edge(self) -> float:
         """`edge_mm`, or an error for those who need a size.
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 import sppm_pipeline
-from sppm_pipeline.cli.arguments import find_configuration
 from sppm_pipeline.cli.main import VERBS, main
+from sppm_pipeline.engine.plan.session import find_configuration
 from sppm_pipeline.errors import ConfigError
 
 SYNTHETIC = str(Path(sppm_pipeline.__file__).parent / "testing" / "synthetic.py")

@@ -190,7 +190,7 @@ def test_a_stage_whose_estimate_fails_runs_anyway(here, capsys, monkeypatch):
         assert "read.primitive" in found["unknown"]
         assert "tileset.free_faces" not in found["unknown"]
         # what follows from its size is unknown, too
-        assert {"tile.free_faces", "fill.implicit", "write.png", "write.ply"} <= set(found["unknown"])
+        assert {"tile.free_faces", "fill.implicit", "write.png", "write.mesh"} <= set(found["unknown"])
     assert sppm("run", "part.yaml", "-q", "--until", "read.primitive") == 0
 
 
@@ -203,11 +203,11 @@ def test_a_stage_without_rates_is_named_in_the_total(here, capsys):
     (here / "own.yaml").write_text(text)
     assert main(["estimate", "own.yaml", "--plugin", str(PLUGIN)]) == 0
     out = capsys.readouterr().out
-    assert out.rstrip().endswith("; unknown: cell/sample.uniform")
+    assert out.rstrip().endswith("; unknown: cell.sample.uniform")
     assert "in all: at least " in out
     assert main(["estimate", "own.yaml", "--plugin", str(PLUGIN), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["unknown"] == ["cell/sample.uniform"]
+    assert found["unknown"] == ["cell.sample.uniform"]
     assert found["disk_bytes"] > 1e6
     assert main(["run", "own.yaml", "--plugin", str(PLUGIN), "-s", "marching_cubes.resolution=800", "--memory=2G"]) == 5
 
@@ -232,7 +232,8 @@ def test_a_machine_is_learned_from_its_cache(here, capsys, monkeypatch):
 def test_the_table_of_rates_fits_the_program():
     """Each entry belongs to a stage, each rate to a unit, and none is negative."""
     columns, units = {"seconds", "memory", "kept", "disk"}, {field.name for field in fields(Size)}
-    names = set(BUILT_IN)
+    formats = ("stl", "ply", "obj", "off", "3mf", "glb", "vtu", "inp", "msh", "npy", "tiff", "vti")
+    names = {*BUILT_IN, *(f"write.{extension}" for extension in formats)}
     for name, entry in rates.table().items():
         assert name == "sppm" or name in names or name.rpartition(".")[0] in names, name
         assert set(entry) == columns

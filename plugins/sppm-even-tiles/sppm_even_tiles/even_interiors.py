@@ -9,11 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_even_tiles.dealing import alike_pairs, deal
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.families import Tiler
-from sppm_pipeline.fields.tileset import TileSet
-from sppm_pipeline.fields.tiling import Tiling
-from sppm_pipeline.stage import Context
+from sppm_pipeline import Context, SurfaceMesh, Tiler, TileSet, Tiling
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +29,7 @@ class EvenInteriors(Tiler):
         self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
     ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
         """Deal the interiors; any face colors go with them."""
-        from sppm_pipeline.numerics.tiling.corners import tile_corners
-        from sppm_pipeline.numerics.tiling.hashed import tile_hashed
+        from sppm_pipeline import tile_corners, tile_hashed
 
         seed, colors, interiors = int(rng.integers(2**62)), tileset.palette_colors, tileset.micro.interiors
         if tileset.kind == "corner":

@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_lattice_points.measured import MeasuredSampler
 from sppm_lattice_points.structure_factor import stealthy, structure_factor, wave_vectors
-from sppm_pipeline.data.pores import PoreSet
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.families import InteriorBox
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline import Context, DesignError, InteriorBox, PoreSet, option
 
 TOLERANCE = 1e-8
 """Structure factor that counts as none."""

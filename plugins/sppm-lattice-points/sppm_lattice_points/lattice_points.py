@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_lattice_points.measured import MeasuredSampler
-from sppm_pipeline.families import InteriorBox
-from sppm_pipeline.stage import option
+from sppm_pipeline import InteriorBox, option
 
 # points of one cube of each lattice, in quarters of the cube's edge
 _FACES = [[0, 0, 0], [0, 2, 2], [2, 0, 2], [2, 2, 0]]

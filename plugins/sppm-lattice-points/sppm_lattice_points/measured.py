@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sppm_pipeline.data.pores import PoreSet
-from sppm_pipeline.families import Sampler
-from sppm_pipeline.stage import Context
+from sppm_pipeline import Context, PoreSet, Sampler
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,7 +13,7 @@ class MeasuredSampler(Sampler):
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the pores of all interiors and report the smallest distance of two pores of one interior."""
-        from sppm_pipeline.numerics.sampling.spacing import min_spacing
+        from sppm_pipeline import smallest_spacing as min_spacing
 
         thrown = super().run(context, pores)
         periodic = (not thrown.has_faces,) * 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline import DesignError
 
 
 def wave_vectors(count: int, share: float) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.process import notify
+from sppm_pipeline import notify
 
 Arrays = Mapping[str, NDArray[Any]]
 Options = Mapping[str, Any]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline import SurfaceMesh
 from sppm_pymeshlab.winding import spread_points, winding_change, winding_numbers
 
 

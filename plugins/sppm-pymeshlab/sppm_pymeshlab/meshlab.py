@@ -6,10 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.errors import DesignError, InputError
-from sppm_pipeline.process import ArraySpec, run_native
-from sppm_pipeline.stage import Context
+from sppm_pipeline import ArraySpec, Context, DesignError, InputError, SurfaceMesh, run_native
 
 LARGEST = 20_000_000
 """Triangles; MeshLab needs about 1 kB for each."""
@@ -76,7 +73,8 @@ def worked(context: Context, mesh: SurfaceMesh, name: str, seconds: float, **opt
     DesignError
         If a closed mesh comes back open, or its volume is gone.
     """
-    from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
+    from sppm_pipeline import mesh_edges as edge_counts
+    from sppm_pipeline import mesh_volume as volume
 
     made = filtered(mesh, name, seconds, **options)
     before, after = edge_counts(mesh.faces), edge_counts(made.faces)
@@ -96,7 +94,7 @@ def worked(context: Context, mesh: SurfaceMesh, name: str, seconds: float, **opt
 
 def compared(context: Context, before: SurfaceMesh, after: SurfaceMesh) -> None:
     """Report what has changed: triangles, edge lengths, and the volume if there is one."""
-    from sppm_pipeline.numerics.meshcheck.measures import volume
+    from sppm_pipeline import mesh_volume as volume
 
     was, now = (volume(mesh.vertices, mesh.faces) for mesh in (before, after))
     context.report(triangles_before=len(before.faces), volume_before_mm3=was, volume_after_mm3=now)

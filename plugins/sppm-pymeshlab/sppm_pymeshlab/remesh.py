@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.errors import DesignError
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import Context, DesignError, Length, Stage, SurfaceMesh, option
 from sppm_pymeshlab.meshlab import LARGEST, worked
 
 
@@ -35,7 +32,7 @@ class Remesh(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Remesh, and report edges and volumes."""
-        from sppm_pipeline.numerics.meshcheck.measures import surface_area
+        from sppm_pipeline import mesh_area as surface_area
 
         edge = self.edge.mm()
         expected = surface_area(mesh.vertices, mesh.faces) / (3**0.5 / 4 * edge**2)

@@ -5,10 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.errors import ConfigError, InputError, NativeCrash, ResourceError, SppmError
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    InputError,
+    Length,
+    NativeCrash,
+    ResourceError,
+    SppmError,
+    Stage,
+    SurfaceMesh,
+    option,
+)
 
 if TYPE_CHECKING:
     from sppm_pymeshlab.judge import Judge
@@ -94,7 +102,7 @@ class _Repair:
     intersecting: int | None = None
 
     def __post_init__(self) -> None:
-        from sppm_pipeline.numerics.meshcheck.measures import edge_counts
+        from sppm_pipeline import mesh_edges as edge_counts
 
         self.mesh = self.start
         self.consistent = edge_counts(self.start.faces).consistent
@@ -127,7 +135,8 @@ class _Repair:
                     self.context.warn(f"the step {step!r} was left out: {error.message}")
 
     def _called_for(self, step: str) -> bool:
-        from sppm_pipeline.numerics.meshcheck.measures import measure_surface, volume
+        from sppm_pipeline import mesh_measures as measure_surface
+        from sppm_pipeline import mesh_volume as volume
 
         faces = self.mesh.faces
         measures = measure_surface(self.mesh.vertices, faces)
@@ -181,7 +190,7 @@ class _Repair:
 
     def _spoilt(self, step: str, made: SurfaceMesh) -> str | None:
         """What is worse than before, if the step was meant to make it better."""
-        from sppm_pipeline.numerics.meshcheck.measures import edge_counts
+        from sppm_pipeline import mesh_edges as edge_counts
 
         was, now = edge_counts(self.mesh.faces), edge_counts(made.faces)
         if step in ("clean", "merge", "close") and now.boundary > was.boundary:
@@ -223,7 +232,8 @@ class _Repair:
         return made
 
     def _note(self, step: str, made: SurfaceMesh, changed: float | None, undone: str | None) -> None:
-        from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
+        from sppm_pipeline import mesh_edges as edge_counts
+        from sppm_pipeline import mesh_volume as volume
 
         entry: dict[str, Any] = {"step": step, "kept": undone is None}
         if undone is not None:
@@ -243,7 +253,8 @@ class _Repair:
 
     def finished(self) -> SurfaceMesh:
         """The mesh, if it will do; the report of all steps in any case."""
-        from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
+        from sppm_pipeline import mesh_edges as edge_counts
+        from sppm_pipeline import mesh_volume as volume
 
         edges = edge_counts(self.mesh.faces)
         before = volume(self.start.vertices, self.start.faces)

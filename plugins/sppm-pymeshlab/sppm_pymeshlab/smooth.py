@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import ConfigError, Context, Stage, SurfaceMesh, option
 from sppm_pymeshlab.meshlab import worked
 
 

@@ -7,11 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families import FieldMaker
-from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline import ConfigError, Context, FieldMaker, Length, ScalarField, option
 from sppm_structures.struts import StrutField
 from sppm_structures.textures import TEXTURES, Texture, read_pattern, read_weights, texture_graph
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import InputError
+from sppm_pipeline import InputError
 
 _SAME = 1e-9
 """Positions nearer than this, in cell sizes, are one node."""

@@ -9,16 +9,21 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.errors import ConfigError, ResourceError
-from sppm_pipeline.families import PartFieldMaker
-from sppm_pipeline.fields.formula import PlacedField
-from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
-from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    Grid,
+    Kernels,
+    Length,
+    PartFieldMaker,
+    Pieces,
+    PlacedField,
+    ResourceError,
+    ScalarField,
+    SurfaceMesh,
+    TilingArrays,
+    option,
+)
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum."""
@@ -54,7 +59,7 @@ class OrganicField(PlacedField):
         return -math.log(self.level) / self.mu if 0 < self.level < 1 else None
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
+        from sppm_pipeline import make_catalog, sample_exact
 
         if "pieces" not in self.kept:
             pieces, arrays = self._sorted_by_cell()
@@ -138,8 +143,8 @@ class Organic(PartFieldMaker):
 
     def run(self, context: Context, cover: SurfaceMesh | None) -> ScalarField:
         """Throw and join the pores; the field is evaluated where somebody samples it."""
-        from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
-        from sppm_pipeline.numerics.sampling.darts import throw
+        from sppm_pipeline import TUNNEL_PROFILES, omega_from_radius
+        from sppm_pipeline import throw_darts as throw
 
         region, origin = self.region(cover)
         spacing = self.in_cells(self.spacing)

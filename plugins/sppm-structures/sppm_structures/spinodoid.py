@@ -8,11 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families import FieldMaker
-from sppm_pipeline.fields.formula import FormulaField
-from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline import ConfigError, Context, DesignError, FieldMaker, FormulaField, ScalarField, option
 from sppm_structures.waves import Waves, half_space, sum_of_waves, waves_of
 
 SMALLEST_CONE = 15.0

@@ -11,12 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.families import FieldMaker
-from sppm_pipeline.fields.formula import FormulaField
-from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline import ConfigError, Context, FieldMaker, FormulaField, InputError, Length, ScalarField, option
 from sppm_structures.graphs import LATTICES, StrutGraph, strut_graph
 
 LARGEST_FILE = 1 << 24

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline import ConfigError, DesignError
 from sppm_structures.graphs import StrutGraph, strut_graph
 
 CORNERS = {"c": (0.5, 0.5, 0.5), "f": (0.5, 0.5, 0.0), "e": (0.5, 0.0, 0.0), "v": (0.0, 0.0, 0.0)}

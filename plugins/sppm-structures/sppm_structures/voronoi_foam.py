@@ -10,15 +10,20 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import frozen
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.pores import PoreSet
-from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.families import PartFieldMaker
-from sppm_pipeline.fields.formula import CellIndex, CellwiseField
-from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline import (
+    CellIndex,
+    CellwiseField,
+    ConfigError,
+    Context,
+    InputError,
+    Length,
+    PartFieldMaker,
+    PoreSet,
+    ScalarField,
+    SurfaceMesh,
+    frozen,
+    option,
+)
 from sppm_structures.seeds import MOST_SEEDS, HashedSeeds, blue_noise, images_near
 
 MOST_SHARED = np.sqrt(3.0) / 2

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.process import notify
+from sppm_pipeline import notify
 from sppm_tetwild.random_device import SeededDevice
 
 

@@ -8,11 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.volume_mesh import VolumeMesh
-from sppm_pipeline.errors import DesignError, InputError
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline import Context, DesignError, InputError, Length, Stage, SurfaceMesh, VolumeMesh, option
 
 FLAT = 1e-6
 """A mesh thinner than this share of its diagonal counts as flat."""
@@ -65,7 +61,7 @@ class TetWild(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> VolumeMesh:
         """Fill the surface, check volume and orientation, report the quality."""
-        from sppm_pipeline.process import ArraySpec, run_native
+        from sppm_pipeline import ArraySpec, run_native
 
         diagonal, area, enclosed = _checked(mesh)
         epsilon, edge = (
@@ -163,7 +159,9 @@ def _checked(mesh: SurfaceMesh) -> tuple[float, float, float]:
     InputError
         If the surface is empty, flat, open or inside out.
     """
-    from sppm_pipeline.numerics.meshcheck.measures import edge_counts, surface_area, volume
+    from sppm_pipeline import mesh_area as surface_area
+    from sppm_pipeline import mesh_edges as edge_counts
+    from sppm_pipeline import mesh_volume as volume
 
     if not len(mesh.faces):
         raise InputError(f"{mesh.name} has no triangles")

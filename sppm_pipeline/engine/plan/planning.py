@@ -76,6 +76,7 @@ def make_plan(
     registry: Registry,
     overrides: Overrides = Overrides(),  # noqa: B008 - frozen
     row: Mapping[str, Entry] | None = None,
+    available: Mapping[str, tuple[type, ...]] | None = None,
 ) -> Plan:
     """Check options, then wiring, and report all errors in one go.
 
@@ -86,6 +87,8 @@ def make_plan(
     overrides : Overrides
     row : mapping of parameter name (or ``seed``) to Entry, optional
         A row of the sweep; the plan is then that of a single run.
+    available : mapping of id to artifact types, optional
+        What is there before the first stage.
 
     Raises
     ------
@@ -111,7 +114,7 @@ def make_plan(
         wired[name], recipes[name] = wire(drafts[name], recipes, problems)
         if recipes[name] == () and entries[name]:
             problems.report(f"the recipe {name!r} ends in a stage that makes nothing", entries[name][-1].where)
-    steps, _ = wire(drafts[_PIPELINE], recipes, problems)
+    steps, _ = wire(drafts[_PIPELINE], recipes, problems, given=available)
     after: list[Step] = []
     if configuration.after is not None:
         after, _ = wire(drafts[_AFTER], recipes, problems, given={SWEEP_ID: (_table(),)})

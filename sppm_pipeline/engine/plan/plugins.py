@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import os
 import re
 import sys
 import threading
@@ -32,8 +33,17 @@ if TYPE_CHECKING:
 BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors", "sppm_pipeline.cli.commands")
 """Modules whose hook implementations are always there."""
 
+ALLOWED = "SPPM_PLUGINS"
+"""Environment variable with the plugins that may be imported, separated by commas."""
+
 API_CONSTANT = "SPPM_API_VERSION"
 """Name under which the module of a plugin may say which version of the interface it was written for."""
+
+
+def allowed_plugins(names: str | None = None) -> tuple[str, ...] | None:
+    """Installed plugins that may be imported: those of `names`, else of the environment; None for all."""
+    names = os.environ.get(ALLOWED) if names is None else names
+    return None if names is None else tuple(name for part in names.split(",") if (name := part.strip()))
 
 
 @dataclass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sysconfig
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,6 +19,35 @@ from sppm_pipeline.engine.plan.plugins import BUILTINS, Plugins, load_plugins
 from sppm_pipeline.engine.plan.rates import Speed
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.errors import ConfigError
+
+
+def find_configuration(name: str) -> Path:
+    """A file by its path, or a packaged example by its name.
+
+    Raises
+    ------
+    ConfigError
+        If there is neither.
+    """
+    path = Path(name)
+    if path.exists():
+        return path
+    examples: dict[str, Path] = {}
+    package = Path(__file__).resolve().parents[2]
+    for folder in (
+        package.parent / "configs",
+        package / "configs",
+        Path(sysconfig.get_path("data")) / "share" / "sppm_pipeline" / "configs",
+    ):
+        for example in sorted(folder.glob("*.yaml")):
+            examples.setdefault(example.stem, example)
+    if name in examples:
+        return examples[name]
+    hint = did_you_mean(name, examples) if path.name == name and not path.suffix else None
+    if hint is None:
+        siblings = [p.name for p in path.parent.glob("*") if p.suffix in (".yaml", ".yml", ".json")]
+        hint = did_you_mean(path.name, siblings) if siblings else None
+    raise ConfigError(f"there is no configuration {name!r}", hint=hint)
 
 
 @dataclass(frozen=True)

@@ -79,8 +79,8 @@ class GaussianField(Stage):
 
         cell, profile = graph.pores.cell, TUNNEL_PROFILES[self.tunnel]
         omega, mu = self._parameters(cell)
-        pore_factors = _factors(context.rng(0), self.pore_spread, len(graph.pores.centers))
-        tunnel_factors = _factors(context.rng(1), self.tunnel_spread, len(graph.edges))
+        pore_factors = _factors(context, 0, self.pore_spread, len(graph.pores.centers))
+        tunnel_factors = _factors(context, 1, self.tunnel_spread, len(graph.edges))
         all_omega = omega * PORE_PROFILE.scaled_radius(pore_factors)
         all_mu = mu * profile.scaled_radius(tunnel_factors)
         self._check_reach("pore_radius" if self.omega is None else "omega", PORE_PROFILE.reach(all_omega, CUTOFF))
@@ -118,8 +118,8 @@ class GaussianField(Stage):
             )
 
 
-def _factors(rng: np.random.Generator, spread: float, n: int) -> NDArray[np.float64]:
+def _factors(context: Context, key: int, spread: float, n: int) -> NDArray[np.float64]:
     """Factors of the radii: log-normal, median 1, cut at two deviations so that no pore swallows a cell."""
     if not spread:
         return np.ones(n)
-    return np.exp(spread * np.clip(rng.standard_normal(n), -2, 2))
+    return np.exp(spread * np.clip(context.rng(key).standard_normal(n), -2, 2))

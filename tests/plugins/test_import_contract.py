@@ -1,0 +1,75 @@
+"""Plugins, examples, documents and notebooks import the public face and nothing below it."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import sppm_pipeline
+
+ROOT = Path(__file__).resolve().parents[2]
+
+PRIVATE = {
+    "plugins/sppm-structures/examples/draw_published_curves.py",  # draws with the charts of the program itself
+    "docs/generate_reference.py",  # writes the reference from the engine's own description of stages
+}
+"""Scripts of this repository that are part of its workshop and no example for others."""
+
+_FENCE = re.compile(r"^ *```python[^\n]*\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+_IMPORT = re.compile(r"^\s*(?:from|import)\s+sppm_pipeline[.\w]*.*$", re.MULTILINE)
+
+
+def python_files():
+    """Code for or by others, without its tests, which may look inside."""
+    for folder in ("plugins", "examples", "docs"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            parts = path.relative_to(ROOT).parts
+            if not {"build", "tests"} & set(parts) and path.relative_to(ROOT).as_posix() not in PRIVATE:
+                yield path
+
+
+def text_of(path):
+    """The code of a module, of the Python blocks of a page, or of the cells of a notebook."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        return "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    return "\n".join(_FENCE.findall(text)) if path.suffix == ".md" else text
+
+
+def internal_imports(text):
+    """What is imported from below the public face, or is not in it."""
+    found = []
+    for line in _IMPORT.findall(text):
+        words = line.split()
+        module = words[1]
+        if module != "sppm_pipeline" and not f"{module}.".startswith("sppm_pipeline.testing."):
+            found.append(line.strip())
+        elif words[0] == "from" and module == "sppm_pipeline" and "(" not in line:
+            names = (part.split()[0] for part in line.partition(" import ")[2].split(","))
+            found += [name for name in names if not hasattr(sppm_pipeline, name)]
+    return found
+
+
+@pytest.mark.parametrize("path", [*python_files()], ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_modules_import_the_public_face_only(path):
+    assert internal_imports(text_of(path)) == []
+
+
+@pytest.mark.parametrize(
+    "path",
+    [*sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "docs").rglob("*.ipynb")), ROOT / "README.md"],
+    ids=lambda path: path.relative_to(ROOT).as_posix(),
+)
+def test_pages_import_the_public_face_only(path):
+    assert internal_imports(text_of(path)) == []
+
+
+def test_a_breach_would_be_noticed():
+    assert internal_imports("from sppm_pipeline.data.mesh import SurfaceMesh\n")
+    assert internal_imports("    import sppm_pipeline.engine\n")
+    assert internal_imports("from sppm_pipeline import nothing_of_this_name\n")
+    assert not internal_imports(
+        "import sppm_pipeline as sppm\nfrom sppm_pipeline.testing.contracts import StageContract\n"
+    )
