@@ -88,6 +88,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "slice.mesh": ([BOX], "pixel: 0.25", ["  - write.png"]),
     "check.connectivity": (TILED, "resolution: 8", []),
     "check.porosity": (TILED, "resolution: 8", []),
+    "check.tiling": (TILED, "", []),
     "check.residual_periodicity": (TILED, "resolution: 8", []),
     "slice.field": (TILED, "pixel: 0.25", ["  - write.png"]),
     "write.png": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
