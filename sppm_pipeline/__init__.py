@@ -55,7 +55,8 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         tune,
         write,
     )
-    from sppm_pipeline.api.pipeline import Pipeline, Run, load, run
+    from sppm_pipeline.api.pipeline import Pipeline, load, run
+    from sppm_pipeline.api.run import Run
     from sppm_pipeline.data.artifact import Artifact, frozen
     from sppm_pipeline.data.conductivity import ConductivityReport
     from sppm_pipeline.data.length import Cell, Length
@@ -126,7 +127,8 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
 _PLACES = {
     "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize mesh read sample "
     "slice step tile tileset tune write",
-    "api.pipeline": "Pipeline Run load run",
+    "api.pipeline": "Pipeline load run",
+    "api.run": "Run",
     "data.artifact": "Artifact frozen",
     "data.conductivity": "ConductivityReport",
     "data.length": "Cell Length",

@@ -6,22 +6,20 @@ import io
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.api.functions import WarningMonitor, entry_of
-from sppm_pipeline.data.artifact import escaped, shown
+from sppm_pipeline.api.functions import entry_of
+from sppm_pipeline.api.run import Run
+from sppm_pipeline.data.artifact import escaped
 from sppm_pipeline.data.table import Table
-from sppm_pipeline.engine.cache.housekeeping import cache_folder, open_store
-from sppm_pipeline.engine.cache.store import Store
+from sppm_pipeline.engine.cache.housekeeping import cache_folder
 from sppm_pipeline.engine.config.configuration import FORMAT
 from sppm_pipeline.engine.config.document import parse_yaml, plain, read_yaml
 from sppm_pipeline.engine.config.options import options_of, plain_option
 from sppm_pipeline.engine.config.parameters import Overrides
-from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.plugins import allowed_plugins
 from sppm_pipeline.engine.plan.session import (
     RunRequest,
@@ -32,12 +30,9 @@ from sppm_pipeline.engine.plan.session import (
     refuse_unfit,
 )
 from sppm_pipeline.engine.plan.wiring import Step
-from sppm_pipeline.engine.run.memory import MemoryRun, run_in_memory
 from sppm_pipeline.engine.run.outputs import RECORD
-from sppm_pipeline.engine.run.record import error_entry
-from sppm_pipeline.engine.run.runner import available_threads, run_plan
-from sppm_pipeline.engine.run.sweep import columns_of, numbers_of, run_sweep
-from sppm_pipeline.errors import ConfigError, InputError, SppmError
+from sppm_pipeline.engine.run.runner import available_threads
+from sppm_pipeline.errors import ConfigError, InputError
 
 Cache = bool | str | Path
 """Where results are kept between runs: True for where the command line keeps them, False for nowhere, or a folder."""
@@ -247,150 +242,6 @@ class Pipeline:
 
     def _repr_html_(self) -> str:
         return f"<pre>{escaped(self.to_yaml(), 60_000)}</pre>"
-
-
-class Run:
-    """What came of a pipeline: artifacts by stage id, numbers, and the record.
-
-    Attributes
-    ----------
-    record : dict
-        As ``run.json`` holds it.
-    table : Table or None
-        Of a sweep: a row for each run.
-    """
-
-    def __init__(self, pipeline: Pipeline, plan: Plan, *, until: str | None, threads: int, cache: Path | None) -> None:
-        self.pipeline = pipeline
-        self.record: dict[str, Any] = {}
-        self.table: Table | None = None
-        self._plan = plan
-        self._until = until
-        self._threads = threads
-        self._cache = cache
-        self._memory: MemoryRun | None = None
-
-    def __getitem__(self, stage: str) -> Any:
-        """What a stage made; None for one that makes nothing.
-
-        Raises
-        ------
-        ConfigError
-            If there is no stage of this id, or the run is a sweep.
-        """
-        if self.table is not None:
-            raise ConfigError("a sweep has no single result", hint="run.table has the numbers of all runs")
-        return self._run().result(stage)
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        """Numbers of all stages as ``<stage id>.<name>``, the columns of a sweep's table."""
-        return numbers_of(self.record.get("stages", ()))
-
-    def save(self, path: str | Path, *, jobs: int = 1) -> dict[str, Any]:
-        """Write the run directory, as ``sppm run`` does; stages that only write run now.
-
-        Parameters
-        ----------
-        path : str or Path
-        jobs : int
-            Rows of a sweep that run at the same time.
-
-        Returns
-        -------
-        dict
-            The record.
-        """
-        monitor = WarningMonitor()
-        if self.table is not None:
-            self.record = run_sweep(
-                self.pipeline._session,
-                self._plan,
-                Path(path),
-                workers=jobs,
-                executor="threads",
-                threads=self._threads,
-                until=self._until,
-                monitor=monitor,
-                cache=self._cache,
-            )
-        else:
-            self.record = run_plan(
-                self._plan,
-                Path(path),
-                threads=self._threads,
-                until=self._until,
-                monitor=monitor,
-                store=self._store(),
-                about=self._about(),
-                earlier=self._run(),
-            )
-        return self.record
-
-    def _run(self) -> MemoryRun:
-        if self._memory is None:
-            self._memory = run_in_memory(
-                self._plan,
-                threads=self._threads,
-                until=self._until,
-                monitor=WarningMonitor(),
-                store=self._store(),
-                about=self._about(),
-            )
-            self.record = self.record or self._memory.record
-        return self._memory
-
-    def _run_rows(self, session: Session, rows: Sequence[Mapping[str, Any]], jobs: int) -> None:
-        """Run the rows of a sweep in memory and keep their numbers."""
-
-        def one(number: int) -> dict[str, Any]:
-            row = rows[number]
-            result: dict[str, Any] = {
-                "run": f"{number:04}",
-                "params": {name: plain(entry.node) for name, entry in row.items()},
-                "status": "done",
-                "error": None,
-                "columns": {},
-            }
-            try:
-                memory = run_in_memory(
-                    session.plan(row),
-                    threads=max(1, self._threads // jobs),
-                    until=self._until,
-                    monitor=WarningMonitor(),
-                    store=self._store(),
-                    about=self._about(),
-                )
-                return result | {"columns": numbers_of(memory.record["stages"])}
-            except SppmError as error:
-                return result | {"status": "failed", "error": error_entry(error)}
-
-        with ThreadPoolExecutor(max(1, jobs)) as pool:
-            runs = list(pool.map(one, range(len(rows))))
-        self.table = Table({name: tuple(values) for name, values in columns_of(runs).items()})
-        self.record = {"runs": runs}
-
-    def _store(self) -> Store | None:
-        return open_store(self._cache) if self._cache is not None else None
-
-    def _about(self) -> str:
-        return str(self._plan.configuration.file.absolute())
-
-    def __repr__(self) -> str:
-        return f"<Run {self._plan.name}: {', '.join(step.id for step in self._plan.steps)}>"
-
-    def _repr_html_(self) -> str:
-        if self.table is not None:
-            return self.table._repr_html_()
-        rows = "".join(
-            f"<tr><th>{escaped(name)}</th><td>{escaped(shown(value))}</td></tr>"
-            for name, value in list(self.numbers.items())[:MOST_NUMBERS]
-        )
-        return f"<table><caption>{escaped(self._plan.name)}</caption>{rows}</table>"
-
-
-MOST_NUMBERS = 200
-"""Numbers of a run that notebooks show."""
 
 
 def pipeline_of(config: Pipeline | str | Path | Mapping[str, Any]) -> Pipeline:
