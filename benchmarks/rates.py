@@ -226,10 +226,10 @@ def measure(name: str, folder: Path) -> tuple[list[dict[str, Any]], float]:
     from sppm_pipeline.data.size import ONE
     from sppm_pipeline.engine.plan.estimate import estimate_steps
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
-    from sppm_pipeline.engine.run import runner, running
+    from sppm_pipeline.engine.run import runner, steps
 
     watch = Watch()
-    watch.around(runner, running)
+    watch.around(runner, steps)
     text, values = PIPELINES[name]
     rows = []
     for number, row in enumerate(zip(*values.values(), strict=True)):
