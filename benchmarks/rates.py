@@ -201,7 +201,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: read.primitive, id: tool, shape: cylinder, size: [2 mm, 2 mm, 30 mm]}
   - {stage: fill.combine, operation: difference, from: {mesh: fill.boolean, tool: tool}}
 """,
-        {"n": (42, 42, 60, 72), "k": (8, 8, 12, 16), "f": (32, 32, 64, 64), "r": (12, 12, 24, 32)},
+        {"n": (42, 42, 60, 72), "k": (8, 8, 12, 12), "f": (32, 32, 64, 64), "r": (12, 16, 32, 48)},
     ),
 }  # fmt: skip
 
@@ -302,15 +302,21 @@ class Watch:
 
     def _watch_children(self) -> None:
         while True:
-            total = 0.0
-            for task in Path("/proc/self/task").iterdir():
-                try:
-                    for child in (task / "children").read_text().split():
-                        total += int(Path(f"/proc/{child}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-                except (OSError, IndexError):  # it has ended
-                    continue
-            self._children = max(self._children, total)
+            self._children = max(self._children, held_by_children("self"))
             time.sleep(0.01)
+
+
+def held_by_children(process: str) -> float:
+    """Bytes resident in all processes that descend from one."""
+    total = 0.0
+    try:
+        for task in Path(f"/proc/{process}/task").iterdir():
+            for child in (task / "children").read_text().split():
+                pages = int(Path(f"/proc/{child}/statm").read_text().split()[1])
+                total += pages * os.sysconf("SC_PAGE_SIZE") + held_by_children(child)
+    except (OSError, IndexError):  # it has ended
+        pass
+    return total
 
 
 def processor_time() -> float:
