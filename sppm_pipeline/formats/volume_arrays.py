@@ -1,4 +1,4 @@
-"""What the formats of volume meshes share: checked arrays, numbers as rows of text."""
+"""Common parts of the volume mesh formats: checked arrays, numbers as rows of text."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def number_rows(rows: NDArray[np.float64], separator: str, first: int | None = N
 
 
 def integer_rows(rows: NDArray[np.integer] | Sequence[Sequence[int]], separator: str) -> Iterator[bytes]:
-    """Lines of whole numbers."""
+    """Lines of integers."""
     table = np.asarray(rows)
     if not table.size:
         return

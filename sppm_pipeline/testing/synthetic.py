@@ -45,7 +45,7 @@ class Whole(Number):
 
 @dataclass(frozen=True)
 class Text(Artifact):
-    """A text."""
+    """A string."""
 
     text: str
 

@@ -45,8 +45,8 @@ class EvenInteriors(Tiler):
         uses = np.bincount(interior[interior >= 0], minlength=tileset.micro.interiors)
         alike = alike_pairs(interior)
         context.report(
-            fewest_uses=int(uses.min()),
-            most_uses=int(uses.max()),
+            min_uses=int(uses.min()),
+            max_uses=int(uses.max()),
             alike_across_faces=alike.face,
             alike_across_edges=alike.edge,
             alike_across_corners=alike.corner,

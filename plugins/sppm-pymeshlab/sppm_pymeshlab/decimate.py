@@ -14,7 +14,7 @@ class DecimateMesh(Stage):
     """Lower the number of triangles (quadric edge collapse, Garland and Heckbert 1997).
 
     Edges whose collapse changes the surface least go first; collapses that would change the topology are left out, so
-    a closed mesh stays closed, and in rare cases more triangles remain than wished. MeshLab runs in a child process.
+    a closed mesh stays closed, and in rare cases more triangles remain than requested. MeshLab runs in a child process.
     """
 
     name: ClassVar[str] = "mesh.decimate"
@@ -29,12 +29,14 @@ class DecimateMesh(Stage):
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Decimate, and report volumes."""
-        wished = self.faces if self.faces is not None else max(4, round((self.share or 0) * len(mesh.faces)))
-        if wished >= len(mesh.faces):
+        target = self.faces if self.faces is not None else max(4, round((self.share or 0) * len(mesh.faces)))
+        if target >= len(mesh.faces):
             context.warn(f"{mesh.name} has only {len(mesh.faces)} triangles; it stays as it is")
             compared(context, mesh, mesh)
             return mesh
-        made = worked(context, mesh, "decimate", self.time_limit, faces=wished)
-        if len(made.faces) > 1.05 * wished + 4:
-            context.warn(f"{len(made.faces)} triangles remain, wished were {wished}: fewer would change the topology")
+        made = worked(context, mesh, "decimate", self.time_limit, faces=target)
+        if len(made.faces) > 1.05 * target + 4:
+            context.warn(
+                f"{len(made.faces)} triangles remain, not {target} as requested: fewer would change the topology"
+            )
         return made

@@ -99,8 +99,8 @@ def test_factors_that_would_shrink_or_explode(shrink, inflate):
 def test_decimation_meets_the_number(torus, options):
     context = PlainContext()
     made = DecimateMesh(**options).run(context, torus)
-    wished = options.get("faces", len(torus.faces) * 0.25)
-    assert len(made.faces) == pytest.approx(wished, abs=2)
+    target = options.get("faces", len(torus.faces) * 0.25)
+    assert len(made.faces) == pytest.approx(target, abs=2)
     assert edge_counts(made.faces).closed
     assert genus(made.faces) == 1
     assert abs(context.reported["volume_change"]) < 0.02

@@ -32,7 +32,7 @@ class TestContract(StageContract):
         return [Struts(), Struts(lattice="kelvin", repeat=2, edge=Length(3.0), blend=Length(0.0))]
 
 
-# struts of a cell, and their total length in cell edges
+# struts of a cell, and their total length in cell sizes
 COUNTS = {
     "simple_cubic": (3, 3.0),
     "bcc": (8, 4 * 3**0.5),

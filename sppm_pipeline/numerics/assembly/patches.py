@@ -90,6 +90,7 @@ class PatchBank(NamedTuple):
 
 def _encode(rows: NDArray[np.int64], base: int) -> NDArray[np.int64]:
     """One number for an interior and six colors -1 <= color < base - 1; sorts as the rows do."""
+    # the largest code has to fit an int64
     if (float(rows[..., 0].max(initial=0)) + 2.0) * float(base) ** 6 > 2.0**62:
         raise ValueError(f"{base - 1} colors are too many for their combinations to be told apart in one number")
     code = rows[..., 0] + 1

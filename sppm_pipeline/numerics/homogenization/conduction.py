@@ -27,8 +27,13 @@ from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved, Stop,
 from sppm_pipeline.numerics.homogenization.multigrid.transfer import coarsened, coarser_widths, shortness
 
 _LAYERS = 8
+"""Layers of voxels whose energies are summed at once; a constant, so that sums do not depend on threads."""
+
 _FLOOR = 1e-6
+"""Conductivity over the mean of the voxels' below which no accuracy is requested ..."""
+
 _NO_FLUX = 1e-9
+"""... and below which a direction has no path of conduction."""
 
 #: Rows of scratch: sum and difference along z, 4 modes of the line before, 4 flows carried to the next line, 4 flows
 #: of the line, the flows of a row of nodes.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 
-#: A triangle counts as degenerate if its height over the longest edge is at most this share of that edge.
+#: A triangle counts as degenerate if its height over the longest edge is at most this fraction of that edge.
 FLAT = 1e-12
 
 #: Lists of edges longer than this are not left to the insertion sort.
@@ -53,7 +53,7 @@ class EdgeCounts(NamedTuple):
 
 
 class SurfaceMeasures(NamedTuple):
-    """What `measure_surface` finds; lengths in the unit of the vertices."""
+    """The result of `measure_surface`; lengths in the unit of the vertices."""
 
     vertices: int  # that a triangle uses
     faces: int

@@ -39,7 +39,7 @@ from sppm_pipeline.numerics.surface.sign_words import (
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 
-#: Least distance of a vertex from the ends of its grid edge, as a share of that edge.
+#: Least distance of a vertex from the ends of its grid edge, as a fraction of that edge.
 EDGE_MARGIN = 2.0**-10
 
 

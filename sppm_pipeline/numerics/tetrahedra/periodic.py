@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.tetrahedra.faces import boundary_triangles, face_neighbors
 
 TOLERANCE = 1e-6
-"""Share of the shortest edge of the box by which copies may miss each other."""
+"""Fraction of the shortest edge of the box by which copies may miss each other."""
 
 
 class FaceMatch(NamedTuple):
@@ -57,7 +57,7 @@ def matched_nodes(
     box : (2, 3) float
         Low and high corner.
     tolerance : float
-        Share of the shortest edge of the box by which copies may miss each other.
+        Fraction of the shortest edge of the box by which copies may miss each other.
 
     Returns
     -------

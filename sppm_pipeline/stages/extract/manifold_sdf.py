@@ -86,7 +86,7 @@ class ManifoldSdf(Stage):
         return field.grid(n, triangles=COARSER * field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
-        """Sample a grid of half the spacing, extract, cut, check; in mm (cell edges for a cell without a size)."""
+        """Sample a grid of half the spacing, extract, cut, check; in mm (cell sizes for a cell without a size)."""
         from sppm_pipeline.numerics.surface.booleans import check_solid
 
         part = field if isinstance(field, Part) else None

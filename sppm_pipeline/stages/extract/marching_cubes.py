@@ -67,7 +67,7 @@ class MarchingCubes(Stage):
         return field.grid(n, at_once=KEPT_SAMPLES, triangles=field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
-        """Sample the nodes of a grid and extract the surface, in mm (cell edges for a cell without a size)."""
+        """Sample the nodes of a grid and extract the surface, in mm (cell sizes for a cell without a size)."""
         from sppm_pipeline.numerics.meshcheck.measures import balanced_edges
 
         n = voxels_along_edge(field, self.resolution, self.spacing)

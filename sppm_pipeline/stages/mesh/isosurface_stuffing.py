@@ -51,7 +51,7 @@ class IsosurfaceStuffing(Stage):
         )  # fmt: skip
 
     def run(self, context: Context, field: ScalarField) -> VolumeMesh:
-        """Sample the lattice and cut it; the mesh is in mm (cell edges for a cell without a size)."""
+        """Sample the lattice and cut it; the mesh is in mm (cell sizes for a cell without a size)."""
         from sppm_pipeline.numerics.tetrahedra.lattice import doubled_grid
         from sppm_pipeline.numerics.tetrahedra.quadratic import with_mid_nodes
         from sppm_pipeline.numerics.tetrahedra.quality import quality

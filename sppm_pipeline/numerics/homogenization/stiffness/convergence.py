@@ -1,4 +1,4 @@
-"""What the limit of a sequence of grids is, and how far the finest one is from it."""
+"""Richardson extrapolation over a sequence of grids, and the error bar of the finest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ ORDERS = (0.5, 4.0)
 """Orders of convergence that are believed; outside, the grids are too coarse to tell."""
 
 SAFETY = 1.25
-"""Roache's factor for an order that was observed on three grids; 3 is used for an assumed one."""
+"""Roache's factor ("Verification and Validation in Computational Science and Engineering", 1998) for an order that was
+observed on three grids; 3 is used for an assumed one."""
 
 
 class Limit(NamedTuple):
