@@ -100,7 +100,7 @@ class ScalarField(Artifact, ABC):
         return None
 
     def coarseness(self, spacing: float) -> str | None:
-        """What to tell a user whose samples lie too far apart to show the thinnest tunnels; None if they do not.
+        """Warning for samples too far apart to resolve the thinnest tunnels; None if they are not.
 
         Parameters
         ----------

@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 class Written(NamedTuple):
-    """A mesh as the encoders want it.
+    """A mesh as the encoders need it.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ def encode(
 ) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) in millimeters with z up and (m, 3), piece by piece. Same mesh, same bytes.
 
-    Positions are turned, y up, and stored as float32 meters, as the specification wants it.
+    Positions are turned, y up, and stored as float32 meters, as the specification requires.
 
     Parameters
     ----------

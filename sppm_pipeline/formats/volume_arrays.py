@@ -14,7 +14,7 @@ _CHUNK = 20000
 def as_written(
     nodes: NDArray[np.floating], cells: NDArray[np.integer], materials: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.uint8]]:
-    """The arrays as the encoders want them: (n, 3) float64, (m, 4) or (m, 10) int32, (m,) uint8, C-contiguous.
+    """The arrays as the encoders need them: (n, 3) float64, (m, 4) or (m, 10) int32, (m,) uint8, C-contiguous.
 
     Raises
     ------

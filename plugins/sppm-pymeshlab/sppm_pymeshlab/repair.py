@@ -189,7 +189,7 @@ class _Repair:
         self.intersecting = None
 
     def _spoilt(self, step: str, made: SurfaceMesh) -> str | None:
-        """What is worse than before, if the step was meant to make it better."""
+        """Defects that a step has increased though it was to reduce them."""
         from sppm_pipeline import mesh_edges as edge_counts
 
         was, now = edge_counts(self.mesh.faces), edge_counts(made.faces)
@@ -252,7 +252,7 @@ class _Repair:
         self.log.append(entry)
 
     def finished(self) -> SurfaceMesh:
-        """The mesh, if it will do; the report of all steps in any case."""
+        """The mesh, if it is acceptable; the report of all steps in any case."""
         from sppm_pipeline import mesh_edges as edge_counts
         from sppm_pipeline import mesh_volume as volume
 

@@ -79,7 +79,7 @@ class Struts(FieldMaker):
     less than 4 b lower it, as in the smooth minimum ``-b log(sum exp(-d / b))`` (with ``(1 - t/4)^4`` for ``exp(-t)``):
     joints get fillets. ``tune.porosity`` adds the same to all radii.
 
-    A graph of one's own is a JSON file ``{"nodes": [[x, y, z], ...], "edges": [[i, j], ...], "radii": [...]}`` with
+    A custom graph is a JSON file ``{"nodes": [[x, y, z], ...], "edges": [[i, j], ...], "radii": [...]}`` with
     positions in cell sizes and, if wanted, a radius for each node over the option `radius`; or a CSV file with a strut
     in each row: x1, y1, z1, x2, y2, z2. Ends may lie in neighboring cells; copies are counted once.
     """

@@ -204,7 +204,7 @@ class _Program:
                 return chosen
 
     def _solved(self, result: Any) -> bool:
-        """Whether there is a solution; raises if the solver can't tell."""
+        """Whether there is a solution; raises if the solver does not decide it."""
         if result.status in (0, 2):
             return bool(result.status == 0)
         raise DesignError(

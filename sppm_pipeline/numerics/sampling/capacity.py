@@ -89,7 +89,7 @@ def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) 
     """
     if spacing <= 0.0 or colors < 1:
         raise ValueError(f"spacing and colors must be positive, got {spacing}, {colors}")
-    # the fit of the docstring: linear in the margin up to l/2, to .71 l, and beyond, where the side is 1 - 2 margin + .66 l
+    # the fit of the docstring: linear to l/2, to .71 l, and beyond, where the side is 1 - 2 margin + .66 l
     ratio = (0.0 if colors == 1 else 0.5) if margin is None else margin / spacing
     at_half = 0.70 - 0.17 * math.pow(colors, -0.7)  # loss at a margin of l/2
     if ratio <= 0.5:

@@ -19,9 +19,9 @@ from sppm_pipeline.numerics.sampling.active_voxels import fill_active_voxels, th
 from sppm_pipeline.numerics.sampling.capacity import box_capacity, check_capacity
 from sppm_pipeline.numerics.sampling.cell_list import add_points, empty_cell_list, new_stream
 
-# Share of the capacity up to which plain darts are cheaper than keeping a list of voxels (some 20 darts a pore).
+# Fraction of the capacity up to which plain darts are cheaper than keeping a list of voxels (some 20 darts a pore).
 NAIVE_SHARE = 0.75
-# Darts a pore after which the plain way is left even below that share: obstacles have taken the room.
+# Darts a pore after which plain darts are given up even below that fraction: obstacles have taken the space.
 NAIVE_BUDGET = 60
 # The voxel list of more points than this takes gigabytes, and no cell needs them.
 _MAX_POINTS = 5_000_000

@@ -250,7 +250,7 @@ def _thrown(
                 for axis in range(3)
             ]
         best = max(best, placed)
-        # As in `throw`: beyond five standard deviations more attempts are in vain.
+        # As in `throw`: beyond five standard deviations more attempts are futile.
         if rows - best > 1.5 * math.sqrt(rows):
             break
     per_face = best / wanted.size

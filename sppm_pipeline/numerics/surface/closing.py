@@ -1,4 +1,4 @@
-"""What happens to a surface at the border of the box: closed by a cap, or left open for the next periodic cell.
+"""Closing of a surface at the border of the box: by a cap, or left open for the next periodic cell.
 
 A field of n + 1 samples an edge whose opposite faces are equal (`wrapped`) gives, without a cap, a surface whose
 opposite boundaries match vertex by vertex. `capped_marching_cubes` closes the solid with flat caps that lie exactly in

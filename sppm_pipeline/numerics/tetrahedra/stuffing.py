@@ -59,7 +59,7 @@ def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.
         Whether the box repeats for ever.
     others : arrays as `values`
         If `values` is the maximum of several fields, these fields: the surface is then where, coming from the solid,
-        the first of them reaches zero, which their maximum does not tell.
+        the first of them reaches zero, which their maximum does not show.
 
     Raises
     ------

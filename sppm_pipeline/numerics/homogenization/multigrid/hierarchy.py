@@ -120,7 +120,7 @@ class Hierarchy:
     ----------
     levels : list of Level
     transfers : list of (6,) int64
-        Shapes of each pair of grids, as `transfer.restrict` wants them.
+        Shapes of each pair of grids, as `transfer.restrict` needs them.
     inverse : (m, m) float64
         Of the coarsest matrix.
     scratch_rows : int

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 4.0)
-"""Orders of convergence that are believed; outside, the grids are too coarse to tell."""
+"""Orders of convergence that are accepted; outside, the grids are too coarse to extrapolate."""
 
 SAFETY = 1.25
 """Roache's factor ("Verification and Validation in Computational Science and Engineering", 1998) for an order that was
@@ -22,7 +22,7 @@ class Limit(NamedTuple):
     Attributes
     ----------
     value : array
-        The extrapolated values; those of the finest grid where the grids are too coarse to tell.
+        The extrapolated values; those of the finest grid where the grids are too coarse to extrapolate.
     error : array
         Error bar of the finest grid's values.
     order : float
