@@ -4,7 +4,7 @@ A patch keeps, row by row, the samples between the first and the last that lie a
 If only few combinations of an interior and its six face colors occur, an interior, its connectors and its three low
 faces are merged into one patch, which costs about a third of the additions.
 
-A bank that only has to separate solid from void at one level keeps its samples in sixteen bits, cut off at the level: half
+A bank that only separates solid from void at one level keeps its samples in sixteen bits, cut off at the level: half
 the memory, and sums that are exact whatever their order.
 """
 

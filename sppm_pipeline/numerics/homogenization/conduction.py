@@ -171,6 +171,7 @@ class ConductionLevel:
         self.k = padded(k, dtype)
         self.c = conduction_coefficients(edges).astype(dtype)
         self.size = np.array([nx, ny, nz], np.int64)
+        # the diagonal of a brick: 16/9 for the weights 1, 1/3, 1/3, 1/9 of its modes
         self.diagonal = node_sums(16 / 9 * float(self.c[:3] @ self.c[:3]) * k).reshape(-1)
         self.weight = np.zeros(nx * ny * nz, dtype)
 

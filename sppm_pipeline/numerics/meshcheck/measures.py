@@ -182,7 +182,7 @@ def measure_surface(vertices: NDArray[np.floating], faces: NDArray[np.integer]) 
 
 
 def _numbered(faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], int]:
-    """The triangles as compiled code needs them, and the number of vertices they may name; no index is checked there."""
+    """The triangles as compiled code needs them (it checks no index), and the number of vertices they may name."""
     if faces.size == 0:
         return np.empty((0, 3), np.int64), 0
     if faces.min() < 0 or faces.max() >= 2**31:

@@ -69,6 +69,7 @@ def _add_sameness(
                 elif kk < 0 or jj < 0 or ii < 0 or kk >= nz or jj >= ny or ii >= nx:
                     continue
                 if steps > 0 and tiles[kk, jj, ii] >= 0:
+                    # Rule 2: neighbors across faces, edges and corners weigh 3, 2 and 1
                     sameness[tiles[kk, jj, ii]] += 4 - steps
 
 
@@ -102,7 +103,7 @@ def _fill(
                     flat_tiles[place] = (x0 * colors + y0) * colors + z0
                     continue
                 if scored:
-                    # The highest score is the least weight of neighbors that are the same tile.
+                    # The highest score (eq. 6) is the smallest weight of neighbors that are the same tile.
                     sameness[:] = 0
                     _add_sameness(tiles, k, j, i, periodic, sameness)
                 least, ties = 1 << 30, 0
