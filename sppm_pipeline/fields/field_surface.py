@@ -32,7 +32,7 @@ Item = TypeVar("Item")
 
 
 def voxels_along_edge(field: ScalarField, resolution: int | None, voxel: Length | None) -> int:
-    """Voxels along an edge of the cell: as given, or as many as keep their edges within `voxel`; 32 if neither is given.
+    """Voxels along an edge of the cell: as given, or as many as keep them within `voxel`; 32 if neither is given.
 
     Raises
     ------

@@ -72,7 +72,8 @@ class TetWild(Stage):
         )
         if edge > 1 or epsilon > 0.1:
             raise DesignError(
-                f"`ideal_edge_length` may be as long as the diagonal of the box ({diagonal:.4g} mm) and `epsilon` a tenth of it, "
+                f"`ideal_edge_length` may be as long as the diagonal of the box ({diagonal:.4g} mm) and `epsilon` a "
+                "tenth of it, "
                 f"got {edge * diagonal:.4g} mm and {epsilon * diagonal:.4g} mm"
             )
         box = self._box(mesh, epsilon * diagonal)

@@ -64,7 +64,7 @@ class CheckSizes(Stage):
             spacing, physical = (source.edge_mm or 1.0) / self.resolution, source.edge_mm is not None
             periodic = (source.periodic,) * 3
             context.report(specific_surface=area / (source.edge_mm or 1.0))
-        context.report(unit="mm" if physical else "cell edges", voxel=spacing)
+        context.report(unit="mm" if physical else "cell size", voxel=spacing)
         for number, (name, phase) in enumerate({"solid": solid, "void": 1 - solid}.items()):
             context.report(**{name: _described(phase, periodic, spacing)})
             context.progress(number + 1, 2, "phases")

@@ -156,7 +156,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
                        voxels=sum(s.voxels for s in found))  # fmt: skip
 
     def _resolutions(self) -> list[int]:
-        """Voxels along a cell edge of each grid, the coarsest first."""
+        """Voxels along an edge of the cell of each grid, the coarsest first."""
         return [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:

@@ -23,7 +23,7 @@ from sppm_pipeline.stage import Context, Stage
 class SliceField(Stage):
     """Cut a part or a tiling into layers, each at its mid-height (paper, "Mesh-free Slicing").
 
-    Pixels are anchored at the lattice of the cells, so that a pitch which divides the cell edge takes the fast path.
+    Pixels are anchored at the lattice of the cells, so that a pitch which divides the cell size takes the fast path.
     Layers are computed while they are written; memory does not grow with their number.
     """
 

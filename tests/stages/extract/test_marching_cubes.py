@@ -26,7 +26,7 @@ def test_a_cell(cell):
     assert found.volume == pytest.approx(cell.solid(cell_centers(48)).mean(), rel=0.02)
     assert made.vertices.min() == 0.0
     assert made.vertices.max() == 1.0
-    assert "cell edge" in context.warnings[0]
+    assert "cell size" in context.warnings[0]
 
 
 def side(vertices, axis, at):
@@ -136,7 +136,7 @@ def test_spacing_is_the_largest_edge_of_a_voxel(wang_tiling):
 
 @pytest.mark.parametrize("spacing", [3.0, 1e-5])
 def test_a_spacing_that_makes_no_sense(wang_tiling, spacing):
-    with pytest.raises(DesignError, match="voxels along a cell edge"):
+    with pytest.raises(DesignError, match="along an edge of the cell"):
         mesh(wang_tiling, resolution=None, spacing=Length(spacing, "mm"))
 
 
