@@ -79,7 +79,6 @@ gray = _shared(
     "samples along a pixel's edge for gray by area coverage; 1 for black and white",
     minimum=1,
     maximum=16,
-    formerly="grey",
 )
 layer = _shared("layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3)
 pixel = _shared("pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
@@ -88,7 +87,7 @@ pixel = _shared("pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
 read_path = _shared("file or folder to read")
 write_path = _shared("file or folder to write", output=True)
 unit = _shared("unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))
-image_size = _shared("width and height of the picture", unit="pixels", maximum=8192, formerly="size")
+image_size = _shared("width and height of the picture", unit="pixels", maximum=8192)
 title = _shared("title of what is written")
 label = _shared("column that names the rows")
 columns = _shared("columns of the table, from left to right")

@@ -34,7 +34,7 @@ class SliceField(Stage):
     layer: Length | None = options.layer(None)
     resolution: int | None = options.resolution(None, note="instead of `pixel` and `layer`", maximum=2048)
     islands: str = options.islands("remove", note="a part decides for itself")
-    gray: int = options.gray(1)
+    gray: int = options.gray(1, formerly="grey")
 
     def check_options(self) -> None:
         if (self.pixel is None) == (self.resolution is None):

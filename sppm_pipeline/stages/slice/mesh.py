@@ -40,7 +40,7 @@ class SliceMesh(Stage):
         "so that several parts share one grid",
         choices=("part", "origin"),
     )
-    gray: int = options.gray(1)
+    gray: int = options.gray(1, formerly="grey")
     inside: str = options.inside("auto")
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:

@@ -24,7 +24,7 @@ class WritePicture(Stage):
 
     path: str = options.write_path("picture.png", note="a .png file")
     resolution: int = options.resolution(32, note="fewer where the picture could not show them", minimum=4, maximum=512)
-    image_size: tuple[int, int] = options.image_size((1200, 900), minimum=16)
+    image_size: tuple[int, int] = options.image_size((1200, 900), minimum=16, formerly="size")
     azimuth: float = option(-60.0, help="direction of view around z", unit="degrees", minimum=-360, maximum=360)
     elevation: float = option(
         25.0, help="height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90
@@ -34,12 +34,8 @@ class WritePicture(Stage):
     )
 
     def estimate(self, palette: Palette, what: Size) -> Size:
-        pixels, n, tiles, share = (
-            float(self.image_size[0] * self.image_size[1]),
-            self.resolution,
-            1.0,
-            self.section or 1.0,
-        )
+        pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution
+        tiles, share = 1.0, self.section or 1.0
         if what.triangles:
             return Size(pixels=pixels, triangles=what.triangles)
         body = what.body

@@ -32,7 +32,7 @@ class WriteStiffness(Stage):
 
     path: str = options.write_path("stiffness", note="a folder")
     material: str = option("SPPM", help="name of the material in the card")
-    image_size: tuple[int, int] = options.image_size((900, 800), minimum=300)
+    image_size: tuple[int, int] = options.image_size((900, 800), minimum=300, formerly="size")
 
     def check_options(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", self.material):

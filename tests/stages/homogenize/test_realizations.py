@@ -52,7 +52,7 @@ recipes:
     - {stage: tileset.wang_3color, recipe: cell, colors: 2, porosity: 0.5, resolution: 24, tolerance: 0.005}
     - {stage: tile.wang_3color, cells: [2, 2, 2], cell: 5 mm}
 pipeline:
-  - {stage: homogenize.realizations, recipe: assembly, samples: 3, assemblies: [1, 2], resolution: 10, tolerance: 0.001}
+  - {stage: homogenize.realizations, recipe: assembly, draws: 3, assemblies: [1, 2], resolution: 10, solver_tolerance: 0.001}
 """
     )
     found = summary(record, "homogenize.realizations")["sizes"]

@@ -165,7 +165,7 @@ pipeline:
   - {stage: sample.dart_throwing, count: 12, spacing: 0.2}
   - {stage: connect.mbdst, degree: [2, 4], mode: greedy}
   - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.05}
-  - {stage: homogenize.voxel, resolution: 12, young: [70], poisson: 0.33, unit: GPa}
+  - {stage: homogenize.voxel, resolution: 12, young: [70], poisson: 0.33, stress_unit: GPa}
 """
     )
     found = summary(record, "homogenize.voxel")

@@ -24,8 +24,8 @@ def test_a_wished_modulus_is_met(run_yaml, summary):
     record, _ = run_yaml(
         HEAD
         + """
-  - {stage: tune.stiffness, recipe: cell, target: 0.2, resolution: 14, tolerance: 0.001}
-  - {stage: homogenize.voxel, resolution: 14, tolerance: 0.001}
+  - {stage: tune.stiffness, recipe: cell, target: 0.2, resolution: 14, solver_tolerance: 0.001}
+  - {stage: homogenize.voxel, resolution: 14, solver_tolerance: 0.001}
 """
     )
     tuned, checked = summary(record, "tune.stiffness"), summary(record, "homogenize.voxel")
