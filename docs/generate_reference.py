@@ -3,7 +3,7 @@
 Usage: ``python docs/generate_reference.py`` writes them, ``--check`` only tells which are stale (exit code 1).
 
 Everything on these pages is declared once, in the code: options beside their stage, ports in the signature of `run`,
-arguments in the verb's module. ``docs/reference/yaml.md`` is written by hand and left alone.
+arguments in the verb's module. ``yaml.md`` and ``python.md`` there are written by hand and left alone.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.stage import FAMILIES, Stage
 
 FOLDER = Path(__file__).resolve().parent / "reference"
-BY_HAND = ("yaml.md",)
+BY_HAND = ("yaml.md", "python.md")
 NOTICE = "<!-- Written by docs/generate_reference.py from the code; edit the code, not this page. -->\n"
 
 
@@ -53,6 +53,7 @@ def index_page(registry: Registry) -> str:
         NOTICE,
         "* [The YAML file](yaml.md): layout, wiring, parameters, sweeps, recipes, plugins, exit codes",
         "* [The command line](cli.md): every verb with its arguments",
+        "* [Python](python.md): pipelines, stages as functions, and what plugins import",
         "* The stages, by family, below. `sppm stages NAME` prints the same in the terminal, for plugins, too.",
         "",
     ]

@@ -266,8 +266,8 @@ def test_errors_of_the_system_in_a_stage(tmp_path, monkeypatch, capsys, number):
 def test_too_little_address_space(here):
     """Memory that is refused while a stage works, where nothing was estimated."""
     code = (
-        "import resource, sys; from sppm_pipeline.engine.plan import checking\n"
-        "checking.refuse_unfit = lambda *a, **k: None\n"
+        "import resource, sys; from sppm_pipeline.engine.plan import session\n"
+        "session.refuse_unfit = lambda *a, **k: None\n"
         "import sppm_pipeline.stages.extract.voxels, sppm_pipeline.stages.field.gaussian, numba\n"
         "resource.setrlimit(resource.RLIMIT_AS, (2**30, 2**30))\n"
         "from sppm_pipeline.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"

@@ -25,7 +25,9 @@ class CheckTiling(Stage):
 
     name: ClassVar[str] = "check.tiling"
 
-    violations: int = option(0, help="maximum number of faces that may break Rule 1; more are an error", minimum=0)
+    violations: int = option(
+        0, help="maximum number of faces that may break Rule 1; more are an error", minimum=0, maximum=10**9
+    )
 
     def run(self, context: Context, tiling: Tiling) -> None:
         """Look at the layout alone; nothing is sampled."""
