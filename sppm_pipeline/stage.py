@@ -54,7 +54,7 @@ class OptionSpec:
     help : str
         One sentence.
     unit : str or None
-        Unit of a bare number, for instance "cell lengths" or "mm".
+        Unit of a bare number, for instance "cell size" or "mm".
     minimum, maximum : float or None
         Inclusive bounds; of the value of a `Length`, of each element of a tuple.
     above, below : float or None

@@ -146,7 +146,7 @@ class JitteredGrid(Sampler):
     )
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
-        """Pores of one interior, (n^3, 3), cell edges."""
+        """Pores of one interior, (n^3, 3), cell sizes."""
         corners = np.stack(np.meshgrid(*[np.arange(self.n)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
         within = 0.5 + self.jitter * (rng.random(corners.shape) - 0.5)
         return box.lower + (corners + within) / self.n * (box.upper - box.lower)

@@ -94,10 +94,10 @@ class Cell(Artifact):
             raise ConfigError(
                 f"the length {length} has a physical unit, but the cell has no physical size",
                 hint="give the first sampling stage the size of the cell, for example `edge: 7.5 mm`, "
-                "or write the length without a unit, in cell edges",
+                "or write the length without a unit, as a fraction of the cell size",
             )
         return length.mm() / self.edge
 
     def summary(self) -> dict[str, object]:
         """Edge and its unit."""
-        return {"edge": self.edge, "unit": "mm" if self.physical else "cell lengths"}
+        return {"edge": self.edge, "unit": "mm" if self.physical else "cell size"}

@@ -132,7 +132,7 @@ class Voxels(Artifact):
         summary: dict[str, Any] = {
             "shape": list(self.shape),
             "spacing": list(self.spacing),
-            "unit": "mm" if self.physical else "cell edges",
+            "unit": "mm" if self.physical else "cell size",
         }
         if self.fractions:
             return {**summary, "porosity": 1 - float(self.values.sum(dtype=np.float64)) / size}

@@ -80,7 +80,7 @@ def test_the_seed_makes_the_mesh():
 def test_lengths_may_have_a_unit():
     diagonal = float(np.linalg.norm(BALL.upper - BALL.lower))
     made = [
-        TetWild(epsilon=epsilon, edge=edge, iterations=10).run(PlainContext(4), BALL)
+        TetWild(epsilon=epsilon, ideal_edge_length=edge, rounds=10).run(PlainContext(4), BALL)
         for epsilon, edge in [
             (Length(0.03), Length(0.1)),
             (Length(0.03 * diagonal, "mm"), Length(0.01 * diagonal, "cm")),
