@@ -73,7 +73,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: check.connectivity, resolution: $r}
   - {stage: check.sizes, resolution: $r}
   - {stage: write.graph}
-  - {stage: write.picture, resolution: $r, size: [$p, $p]}
+  - {stage: write.picture, resolution: $r, image_size: [$p, $p]}
   - {stage: extract.voxels, resolution: $r}
   - {stage: write.npy}
   - {stage: write.tiff}
@@ -121,7 +121,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
     "homogenization": (
         "pipeline:" + CELL + """
   - {stage: homogenize.voxel, resolution: $r}
-  - {stage: write.stiffness, size: [$p, $p]}
+  - {stage: write.stiffness, image_size: [$p, $p]}
   - {stage: homogenize.conductivity, resolution: $r}
 """,
         {**SIZES, "r": (16, 24, 32, 64), "p": (300, 300, 600, 900)},
@@ -133,7 +133,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: tune.retry, recipe: cell}
   - {stage: tune.stiffness, recipe: cell, target: 0.25, resolution: $h, vary: field.gaussian.level, low: 0.1, high: 0.6,
      accuracy: 0.1}
-  - {stage: homogenize.realizations, recipe: cell, resolution: $h, samples: 2}
+  - {stage: homogenize.realizations, recipe: cell, resolution: $h, draws: 2}
   - {stage: write.chart, x: cells, y: E_x}
   - {stage: write.table, columns: [cells, E_x]}
   - {stage: write.bars, label: sample, columns: [E_x]}

@@ -94,6 +94,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         TileSetMaker,
         VoxelHomogenizer,
         lattice_for,
+        options,
     )
     from sppm_pipeline.fields.formula import CellIndex, CellwiseField, FormulaField, PlacedField
     from sppm_pipeline.fields.microstructure import Microstructure
@@ -144,7 +145,7 @@ _PLACES = {
     "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError ResourceError "
     "SppmError WiringError",
     "families": "Connector FieldMaker InteriorBox Lattice LayerWriter MeshWriter PartFieldMaker Piece "
-    "Sampler TileSetMaker Tiler VoxelHomogenizer lattice_for",
+    "Sampler TileSetMaker Tiler VoxelHomogenizer lattice_for options",
     "fields.formula": "CellIndex CellwiseField FormulaField PlacedField",
     "fields.microstructure": "Microstructure",
     "fields.part": "Part",
@@ -267,6 +268,7 @@ __all__ = [
     "notify",
     "omega_from_radius",
     "option",
+    "options",
     "read",
     "run",
     "run_native",

@@ -47,8 +47,8 @@ def test_cell(run_yaml, summary):
     record, folder = run_yaml(
         CONFIGS / "cell.yaml",
         p=["pores=40"],
-        s=["tune.porosity.resolution=32", "tune.porosity.samples=1", "tune.porosity.tolerance=0.005",
-           "check.connectivity.resolution=24", "write.picture.resolution=16", "write.picture.size=[200, 150]",
+        s=["tune.porosity.resolution=32", "tune.porosity.trials=1", "tune.porosity.tolerance=0.005",
+           "check.connectivity.resolution=24", "write.picture.resolution=16", "write.picture.image_size=[200, 150]",
            "extract.marching_cubes.resolution=24", "connect.mbdst.mode=greedy"],
     )  # fmt: skip
     assert summary(record, "tune.porosity")["porosity"] == pytest.approx(0.5, abs=0.005)

@@ -31,7 +31,7 @@ pipeline:
   - {stage: write.png, id: fast, path: gray}
   - {stage: slice.field, id: thin, pixel: 0.31 mm, layer: 0.2 mm}
   - {stage: write.png, id: exact, path: binary}
-  - {stage: write.picture, id: view, path: part.png, resolution: 6, size: [160, 120]}
+  - {stage: write.picture, id: view, path: part.png, resolution: 6, image_size: [160, 120]}
   - {stage: extract.marching_cubes, id: part_mesh, resolution: 8}
   - {stage: write.mesh, id: part_stl, path: part.stl}
   - {stage: write.mesh, id: part_ply, path: part.ply}

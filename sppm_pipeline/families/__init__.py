@@ -16,17 +16,18 @@ and a formula of a periodic cell::
 
     @dataclass(frozen=True, kw_only=True)
     class Primitive(FieldMaker):
-        '''The primitive surface of Schwarz: solid where the sum of three cosines lies below a level.'''
+        '''The primitive surface of Schwarz: solid where the sum of three cosines lies below a value.'''
 
         name: ClassVar[str] = "field.primitive"
-        level: float = option(0.0, help="value of the sum at the surface", minimum=-3, maximum=3)
+        isovalue: float = option(0.0, help="value of the sum at the surface", minimum=-3, maximum=3)
 
         def evaluate(self, x, y, z):
-            return np.cos(2 * np.pi * x) + np.cos(2 * np.pi * y) + np.cos(2 * np.pi * z) - self.level
+            return np.cos(2 * np.pi * x) + np.cos(2 * np.pi * y) + np.cos(2 * np.pi * z) - self.isovalue
 """
 
 from __future__ import annotations
 
+from sppm_pipeline.families import options
 from sppm_pipeline.families.connector import Connector, Piece
 from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
 from sppm_pipeline.families.file_writer import MeshWriter
@@ -51,6 +52,7 @@ __all__ = [
     "VoxelHomogenizer",
     "design_of",
     "lattice_for",
+    "options",
     "start_of",
     "tiling_size",
 ]

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.families.tiler import lattice_for
 from sppm_pipeline.fields.formula import FormulaField
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +26,7 @@ class Formula(Stage):
     known what a grid must show.
     """
 
-    edge: Length | None = option(None, help="edge of a cell", unit="mm", above=0)
+    edge: Length | None = options.edge(None)
 
     def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
         """Values, negative in the solid, at the points of three axes: x (nx,), y (ny, 1), z (nz, 1, 1).
@@ -90,9 +91,7 @@ class PartFieldMaker(Formula):
     own in every cell, a `CellwiseField`.
     """
 
-    cells: tuple[int, int, int] | None = option(
-        None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
-    )
+    cells: tuple[int, int, int] | None = options.cells(None)
 
     def region(
         self, cover: SurfaceMesh | None, edge_mm: float | None = None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.process.budget import require_memory
@@ -65,21 +66,21 @@ class Cell(NamedTuple):
 class VoxelHomogenizer(Stage):
     """Base of stages that solve cell problems on voxels."""
 
-    resolution: int = option(
-        64, help="voxels along a cell edge, for fields; images keep theirs", unit="voxels", minimum=2, maximum=1024
-    )
+    resolution: int = options.resolution(64, note="of fields; images keep theirs")
     fractions: str = option(
         "auto",
         help="auto: voxels at the surface count by their solid fraction; binary: by their center",
         choices=("auto", "binary"),
     )
-    tolerance: float = option(
-        1e-4, help="relative error of the result left by the solver, estimated", minimum=1e-12, maximum=0.1
+    solver_tolerance: float = option(
+        1e-4,
+        help="relative error of the result left by the solver, estimated",
+        minimum=1e-12,
+        maximum=0.1,
+        formerly="tolerance",
     )
-    residual: float | None = option(
-        None, help="stop at this residual over the right-hand side instead", minimum=1e-14, maximum=0.1
-    )
-    iterations: int = option(1000, help="maximum number of iterations of a load case", minimum=1, maximum=1_000_000)
+    residual: float | None = options.residual(None, note="in place of `solver_tolerance`")
+    iterations: int = options.iterations(1000)
     precision: str = option("single", help="precision of the solver's vectors", choices=("single", "double"))
 
     advice: ClassVar[str] = "lower `resolution`, or take `precision: single`"
@@ -145,7 +146,7 @@ class VoxelHomogenizer(Stage):
         """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""
         return {
             "residual": self.residual or 0.0,
-            "tolerance": self.tolerance if self.residual is None else 0.0,
+            "tolerance": self.solver_tolerance if self.residual is None else 0.0,
             "iterations": self.iterations,
             "precision": np.float32 if self.precision == "single" else np.float64,
             "threads": threads,

@@ -14,14 +14,6 @@ if TYPE_CHECKING:
 MAX_UNDECIDED = 0.25
 """Undecided voxels over those inside; above, the inside is guesswork."""
 
-INSIDE = ("auto", "scanline", "winding", "vote")
-"""What the option `inside` may say."""
-
-INSIDE_HELP = (
-    "how the inside of the part is told: by rays along x, by the winding number, by a vote of rays along x, y and z; "
-    "auto takes rays for a closed part and the winding number for others"
-)
-
 _WORDS = {"scanline": "rays along x", "winding": "its winding number", "vote": "a vote of rays along x, y and z"}
 
 
@@ -33,7 +25,7 @@ def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[Surf
     context : Context
     mesh : SurfaceMesh
     inside : str
-        One of `INSIDE`.
+        The method, or "auto".
 
     Raises
     ------

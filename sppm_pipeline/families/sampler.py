@@ -15,6 +15,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import CellDesign, Size
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -53,9 +54,11 @@ class Sampler(Stage):
     interior is the box ``[gap, 1 - gap]^3``, otherwise the whole periodic cell.
     """
 
-    edge: Length | None = option(
+    edge: Length | None = options.edge(
         None,
-        help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted",
+        note="the lengths of this recipe are given in a cell of this size, 1 if omitted",
+        unit=None,
+        above=None,
         minimum=1e-6,
         maximum=1e6,
     )

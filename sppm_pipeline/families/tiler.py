@@ -15,9 +15,10 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 class Lattice(NamedTuple):
@@ -92,15 +93,9 @@ def tiling_size(
 class Tiler(Stage):
     """Base of tile rules: implement `lay`; `run` finds the cells that are needed."""
 
-    cell: Length | None = option(
-        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
-    )
-    cells: tuple[int, int, int] | None = option(
-        None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
-    )
-    periodic: bool = option(
-        False, help="the box of `cells` repeats for ever, as homogenization needs it: its opposite ends are neighbors"
-    )
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
+    periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
     kinds: ClassVar[tuple[str, ...]] = ("wang",)
     advice: ClassVar[str] = "give larger cells or fewer of them"
 

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.stage import Context, Recipe, Stage, option
+from sppm_pipeline.stage import Context, Recipe, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,15 +32,9 @@ class TileSetMaker(Stage):
 
     kind: ClassVar[str]
 
-    porosity: float | None = option(
-        None, help="mean porosity of the set, reached by the level; the recipe's own level if omitted", above=0, below=1
-    )
-    resolution: int = option(
-        32, help="voxels along a cell edge when porosity is measured", unit="voxels", minimum=8, maximum=256
-    )
-    tolerance: float = option(
-        0.001, help="largest error of the porosity, checked on an independent, finer grid", above=0, below=0.5
-    )
+    porosity: float | None = options.porosity(None, note="the mean of the set; the recipe's own level if omitted")
+    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
+    tolerance: float = options.tolerance(0.001)
 
     @abstractmethod
     def palette(self) -> Palette:
@@ -83,7 +78,7 @@ class TileSetMaker(Stage):
             context.report(porosity_error=error, checked_at=finer)
             if error > self.tolerance:
                 raise DesignError(
-                    f"the porosity on a grid of {finer} voxels a cell edge differs by {error:.5f} from "
+                    f"the porosity on a grid of {finer} voxels along an edge of the cell differs by {error:.5f} from "
                     f"the target of {self.porosity:g}; allowed are {self.tolerance:g}",
                     hint=f"measure on a finer grid, for example `resolution: {2 * n}`",
                 )

@@ -31,31 +31,31 @@ Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 Item = TypeVar("Item")
 
 
-def voxels_along_edge(field: ScalarField, resolution: int | None, spacing: Length | None) -> int:
-    """Voxels along a cell edge: as given, or as many as make them no longer than a spacing; 32 if neither is given.
+def voxels_along_edge(field: ScalarField, resolution: int | None, voxel: Length | None) -> int:
+    """Voxels along an edge of the cell: as given, or as many as keep them within `voxel`; 32 if neither is given.
 
     Raises
     ------
     DesignError
-        If a spacing is given for a cell without a physical size, or leads to fewer or more voxels than are allowed.
+        If `voxel` is given for a cell without a physical size, or leads to fewer or more voxels than are allowed.
     """
-    if spacing is None:
+    if voxel is None:
         return resolution or 32
-    n = math.ceil(field.physical_edge() / spacing.mm() - 1e-9)
+    n = math.ceil(field.physical_edge() / voxel.mm() - 1e-9)
     if not FEWEST <= n <= MOST:
         raise DesignError(
-            f"a spacing of {spacing} makes {n} voxels along a cell edge of {field.edge_mm:g} mm; "
+            f"voxels of {voxel} make {n} along an edge of the cell, {field.edge_mm:g} mm; "
             f"allowed are {FEWEST} to {MOST}",
-            hint="choose another `spacing`, or give `resolution` instead",
+            hint="choose another `voxel`, or give `resolution` instead",
         )
     return n
 
 
-def expected_voxels(edge_mm: float | None, resolution: int | None, spacing: Length | None) -> int:
+def expected_voxels(edge_mm: float | None, resolution: int | None, voxel: Length | None) -> int:
     """What `voxels_along_edge` will say of a field with this cell size."""
-    if spacing is None or not edge_mm:
+    if voxel is None or not edge_mm:
         return resolution or 32
-    return math.ceil(edge_mm / spacing.mm() - 1e-9)
+    return math.ceil(edge_mm / voxel.mm() - 1e-9)
 
 
 def on_torus(field: ScalarField) -> bool:

@@ -113,8 +113,8 @@ class ScalarField(Artifact, ABC):
         wanted = math.ceil(1 / (RESOLVED * radius))
         edge = f" ({self.edge_mm / wanted:.3g} mm)" if self.edge_mm else ""
         return (
-            f"{1 / spacing:.4g} voxels along a cell edge are too few for the thinnest tunnels, of radius {radius:.3g} "
-            f"cell edges: some void may look closed; {wanted} or more{edge} show them"
+            f"{1 / spacing:.4g} voxels along an edge of the cell are too few for the thinnest tunnels, of radius "
+            f"{radius:.3g} cell sizes: some void may look closed; {wanted} or more{edge} show them"
         )
 
     def _repr_png_(self) -> bytes | None:

@@ -48,7 +48,7 @@ pipeline:
   - {stage: connect.mbdst, degree: [3, 5], mode: greedy}
   - {stage: field.gaussian, omega: 20, mu: 20, level: 0.25}
   - {stage: homogenize.voxel, resolution: 32}
-  - {stage: write.stiffness, size: [400, 300]}
+  - {stage: write.stiffness, image_size: [400, 300]}
   - {stage: mesh.isosurface_stuffing, resolution: 16}
   - {stage: write.volume_mesh}
   - {stage: extract.voxels, resolution: 48}

@@ -16,7 +16,7 @@ pipeline:
   - {stage: fill.implicit}
   - {stage: slice.field, pixel: 0.25 mm}
   - {stage: write.png, path: slices}
-  - {stage: write.picture, path: pictures/part.png, resolution: 12, size: [200, 150]}
+  - {stage: write.picture, path: pictures/part.png, resolution: 12, image_size: [200, 150]}
   - {stage: extract.marching_cubes, resolution: 14}
   - {stage: write.mesh, id: stl, path: meshes/part.stl}
   - {stage: write.mesh, id: ply, path: meshes/part.ply}

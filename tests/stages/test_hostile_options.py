@@ -56,7 +56,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "connect.mst": (AS_CELL[:2], "", AS_CELL[3:]),
     "connect.mbdst": (AS_CELL[:2], "degree: [1, 4], mode: greedy", AS_CELL[3:]),
     "field.gaussian": (AS_CELL[:3], "pore_radius: 0.16, tunnel_radius: 0.06", CHECKED),
-    "tune.porosity": ([], "recipe: cell, target: 0.5, resolution: 16, tolerance: 0.05, samples: 1, evaluations: 4", []),
+    "tune.porosity": ([], "recipe: cell, target: 0.5, resolution: 16, tolerance: 0.05, trials: 1, evaluations: 4", []),
     "tune.stiffness": (
         [], "recipe: cell, target: 0.3, vary: field.gaussian.level, low: 0.2, high: 0.5, resolution: 6, evaluations: 4",
         []),
@@ -81,7 +81,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "homogenize.voxel": (REPEATED, "resolution: 6", []),
     "homogenize.conductivity": (REPEATED, "resolution: 6", []),
     "homogenize.tet": (VOLUME, "", []),
-    "homogenize.realizations": ([], "recipe: cell, samples: 2, resolution: 6", []),
+    "homogenize.realizations": ([], "recipe: cell, draws: 2, resolution: 6", []),
     "check.mesh": ([BOX], "", []),
     "check.sizes": (TILED, "resolution: 8", []),
     "check.volume_mesh": (VOLUME, "", []),
@@ -95,9 +95,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.mesh": ([BOX], "", []),
     "write.volume_mesh": (VOLUME, "", []),
     "write.voxels": (IMAGE, "", []),
-    "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "size: [300, 300]", []),
+    "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "image_size: [300, 300]", []),
     "write.graph": (AS_CELL[:3], "", []),
-    "write.picture": ([BOX], "size: [32, 32], resolution: 4", []),
+    "write.picture": ([BOX], "image_size: [32, 32], resolution: 4", []),
 }  # fmt: skip
 """What comes before a stage, the options it gets, and what comes after."""
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_lattice_points.measured import MeasuredSampler
 from sppm_lattice_points.structure_factor import stealthy, structure_factor, wave_vectors
-from sppm_pipeline import Context, DesignError, InteriorBox, PoreSet, option
+from sppm_pipeline import Context, DesignError, InteriorBox, PoreSet, option, options
 
 TOLERANCE = 1e-8
 """Structure factor that counts as none."""
@@ -27,7 +27,7 @@ class Hyperuniform(MeasuredSampler):
 
     name: ClassVar[str] = "sample.hyperuniform"
 
-    count: int = option(help="pores of one interior", minimum=4, maximum=2000)
+    count: int = options.count(note="in one interior", minimum=4, maximum=2000)
     stealth: float = option(
         0.4,
         help="degrees of freedom bound by the waves, as a share of all; above 0.5 pores would crystallize",

@@ -33,10 +33,13 @@ class LatticePoints(MeasuredSampler):
 
     name: ClassVar[str] = "sample.lattice_points"
 
-    lattice: str = option("face_centered", help="arrangement of the pores", choices=tuple(BASES))
-    repeat: int = option(2, help="cubes of the lattice along an edge of the cell", minimum=1, maximum=32)
+    lattice: str = option("face_centered", help="which lattice; pores lie at its points", choices=tuple(BASES))
+    repeat: int = option(2, help="periods along an edge of the cell; cubes of the lattice", minimum=1, maximum=32)
     jitter: float = option(
-        0.2, help="longest move of a pore, as a share of the distance of nearest neighbors", minimum=0, maximum=0.5
+        0.2,
+        help="random displacement of the points; at most this fraction of the distance of nearest neighbors",
+        minimum=0,
+        maximum=0.5,
     )
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import ConfigError, Context, Stage, SurfaceMesh, option
+from sppm_pipeline import ConfigError, Context, Stage, SurfaceMesh, option, options
 from sppm_pymeshlab.meshlab import compared, worked
 
 
@@ -19,24 +19,24 @@ class DecimateMesh(Stage):
 
     name: ClassVar[str] = "mesh.decimate"
 
-    faces: int | None = option(None, help="triangles that remain", minimum=4)
-    share: float | None = option(None, help="triangles that remain, as a share of those there are", above=0, below=1)
-    time_limit: float = option(600.0, help="the child process is ended after this time", unit="s", above=0)
+    triangles: int | None = option(None, help="triangles that remain", minimum=4, formerly="faces")
+    keep: float | None = option(
+        None, help="triangles that remain, as a fraction of those there are", above=0, below=1, formerly="share"
+    )
+    time_limit: float = options.time_limit(600.0)
 
     def check_options(self) -> None:
-        if (self.faces is None) == (self.share is None):
-            raise ConfigError("give either `faces` or `share`", hint="for example `share: 0.5`")
+        if (self.triangles is None) == (self.keep is None):
+            raise ConfigError("give either `triangles` or `keep`", hint="for example `keep: 0.5`")
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
         """Decimate, and report volumes."""
-        target = self.faces if self.faces is not None else max(4, round((self.share or 0) * len(mesh.faces)))
+        target = self.triangles if self.triangles is not None else max(4, round((self.keep or 0) * len(mesh.faces)))
         if target >= len(mesh.faces):
             context.warn(f"{mesh.name} has only {len(mesh.faces)} triangles; it stays as it is")
             compared(context, mesh, mesh)
             return mesh
         made = worked(context, mesh, "decimate", self.time_limit, faces=target)
         if len(made.faces) > 1.05 * target + 4:
-            context.warn(
-                f"{len(made.faces)} triangles remain, not {target} as requested: fewer would change the topology"
-            )
+            context.warn(f"{len(made.faces)} triangles remain, the target is {target}: fewer would change the topology")
         return made

@@ -16,6 +16,7 @@ from sppm_pipeline import (
     Stage,
     SurfaceMesh,
     option,
+    options,
 )
 
 if TYPE_CHECKING:
@@ -62,14 +63,15 @@ class RepairMesh(Stage):
     wrap_offset: Length | None = option(
         None, help="distance of the wrap from the mesh; 0.1 % of the diagonal if omitted", unit="mm", above=0
     )
-    tolerance: float = option(
+    maximum_change: float = option(
         0.05,
-        help="`auto` undoes a step after which more sample points change sides, as a share of those inside",
+        help="`auto` undoes a step after which more sample points change sides, as a fraction of those inside",
         above=0,
         below=1,
+        formerly="tolerance",
     )
     samples: int = option(1000, help="sample points in the bounding box", minimum=100, maximum=1_000_000)
-    time_limit: float = option(600.0, help="the child process of a step is ended after this time", unit="s", above=0)
+    time_limit: float = options.time_limit(600.0, note="there is one for each step")
 
     def check_options(self) -> None:
         if isinstance(self.steps, tuple) and (not self.steps or "auto" in self.steps):
@@ -176,7 +178,7 @@ class _Repair:
         changed = self.inside_test.changed(made)
         wrapping, turning = step == "wrap", step == "orient" and not self.consistent
         spoilt = self._spoilt(step, made)
-        if not spoilt and changed > self.options.tolerance and not (wrapping or turning):
+        if not spoilt and changed > self.options.maximum_change and not (wrapping or turning):
             spoilt = f"{changed:.1%} of the sample points would change sides"
         if spoilt and undoing:
             self._note(step, made, changed, spoilt)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline import ConfigError, Context, Stage, SurfaceMesh, option
+from sppm_pipeline import ConfigError, Context, Stage, SurfaceMesh, option, options
 from sppm_pymeshlab.meshlab import worked
 
 
@@ -18,12 +18,12 @@ class SmoothMesh(Stage):
 
     name: ClassVar[str] = "mesh.smooth"
 
-    iterations: int = option(10, help="rounds", minimum=1, maximum=10_000)
+    rounds: int = options.rounds(10, maximum=10_000, formerly="iterations")
     shrink: float = option(
         0.5, help="share of the way to the mean of its neighbors that a vertex moves", above=0, maximum=1
     )
     inflate: float = option(0.53, help="share of the way that it moves back; a little more than `shrink`", above=0)
-    time_limit: float = option(600.0, help="the child process is ended after this time", unit="s", above=0)
+    time_limit: float = options.time_limit(600.0)
 
     def check_options(self) -> None:
         if not self.shrink < self.inflate <= 2 * self.shrink:
@@ -40,7 +40,7 @@ class SmoothMesh(Stage):
             mesh,
             "smooth",
             self.time_limit,
-            iterations=self.iterations,
+            iterations=self.rounds,
             shrink=self.shrink,
             inflate=self.inflate,
         )

@@ -28,13 +28,13 @@ pytestmark = pytest.mark.skipif(find_spec("pymeshlab") is None, reason="needs py
 @pytest.mark.skipif(find_spec("pymeshlab") is None, reason="needs pymeshlab")
 class TestContract(StageContract):
     def stages(self) -> Sequence[Stage]:
-        return [DecimateMesh(share=0.5)]
+        return [DecimateMesh(keep=0.5)]
 
     def inputs(self) -> Mapping[str, Any]:
         return {"mesh": SurfaceMesh(*ball_mesh((0.0, 0.0, 0.0), 5.0, 2))}
 
 
-@pytest.mark.parametrize("stage", [Remesh(edge=Length(2), iterations=3), SmoothMesh()], ids=lambda stage: stage.name)
+@pytest.mark.parametrize("stage", [Remesh(edge_length=Length(2), rounds=3), SmoothMesh()], ids=lambda stage: stage.name)
 def test_the_others_keep_the_contract(stage, ball):
     class Suite(StageContract):
         def stages(self) -> Sequence[Stage]:
@@ -60,7 +60,7 @@ def torus() -> SurfaceMesh:
 @pytest.mark.parametrize("edge", [0.8, 2.0])
 def test_remeshed_edges_have_the_length(torus, edge):
     context = PlainContext()
-    made = Remesh(edge=Length(edge, "mm"), deviation=Length(0.2)).run(context, torus)
+    made = Remesh(edge_length=Length(edge, "mm"), deviation=Length(0.2)).run(context, torus)
     lengths = edge_lengths(made)
     assert lengths.mean() == pytest.approx(edge, rel=0.15)
     assert np.percentile(lengths, 99) < 1.8 * edge
@@ -75,14 +75,14 @@ def test_remeshed_edges_have_the_length(torus, edge):
 
 def test_too_fine_an_edge_is_refused_before_any_work(torus):
     with pytest.raises(DesignError, match="would make about"):
-        Remesh(edge=Length(1, "um")).run(PlainContext(), torus)
+        Remesh(edge_length=Length(1, "um")).run(PlainContext(), torus)
 
 
 def test_smoothing_removes_noise_and_keeps_the_volume(ball):
     rng = np.random.default_rng(2)
     noisy = SurfaceMesh(ball.vertices * (1 + 0.02 * rng.standard_normal((len(ball.vertices), 1))), ball.faces)
     context = PlainContext()
-    made = SmoothMesh(iterations=20).run(context, noisy)
+    made = SmoothMesh(rounds=20).run(context, noisy)
     np.testing.assert_array_equal(made.faces, noisy.faces)
     radius_before, radius = (np.linalg.norm(mesh.vertices, axis=1) for mesh in (noisy, made))
     assert radius.std() < 0.5 * radius_before.std()
@@ -109,14 +109,14 @@ def test_decimation_meets_the_number(torus, options):
 
 def test_the_topology_is_kept_before_the_number(torus):
     context = PlainContext()
-    made = DecimateMesh(faces=4).run(context, torus)
+    made = DecimateMesh(triangles=4).run(context, torus)
     assert genus(made.faces) == 1
     assert "would change the topology" in context.warnings[0]
 
 
 def test_few_triangles_stay(ball):
     context = PlainContext()
-    assert DecimateMesh(faces=10**6).run(context, ball) is ball
+    assert DecimateMesh(triangles=10**6).run(context, ball) is ball
     assert "stays as it is" in context.warnings[0]
 
 
@@ -129,7 +129,7 @@ def test_one_measure_of_decimation_is_needed(options):
 def test_a_filter_that_opens_a_mesh_fails(ball, monkeypatch):
     monkeypatch.setattr(meshlab, "filtered", lambda mesh, *_, **__: SurfaceMesh(mesh.vertices, mesh.faces[1:]))
     with pytest.raises(DesignError, match="decimate has opened ball: 3 open edges"):
-        DecimateMesh(share=0.5).run(PlainContext(), ball)
+        DecimateMesh(keep=0.5).run(PlainContext(), ball)
 
 
 def test_a_filter_that_turns_a_mesh_inside_out_fails(ball, monkeypatch):
@@ -141,6 +141,6 @@ def test_a_filter_that_turns_a_mesh_inside_out_fails(ball, monkeypatch):
 def test_open_meshes_are_taken_as_they_are(ball):
     cut = SurfaceMesh(ball.vertices, ball.faces[200:])
     context = PlainContext()
-    made = DecimateMesh(share=0.5).run(context, cut)
+    made = DecimateMesh(keep=0.5).run(context, cut)
     assert edge_counts(made.faces).boundary > 0
     assert "volume_change" not in context.reported

@@ -39,7 +39,7 @@ class ElasticTexture(FieldMaker):
     radii: str = option("", help="radii at the pattern's nodes over `radius`, such as `ev=1.5`; 1 where there are none")
     radius: Length = option(Length(0.05), help="radius of the struts", unit="cell size", above=0)
     blend: Length = option(Length(0.02), help="length over which joints are rounded", unit="cell size", minimum=0)
-    repeat: int = option(1, help="copies along the cell edge", minimum=1, maximum=64)
+    repeat: int = option(1, help="periods along an edge of the cell", minimum=1, maximum=64)
 
     def check_options(self) -> None:
         self._texture()

@@ -22,7 +22,7 @@ from sppm_pipeline import (
     ScalarField,
     SurfaceMesh,
     TilingArrays,
-    option,
+    options,
 )
 
 CUTOFF = 1e-5
@@ -132,14 +132,10 @@ class Organic(PartFieldMaker):
 
     name: ClassVar[str] = "field.organic"
 
-    spacing: Length = option(Length(0.25), help="smallest distance between pores", unit="cell size", above=0)
-    pore_radius: Length | None = option(
-        None, help="radius of a lone pore; 0.45 spacings if omitted", unit="cell size", above=0
-    )
-    tunnel_radius: Length | None = option(
-        None, help="radius of a lone tunnel; 0.16 spacings if omitted", unit="cell size", above=0
-    )
-    level: float = option(0.25, help="the level C at which the sum is cut", above=0, below=1)
+    spacing: Length = options.spacing(Length(0.25))
+    pore_radius: Length | None = options.pore_radius(None, note="0.45 spacings if omitted")
+    tunnel_radius: Length | None = options.tunnel_radius(None, note="0.16 spacings if omitted")
+    level: float = options.level(0.25)
 
     def run(self, context: Context, cover: SurfaceMesh | None) -> ScalarField:
         """Throw and join the pores; the field is evaluated where somebody samples it."""

@@ -18,7 +18,7 @@ _STREAM = 64
 
 
 class HashedSeeds(NamedTuple):
-    """Seeds of an endless grid of places, `along` of them along a cell edge.
+    """Seeds of an endless grid of places, `along` of them along an edge of the cell.
 
     Attributes
     ----------

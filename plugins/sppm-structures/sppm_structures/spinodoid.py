@@ -51,7 +51,7 @@ class Spinodoid(FieldMaker):
     After Kumar, Tan, Zheng and Kochmann 2020, "Inverse-designed spinodoid metamaterials". Wave vectors lie near a
     sphere and within cones around the axes; a cone of 90 degrees takes every direction (isotropic), one small cone
     makes layers (lamellar), two make columns, three a cubic structure. Theirs is drawn from a continuous sphere and
-    does not repeat; ours takes integers of waves along the cell edge, from a shell about the sphere, so that the
+    does not repeat; ours takes integers of waves along an edge of the cell, from a shell about the sphere, so that the
     field is periodic. A field of few waves is less random: raise `wavenumber`, or make the shell thicker.
 
     Solid is where the field lies below the level; ``tune.porosity`` changes it. Without tuning, the level is that at
@@ -61,10 +61,10 @@ class Spinodoid(FieldMaker):
     name: ClassVar[str] = "field.spinodoid"
 
     wavenumber: float = option(
-        5.0, help="periods along the cell edge of the waves, about the number of pores", minimum=1, maximum=64
+        5.0, help="periods along an edge of the cell of the waves, about the number of pores", minimum=1, maximum=64
     )
     shell: float = option(
-        0.5, help="wave vectors may be longer or shorter by this", unit="periods a cell edge", above=0, maximum=8
+        0.5, help="wave vectors may be longer or shorter by this", unit="periods per cell size", above=0, maximum=8
     )
     cones: tuple[float, float, float] = option(
         (90.0, 0.0, 0.0),
@@ -75,7 +75,7 @@ class Spinodoid(FieldMaker):
     )
     waves: int | None = option(None, help="number of waves, drawn from those there are; all if omitted", minimum=1)
     density: float = option(0.5, help="expected share of solid, which sets the level", above=0, below=1)
-    repeat: int = option(1, help="copies along the cell edge", minimum=1, maximum=64)
+    repeat: int = option(1, help="periods along an edge of the cell", minimum=1, maximum=64)
 
     def check_options(self) -> None:
         if not any(self.cones):
@@ -127,7 +127,7 @@ def wave_vectors(wavenumber: float, shell: float, cones: tuple[float, float, flo
     inside = ((np.abs(every) >= lengths[:, None] * cosines) & (np.array(cones) > 0)).any(axis=1)
     if not inside.any():
         raise DesignError(
-            f"no wave of {wavenumber - shell:g} to {wavenumber + shell:g} periods a cell edge lies in the cones",
+            f"no wave of {wavenumber - shell:g} to {wavenumber + shell:g} periods per cell size lies in the cones",
             hint="make `shell` thicker, or `wavenumber` an integer",
         )
     chosen: NDArray[np.int64] = every[inside]

@@ -22,7 +22,7 @@ class BentGyroid(FormulaField):
     Attributes
     ----------
     repeat : int
-        Gyroid cells along the cell edge.
+        Gyroid cells along an edge of the cell.
     bends : tuple of 3 Waves
         By how much the phases along x, y and z are moved, radians.
     walls : Waves
@@ -88,15 +88,15 @@ class StochasticGyroid(FieldMaker):
 
     name: ClassVar[str] = "field.stochastic_gyroid"
 
-    repeat: int = option(3, help="gyroid cells along the cell edge", minimum=1, maximum=64)
-    half_width: float = option(0.4, help="mean half width of the sheet in values of f", above=0, below=1.5)
+    repeat: int = option(3, help="periods along an edge of the cell; of the gyroid", minimum=1, maximum=64)
+    half_width: float = option(0.4, help="half the width of a sheet in values of f; its mean", above=0, below=1.5)
     bend: float = option(
         0.08, help="standard deviation of the shift along each axis", unit="gyroid cells", minimum=0, maximum=0.5
     )
     uneven: float = option(0.2, help="standard deviation of the half width over its mean", minimum=0, maximum=1)
     closed: float = option(0.1, help="share of the volume in which a labyrinth is closed", minimum=0, below=1)
     longest: float = option(
-        2.0, help="longest wave vector of the random functions", unit="periods a cell edge", minimum=1, maximum=8
+        2.0, help="longest wave vector of the random functions", unit="periods per cell size", minimum=1, maximum=8
     )
 
     def run(self, context: Context) -> ScalarField:

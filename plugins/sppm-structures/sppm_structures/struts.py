@@ -11,7 +11,17 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import ConfigError, Context, FieldMaker, FormulaField, InputError, Length, ScalarField, option
+from sppm_pipeline import (
+    ConfigError,
+    Context,
+    FieldMaker,
+    FormulaField,
+    InputError,
+    Length,
+    ScalarField,
+    option,
+    options,
+)
 from sppm_structures.graphs import LATTICES, StrutGraph, strut_graph
 
 LARGEST_FILE = 1 << 24
@@ -32,7 +42,7 @@ class StrutField(FormulaField):
     blend : float
         Length over which joints are rounded, cell sizes; 0 for none.
     repeat : int
-        Copies along the cell edge.
+        Copies along an edge of the cell.
     """
 
     lattice: str
@@ -86,17 +96,17 @@ class Struts(FieldMaker):
 
     name: ClassVar[str] = "field.struts"
 
-    lattice: str = option("octet", help="which lattice, unless there is a file", choices=tuple(LATTICES))
-    path: Path | None = option(None, help="graph of one's own, .json or .csv")
+    lattice: str = option("octet", help="which lattice; without effect if there is a file", choices=tuple(LATTICES))
+    path: Path | None = options.read_path(None, note="a graph, .json or .csv")
     radius: Length = option(Length(0.05), help="radius of the struts", unit="cell size", above=0)
     blend: Length = option(Length(0.02), help="length over which joints are rounded", unit="cell size", minimum=0)
-    repeat: int = option(1, help="copies along the cell edge", minimum=1, maximum=64)
+    repeat: int = option(1, help="periods along an edge of the cell", minimum=1, maximum=64)
 
     def run(self, context: Context) -> ScalarField:
         """Lay the graph out; the field is evaluated where somebody samples it."""
         radius, blend = self.in_cells(self.radius), self.in_cells(self.blend)
         if not (radius < 0.5 and blend < 0.5):
-            raise ConfigError(f"radius {radius:g} and blend {blend:g} must be less than half a cell edge")
+            raise ConfigError(f"radius {radius:g} and blend {blend:g} must be less than half the cell size")
         graph = LATTICES[self.lattice]() if self.path is None else read_graph(self.path)
         return StrutField(
             lattice=self.lattice if self.path is None else self.path.name,

@@ -25,7 +25,7 @@ class TpmsField(FormulaField):
     surface : str
         A key of `SURFACES`.
     repeat : int
-        Periods of the surface along the cell edge.
+        Periods of the surface along an edge of the cell.
     form : {"network", "sheet", "wall"}
         ``f < level`` (or ``>``, if turned); ``|f - level| < width``; the same with the distance ``|f - level| / |f'|``
         in place of the difference, and half the wall's thickness in place of the width.
@@ -76,11 +76,11 @@ class TpmsField(FormulaField):
 class Tpms(FieldMaker):
     """A triply periodic minimal surface by its nodal approximation f, as a solid network or a sheet.
 
-    A network is the solid on one side of ``f = level``. A sheet is either all points with ``|f - level|`` below a half
-    width, whose thickness varies over the surface, or those nearer than half a thickness, by the distance
-    ``|f - level| / |grad f|``, which is right to first order: thick walls get uneven.
+    A network is the solid on one side of ``f = isovalue``. A sheet is either all points with ``|f - isovalue|`` below a
+    half width, whose thickness varies over the surface, or those nearer than half a thickness, by the distance
+    ``|f - isovalue| / |grad f|``, which is right to first order: thick walls get uneven.
 
-    ``tune.porosity`` changes the level of a network, the half width or thickness of a sheet.
+    ``tune.porosity`` changes the isovalue of a network, the half width or thickness of a sheet.
 
     Sources of the formulas are in the plugin's README; what the paper calls TPMS-L is taken for the Lidinoid.
     """
@@ -88,20 +88,27 @@ class Tpms(FieldMaker):
     name: ClassVar[str] = "field.tpms"
 
     surface: str = option("gyroid", help="which surface", choices=tuple(SURFACES))
-    form: str = option("network", help="solid on one side of the surface, or around it", choices=("network", "sheet"))
-    level: float = option(0.0, help="value of f at the surface")
+    form: str = option(
+        "network",
+        help="form of the solid; on one side of the surface, or around it",
+        choices=("network", "sheet"),
+    )
+    isovalue: float = option(0.0, help="value of f at the surface", formerly="level")
     side: str = option("low", help="side of a network that is solid: where f is low, or high", choices=("low", "high"))
     thickness: Length | None = option(
-        None, help="wall thickness of a sheet; 0.1 if neither this nor half_width is given", unit="cell size", above=0
+        None,
+        help="thickness of the walls; those of a sheet, 0.1 if neither this nor `half_width` is given",
+        unit="cell size",
+        above=0,
     )
     half_width: float | None = option(None, help="half the width of a sheet in values of f", above=0)
-    repeat: int = option(1, help="periods along the cell edge", minimum=1, maximum=64)
+    repeat: int = option(1, help="periods along an edge of the cell", minimum=1, maximum=64)
 
     def check_options(self) -> None:
         if self.thickness is not None and self.half_width is not None:
             raise ConfigError("`thickness` and `half_width` exclude each other")
         if self.form == "network" and (self.thickness is not None or self.half_width is not None):
-            raise ConfigError("a network has no thickness", hint="give `form: sheet`, or a `level`")
+            raise ConfigError("a network has no thickness", hint="give `form: sheet`, or an `isovalue`")
 
     def run(self, context: Context) -> ScalarField:
         """Name the surface; it is evaluated where somebody samples it."""
@@ -116,7 +123,7 @@ class Tpms(FieldMaker):
             repeat=self.repeat,
             form=form,
             turned=self.side == "high",
-            level=self.level,
+            level=self.isovalue,
             width=width,
             edge=self.edge_mm,
         )

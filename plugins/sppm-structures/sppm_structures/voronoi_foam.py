@@ -134,15 +134,22 @@ class Voronoi(PartFieldMaker):
 
     name: ClassVar[str] = "field.voronoi_foam"
 
-    form: str = option("open", help="struts along the edges, or walls at the faces", choices=("open", "closed"))
+    form: str = option(
+        "open", help="form of the solid; struts along the edges, or walls at the faces", choices=("open", "closed")
+    )
     radius: Length | None = option(None, help="radius of the struts; 0.03 if omitted", unit="cell size", above=0)
     thickness: Length | None = option(None, help="thickness of the walls; 0.03 if omitted", unit="cell size", above=0)
     blend: Length = option(Length(0.01), help="length over which joints are rounded", unit="cell size", minimum=0)
-    seeds: int = option(4, help="seeds along the cell edge, if no pores are given", minimum=1, maximum=16)
-    pattern: str = option(
-        "jittered", help="seeds drawn each in a place of its own, or by dart throwing", choices=("jittered", "darts")
+    seeds: int = option(4, help="seeds along an edge of the cell, if no pores are given", minimum=1, maximum=16)
+    seeding: str = option(
+        "jittered",
+        help="seeds drawn each in a place of its own, or by dart throwing",
+        choices=("jittered", "darts"),
+        formerly="pattern",
     )
-    jitter: float = option(0.8, help="share of its place that a seed may take", minimum=0, maximum=1)
+    jitter: float = option(
+        0.8, help="random displacement of the points; as a fraction of a seed's place", minimum=0, maximum=1
+    )
     fine: float = option(
         0.0, help="share of the places that are cut into eight, each with a seed", minimum=0, maximum=1
     )
@@ -157,9 +164,9 @@ class Voronoi(PartFieldMaker):
             raise ConfigError("the walls of a closed foam have a `thickness`, no radius")
         if self.cells is not None and self.layout == "cell":
             raise ConfigError("`cells` are laid with `layout: part`", hint="or repeat one cell with `tile.periodic`")
-        if self.pattern == "darts" and self.layout == "part":
+        if self.seeding == "darts" and self.layout == "part":
             raise ConfigError("darts are thrown into a cell that repeats; seeds of a whole part are `jittered`")
-        if self.pattern == "darts" and self.fine:
+        if self.seeding == "darts" and self.fine:
             raise ConfigError("`fine` cuts the places of jittered seeds")
 
     def run(self, context: Context, pores: PoreSet | None, cover: SurfaceMesh | None) -> ScalarField:
@@ -180,7 +187,7 @@ class Voronoi(PartFieldMaker):
             if region is not None:
                 raise ConfigError("seeds that are given fill one cell", hint="leave out `layout: part`, or the pores")
             given = _seeds_of(pores)
-        elif self.pattern == "darts":
+        elif self.seeding == "darts":
             given = blue_noise(context.rng(), self.seeds**3)
         else:
             hashed = HashedSeeds(int(context.rng().integers(2**62)), self.seeds, self.jitter, self.fine)

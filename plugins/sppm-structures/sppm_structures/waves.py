@@ -19,7 +19,7 @@ class Waves(NamedTuple):
     Attributes
     ----------
     vectors : (n, 3) int64
-        Periods along the cell edges; of a vector and its opposite, which make the same wave, one.
+        Periods along the edges of the cell; of a vector and its opposite, which make the same wave, one.
     real, imaginary : (n,) float64
         ``a cos(phase)`` and ``a sin(phase)``.
     """

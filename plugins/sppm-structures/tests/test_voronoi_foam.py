@@ -77,7 +77,7 @@ def distances_from_walls(points, seeds):
 
 class TestContract(StageContract):
     def stages(self):
-        return [Voronoi(), Voronoi(form="closed", pattern="darts"), Voronoi(layout="part", cells=(2, 1, 1), fine=0.2)]
+        return [Voronoi(), Voronoi(form="closed", seeding="darts"), Voronoi(layout="part", cells=(2, 1, 1), fine=0.2)]
 
 
 SOURCES = [{"seeds": 3}, {"seeds": 2, "fine": 0.4}, {"seeds": 3, "pattern": "darts"}, {"seeds": 1}]

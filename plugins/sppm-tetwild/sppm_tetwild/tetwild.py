@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline import Context, DesignError, InputError, Length, Stage, SurfaceMesh, VolumeMesh, option
+from sppm_pipeline import Context, DesignError, InputError, Length, Stage, SurfaceMesh, VolumeMesh, option, options
 
 FLAT = 1e-6
 """A mesh thinner than this share of its diagonal counts as flat."""
@@ -33,31 +33,33 @@ class TetWild(Stage):
 
     epsilon: Length = option(
         Length(1e-3),
-        help="how far the boundary may lie from the surface; with a unit a length, else a share",
+        help="how far the boundary may lie from the surface; with a unit a length, else a fraction",
         unit="diagonals of the box",
         above=0,
     )
-    edge: Length = option(
+    ideal_edge_length: Length = option(
         Length(0.05),
-        help="length of edges inside; with a unit a length, else a share",
+        help="target length of edges inside; with a unit a length, else a fraction",
         unit="diagonals of the box",
         above=0,
+        formerly="edge",
     )
     optimize: bool = option(
         True, help="improve the tetrahedra; without it they are useless for simulation, and only good for a first look"
     )
-    iterations: int = option(80, help="largest number of rounds of improvement", minimum=1, maximum=1000)
+    rounds: int = options.rounds(80, note="of improvement, at most", maximum=1000, formerly="iterations")
     stop_energy: float = option(
         10.0, help="stop when no tetrahedron is worse (conformal AMIPS energy; 3 is a regular one)", above=3
     )
     coarsen: bool = option(False, help="as few tetrahedra as the quality allows")
-    cell: Length | None = option(
+    cell: Length | None = options.cell(
         None,
-        help="edge of the periodic cell, a cube with a corner at the origin, if the surface is such a cell, capped",
-        unit="mm",
+        note="of a periodic cell, a cube with a corner at the origin, if the surface is one, capped",
         above=0,
+        minimum=None,
+        maximum=None,
     )
-    time_limit: float = option(1800.0, help="the child process is ended after this time", unit="s", above=0)
+    time_limit: float = options.time_limit(1800.0)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> VolumeMesh:
         """Fill the surface, check volume and orientation, report the quality."""
@@ -65,11 +67,13 @@ class TetWild(Stage):
 
         diagonal, area, enclosed = _checked(mesh)
         epsilon, edge = (
-            length.value if length.unit is None else length.mm() / diagonal for length in (self.epsilon, self.edge)
+            length.value if length.unit is None else length.mm() / diagonal
+            for length in (self.epsilon, self.ideal_edge_length)
         )
         if edge > 1 or epsilon > 0.1:
             raise DesignError(
-                f"`edge` may be as long as the diagonal of the box ({diagonal:.4g} mm) and `epsilon` a tenth of it, "
+                f"`ideal_edge_length` may be as long as the diagonal of the box ({diagonal:.4g} mm) and `epsilon` a "
+                "tenth of it, "
                 f"got {edge * diagonal:.4g} mm and {epsilon * diagonal:.4g} mm"
             )
         box = self._box(mesh, epsilon * diagonal)
@@ -85,7 +89,7 @@ class TetWild(Stage):
                 "epsilon": epsilon,
                 "edge": edge,
                 "optimize": self.optimize,
-                "iterations": self.iterations,
+                "iterations": self.rounds,
                 "stop_energy": self.stop_energy,
                 "coarsen": self.coarsen,
                 "seed": int(context.rng().integers(2**32)),
@@ -147,7 +151,7 @@ class TetWild(Stage):
         if angles.min() < 1:
             context.warn(
                 f"the smallest dihedral angle is {angles.min():.2g} degrees; simulations will suffer. "
-                "More `iterations` or a smaller `stop_energy` may help"
+                "More `rounds` or a smaller `stop_energy` may help"
             )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.grid import cell_centers
@@ -27,10 +28,10 @@ class CheckConnectivity(Stage):
 
     name: ClassVar[str] = "check.connectivity"
 
-    resolution: int = option(48, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=512)
-    islands: str = option(
+    resolution: int = options.resolution(48, minimum=4, maximum=512)
+    islands: str = options.islands(
         "remove",
-        help="remove them, reject the cell as the paper does, or keep and only report them",
+        note="remove it, reject the cell as the paper does, or keep and only report it",
         choices=("remove", "reject", "keep"),
     )
     bicontinuous: bool = option(False, help="reject a structure whose solid or void does not run through in x, y and z")

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Rejected, Stage, option
@@ -18,7 +19,7 @@ class CheckPorosity(Stage):
 
     name: ClassVar[str] = "check.porosity"
 
-    resolution: int = option(48, help="voxels along a cell edge", unit="voxels", minimum=2, maximum=1024)
+    resolution: int = options.resolution(48)
     minimum: float = option(0.0, help="smallest porosity accepted", minimum=0, maximum=1)
     maximum: float = option(1.0, help="largest porosity accepted", minimum=0, maximum=1)
 

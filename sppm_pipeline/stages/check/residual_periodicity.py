@@ -8,10 +8,11 @@ from typing import ClassVar
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.wrapped import RepeatedField
 from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +25,7 @@ class CheckResidualPeriodicity(Stage):
 
     name: ClassVar[str] = "check.residual_periodicity"
 
-    resolution: int = option(16, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=128)
+    resolution: int = options.resolution(16, minimum=4, maximum=128)
 
     def estimate(self, palette: Palette, tiling: Size) -> Size:
         return tiling.grid(self.resolution)

@@ -12,9 +12,10 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, ResourceError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 LARGEST = 512**3
 """Most voxels; each takes 20 bytes while the balls are painted."""
@@ -35,7 +36,7 @@ class CheckSizes(Stage):
 
     name: ClassVar[str] = "check.sizes"
 
-    resolution: int = option(64, help="voxels along a cell edge, for a field", unit="voxels", minimum=8, maximum=512)
+    resolution: int = options.resolution(64, note="of a field", minimum=8, maximum=512)
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         grid = source if source.voxels else source.grid(self.resolution)
@@ -63,7 +64,7 @@ class CheckSizes(Stage):
             spacing, physical = (source.edge_mm or 1.0) / self.resolution, source.edge_mm is not None
             periodic = (source.periodic,) * 3
             context.report(specific_surface=area / (source.edge_mm or 1.0))
-        context.report(unit="mm" if physical else "cell edges", voxel=spacing)
+        context.report(unit="mm" if physical else "cell size", voxel=spacing)
         for number, (name, phase) in enumerate({"solid": solid, "void": 1 - solid}.items()):
             context.report(**{name: _described(phase, periodic, spacing)})
             context.progress(number + 1, 2, "phases")

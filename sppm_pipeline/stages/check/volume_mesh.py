@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.volume_mesh import VolumeMesh
+from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Rejected, Stage, option
 
 BINS = 18
@@ -35,8 +36,8 @@ class CheckVolumeMesh(Stage):
         formerly="least_angle",
     )
     one_piece: bool = option(False, help="reject a mesh with several components, which share no face")
-    accept: str = option(
-        "sound", help="sound: reject a mesh with faults; any: only report them", choices=("sound", "any")
+    accept: str = options.accept(
+        "sound", note="sound: reject a mesh with faults; any: only report them", choices=("sound", "any")
     )
 
     def run(self, context: Context, mesh: VolumeMesh) -> VolumeMesh:

@@ -13,6 +13,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.field_surface import (
     FEWEST,
     MOST,
@@ -32,7 +33,7 @@ from sppm_pipeline.stage import Context, Stage, option
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 COARSER = 1.75
-"""Triangles over those of marching cubes at as many edges along a cell edge."""
+"""Triangles over those of marching cubes at as many edges along an edge of the cell."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,42 +48,32 @@ class ManifoldSdf(Stage):
     name: ClassVar[str] = "extract.manifold_sdf"
     advice: ClassVar[str] = "lower `resolution`, or use `extract.marching_cubes`"
 
-    resolution: int | None = option(
-        None,
-        help="edges of triangles along a cell edge; 32 if `spacing` is not given either",
-        minimum=FEWEST,
-        maximum=MOST,
+    resolution: int | None = options.resolution(
+        None, note="here cubes of a lattice; 32 if `voxel` is not given either", minimum=FEWEST, maximum=MOST
     )
-    spacing: Length | None = option(
+    voxel: Length | None = options.voxel(
         None,
-        help="largest edge of a lattice cube, instead of `resolution`; the cell edge is cut into equal parts",
-        unit="mm",
-        above=0,
-        maximum=1e6,
+        note="here a cube of a lattice, at most this long, instead of `resolution`; the cell is cut into equal parts",
+        formerly="spacing",
     )
-    tolerance: Length | None = option(
+    surface_tolerance: Length | None = option(
         None,
         help="how near vertices are brought to the zero of the interpolated field; without it they lie where it is "
         "between two lattice points by linear interpolation",
         unit="mm",
         above=0,
         maximum=1e6,
+        formerly="tolerance",
     )
-    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
-    time_limit: float = option(
-        600.0,
-        help="each child process, one for every surface and every cut, is ended after this time",
-        unit="s",
-        above=0,
-        maximum=1e7,
-    )
+    islands: str = options.islands("remove")
+    time_limit: float = options.time_limit(600.0, note="there is one for every surface and every cut")
 
     def check_options(self) -> None:
-        if self.resolution is not None and self.spacing is not None:
-            raise ConfigError("`resolution` and `spacing` exclude each other")
+        if self.resolution is not None and self.voxel is not None:
+            raise ConfigError("`resolution` and `voxel` exclude each other")
 
     def estimate(self, palette: Palette, field: Size) -> Size:
-        n = expected_voxels(field.body.edge_mm, self.resolution, self.spacing)
+        n = expected_voxels(field.body.edge_mm, self.resolution, self.voxel)
         return field.grid(n, triangles=COARSER * field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
@@ -92,7 +83,7 @@ class ManifoldSdf(Stage):
         part = field if isinstance(field, Part) else None
         if part is not None:
             check_solid(part.domain.vertices, part.domain.faces, part.domain.name)
-        n = voxels_along_edge(field, self.resolution, self.spacing)
+        n = voxels_along_edge(field, self.resolution, self.voxel)
         if (coarse := field.coarseness(1 / n)) is not None:
             context.warn(coarse)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
@@ -105,7 +96,7 @@ class ManifoldSdf(Stage):
         if not on_torus(field):
             made = self._without_islands(context, made)
         if field.edge_mm is None:
-            context.warn("the cell has no physical size: one cell edge is written as 1 mm")
+            context.warn("the cell has no physical size: one cell size is written as 1 mm")
         return SurfaceMesh(*made, name="surface")
 
     def _level_set(self, context: Context, samples: NDArray[np.float32], field: ScalarField, grid: Grid) -> Mesh:
@@ -116,7 +107,7 @@ class ManifoldSdf(Stage):
         if not (samples < 0).any():
             raise DesignError("there is no solid to mesh", hint="lower the porosity or the level")
         scale = field.edge_mm if field.edge_mm is not None else 1.0
-        tolerance = self.tolerance.mm() / scale if self.tolerance is not None else None
+        tolerance = self.surface_tolerance.mm() / scale if self.surface_tolerance is not None else None
         (vertices, faces), status = manifold_extract(
             samples, grid.origin, grid.spacing[0], tolerance, self._limits(context)
         )

@@ -13,6 +13,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.field_surface import (
     FEWEST,
     KEPT_SAMPLES,
@@ -40,37 +41,35 @@ class MarchingCubes(Stage):
     advice: ClassVar[str] = "lower `resolution`, or slice without a mesh (`slice.field`)"
     version: ClassVar[int] = 2
 
-    resolution: int | None = option(
-        None, help="voxels along a cell edge; 32 if `spacing` is not given either", minimum=FEWEST, maximum=MOST
+    resolution: int | None = options.resolution(
+        None, note="32 if `voxel` is not given either", minimum=FEWEST, maximum=MOST
     )
-    spacing: Length | None = option(
+    voxel: Length | None = options.voxel(
         None,
-        help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts",
-        unit="mm",
-        above=0,
-        maximum=1e6,
+        note="at most this long, instead of `resolution`; the cell is cut into equal parts",
+        formerly="spacing",
     )
     caps: bool = option(
         True, help="close the surface at the border of a cell or tiling; without, it ends there in open boundaries"
     )
-    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
+    islands: str = options.islands("remove")
     backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
 
     def check_options(self) -> None:
-        if self.resolution is not None and self.spacing is not None:
-            raise ConfigError("`resolution` and `spacing` exclude each other")
+        if self.resolution is not None and self.voxel is not None:
+            raise ConfigError("`resolution` and `voxel` exclude each other")
         if self.backend == "reference" and not self.caps:
             raise ConfigError("the reference implementation always closes the surface: leave out `caps: false`")
 
     def estimate(self, palette: Palette, field: Size) -> Size:
-        n = expected_voxels(field.body.edge_mm, self.resolution, self.spacing)
+        n = expected_voxels(field.body.edge_mm, self.resolution, self.voxel)
         return field.grid(n, at_once=KEPT_SAMPLES, triangles=field.body.triangles(n))
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample the nodes of a grid and extract the surface, in mm (cell sizes for a cell without a size)."""
         from sppm_pipeline.numerics.meshcheck.measures import balanced_edges
 
-        n = voxels_along_edge(field, self.resolution, self.spacing)
+        n = voxels_along_edge(field, self.resolution, self.voxel)
         if (coarse := field.coarseness(1 / n)) is not None:
             context.warn(coarse)
         surface = FieldSurface(field, node_grid(field, n), self.islands, self.caps)
@@ -92,7 +91,7 @@ class MarchingCubes(Stage):
         vertices *= scale
         vertices += np.array(field.origin_mm)
         if field.edge_mm is None:
-            context.warn("the cell has no physical size: one cell edge is written as 1 mm")
+            context.warn("the cell has no physical size: one cell size is written as 1 mm")
         return SurfaceMesh(vertices, faces, name="surface")
 
 

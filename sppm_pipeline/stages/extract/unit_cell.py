@@ -12,12 +12,13 @@ from sppm_pipeline.data.mesh import RepeatedMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.field_surface import KEPT_SAMPLES
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.wrapped import RepeatedField
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 
 _HINT = "lay one cell with `tile.periodic`, or mesh the whole with `extract.marching_cubes`"
@@ -34,8 +35,8 @@ class UnitCell(Stage):
 
     name: ClassVar[str] = "extract.unit_cell"
 
-    resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=4, maximum=1024)
-    islands: str = option("remove", help="what becomes of disconnected solid", choices=("remove", "keep"))
+    resolution: int = options.resolution(32, minimum=4)
+    islands: str = options.islands("remove")
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         one, n = field.in_box((1.0, 1.0, 1.0)), self.resolution

@@ -12,10 +12,11 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE
 from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +25,7 @@ class ExtractVoxels(Stage):
 
     name: ClassVar[str] = "extract.voxels"
 
-    resolution: int = option(32, help="voxels along a cell edge", unit="voxels", minimum=2, maximum=1024)
+    resolution: int = options.resolution(32)
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         n, body = self.resolution, field.body

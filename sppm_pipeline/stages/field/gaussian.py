@@ -13,6 +13,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph
 from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 from sppm_pipeline.stage import Context, Stage, option
@@ -32,10 +33,8 @@ class GaussianField(Stage):
 
     name: ClassVar[str] = "field.gaussian"
 
-    pore_radius: Length | None = option(None, help="radius of a lone pore", unit="cell size", minimum=1e-9, maximum=1e6)
-    tunnel_radius: Length | None = option(
-        None, help="radius of a lone tunnel", unit="cell size", minimum=1e-9, maximum=1e6
-    )
+    pore_radius: Length | None = options.pore_radius(None)
+    tunnel_radius: Length | None = options.tunnel_radius(None)
     omega: float | None = option(None, help="pore size parameter", unit="1 / cell size^2", minimum=1e-9, maximum=1e15)
     mu: float | None = option(
         None,
@@ -44,7 +43,7 @@ class GaussianField(Stage):
         minimum=1e-9,
         maximum=1e15,
     )
-    level: float = option(0.25, help="the level C at which the sum is cut", minimum=0.001, maximum=0.999)
+    level: float = options.level(0.25)
     tunnel: str = option("linear", help="how the distance enters the tunnel kernel", choices=tuple(TUNNEL_PROFILES))
     pore_spread: float = option(0.0, help="standard deviation of the logarithm of the pore radii", minimum=0, maximum=1)
     tunnel_spread: float = option(

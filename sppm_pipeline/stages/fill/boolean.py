@@ -12,12 +12,13 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.field_surface import FEWEST, MOST, FieldSurface, expected_voxels, node_grid, voxels_along_edge
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.process.budget import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 BOOLEAN_BYTES = 600
 """Bytes for each triangle that goes into a Boolean, its own arrays and those of the result included; measured."""
@@ -36,32 +37,24 @@ class BooleanFill(Stage):
     name: ClassVar[str] = "fill.boolean"
     advice: ClassVar[str] = "lower `resolution`, or use `fill.implicit`, which needs no mesh"
 
-    resolution: int | None = option(
-        None, help="voxels along a cell edge; 32 if `spacing` is not given either", minimum=FEWEST, maximum=MOST
+    resolution: int | None = options.resolution(
+        None, note="32 if `voxel` is not given either", minimum=FEWEST, maximum=MOST
     )
-    spacing: Length | None = option(
+    voxel: Length | None = options.voxel(
         None,
-        help="largest edge of a voxel, instead of `resolution`; the cell edge is cut into equal parts",
-        unit="mm",
-        above=0,
-        maximum=1e6,
+        note="at most this long, instead of `resolution`; the cell is cut into equal parts",
+        formerly="spacing",
     )
-    skin: Length | None = option(
-        None, help="thickness of a solid skin inside the surface of the part", unit="mm", above=0, maximum=1e6
-    )
-    islands: str = option(
-        "remove", help="what becomes of disconnected solid in the finished part", choices=("remove", "keep")
-    )
-    time_limit: float = option(
-        600.0, help="the child process of the Boolean is ended after this time", unit="s", above=0, maximum=1e7
-    )
+    skin: Length | None = options.skin(None, above=0, maximum=1e6)
+    islands: str = options.islands("remove", note="in the finished part")
+    time_limit: float = options.time_limit(600.0, note="there is one for the Boolean")
 
     def check_options(self) -> None:
-        if self.resolution is not None and self.spacing is not None:
-            raise ConfigError("`resolution` and `spacing` exclude each other")
+        if self.resolution is not None and self.voxel is not None:
+            raise ConfigError("`resolution` and `voxel` exclude each other")
 
     def estimate(self, palette: Palette, field: Size, domain: Size) -> Size:
-        body, n = field.body, expected_voxels(field.body.edge_mm, self.resolution, self.spacing)
+        body, n = field.body, expected_voxels(field.body.edge_mm, self.resolution, self.voxel)
         part = domain.body.in_unit(body.scale)
         made = replace(part, porosity=body.porosity, surface=body.surface, kernels=body.kernels)
         # a skin ends twice more, outward and inward
@@ -76,7 +69,7 @@ class BooleanFill(Stage):
 
         edge = field.physical_edge()
         check_solid(domain.vertices, domain.faces, domain.name)
-        n = voxels_along_edge(field, self.resolution, self.spacing)
+        n = voxels_along_edge(field, self.resolution, self.voxel)
         if (coarse := field.coarseness(1 / n)) is not None:
             context.warn(coarse)
         part = Part(field, domain, self.skin.mm() if self.skin else 0.0, "keep")

@@ -12,6 +12,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.process.budget import child_memory, require_memory
 from sppm_pipeline.process.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.stage import Context, Stage, option
@@ -35,10 +36,8 @@ class Combine(Stage):
         help="union: mesh and tool; difference: mesh without tool; intersection: what both have in common",
         choices=("union", "difference", "intersection"),
     )
-    scale: float = option(1.0, help="factor of all lengths of the tool", above=0, maximum=1e9)
-    turn: tuple[float, float, float] = option(
-        (0.0, 0.0, 0.0), help="angles of the tool about x, then y, then z", unit="degrees", minimum=-360, maximum=360
-    )
+    scale: float = options.scale(1.0, note="of the tool", above=0)
+    turn: tuple[float, float, float] = options.turn((0.0, 0.0, 0.0), note="of the tool")
     at: tuple[tuple[Length, Length, Length], ...] = option(
         ((ZERO, ZERO, ZERO),),
         help="where copies of the tool go: how far each is moved along x, y, z",
@@ -46,13 +45,7 @@ class Combine(Stage):
         minimum=-1e9,
         maximum=1e9,
     )
-    time_limit: float = option(
-        600.0,
-        help="the child process in which they are combined is ended after this time",
-        unit="s",
-        above=0,
-        maximum=1e7,
-    )
+    time_limit: float = options.time_limit(600.0, note="there is one, in which they are combined")
 
     def check_options(self) -> None:
         if not self.at:

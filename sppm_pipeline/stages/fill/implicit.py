@@ -9,10 +9,11 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.families.inside_test import INSIDE, INSIDE_HELP, outward_mesh
+from sppm_pipeline.families import options
+from sppm_pipeline.families.inside_test import outward_mesh
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,13 +28,9 @@ class ImplicitFill(Stage):
     name: ClassVar[str] = "fill.implicit"
     version: ClassVar[int] = 2
 
-    skin: Length | None = option(
-        None, help="thickness of a solid skin inside the surface of the part", unit="mm", minimum=1e-3, maximum=1e4
-    )
-    islands: str = option(
-        "remove", help="what becomes of disconnected solid in the finished part", choices=("remove", "keep")
-    )
-    inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
+    skin: Length | None = options.skin(None, minimum=1e-3, maximum=1e4)
+    islands: str = options.islands("remove", note="in the finished part")
+    inside: str = options.inside("auto")
 
     def estimate(self, palette: Palette, field: Size, domain: Size) -> Size:
         body, part = field.body, domain.body.in_unit(field.body.scale)

@@ -31,13 +31,13 @@ class HomogenizeRealizations(ElasticHomogenizer):
 
     name: ClassVar[str] = "homogenize.realizations"
 
-    samples: int = option(10, help="draws for each size", minimum=1, maximum=100_000)
+    draws: int = option(10, help="draws for each size", minimum=1, maximum=100_000, formerly="samples")
     assemblies: tuple[int, ...] = option((1,), help="cells along the edge of each assembly", minimum=1, maximum=64)
 
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
-        made = recipe(palette, self.samples * len(self.assemblies))
+        made = recipe(palette, self.draws * len(self.assemblies))
         boxes = [made if not made.cells else made.in_box((size,) * 3) for size in self.assemblies]
-        found = [self.solving(box, self.resolution, self.samples) for box in boxes]
+        found = [self.solving(box, self.resolution, self.draws) for box in boxes]
         return Size(
             samples=sum(s.samples for s in found), sums=sum(s.sums for s in found),
             voxels=sum(s.voxels for s in found), resident=max(s.resident for s in found),
@@ -52,10 +52,10 @@ class HomogenizeRealizations(ElasticHomogenizer):
                 hint="end the recipe with a tile stage, such as `tile.wang_3color` with `cells: [2, 2, 2]`",
             )
         rows: list[dict[str, float | None]] = []
-        total = self.samples * len(self.assemblies)
+        total = self.draws * len(self.assemblies)
         for size in self.assemblies:
             changes = {} if tiler is None else {tiler: {"cells": [size] * 3, "periodic": True}}
-            for sample in range(self.samples):
+            for sample in range(self.draws):
                 made = recipe.run(context, palette=context.palette, attempt=1 + len(rows), options=changes)
                 if not isinstance(made, ScalarField):
                     raise ConfigError(f"the recipe {recipe.name!r} makes a {type(made).__name__}, no field")
@@ -63,7 +63,7 @@ class HomogenizeRealizations(ElasticHomogenizer):
                 rows.append({"cells": size, "sample": sample, **_numbers(summary)})
                 context.progress(len(rows), total, "realizations")
         sizes = {str(size): _statistics([row for row in rows if row["cells"] == size]) for size in self.assemblies}
-        context.report(samples=self.samples, sizes=sizes)
+        context.report(samples=self.draws, sizes=sizes)
         return Table({name: tuple(row[name] for row in rows) for name in rows[0]})
 
 

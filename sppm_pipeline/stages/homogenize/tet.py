@@ -12,6 +12,7 @@ from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
+from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
 MATCHED_TOLERANCE = 1e-6
@@ -32,13 +33,9 @@ class HomogenizeTet(Stage):
     name: ClassVar[str] = "homogenize.tet"
     advice: ClassVar[str] = "mesh with a lower `resolution`, or with `order: 1`"
 
-    young: float | tuple[float, ...] = option(
-        1.0, help="Young's modulus of the solid, or of each material of the mesh", above=0, maximum=1e15
-    )
-    poisson: float | tuple[float, ...] = option(
-        0.3, help="Poisson's ratio of the solid, or of each material", above=-1, below=0.5
-    )
-    unit: str = option("relative", help="unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
+    young: float | tuple[float, ...] = options.young(1.0, note="or of each material of the mesh")
+    poisson: float | tuple[float, ...] = options.poisson(0.3, note="or of each material of the mesh")
+    stress_unit: str = options.stress_unit("relative", formerly="unit")
     faces: str = option(
         "auto",
         help="how opposite faces are joined: auto ties nodes where all match, else takes the mortar",
@@ -47,8 +44,8 @@ class HomogenizeTet(Stage):
     face_tolerance: float = option(
         1e-6, help="how far nodes of a face may lie from the box, over its longest edge", above=0, maximum=0.05
     )
-    tolerance: float = option(1e-8, help="residual of a load case over its load", above=0, maximum=1e-2)
-    iterations: int = option(2000, help="maximum number of iterations of a load case", minimum=1, maximum=1_000_000)
+    residual: float = options.residual(1e-8, above=0, minimum=None, maximum=0.01, formerly="tolerance")
+    iterations: int = options.iterations(2000)
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
         return Size(nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
@@ -61,7 +58,7 @@ class HomogenizeTet(Stage):
         if mesh.box is None:
             raise InputError(
                 f"{mesh.name} fills no periodic cell: its box is not known",
-                hint="mesh a cell, or give `cell: true` to `read.volume_mesh`",
+                hint="mesh a cell, or give `periodic: true` to `read.volume_mesh`",
             )
         young, poisson = self._materials(mesh)
         stand_in = None
@@ -82,13 +79,13 @@ class HomogenizeTet(Stage):
                 stand_in,
                 faces="collocation" if self.faces == "collocation" else "mortar",
                 face_tolerance=self.face_tolerance,
-                tolerance=self.tolerance,
+                tolerance=self.residual,
                 iterations=self.iterations,
                 progress=lambda done: context.progress(done, 6, "load cases"),
             )
         except ValueError as error:
             raise InputError(f"{mesh.name} can't be homogenized: {error}", hint="see `check.volume_mesh`") from error
-        if max(found.residuals) > 100 * self.tolerance:
+        if max(found.residuals) > 100 * self.residual:
             raise DesignError(
                 f"the solution did not converge: residuals {', '.join(f'{r:.1e}' for r in found.residuals)} after "
                 f"{max(found.iterations)} iterations",
@@ -99,7 +96,7 @@ class HomogenizeTet(Stage):
             found.stiffness,
             self._phases(mesh, cell),
             f"{'quadratic' if mesh.cells.shape[1] == 10 else 'straight'} tetrahedra, {len(mesh.cells)}",
-            unit=None if self.unit == "relative" else self.unit,
+            unit=None if self.stress_unit == "relative" else self.stress_unit,
             solver={
                 "iterations": found.iterations,
                 "residuals": found.residuals,

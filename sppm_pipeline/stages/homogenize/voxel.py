@@ -13,6 +13,7 @@ from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.families.homogenizer import Cell, VoxelHomogenizer
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, option
@@ -22,16 +23,11 @@ from sppm_pipeline.stage import Context, option
 class ElasticHomogenizer(VoxelHomogenizer):
     """Base of stages that compute effective stiffnesses on voxels: materials, and the stiffness report of a cell."""
 
-    young: float | tuple[float, ...] = option(
-        1.0,
-        help="Young's modulus of the solid, or of each phase from 1 on; 1: results are relative to it",
-        above=0,
-        maximum=1e15,
+    young: float | tuple[float, ...] = options.young(
+        1.0, note="or of each phase from 1 on; 1: results are relative to it"
     )
-    poisson: float | tuple[float, ...] = option(
-        0.3, help="Poisson's ratio of the solid, or of each phase from 1 on", above=-1, below=0.5
-    )
-    unit: str = option("relative", help="unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
+    poisson: float | tuple[float, ...] = options.poisson(0.3, note="or of each phase from 1 on")
+    stress_unit: str = options.stress_unit("relative", formerly="unit")
     ersatz: float = option(
         0.0, help="stiffness of the void relative to phase 1, for comparison with other codes",
         minimum=0, maximum=1,
@@ -78,7 +74,7 @@ class ElasticHomogenizer(VoxelHomogenizer):
             found.stiffness,
             self._phases(cell),
             f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.fraction is None else 'solid fractions'}",
-            unit=None if self.unit == "relative" else self.unit,
+            unit=None if self.stress_unit == "relative" else self.stress_unit,
             solver={
                 "grid": list(cell.shape),
                 "precision": found.precision,
@@ -160,7 +156,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
                        voxels=sum(s.voxels for s in found))  # fmt: skip
 
     def _resolutions(self) -> list[int]:
-        """Voxels along a cell edge of each grid, the coarsest first."""
+        """Voxels along an edge of the cell of each grid, the coarsest first."""
         return [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:

@@ -12,6 +12,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
@@ -31,10 +32,8 @@ class IsosurfaceStuffing(Stage):
 
     name: ClassVar[str] = "mesh.isosurface_stuffing"
 
-    resolution: int = option(32, help="cubes along a cell edge", unit="cubes", minimum=4, maximum=512)
-    islands: str = option(
-        "remove", help="what becomes of solid that shares no face with the rest", choices=("remove", "keep")
-    )
+    resolution: int = options.resolution(32, note="here cubes of a lattice", minimum=4, maximum=512)
+    islands: str = options.islands("remove", note="that is, solid that shares no face with the rest")
     order: int = option(
         1, help="1: straight tetrahedra; 2: quadratic, with a node in the middle of each edge", minimum=1, maximum=2
     )
@@ -61,7 +60,7 @@ class IsosurfaceStuffing(Stage):
         if (coarse := field.coarseness(h)) is not None:
             context.warn(coarse)
         if field.edge_mm is None:
-            context.warn("the cell has no physical size: one cell edge is written as 1 mm")
+            context.warn("the cell has no physical size: one cell size is written as 1 mm")
         low, high = np.zeros(3, np.int64), np.array(field.cells) * n
         if isinstance(field, Part):
             edge = field.physical_edge()

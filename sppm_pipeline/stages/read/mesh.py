@@ -15,6 +15,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.families import options
 from sppm_pipeline.formats.input_file import content_of
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -50,21 +51,15 @@ class ReadMesh(Stage):
     name: ClassVar[str] = "read.mesh"
     advice: ClassVar[str] = "simplify the mesh"
 
-    path: Path = option(help="file to read: .stl, .obj, .ply, .off, .3mf, .glb, or what trimesh reads besides")
-    unit: str | None = option(
-        None,
-        help="unit of the coordinates in the file; what the file states (3MF, GLB), or else mm, if omitted",
-        choices=tuple(UNITS_IN_MM),
-    )
+    path: Path = options.read_path(note=".stl, .obj, .ply, .off, .3mf, .glb, or what trimesh reads besides")
+    unit: str | None = options.unit(None, note="what the file states (3MF, GLB), or else mm, if omitted")
     up: str | None = option(
         None,
         help="axis of the file that points up and becomes z; y for GLB, as its specification says, else z if omitted",
         choices=("x", "y", "z"),
     )
-    turn: tuple[float, float, float] = option(
-        (0.0, 0.0, 0.0), help="angles about x, then y, then z", unit="degrees", minimum=-360, maximum=360
-    )
-    scale: float | None = option(None, help="factor of all lengths", minimum=1e-9, maximum=1e9)
+    turn: tuple[float, float, float] = options.turn((0.0, 0.0, 0.0))
+    scale: float | None = options.scale(None, minimum=1e-9)
     height: Length | None = option(
         None, help="scale the part to this size along z", unit="mm", minimum=1e-3, maximum=1e5
     )
@@ -73,10 +68,10 @@ class ReadMesh(Stage):
         help="where the part goes: as in the file, low corner at the origin, or standing centered on the origin",
         choices=("keep", "corner", "center"),
     )
-    accept: str = option(
+    accept: str = options.accept(
         "closed",
-        help="closed: refuse a mesh with holes or faces wound against each other; any: pass it on with a warning, "
-        "for `check.mesh` to say what is wrong, or for `fill.implicit` to find out whether it can still be filled",
+        note="closed: refuse a mesh with holes or faces wound against each other; any: pass it on with a warning, for "
+        "`check.mesh` to say what is wrong, or for `fill.implicit` to find out whether it can still be filled",
         choices=("closed", "any"),
     )
 

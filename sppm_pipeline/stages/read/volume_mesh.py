@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.length import UNITS_IN_MM
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.families import options
 from sppm_pipeline.formats.input_file import library, require_file, third_party_reader
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 READERS = {".vtu": "vtu", ".vtk": "vtk", ".inp": "abaqus", ".msh": "gmsh"}
 LARGEST_FILE = 2 * 2**30
@@ -41,9 +42,11 @@ class ReadVolumeMesh(Stage):
 
     name: ClassVar[str] = "read.volume_mesh"
 
-    path: Path = option(help="file to read: .vtu, .vtk, .inp or .msh")
-    unit: str = option("mm", help="unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))
-    cell: bool = option(False, help="the bounding box of the mesh is a periodic cell")
+    path: Path = options.read_path(note=".vtu, .vtk, .inp or .msh")
+    unit: str = options.unit("mm")
+    periodic: bool = options.periodic(
+        False, note="those of the bounding box of the mesh, which is a cell", formerly="cell"
+    )
 
     def check_options(self) -> None:
         if self.path.suffix.lower() not in READERS:
@@ -77,7 +80,7 @@ class ReadVolumeMesh(Stage):
         cells = self._oriented(context, nodes, cells)
         materials = self._materials(context, read, [place for place, _ in blocks])
         box, matched = None, False
-        if self.cell:
+        if self.periodic:
             from sppm_pipeline.numerics.tetrahedra.periodic import face_match
 
             box = np.array([nodes.min(axis=0), nodes.max(axis=0)])

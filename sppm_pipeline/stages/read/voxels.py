@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.families import options
 from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE, VoxelImage
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -28,7 +29,7 @@ class ReadVoxels(Stage):
 
     name: ClassVar[str] = "read.voxels"
 
-    path: Path = option(help="file to read, or folder of pictures")
+    path: Path = options.read_path(note="an image, or a folder of pictures")
     values: str = option(
         "auto",
         help="what the values are: auto tells images of two values and of phases; threshold and otsu cut gray ones; "
@@ -40,14 +41,10 @@ class ReadVoxels(Stage):
     )
     invert: bool = option(False, help="solid is where the values are low")
     axes: str = option("xyz", help="what the axes of a .npy array are, in order", choices=("xyz", "zyx"))
-    spacing: Length | None = option(
-        None,
-        help="edge of a voxel; what the file says if omitted, in mm, else one cell is the whole image",
-        unit="mm",
-        above=0,
-        maximum=1e6,
+    voxel: Length | None = options.voxel(
+        None, note="what the file says if omitted, in mm, else the whole image is one cell", formerly="spacing"
     )
-    periodic: bool = option(False, help="the image is one cell that repeats: opposite sides are neighbors")
+    periodic: bool = options.periodic(False, note="those of the image, which is a cell")
 
     def check_options(self) -> None:
         if (self.threshold is not None) != (self.values == "threshold"):
@@ -60,8 +57,8 @@ class ReadVoxels(Stage):
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise InputError(f"{self.path.name} holds values that are not finite")
         made = self._segmented(context, values)
-        if self.spacing is not None:
-            spacing, physical = (self.spacing.mm(),) * 3, True
+        if self.voxel is not None:
+            spacing, physical = (self.voxel.mm(),) * 3, True
         elif image.spacing is not None:
             spacing, physical = image.spacing, True
         else:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families import InteriorBox, Sampler
+from sppm_pipeline.families import InteriorBox, Sampler, options
 from sppm_pipeline.stage import Context, option
 
 
@@ -25,23 +25,10 @@ class DartThrowing(Sampler):
 
     name: ClassVar[str] = "sample.dart_throwing"
 
-    count: int | None = option(None, help="pores of one interior", minimum=0, maximum=100_000)
-    total: int | None = option(
-        None, help="pores of one cell; those on its faces are taken off", minimum=2, maximum=100_000
-    )
-    spacing: Length | None = option(
-        None,
-        help="smallest distance between pores; that of the face pores if omitted",
-        unit="cell size",
-        above=0,
-        maximum=1e6,
-    )
-    share: float | None = option(
-        None,
-        help="fill up to this fraction of the maximum that the spacing allows; 1 until nothing fits",
-        above=0,
-        maximum=1,
-    )
+    count: int | None = options.count(None, note="in one interior")
+    total: int | None = options.total(None, note="those on the faces are taken off")
+    spacing: Length | None = options.spacing(None, note="that of the face pores if omitted")
+    share: float | None = options.share(None, note="1 until nothing fits")
     clear_faces: bool = option(True, help="keep the spacing between interior pores and face pores, too")
 
     def check_options(self) -> None:

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.families import InteriorBox, Sampler
+from sppm_pipeline.families import InteriorBox, Sampler, options
 from sppm_pipeline.stage import option
 
 
@@ -21,7 +21,7 @@ class Elimination(Sampler):
 
     name: ClassVar[str] = "sample.elimination"
 
-    count: int = option(help="pores of one interior", minimum=1, maximum=100_000)
+    count: int = options.count(note="in one interior", minimum=1)
     candidates: float = option(5.0, help="candidates thrown for each pore kept", minimum=2, maximum=100)
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:

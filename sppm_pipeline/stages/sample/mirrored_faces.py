@@ -13,7 +13,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families import design_of, start_of
+from sppm_pipeline.families import design_of, options, start_of
 from sppm_pipeline.stage import Context, Stage, option
 
 MAX_TOGETHER = 16
@@ -31,21 +31,10 @@ class MirroredFaces(Stage):
 
     name: ClassVar[str] = "sample.mirrored_faces"
 
-    count: int | None = option(
-        None, help="face pores of one cell, three faces counted once each", minimum=0, maximum=100_000
-    )
-    total: int | None = option(
-        None,
-        help="pores of one cell, faces and interior; the faces get their share at equal packing",
-        minimum=2,
-        maximum=100_000,
-    )
-    spacing: Length | None = option(
-        None, help="smallest distance between pores", unit="cell size", above=0, maximum=1e6
-    )
-    share: float | None = option(
-        None, help="packing: pores as a fraction of the maximum that the spacing allows", above=0, maximum=1
-    )
+    count: int | None = options.count(None, note="on the faces of one cell, three faces counted once each")
+    total: int | None = options.total(None, note="the faces get their share at equal packing")
+    spacing: Length | None = options.spacing(None)
+    share: float | None = options.share(None)
     margin: Length | None = option(
         None,
         help="distance of face pores from the border of the face; with several colors at least half the spacing",
@@ -53,9 +42,11 @@ class MirroredFaces(Stage):
         minimum=0,
         maximum=1e6,
     )
-    edge: Length | None = option(
+    edge: Length | None = options.edge(
         None,
-        help="length of the cell's edge in which the lengths of this recipe are given; 1 if omitted",
+        note="the lengths of this recipe are given in a cell of this size, 1 if omitted",
+        unit=None,
+        above=None,
         minimum=1e-6,
         maximum=1e6,
     )

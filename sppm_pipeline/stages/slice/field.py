@@ -10,44 +10,31 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.field_slices import FieldSlices
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
 class SliceField(Stage):
     """Cut a part or a tiling into layers, each at its mid-height (paper, "Mesh-free Slicing").
 
-    Pixels are anchored at the lattice of the cells, so that a pitch which divides the cell edge takes the fast path.
+    Pixels are anchored at the lattice of the cells, so that a pitch which divides the cell size takes the fast path.
     Layers are computed while they are written; memory does not grow with their number.
     """
 
     name: ClassVar[str] = "slice.field"
     advice: ClassVar[str] = "give a larger `pixel` or `layer`"
 
-    pixel: Length | None = option(None, help="pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
-    layer: Length | None = option(
-        None, help="layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3
-    )
-    resolution: int | None = option(
-        None, help="voxels along a cell edge, instead of `pixel` and `layer`", minimum=2, maximum=2048
-    )
-    islands: str = option(
-        "remove",
-        help="what becomes of disconnected solid; a part decides for itself",
-        choices=("remove", "keep"),
-    )
-    gray: int = option(
-        1,
-        help="samples along a pixel's edge for gray by area coverage; 1 for black and white",
-        minimum=1,
-        maximum=16,
-        formerly="grey",
-    )
+    pixel: Length | None = options.pixel(None)
+    layer: Length | None = options.layer(None)
+    resolution: int | None = options.resolution(None, note="instead of `pixel` and `layer`", maximum=2048)
+    islands: str = options.islands("remove", note="a part decides for itself")
+    gray: int = options.gray(1, formerly="grey")
 
     def check_options(self) -> None:
         if (self.pixel is None) == (self.resolution is None):

@@ -11,7 +11,8 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.families.inside_test import INSIDE, INSIDE_HELP, outward_mesh
+from sppm_pipeline.families import options
+from sppm_pipeline.families.inside_test import outward_mesh
 from sppm_pipeline.fields.mesh_slices import MeshSlices
 from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
 from sppm_pipeline.stage import Context, Stage, option
@@ -31,24 +32,16 @@ class SliceMesh(Stage):
     name: ClassVar[str] = "slice.mesh"
     advice: ClassVar[str] = "give a larger `pixel` or `layer`"
 
-    pixel: Length = option(help="pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
-    layer: Length | None = option(
-        None, help="layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3
-    )
+    pixel: Length = options.pixel()
+    layer: Length | None = options.layer(None)
     anchor: str = option(
         "part",
         help="where pixels and layers are counted from: the low corner of the part, or the origin of the coordinates, "
         "so that several parts share one grid",
         choices=("part", "origin"),
     )
-    gray: int = option(
-        1,
-        help="samples along a pixel's edge for gray by area coverage; 1 for black and white",
-        minimum=1,
-        maximum=16,
-        formerly="grey",
-    )
-    inside: str = option("auto", help=INSIDE_HELP, choices=INSIDE)
+    gray: int = options.gray(1, formerly="grey")
+    inside: str = options.inside("auto")
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
         layer = self.layer if self.layer is not None else self.pixel

@@ -13,7 +13,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families import lattice_for, tiling_size
+from sppm_pipeline.families import lattice_for, options, tiling_size
 from sppm_pipeline.families.tiler import check_repeats
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
@@ -34,21 +34,11 @@ class FreshTiling(Stage):
     name: ClassVar[str] = "tile.fresh"
     advice: ClassVar[str] = "give larger cells, or use `tileset.free_faces` with many interiors"
 
-    cell: Length | None = option(
-        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
-    )
-    cells: tuple[int, int, int] | None = option(
-        None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
-    )
-    periodic: bool = option(
-        False, help="the box of `cells` repeats for ever, as homogenization needs it: its opposite ends are neighbors"
-    )
-    porosity: float | None = option(
-        None, help="porosity of the assembly, reached by the level; the recipe's own level if omitted", above=0, below=1
-    )
-    resolution: int = option(
-        32, help="voxels along a cell edge when porosity is measured", unit="voxels", minimum=8, maximum=256
-    )
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
+    periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
+    porosity: float | None = options.porosity(None, note="that of the assembly; the recipe's own level if omitted")
+    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
     limit: int = option(5000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
 
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:

@@ -12,7 +12,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families import lattice_for, tiling_size
+from sppm_pipeline.families import lattice_for, options, tiling_size
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
@@ -29,12 +29,8 @@ class PeriodicTiling(Stage):
     name: ClassVar[str] = "tile.periodic"
     advice: ClassVar[str] = "give larger cells or fewer of them"
 
-    cell: Length | None = option(
-        None, help="edge of a cell in the part; the recipe's `edge` if omitted", unit="mm", minimum=1e-3, maximum=1e5
-    )
-    cells: tuple[int, int, int] | None = option(
-        None, help="number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096
-    )
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
     tile: int = option(0, help="which tile of a tile set is repeated", minimum=0, maximum=511)
 
     def estimate(self, palette: Palette, source: Size, cover: Size | None) -> Size:

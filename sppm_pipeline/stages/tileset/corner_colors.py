@@ -8,9 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.families import TileSetMaker
+from sppm_pipeline.families import TileSetMaker, options
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
-from sppm_pipeline.stage import option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,8 +23,8 @@ class CornerColorsTileSet(TileSetMaker):
     name: ClassVar[str] = "tileset.corner_colors"
     kind: ClassVar[str] = "corner"
 
-    colors: int = option(2, help="number of corner colors c", minimum=1, maximum=3)
-    interiors: int = option(64, help="number of interiors K", minimum=1, maximum=1024)
+    colors: int = options.colors(2, note="of corners", maximum=3)
+    interiors: int = options.interiors(64)
 
     def palette_size(self) -> int:
         return self.colors

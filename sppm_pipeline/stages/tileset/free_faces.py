@@ -8,9 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.families import TileSetMaker
+from sppm_pipeline.families import TileSetMaker, options
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
-from sppm_pipeline.stage import option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +22,8 @@ class FreeFacesTileSet(TileSetMaker):
     name: ClassVar[str] = "tileset.free_faces"
     kind: ClassVar[str] = "free"
 
-    colors: int = option(3, help="number of face colors c for each axis", minimum=1, maximum=64)
-    interiors: int = option(27, help="number of interiors K", minimum=1, maximum=1024)
+    colors: int = options.colors(3, note="of faces, for each axis", maximum=64)
+    interiors: int = options.interiors(27)
 
     def palette_size(self) -> int:
         return self.colors

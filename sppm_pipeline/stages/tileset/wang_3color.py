@@ -8,9 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.families import TileSetMaker
+from sppm_pipeline.families import TileSetMaker, options
 from sppm_pipeline.numerics.assembly.contents import TilingArrays, lone_periodic_cell
-from sppm_pipeline.stage import option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +22,7 @@ class WangTileSet(TileSetMaker):
     name: ClassVar[str] = "tileset.wang_3color"
     kind: ClassVar[str] = "wang"
 
-    colors: int = option(3, help="number of face colors c", minimum=1, maximum=8)
+    colors: int = options.colors(3, note="of faces", maximum=8)
 
     def palette_size(self) -> int:
         return self.colors

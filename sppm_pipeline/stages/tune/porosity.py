@@ -13,6 +13,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid, cell_centers
@@ -42,20 +43,20 @@ class TunePorosity(Stage):
 
     name: ClassVar[str] = "tune.porosity"
 
-    target: float = option(help="target porosity", above=0, below=1)
+    target: float = options.target(note="the porosity", below=1)
     by: str = option("level", help="what is tuned at last", choices=("level", "gap"))
     fit_count: bool = option(
         False, help="choose the number of pores by a fitted line; the recipe's stages then need `total`"
     )
-    samples: int = option(3, help="trial cells for each number of pores on the line", minimum=1, maximum=200)
-    resolution: int = option(64, help="voxels along the cell edge", unit="voxels", minimum=8, maximum=512)
-    tolerance: float = option(0.001, help="largest error of the porosity, checked on a finer grid", above=0, below=0.5)
-    evaluations: int = option(
-        40, help="maximum number of cells drawn while the gap is searched", minimum=3, maximum=1000
+    trials: int = option(
+        3, help="trial cells for each number of pores on the line", minimum=1, maximum=200, formerly="samples"
     )
+    resolution: int = options.resolution(64, minimum=8, maximum=512)
+    tolerance: float = options.tolerance(0.001)
+    evaluations: int = options.evaluations(40, note="cells drawn while the gap is searched")
 
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:
-        n, trials = self.resolution, 8 * self.samples if self.fit_count else 0
+        n, trials = self.resolution, 8 * self.trials if self.fit_count else 0
         draws = self.evaluations // 3 if self.by == "gap" else 1
         made = recipe(palette, trials + draws)
         grids = [(trials, made.grid(max(24, n // 2))), (draws, made.grid(n)), (draws, made.grid(n + n // 2 + 1))]
@@ -112,7 +113,7 @@ class TunePorosity(Stage):
         porosities: list[float] = []
 
         def probe(n: int) -> None:
-            for sample in range(self.samples):
+            for sample in range(self.trials):
                 cell = recipe.run(
                     context,
                     palette=context.palette,
@@ -153,7 +154,7 @@ class TunePorosity(Stage):
                 return field
             n = finer
         raise DesignError(
-            f"the porosity {self.target:g} is missed by {error:.5f} on a grid of {n} voxels a cell edge; "
+            f"the porosity {self.target:g} is missed by {error:.5f} on a grid of {n} voxels along an edge of the cell; "
             f"allowed are {self.tolerance:g}",
             hint=f"measure on a finer grid, for example `resolution: {2 * self.resolution}`",
         )
@@ -207,7 +208,7 @@ class TunePorosity(Stage):
 
 
 def _points(field: ScalarField, n: int) -> Grid:
-    """Points of equal weight in the whole field, n along a cell edge, fewer if that were too many.
+    """Points of equal weight in the whole field, n along an edge of the cell, fewer if that were too many.
 
     Those of a field that repeats lie off the planes of symmetry of the cell: lattices have whole layers of equal values
     there, so that a level could only jump over them.

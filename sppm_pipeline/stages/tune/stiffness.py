@@ -10,6 +10,7 @@ import numpy as np
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.homogenization.stiffness.surrogate import parameter_for
 from sppm_pipeline.stage import Context, Recipe, option
@@ -29,7 +30,7 @@ class TuneStiffness(ElasticHomogenizer):
 
     name: ClassVar[str] = "tune.stiffness"
 
-    target: float = option(help="target Young's modulus, in the unit of `young`", above=0, maximum=1e15)
+    target: float = options.target(note="Young's modulus, in the unit of `young`", maximum=1e15)
     modulus: str = option(
         "isotropic", help="which modulus: of the nearest isotropic material, or along an axis",
         choices=("isotropic", "x", "y", "z"),
@@ -39,7 +40,7 @@ class TuneStiffness(ElasticHomogenizer):
     low: float = option(0.3, help="smallest value of the varied option", minimum=-1e15, maximum=1e15)
     high: float = option(0.85, help="largest value of the varied option", minimum=-1e15, maximum=1e15)
     first: int = option(4, help="values that are homogenized before any is proposed", minimum=2, maximum=50)
-    evaluations: int = option(20, help="maximum number of homogenizations", minimum=3, maximum=1000)
+    evaluations: int = options.evaluations(20, note="cells homogenized")
 
     def check_options(self) -> None:
         super().check_options()

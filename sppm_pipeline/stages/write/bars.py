@@ -9,6 +9,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
 MAX_ROWS = 200
@@ -26,14 +27,14 @@ class WriteBars(Stage):
 
     name: ClassVar[str] = "write.bars"
 
-    path: str = option("bars.png", help="file to write: .pdf, .svg or .png", output=True)
-    label: str = option("run", help="column with the names of the rows")
-    columns: tuple[str, ...] = option(help="columns that are drawn, from left to right")
-    headings: tuple[str, ...] = option((), help="headings above the columns; their names if omitted")
-    sort: str = option("", help="column by which rows are sorted; as they stand if empty")
-    descending: bool = option(False, help="sort from large to small")
+    path: str = options.write_path("bars.png", note=".pdf, .svg or .png")
+    label: str = options.label("run")
+    columns: tuple[str, ...] = options.columns(note="that are drawn")
+    headings: tuple[str, ...] = options.headings(())
+    sort: str = options.sort("")
+    descending: bool = options.descending(False)
     mark: tuple[str, ...] = option((), help="names of rows that are drawn in another color")
-    title: str = option("", help="text above the chart")
+    title: str = options.title("", note="above the chart")
 
     def check_options(self) -> None:
         """Columns, a heading for each, and a chart that can be drawn."""

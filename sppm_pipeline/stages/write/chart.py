@@ -12,6 +12,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -25,7 +26,7 @@ class WriteChart(Stage):
 
     name: ClassVar[str] = "write.chart"
 
-    path: str = option("chart.png", help="file to write: .pdf, .svg or .png", output=True)
+    path: str = options.write_path("chart.png", note=".pdf, .svg or .png")
     x: str = option(help="column along the horizontal axis")
     y: str = option(help="column along the vertical axis")
     kind: str = option(
@@ -38,7 +39,7 @@ class WriteChart(Stage):
     line: bool = option(False, help="draw the least-squares line through all points and report it")
     log_x: bool = option(False, help="logarithmic horizontal axis; values that are not positive are left out")
     log_y: bool = option(False, help="logarithmic vertical axis; values that are not positive are left out")
-    title: str = option("", help="text above the chart")
+    title: str = options.title("", note="above the chart")
     x_label: str = option("", help="text below the horizontal axis; the column's name if empty")
     y_label: str = option("", help="text beside the vertical axis; the column's name if empty")
     group_label: str = option("", help="title of the legend; the name of the column `group` if empty")

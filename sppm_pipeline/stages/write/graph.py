@@ -10,8 +10,9 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.microstructure import Microstructure
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +21,7 @@ class WriteGraph(Stage):
 
     name: ClassVar[str] = "write.graph"
 
-    path: str = option("graph.graphml", help="file to write, .graphml or .json", output=True)
+    path: str = options.write_path("graph.graphml", note=".graphml or .json")
 
     def check_options(self) -> None:
         if not self.path.endswith((".graphml", ".json")):

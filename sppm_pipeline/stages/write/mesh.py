@@ -11,6 +11,7 @@ from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.families.file_writer import ADVICE, extension_of, require_format, require_triangles, write_pieces
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -32,8 +33,8 @@ class WriteMesh(Stage):
     name: ClassVar[str] = "write.mesh"
     advice: ClassVar[str] = ADVICE
 
-    path: str = option("mesh.stl", help="file to write: .stl, .ply, .obj, .off, .3mf or .glb", output=True)
-    title: str | None = option(None, help="title of a .3mf file; the name of the mesh if omitted")
+    path: str = options.write_path("mesh.stl", note=".stl, .ply, .obj, .off, .3mf or .glb")
+    title: str | None = options.title(None, note="in a .3mf file; the name of the mesh if omitted")
     description: str | None = option(
         None, help="a sentence kept in a .3mf file, for instance the parameters of the design"
     )

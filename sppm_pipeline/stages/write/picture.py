@@ -8,6 +8,7 @@ from typing import ClassVar
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.picture import MAX_SAMPLES, MAX_TILES, field_picture, tile_sheet
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
@@ -19,13 +20,11 @@ class WritePicture(Stage):
     """Render a mesh, a cell, a tiling or a part as PNG; a tile set becomes a sheet of all its tiles."""
 
     name: ClassVar[str] = "write.picture"
-    advice: ClassVar[str] = "lower `resolution` or `size`"
+    advice: ClassVar[str] = "lower `resolution` or `image_size`"
 
-    path: str = option("picture.png", help="file to write", output=True)
-    resolution: int = option(
-        32, help="samples along a cell edge; fewer where the picture could not show them", minimum=4, maximum=512
-    )
-    size: tuple[int, int] = option((1200, 900), help="width and height", unit="pixels", minimum=16, maximum=8192)
+    path: str = options.write_path("picture.png", note="a .png file")
+    resolution: int = options.resolution(32, note="fewer where the picture could not show them", minimum=4, maximum=512)
+    image_size: tuple[int, int] = options.image_size((1200, 900), minimum=16, formerly="size")
     azimuth: float = option(-60.0, help="direction of view around z", unit="degrees", minimum=-360, maximum=360)
     elevation: float = option(
         25.0, help="height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90
@@ -35,7 +34,8 @@ class WritePicture(Stage):
     )
 
     def estimate(self, palette: Palette, what: Size) -> Size:
-        pixels, n, tiles, share = float(self.size[0] * self.size[1]), self.resolution, 1.0, self.section or 1.0
+        pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution
+        tiles, share = 1.0, self.section or 1.0
         if what.triangles:
             return Size(pixels=pixels, triangles=what.triangles)
         body = what.body
@@ -58,7 +58,7 @@ class WritePicture(Stage):
 
         camera, threads = Camera(azimuth=self.azimuth, elevation=self.elevation), context.threads
         if isinstance(what, SurfaceMesh):
-            picture = render_mesh(what.vertices, what.faces, camera=camera, size=self.size)
+            picture = render_mesh(what.vertices, what.faces, camera=camera, size=self.image_size)
         elif isinstance(what, TileSet):
             picture = tile_sheet(
                 what,
@@ -68,5 +68,7 @@ class WritePicture(Stage):
                 progress=lambda done, of: context.progress(done, of, "tiles drawn"),
             )
         else:
-            picture = field_picture(what, self.resolution, self.size, camera, section=self.section, threads=threads)
+            picture = field_picture(
+                what, self.resolution, self.image_size, camera, section=self.section, threads=threads
+            )
         Image.fromarray(picture).save(context.output(self.path))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.families.layer_writer import LayerWriter
 from sppm_pipeline.fields.slice_stack import SliceStack
 from sppm_pipeline.stage import Context, option
@@ -25,7 +26,7 @@ class WritePng(LayerWriter):
     name: ClassVar[str] = "write.png"
     suffix: ClassVar[str] = ".png"
 
-    path: str = option("slices", help="folder to write", output=True)
+    path: str = options.write_path("slices", note="a folder")
     bits: int | None = option(
         None,
         help="bits of a pixel: 1 for black and white, 8 for gray; what the layers need if omitted",

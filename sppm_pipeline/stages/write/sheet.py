@@ -15,6 +15,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import RunFile, Table
 from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
 MAX_PICTURES = 400
@@ -31,16 +32,20 @@ class WriteSheet(Stage):
     name: ClassVar[str] = "write.sheet"
     advice: ClassVar[str] = "lower `width`"
 
-    path: str = option("sheet.png", help="picture to write", output=True)
+    path: str = options.write_path("sheet.png", note="a .png file")
     picture: str = option("picture.png", help="name of the picture in the folder of each run")
-    label: str = option("run", help="column that stands beneath the pictures")
-    columns: int | None = option(
-        None, help="pictures in a row; about as many as rows if omitted", minimum=1, maximum=100
+    label: str = options.label("run", note="its values stand beneath the pictures")
+    per_row: int | None = option(
+        None,
+        help="pictures in a row; about as many as rows if omitted",
+        minimum=1,
+        maximum=100,
+        formerly="columns",
     )
     width: int = option(
         300, help="wider pictures are scaled down to this width", unit="pixels", minimum=16, maximum=2048
     )
-    title: str = option("", help="text above the sheet")
+    title: str = options.title("", note="above the sheet")
 
     def estimate(self, palette: Palette, table: Size) -> Size:
         return Size()
@@ -64,7 +69,7 @@ class WriteSheet(Stage):
             context.warn(f"{len(missing)} runs wrote no {self.picture!r}: {', '.join(missing[:10])}")
         pictures = [self._read(file) for file, _ in there]
         context.report(pictures=len(pictures))
-        sheet = contact_sheet(pictures, [label for _, label in there], columns=self.columns, title=self.title)
+        sheet = contact_sheet(pictures, [label for _, label in there], columns=self.per_row, title=self.title)
         Image.fromarray(sheet).save(context.output(self.path))
 
     def _read(self, file: RunFile) -> NDArray[np.uint8]:

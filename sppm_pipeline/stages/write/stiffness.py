@@ -14,6 +14,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -27,20 +28,18 @@ class WriteStiffness(Stage):
     """
 
     name: ClassVar[str] = "write.stiffness"
-    advice: ClassVar[str] = "give a smaller `size`"
+    advice: ClassVar[str] = "give a smaller `image_size`"
 
-    path: str = option("stiffness", help="folder to write", output=True)
+    path: str = options.write_path("stiffness", note="a folder")
     material: str = option("SPPM", help="name of the material in the card")
-    size: tuple[int, int] = option(
-        (900, 800), help="width and height of the picture", unit="pixels", minimum=300, maximum=8192
-    )
+    image_size: tuple[int, int] = options.image_size((900, 800), minimum=300, formerly="size")
 
     def check_options(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", self.material):
             raise ConfigError(f"`material` is {self.material!r}; allowed are letters, digits, _ and -, a letter first")
 
     def estimate(self, palette: Palette, report: Size) -> Size:
-        return Size(pixels=float(self.size[0] * self.size[1]))
+        return Size(pixels=float(self.image_size[0] * self.image_size[1]))
 
     def run(self, context: Context, report: StiffnessReport) -> None:
         """Write everything."""
@@ -69,7 +68,7 @@ class WriteStiffness(Stage):
             return
         surface = directions * (young / largest)[:, None]
         (folder / "young.ply").write_bytes(b"".join(ply.encode(surface, faces)))
-        picture = young_picture(surface, faces, young, report.unit, self.size)
+        picture = young_picture(surface, faces, young, report.unit, self.image_size)
         Image.fromarray(picture).save(folder / "young.png")
 
 

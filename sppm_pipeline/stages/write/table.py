@@ -11,6 +11,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.stages.write.bars import check_columns
 
@@ -25,12 +26,12 @@ class WriteTable(Stage):
 
     name: ClassVar[str] = "write.table"
 
-    path: str = option("table.md", help="file to write, .md or .csv", output=True)
-    columns: tuple[str, ...] = option(help="columns, from left to right")
-    headings: tuple[str, ...] = option((), help="texts above the columns; their names if omitted")
+    path: str = options.write_path("table.md", note=".md or .csv")
+    columns: tuple[str, ...] = options.columns()
+    headings: tuple[str, ...] = options.headings(())
     digits: int = option(3, help="significant digits of numbers", minimum=1, maximum=17)
-    sort: str = option("", help="column by which rows are sorted; as they stand if empty")
-    descending: bool = option(False, help="sort from large to small")
+    sort: str = options.sort("")
+    descending: bool = options.descending(False)
 
     def check_options(self) -> None:
         """Columns, a heading for each, and a format."""

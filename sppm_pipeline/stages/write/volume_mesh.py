@@ -10,6 +10,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.families.file_writer import extension_of, require_format, write_pieces
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -36,19 +37,20 @@ class WriteVolumeMesh(Stage):
     name: ClassVar[str] = "write.volume_mesh"
     advice: ClassVar[str] = "mesh with a lower `resolution`"
 
-    path: str = option("mesh.vtu", help="file to write: .vtu, .vtk, .inp or .msh", output=True)
+    path: str = options.write_path("mesh.vtu", note=".vtu, .vtk, .inp or .msh")
     compress: bool = option(
         False, help="make a .vtu file smaller; its bytes then depend on the version of the library zlib"
     )
-    periodic: bool = option(
+    tie_faces: bool = option(
         False,
         help="tie copies on opposite faces in an .inp file by *EQUATION to three nodes REFX, REFY, REFZ that carry the "
         "mean strain",
+        formerly="periodic",
     )
 
     def check_options(self) -> None:
         known = (".vtu", ".vtk", ".inp", ".msh")
-        require_format(self, self.path, known, {"compress": ".vtu", "periodic": ".inp"})
+        require_format(self, self.path, known, {"compress": ".vtu", "tie_faces": ".inp"})
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
         return Size(tetrahedra=mesh.tetrahedra, nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
@@ -75,12 +77,12 @@ class WriteVolumeMesh(Stage):
         from sppm_pipeline.numerics.tetrahedra.node_sets import box_node_sets
         from sppm_pipeline.numerics.tetrahedra.periodic import matched_nodes
 
-        if self.periodic and not mesh.matched:
+        if self.tie_faces and not mesh.matched:
             raise DesignError(
                 "opposite faces of this mesh do not match, so that they can't be tied to each other",
-                hint="mesh a periodic cell, or leave out `periodic`",
+                hint="mesh a periodic cell, or leave out `tie_faces`",
             )
-        standing = matched_nodes(mesh.nodes, mesh.around) if self.periodic else None
+        standing = matched_nodes(mesh.nodes, mesh.around) if self.tie_faces else None
         sets = box_node_sets(mesh.nodes, mesh.around)
         return inp.encode(mesh.nodes, mesh.cells, mesh.material_of_cells, sets, standing, COMMENTS)
 

@@ -9,8 +9,9 @@ from typing import ClassVar
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.families import options
 from sppm_pipeline.families.file_writer import extension_of, require_format, write_pieces
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +25,7 @@ class WriteVoxels(Stage):
 
     name: ClassVar[str] = "write.voxels"
 
-    path: str = option("voxels.npy", help="file to write: .npy, .tif, .tiff or .vti", output=True)
+    path: str = options.write_path("voxels.npy", note=".npy, .tif, .tiff or .vti")
 
     def check_options(self) -> None:
         require_format(self, self.path, (".npy", ".tif", ".tiff", ".vti"), {})

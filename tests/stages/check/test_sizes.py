@@ -50,7 +50,7 @@ def measured(source, **options):
 def test_a_round_pore(extent, edge):
     found = measured(Bubble(0.3, extent, edge), resolution=32)
     scale = edge or 1.0
-    assert found["unit"] == ("mm" if edge else "cell edges")
+    assert found["unit"] == ("mm" if edge else "cell size")
     # too small by three voxels at most, never too large
     assert 0.6 - 3 / 32 <= found["void"]["largest"] / scale <= 0.6
     assert 0.6 - 3 / 32 <= found["void"]["quantiles"][1] / scale <= 0.6

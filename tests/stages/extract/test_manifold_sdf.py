@@ -64,7 +64,7 @@ def test_tolerance_brings_vertices_to_the_surface(wang):
     sized = laid.run(PlainContext(), wang.micro.alone(0, (0, 0, 0)), None)
     exact = mesh(sized, MarchingCubes, resolution=96)[1].volume
     rough = mesh(sized, resolution=14)[1].volume
-    fine = mesh(sized, resolution=14, tolerance=Length(10, "um"))[1].volume
+    fine = mesh(sized, resolution=14, surface_tolerance=Length(10, "um"))[1].volume
     assert abs(fine - exact) < 0.7 * abs(rough - exact)
 
 
@@ -82,7 +82,7 @@ def test_what_cannot_be(cell, wang_tiling, ball, monkeypatch):
     with pytest.raises(InputError, match="open edges"):
         mesh(Part(wang_tiling, SurfaceMesh(ball.vertices, ball.faces[2:], "torn")))
     with pytest.raises(ConfigError):
-        ManifoldSdf(resolution=9, spacing=Length(1)).check_options()
+        ManifoldSdf(resolution=9, voxel=Length(1)).check_options()
     monkeypatch.setattr(budget, "available_memory", lambda limit: 1000)
     with pytest.raises(ResourceError, match="lattice"):
         mesh(cell)
@@ -96,7 +96,7 @@ class TestContract(StageContract):
     def stages(self):
         return [
             ManifoldSdf(resolution=8),
-            ManifoldSdf(spacing=Length(0.4, "mm"), tolerance=Length(0.01), islands="keep"),
+            ManifoldSdf(voxel=Length(0.4, "mm"), surface_tolerance=Length(0.01), islands="keep"),
         ]
 
     def inputs(self):

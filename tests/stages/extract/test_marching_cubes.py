@@ -26,7 +26,7 @@ def test_a_cell(cell):
     assert found.volume == pytest.approx(cell.solid(cell_centers(48)).mean(), rel=0.02)
     assert made.vertices.min() == 0.0
     assert made.vertices.max() == 1.0
-    assert "cell edge" in context.warnings[0]
+    assert "cell size" in context.warnings[0]
 
 
 def side(vertices, axis, at):
@@ -128,7 +128,7 @@ def test_same_bytes_however_it_is_cut(what, cell, wang_tiling, ball, monkeypatch
 
 
 def test_spacing_is_the_largest_edge_of_a_voxel(wang_tiling):
-    made, _, context = mesh(wang_tiling, resolution=None, spacing=Length(0.3, "mm"))
+    made, _, context = mesh(wang_tiling, resolution=None, voxel=Length(0.3, "mm"))
     assert context.reported["resolution"] == 14
     assert context.reported["voxel"] == pytest.approx(4 / 14)
     assert made.digest() == mesh(wang_tiling, resolution=14)[0].digest()
@@ -136,18 +136,16 @@ def test_spacing_is_the_largest_edge_of_a_voxel(wang_tiling):
 
 @pytest.mark.parametrize("spacing", [3.0, 1e-5])
 def test_a_spacing_that_makes_no_sense(wang_tiling, spacing):
-    with pytest.raises(DesignError, match="voxels along a cell edge"):
-        mesh(wang_tiling, resolution=None, spacing=Length(spacing, "mm"))
+    with pytest.raises(DesignError, match="along an edge of the cell"):
+        mesh(wang_tiling, resolution=None, voxel=Length(spacing, "mm"))
 
 
 def test_a_spacing_needs_a_size(cell):
     with pytest.raises(DesignError, match="physical size"):
-        mesh(cell, resolution=None, spacing=Length(0.1, "mm"))
+        mesh(cell, resolution=None, voxel=Length(0.1, "mm"))
 
 
-@pytest.mark.parametrize(
-    "options", [{"resolution": 20, "spacing": Length(0.1)}, {"backend": "reference", "caps": False}]
-)
+@pytest.mark.parametrize("options", [{"resolution": 20, "voxel": Length(0.1)}, {"backend": "reference", "caps": False}])
 def test_options_that_contradict_each_other(options):
     with pytest.raises(ConfigError):
         MarchingCubes(**options).check_options()

@@ -138,7 +138,7 @@ def test_nothing_but_void(wang_tiling, ball):
 
 def test_one_of_resolution_and_spacing():
     with pytest.raises(ConfigError):
-        BooleanFill(resolution=20, spacing=Length(0.1)).check_options()
+        BooleanFill(resolution=20, voxel=Length(0.1)).check_options()
 
 
 class TestContract(StageContract):
@@ -147,7 +147,7 @@ class TestContract(StageContract):
         self.given = {"field": wang_tiling, "domain": wedge}
 
     def stages(self):
-        return [BooleanFill(resolution=12), BooleanFill(spacing=Length(0.4, "mm"), skin=Length(0.8), islands="keep")]
+        return [BooleanFill(resolution=12), BooleanFill(voxel=Length(0.4, "mm"), skin=Length(0.8), islands="keep")]
 
     def inputs(self):
         return self.given

@@ -9,12 +9,12 @@ from sppm_pipeline.stages.homogenize.realizations import HomogenizeRealizations
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
 from sppm_pipeline.testing.plain_context import PlainContext
 
-FAST = {"resolution": 10, "tolerance": 1e-3}
+FAST = {"resolution": 10, "solver_tolerance": 1e-3}
 
 
 def test_draws_of_a_cell(recipe):
     context = PlainContext(2)
-    table = HomogenizeRealizations(samples=4, **FAST).run(context, recipe())
+    table = HomogenizeRealizations(draws=4, **FAST).run(context, recipe())
     table.check()
     young = np.array(table.columns["E_x"])
     assert table.columns["cells"] == (1,) * 4
@@ -24,19 +24,19 @@ def test_draws_of_a_cell(recipe):
     assert found["deviation"] == pytest.approx(young.std(ddof=1))
     low, high = stats.t.interval(0.95, 3, young.mean(), stats.sem(young))
     assert found["confidence_95"] == pytest.approx((high - low) / 2)
-    again = HomogenizeRealizations(samples=4, **FAST).run(PlainContext(2), recipe())
+    again = HomogenizeRealizations(draws=4, **FAST).run(PlainContext(2), recipe())
     assert again.columns == table.columns
 
 
 def test_one_draw_has_no_spread(recipe):
     context = PlainContext(2)
-    HomogenizeRealizations(samples=1, **FAST).run(context, recipe())
+    HomogenizeRealizations(draws=1, **FAST).run(context, recipe())
     assert context.reported["sizes"]["1"]["E_x"]["deviation"] is None
 
 
 def test_assemblies_need_a_tile_stage(recipe):
     with pytest.raises(ConfigError, match="lays no cells"):
-        HomogenizeRealizations(samples=1, assemblies=(1, 2), **FAST).run(PlainContext(), recipe())
+        HomogenizeRealizations(draws=1, assemblies=(1, 2), **FAST).run(PlainContext(), recipe())
 
 
 def test_assemblies_in_a_pipeline(run_yaml, summary):
@@ -52,7 +52,12 @@ recipes:
     - {stage: tileset.wang_3color, recipe: cell, colors: 2, porosity: 0.5, resolution: 24, tolerance: 0.005}
     - {stage: tile.wang_3color, cells: [2, 2, 2], cell: 5 mm}
 pipeline:
-  - {stage: homogenize.realizations, recipe: assembly, samples: 3, assemblies: [1, 2], resolution: 10, tolerance: 0.001}
+  - stage: homogenize.realizations
+    recipe: assembly
+    draws: 3
+    assemblies: [1, 2]
+    resolution: 10
+    solver_tolerance: 0.001
 """
     )
     found = summary(record, "homogenize.realizations")["sizes"]

@@ -81,7 +81,7 @@ def test_materials_of_the_mesh_have_constants_of_their_own():
     two = replace(mesh, materials=1 + (mesh.nodes[mesh.cells[:, 0], 2] > 0.5).astype(np.uint8))
     one = homogenized(two)[0]
     assert one.stiffness == pytest.approx(homogenized(mesh)[0].stiffness, abs=1e-9)
-    soft = homogenized(two, young=(1.0, 0.1), poisson=(0.3, 0.2), unit="GPa")[0]
+    soft = homogenized(two, young=(1.0, 0.1), poisson=(0.3, 0.2), stress_unit="GPa")[0]
     assert soft.stiffness[2, 2] < 0.7 * one.stiffness[2, 2]
     assert len(soft.phases) == 3
     assert soft.summary()["unit"] == "GPa"

@@ -33,7 +33,7 @@ def cross():
 
 class TestContract(StageContract):
     def stages(self):
-        return [HomogenizeVoxel(resolution=8, tolerance=0.01)]
+        return [HomogenizeVoxel(resolution=8, solver_tolerance=0.01)]
 
     def inputs(self):
         return {"source": voxels(cross())}
@@ -58,7 +58,7 @@ def test_a_cell_of_the_paper(cell):
 
 def test_units_and_compliance():
     solid = voxels(np.ones((4, 4, 4), np.uint8))
-    report = homogenized(solid, young=2100.0, poisson=0.25, unit="MPa")
+    report = homogenized(solid, young=2100.0, poisson=0.25, stress_unit="MPa")
     summary = report.summary()
     assert summary["E"] == pytest.approx([2100.0] * 3, rel=1e-5)
     assert summary["G"] == pytest.approx([840.0] * 3, rel=1e-5)
@@ -165,7 +165,7 @@ pipeline:
   - {stage: sample.dart_throwing, count: 12, spacing: 0.2}
   - {stage: connect.mbdst, degree: [2, 4], mode: greedy}
   - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.05}
-  - {stage: homogenize.voxel, resolution: 12, young: [70], poisson: 0.33, unit: GPa}
+  - {stage: homogenize.voxel, resolution: 12, young: [70], poisson: 0.33, stress_unit: GPa}
 """
     )
     found = summary(record, "homogenize.voxel")

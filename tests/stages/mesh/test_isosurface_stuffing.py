@@ -48,7 +48,7 @@ def test_a_periodic_cell(cell):
     assert not match.mismatched.any()
     apart = made.nodes - made.nodes[matched_nodes(made.nodes, made.box)]
     assert set(np.unique(apart)) == {0.0, 1.0}
-    assert any("cell edge" in warning for warning in context.warnings)
+    assert any("cell size" in warning for warning in context.warnings)
     skin, _ = surface(made)
     assert skin.lower.tolist() == [0, 0, 0]
     assert skin.upper.tolist() == [1, 1, 1]
@@ -64,7 +64,7 @@ def test_finer_is_nearer(cell):
 def test_a_periodic_tiling_in_mm(cell):
     tiling = PeriodicTiling(cells=(2, 1, 1), cell=Length(3, "mm")).run(PlainContext(), cell, None)
     made, context = mesh(tiling, resolution=16)
-    assert not [w for w in context.warnings if "cell edge is written" in w]
+    assert not [w for w in context.warnings if "cell size is written" in w]
     assert made.matched == tiling.periodic
     assert np.allclose(made.box, [[0, 0, 0], [6, 3, 3]])
     assert made.volume == pytest.approx(54 * tiling.solid(cell_centers(32, tiling.cells)).mean(), rel=0.06)

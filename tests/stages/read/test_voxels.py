@@ -78,7 +78,7 @@ def test_fractions_over_the_range_of_an_integer(save):
 def test_spacing_and_axes(save):
     values = np.zeros((2, 3, 4), bool)
     values[1, 2, 3] = True
-    made, _ = read(save(values), spacing=Length(0.02, "mm"), axes="zyx", periodic=True)
+    made, _ = read(save(values), voxel=Length(0.02, "mm"), axes="zyx", periodic=True)
     assert made.shape == (4, 3, 2)
     assert made.values[3, 2, 1]
     assert made.spacing == (0.02,) * 3

@@ -66,7 +66,7 @@ def test_by_gap():
 @pytest.mark.parametrize("target", [0.3, 0.6])
 def test_the_count_is_fitted(target):
     context = PlainContext(3)
-    stage = TunePorosity(target=target, fit_count=True, samples=2, resolution=24, tolerance=0.005)
+    stage = TunePorosity(target=target, fit_count=True, trials=2, resolution=24, tolerance=0.005)
     micro = stage.run(context, by_total(30))
     n = context.reported["count"]
     assert micro.graph.pores.summary()["pores_per_cell"] == n
@@ -77,7 +77,7 @@ def test_the_count_is_fitted(target):
 
 def test_a_target_out_of_reach_of_any_count():
     with pytest.raises(DesignError, match="porosit"):
-        TunePorosity(target=0.005, fit_count=True, samples=1, resolution=16).run(PlainContext(3), by_total(30))
+        TunePorosity(target=0.005, fit_count=True, trials=1, resolution=16).run(PlainContext(3), by_total(30))
 
 
 def test_a_grid_that_is_too_coarse_is_said(recipe):

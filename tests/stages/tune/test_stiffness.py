@@ -24,8 +24,8 @@ def test_a_wished_modulus_is_met(run_yaml, summary):
     record, _ = run_yaml(
         HEAD
         + """
-  - {stage: tune.stiffness, recipe: cell, target: 0.2, resolution: 14, tolerance: 0.001}
-  - {stage: homogenize.voxel, resolution: 14, tolerance: 0.001}
+  - {stage: tune.stiffness, recipe: cell, target: 0.2, resolution: 14, solver_tolerance: 0.001}
+  - {stage: homogenize.voxel, resolution: 14, solver_tolerance: 0.001}
 """
     )
     tuned, checked = summary(record, "tune.stiffness"), summary(record, "homogenize.voxel")
@@ -41,16 +41,18 @@ def test_a_wished_modulus_is_met(run_yaml, summary):
 def test_along_an_axis_and_in_physical_units(recipe):
     context = PlainContext(3)
     stage = TuneStiffness(
-        target=300.0, modulus="z", young=2000.0, unit="MPa", resolution=10, tolerance=1e-3,
+        target=300.0, modulus="z", young=2000.0, stress_unit="MPa", resolution=10, solver_tolerance=1e-3,
         vary="field.gaussian.level", low=0.1, high=0.6,
     )  # fmt: skip
     field = stage.run(context, recipe())
-    report = HomogenizeVoxel(young=2000.0, unit="MPa", resolution=10, tolerance=1e-3).run(PlainContext(), field)
+    report = HomogenizeVoxel(young=2000.0, stress_unit="MPa", resolution=10, solver_tolerance=1e-3).run(
+        PlainContext(), field
+    )
     assert report.summary()["E"][2] == pytest.approx(300, rel=0.011)
 
 
 def test_what_can_not_be_reached_names_the_best(recipe):
-    options = {"resolution": 8, "tolerance": 0.01, "vary": "field.gaussian.level", "low": 0.2, "high": 0.3}
+    options = {"resolution": 8, "solver_tolerance": 0.01, "vary": "field.gaussian.level", "low": 0.2, "high": 0.3}
     with pytest.raises(DesignError, match="nearest is"):
         TuneStiffness(target=0.999, **options).run(PlainContext(3), recipe())
     with pytest.raises(DesignError, match="homogenizations"):

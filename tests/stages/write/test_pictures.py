@@ -28,21 +28,21 @@ def picture(stage, what, tmp_path, threads=1):
 def test_pictures(name, request, tmp_path, wang_tiling, ball):
     parts = {"part": Part(wang_tiling, ball), "skinned": Part(wang_tiling, ball, 0.5)}
     what = parts.get(name) or request.getfixturevalue(name)
-    stage = WritePicture(size=(160, 120), resolution=10)
+    stage = WritePicture(image_size=(160, 120), resolution=10)
     data, image, _ = picture(stage, what, tmp_path)
     assert image.shape == (120, 160, 3)
     shown = (image != image[:, :1]).any(2).mean()  # the background is a gradient from top to bottom
     assert 0.15 < shown < 0.95
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 30
     assert picture(stage, what, tmp_path, threads=2)[0] == data
-    turned = picture(WritePicture(size=(160, 120), resolution=10, azimuth=30.0), what, tmp_path)[0]
+    turned = picture(WritePicture(image_size=(160, 120), resolution=10, azimuth=30.0), what, tmp_path)[0]
     assert turned != data
 
 
 def test_a_section_shows_the_inside(wang_tiling, ball, tmp_path):
     part = Part(wang_tiling, ball, 0.5)
-    whole = picture(WritePicture(size=(160, 120), resolution=10), part, tmp_path)[1]
-    half = picture(WritePicture(size=(160, 120), resolution=10, section=0.5), part, tmp_path)[1]
+    whole = picture(WritePicture(image_size=(160, 120), resolution=10), part, tmp_path)[1]
+    half = picture(WritePicture(image_size=(160, 120), resolution=10, section=0.5), part, tmp_path)[1]
     assert not np.array_equal(whole, half)
 
 

@@ -26,7 +26,7 @@ def cubic(a, b, c):
 def test_the_folder(tmp_path):
     stiffness = cubic(0.2, 0.06, 0.1)
     report = StiffnessReport(stiffness, PHASES, "a test", unit="MPa")
-    WriteStiffness(size=(400, 300)).run(PlainContext(directory=tmp_path), report)
+    WriteStiffness(image_size=(400, 300)).run(PlainContext(directory=tmp_path), report)
     folder = tmp_path / "stiffness"
     found = json.loads((folder / "stiffness.json").read_text())
     assert np.array(found["C"]) == pytest.approx(stiffness)
@@ -56,7 +56,7 @@ def test_nothing_stiff_is_said_and_the_rest_written(tmp_path):
 
 def test_an_isotropic_material_has_one_color(tmp_path):
     report = StiffnessReport(isotropic(1.0, 0.3), ((1.0, 1.0, 0.3),), "a test")
-    WriteStiffness(size=(300, 300)).run(PlainContext(directory=tmp_path), report)
+    WriteStiffness(image_size=(300, 300)).run(PlainContext(directory=tmp_path), report)
     assert (tmp_path / "stiffness/young.png").exists()
 
 

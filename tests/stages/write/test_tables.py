@@ -100,7 +100,7 @@ def pictures(tmp_path):
 
 
 def test_a_sheet_of_the_pictures_of_all_runs(pictures, tmp_path):
-    stage = WriteSheet(picture="cell.png", label="name", columns=2, width=100)
+    stage = WriteSheet(picture="cell.png", label="name", per_row=2, width=100)
     data, context = run(stage, pictures, tmp_path)
     with Image.open(tmp_path / "sheet.png") as image:
         shown = np.asarray(image)

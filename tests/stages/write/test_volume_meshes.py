@@ -36,7 +36,7 @@ def written(stage, mesh):
 def test_what_is_written_can_be_read(mesh, name):
     path, _keep = written(WriteVolumeMesh(path=name), mesh)
     context = PlainContext()
-    read = ReadVolumeMesh(path=path, cell=True).run(context)
+    read = ReadVolumeMesh(path=path, periodic=True).run(context)
     assert np.array_equal(read.nodes, mesh.nodes)
     assert np.array_equal(read.cells, mesh.cells)
     assert np.array_equal(read.materials, mesh.materials)
@@ -51,10 +51,10 @@ def test_units(mesh):
 
 
 def test_constraints_need_matching_faces(mesh):
-    path, _keep = written(WriteVolumeMesh(path="mesh.inp", periodic=True), mesh)
+    path, _keep = written(WriteVolumeMesh(path="mesh.inp", tie_faces=True), mesh)
     assert "*EQUATION" in path.read_text()
     with pytest.raises(DesignError, match="do not match"):
-        written(WriteVolumeMesh(path="mesh.inp", periodic=True), dataclasses.replace(mesh, matched=False))
+        written(WriteVolumeMesh(path="mesh.inp", tie_faces=True), dataclasses.replace(mesh, matched=False))
 
 
 def test_options():
@@ -62,8 +62,8 @@ def test_options():
         WriteVolumeMesh(path="a.stl").check_options()
     with pytest.raises(ConfigError, match=r"`compress` is an option of \.vtu files; a \.vtk file"):
         WriteVolumeMesh(path="a.vtk", compress=True).check_options()
-    with pytest.raises(ConfigError, match=r"`periodic` is an option of \.inp files"):
-        WriteVolumeMesh(path="a.MSH", periodic=True).check_options()
+    with pytest.raises(ConfigError, match=r"`tie_faces` is an option of \.inp files"):
+        WriteVolumeMesh(path="a.MSH", tie_faces=True).check_options()
     with pytest.raises(ConfigError, match="known are"):
         ReadVolumeMesh(path=Path("a.step")).check_options()
 

@@ -1,0 +1,96 @@
+"""Options that several stages share: one word, one meaning, one unit.
+
+A stage calls a declaration with its default, and with bounds or choices of its own where they differ. What is
+particular to the stage goes behind the shared sentence as a note::
+
+    resolution: int = options.resolution(48, maximum=512)
+    islands: str = options.islands("remove", note="in the finished part")
+
+`tests/stages/test_option_words.py` holds every stage to it. Lengths without a unit are fractions of the cell size.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from sppm_pipeline.data.length import UNITS_IN_MM
+from sppm_pipeline.stage import option
+
+
+def _shared(sentence: str, **declared: Any) -> Callable[..., Any]:
+    """A declaration: what `option` takes, with a note in place of the help."""
+
+    def declare(default: Any = dataclasses.MISSING, *, note: str = "", **changed: Any) -> Any:
+        return option(default, help=f"{sentence}; {note}" if note else sentence, **(declared | changed))
+
+    return declare
+
+
+# the cell and its grid
+edge = _shared("cell size", unit="mm", above=0)
+cell = _shared("cell size", unit="mm", minimum=1e-3, maximum=1e5)
+cells = _shared("number of cells along x, y, z, for a box of cells instead of a part", minimum=1, maximum=4096)
+periodic = _shared("opposite sides are neighbors, as homogenization needs it")
+resolution = _shared("voxels along an edge of the cell", unit="voxels", minimum=2, maximum=1024)
+voxel = _shared("edge of a voxel", unit="mm", above=0, maximum=1e6)
+islands = _shared("what becomes of disconnected solid", choices=("remove", "keep"))
+
+# pores
+count = _shared("number of pores that the stage places", minimum=0, maximum=100_000)
+total = _shared("number of pores of one cell, faces and interior", minimum=2, maximum=100_000)
+share = _shared("pores as a fraction of the maximum that the spacing allows", above=0, maximum=1)
+spacing = _shared("smallest distance between pores", unit="cell size", above=0, maximum=1e6)
+pore_radius = _shared("radius of an isolated pore", unit="cell size", minimum=1e-9, maximum=1e6)
+tunnel_radius = _shared("radius of an isolated tunnel", unit="cell size", minimum=1e-9, maximum=1e6)
+level = _shared("level C at which the sum of the kernels is cut", minimum=0.001, maximum=0.999)
+
+# porosity, tile sets and tuning
+porosity = _shared("target porosity, reached by the level", above=0, below=1)
+tolerance = _shared("largest error of the porosity, checked on a finer grid", above=0, below=0.5)
+colors = _shared("number of colors c", minimum=1)
+interiors = _shared("number of interiors K", minimum=1, maximum=1024)
+target = _shared("target value", above=0)
+evaluations = _shared("maximum number of evaluations", minimum=3, maximum=1000)
+
+# solvers and materials
+iterations = _shared("maximum number of solver iterations for a load case", minimum=1, maximum=1_000_000)
+residual = _shared("the solver stops at this residual over the right-hand side", minimum=1e-14, maximum=0.1)
+young = _shared("Young's modulus of the solid", above=0, maximum=1e15)
+poisson = _shared("Poisson's ratio of the solid", above=-1, below=0.5)
+stress_unit = _shared("unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
+
+# parts and meshes
+accept = _shared("which meshes are accepted")
+inside = _shared(
+    "inside test of the part: by rays along x, by the winding number, by a vote of rays along x, y and z; auto takes "
+    "rays for a closed part and the winding number for others",
+    choices=("auto", "scanline", "winding", "vote"),
+)
+scale = _shared("factor of all lengths", maximum=1e9)
+skin = _shared("thickness of a solid skin inside the surface of the part", unit="mm")
+turn = _shared("angles about x, then y, then z", unit="degrees", minimum=-360, maximum=360)
+rounds = _shared("number of rounds", minimum=1)
+time_limit = _shared("each child process is ended after this time", unit="s", above=0, maximum=1e7)
+
+# layers
+gray = _shared(
+    "samples along a pixel's edge for gray by area coverage; 1 for black and white",
+    minimum=1,
+    maximum=16,
+)
+layer = _shared("layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3)
+pixel = _shared("pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
+
+# files, pictures and tables
+read_path = _shared("file or folder to read")
+write_path = _shared("file or folder to write", output=True)
+unit = _shared("unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))
+image_size = _shared("width and height of the picture", unit="pixels", maximum=8192)
+title = _shared("title of what is written")
+label = _shared("column that names the rows")
+columns = _shared("columns of the table, from left to right")
+headings = _shared("headings of the columns; their names if omitted")
+sort = _shared("column by which rows are sorted; as they stand if empty")
+descending = _shared("sort from large to small")
