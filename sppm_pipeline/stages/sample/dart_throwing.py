@@ -14,6 +14,10 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import InteriorBox, Sampler, options
 from sppm_pipeline.stage import Context, option
 
+HALF_PACKED = 0.5
+"""Fraction of the packing limit at which a number of pores is thrown if nothing says how close they may come: blue
+noise without a trace of crystal order, and every dart finds its place within some tries."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DartThrowing(Sampler):
@@ -27,7 +31,7 @@ class DartThrowing(Sampler):
 
     count: int | None = options.count(None, note="in one interior")
     total: int | None = options.total(None, note="those on the faces are taken off")
-    spacing: Length | None = options.spacing(None, note="that of the face pores if omitted")
+    spacing: Length | None = options.spacing(None, note="that of the face pores if omitted, else that of half packing")
     share: float | None = options.share(None, note="1 until nothing fits")
     clear_faces: bool = option(True, help="keep the spacing between interior pores and face pores, too")
 
@@ -79,11 +83,12 @@ class DartThrowing(Sampler):
         spacing = box.spacing
         share = self.share if count is None else None
         if spacing is None:
-            if self.share is None or count is None:
+            if count is None:
                 raise ConfigError("the spacing is missing", hint="give `spacing`, or `total` with `share`")
             # at share s of the packing limit a count n needs the spacing at which n / s pores are the limit
+            pores = max(round(count / (self.share or HALF_PACKED)), 1)
             sides = tuple(float(v) for v in box.upper - box.lower)
-            spacing = min(largest_spacing(max(round(count / self.share), 1), sides, periodic=box.periodic), 1.0)
+            spacing = min(largest_spacing(pores, sides, periodic=box.periodic), 1.0)
         return throw(
             rng,
             count,
