@@ -24,7 +24,7 @@ SLAB_SAMPLES = 2**20
 KEPT_SAMPLES = 2**25
 """Grids up to this many samples are kept between the pass that finds islands and the one that marches."""
 
-FEWEST, MOST = 4, 2048
+MIN_VOXELS, MAX_VOXELS = 4, 2048
 """Voxels along a cell edge."""
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -42,10 +42,10 @@ def voxels_along_edge(field: ScalarField, resolution: int | None, voxel: Length 
     if voxel is None:
         return resolution or 32
     n = math.ceil(field.physical_edge() / voxel.mm() - 1e-9)
-    if not FEWEST <= n <= MOST:
+    if not MIN_VOXELS <= n <= MAX_VOXELS:
         raise DesignError(
             f"voxels of {voxel} make {n} along an edge of the cell, {field.edge_mm:g} mm; "
-            f"allowed are {FEWEST} to {MOST}",
+            f"allowed are {MIN_VOXELS} to {MAX_VOXELS}",
             hint="choose another `voxel`, or give `resolution` instead",
         )
     return n
@@ -64,7 +64,7 @@ def on_torus(field: ScalarField) -> bool:
 
 
 def node_grid(field: ScalarField, per_cell: int) -> Grid:
-    """The nodes, `per_cell` to a cell edge, on which the surface of a field is found; in cell edges.
+    """The nodes, `per_cell` to a cell edge, on which the surface of a field is found; in cell sizes.
 
     They fill the box of a cell or tiling with both of its ends, and reach one node beyond the domain of a part.
     """
@@ -126,7 +126,7 @@ class FieldSurface:
     ----------
     source : ScalarField
     grid : Grid
-        Nodes, cell edges.
+        Nodes, cell sizes.
     islands : {"remove", "keep"}
         Whether solid that is not connected, across faces of voxels around the nodes, to the largest component is left
         out. On the grid of a lone periodic cell components are found on the torus, so that opposite faces stay equal.
@@ -146,7 +146,7 @@ class FieldSurface:
     def mesh(
         self, threads: int = 1, progress: Callable[[float, float], None] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
-        """Vertices (n, 3) float64 in cell edges, faces (m, 3) int32, and what was removed.
+        """Vertices (n, 3) float64 in cell sizes, faces (m, 3) int32, and what was removed.
 
         The bytes are the same whatever the number of threads.
         """

@@ -27,7 +27,7 @@ NEAREST = {"simple": 1.0, "body_centered": 3**0.5 / 2, "face_centered": 2**0.5 /
 class LatticePoints(MeasuredSampler):
     """Put pores on a simple, body-centered, face-centered or diamond lattice and move each by a random vector.
 
-    No pore moves further than the share `jitter` of the distance of nearest neighbors, so that none come closer than
+    No pore moves further than the fraction `jitter` of the distance of nearest neighbors, so that none come closer than
     ``1 - 2 jitter`` of it. Without jitter this is a crystal, and every interior of a tile set is the same.
     """
 

@@ -15,8 +15,8 @@ from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.field_surface import (
-    FEWEST,
-    MOST,
+    MAX_VOXELS,
+    MIN_VOXELS,
     FieldSurface,
     expected_voxels,
     node_grid,
@@ -49,7 +49,7 @@ class ManifoldSdf(Stage):
     advice: ClassVar[str] = "lower `resolution`, or use `extract.marching_cubes`"
 
     resolution: int | None = options.resolution(
-        None, note="here cubes of a lattice; 32 if `voxel` is not given either", minimum=FEWEST, maximum=MOST
+        None, note="here cubes of a lattice; 32 if `voxel` is not given either", minimum=MIN_VOXELS, maximum=MAX_VOXELS
     )
     voxel: Length | None = options.voxel(
         None,

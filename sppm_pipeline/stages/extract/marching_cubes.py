@@ -15,9 +15,9 @@ from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.field_surface import (
-    FEWEST,
     KEPT_SAMPLES,
-    MOST,
+    MAX_VOXELS,
+    MIN_VOXELS,
     FieldSurface,
     expected_voxels,
     node_grid,
@@ -42,7 +42,7 @@ class MarchingCubes(Stage):
     version: ClassVar[int] = 2
 
     resolution: int | None = options.resolution(
-        None, note="32 if `voxel` is not given either", minimum=FEWEST, maximum=MOST
+        None, note="32 if `voxel` is not given either", minimum=MIN_VOXELS, maximum=MAX_VOXELS
     )
     voxel: Length | None = options.voxel(
         None,

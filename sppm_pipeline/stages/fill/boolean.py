@@ -13,7 +13,14 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.fields.field_surface import FEWEST, MOST, FieldSurface, expected_voxels, node_grid, voxels_along_edge
+from sppm_pipeline.fields.field_surface import (
+    MAX_VOXELS,
+    MIN_VOXELS,
+    FieldSurface,
+    expected_voxels,
+    node_grid,
+    voxels_along_edge,
+)
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.process.budget import child_memory, require_memory
@@ -38,7 +45,7 @@ class BooleanFill(Stage):
     advice: ClassVar[str] = "lower `resolution`, or use `fill.implicit`, which needs no mesh"
 
     resolution: int | None = options.resolution(
-        None, note="32 if `voxel` is not given either", minimum=FEWEST, maximum=MOST
+        None, note="32 if `voxel` is not given either", minimum=MIN_VOXELS, maximum=MAX_VOXELS
     )
     voxel: Length | None = options.voxel(
         None,

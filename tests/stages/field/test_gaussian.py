@@ -1,4 +1,4 @@
-"""Sizes: radii and parameters say the same, in cell edges, in the paper's cell, and in mm."""
+"""Sizes: radii and parameters say the same, in cell sizes, in the paper's cell, and in mm."""
 
 import math
 
@@ -63,7 +63,7 @@ def test_the_same_cell_in_all_units(tunnel):
 
 
 def test_the_paper_s_parameters_in_its_cell():
-    """omega = mu = 30, C = 0.25 in [-1, 1]^3: pores of 0.1075, tunnels of 0.0231 cell edges."""
+    """omega = mu = 30, C = 0.25 in [-1, 1]^3: pores of 0.1075, tunnels of 0.0231 cell sizes."""
     _, told = field(Cell(2.0), omega=30.0, mu=30.0)
     assert told["pore_radius"] == pytest.approx(0.1075, abs=5e-5)
     assert told["tunnel_radius"] == pytest.approx(0.0231, abs=5e-5)
