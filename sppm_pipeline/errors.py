@@ -1,4 +1,4 @@
-"""The exception tree. Every error a user can cause derives from `SppmError` and knows its exit code.
+"""The exception tree. Every error a user can cause derives from `SppmError` and has an exit code.
 
 ::
 

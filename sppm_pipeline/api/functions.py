@@ -51,7 +51,7 @@ class WarningMonitor(Monitor):
 
 
 class MissingSeed(int):
-    """The seed of a call that was given none: whoever draws random numbers is told so."""
+    """The seed of a call that was given none: drawing random numbers from it raises an error."""
 
     def __str__(self) -> str:
         raise ConfigError("this stage draws random numbers, but has no seed", hint="give a seed, for example seed=1")

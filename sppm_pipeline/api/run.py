@@ -162,10 +162,10 @@ class Run:
             return self.table._repr_html_()
         rows = "".join(
             f"<tr><th>{escaped(name)}</th><td>{escaped(shown(value))}</td></tr>"
-            for name, value in list(self.numbers.items())[:MOST_NUMBERS]
+            for name, value in list(self.numbers.items())[:MAX_NUMBERS]
         )
         return f"<table><caption>{escaped(self._plan.name)}</caption>{rows}</table>"
 
 
-MOST_NUMBERS = 200
+MAX_NUMBERS = 200
 """Numbers of a run that notebooks show."""

@@ -1,4 +1,4 @@
-"""What all artifacts share: read-only arrays, a digest of their content, a summary for the run record."""
+"""Base of all artifacts: read-only arrays, a digest of their content, a summary for the run record."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _cell(value: Any) -> str:
     return "<table>" + "".join(f"<tr>{row}</tr>" for row in rows) + "</table>"
 
 
-MOST_SHOWN = 200
+MAX_SHOWN = 200
 """Characters of a value that notebooks show."""
 
 
@@ -104,7 +104,7 @@ def shown(value: Any) -> str:
         text = f"[{', '.join(shown(item) for item in value)}]"
     else:
         text = str(value)
-    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
 def escaped(text: str, most: int = 400) -> str:

@@ -24,13 +24,13 @@ class ConductivityReport(Artifact):
     bulk : tuple of float
         Conductivity of the phase, or of each phase of the solid.
     porosity : float
-        Share of void.
+        Fraction of void.
     tortuosity : tuple of 3 floats or None
-        Share times bulk over effective conductivity along x, y, z; None where nothing flows. With several conductors
-        the sum of shares times bulk.
+        Fraction times bulk over effective conductivity along x, y, z; None where nothing flows. With several conductors
+        the sum of fractions times bulk.
     grid : (nx, ny, nz)
     fractions : bool
-        Whether voxels at the surface count by the share of them that conducts.
+        Whether voxels at the surface count by the fraction of them that conducts.
     precision : str
     iterations : tuple of 3 int
     residuals, errors : tuple of 3 float

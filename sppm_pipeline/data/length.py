@@ -67,7 +67,7 @@ class Cell(Artifact):
     """The periodic cube in which pores are designed.
 
     Inside the program a cell is the unit cube; `edge` says how long that cube's edge is in the lengths that the
-    user writes: 1 for cell edges, 2 for the paper's [-1, 1]^3, 7.5 with unit mm for a physical cell.
+    user writes: 1 for cell sizes, 2 for the paper's [-1, 1]^3, 7.5 with unit mm for a physical cell.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Cell(Artifact):
     physical: bool = False
 
     def fraction(self, length: Length) -> float:
-        """`length` in cell edges.
+        """`length` in cell sizes.
 
         Raises
         ------

@@ -125,7 +125,7 @@ class SurfaceMesh(Artifact):
 
 @dataclass(frozen=True, eq=False)
 class RepeatedMesh(Artifact):
-    """A mesh that stands at several places; copies may touch each other, each is closed by itself.
+    """A mesh placed at several positions; copies may touch each other, each is closed by itself.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class RepeatedMesh(Artifact):
         object.__setattr__(self, "offsets", frozen(np.asarray(self.offsets, np.float64).reshape(-1, 3)))
 
     def check(self) -> None:
-        """A sound mesh, and finite places."""
+        """A valid mesh, and finite positions."""
         self.mesh.check()
         if not np.isfinite(self.offsets).all():
             raise ValueError("the places of copies must be finite")

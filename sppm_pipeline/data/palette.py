@@ -1,4 +1,4 @@
-"""How many interiors and face colors a recipe is asked to draw in one go."""
+"""The number of interiors and face colors that a recipe draws together."""
 
 from __future__ import annotations
 

@@ -24,13 +24,13 @@ class PoreSet(Artifact):
     Attributes
     ----------
     cell : Cell
-    centers : (n, 3) float64, cell edges
+    centers : (n, 3) float64, cell sizes
     piece : (n,) int32
     interiors : int
     colors : tuple of 3 ints
         Number of face patterns perpendicular to x, y, z; zeros where no pores were put on faces.
     spacing : float or None
-        Smallest distance the sampler kept between pores, cell edges.
+        Smallest distance the sampler kept between pores, cell sizes.
     """
 
     cell: Cell
@@ -57,7 +57,7 @@ class PoreSet(Artifact):
         edge : str or float, optional
             Edge of the cell with a unit, for instance ``"7.5 mm"``, or in mm; without it the cell has no physical size.
         spacing : float, optional
-            Smallest distance between the pores, cell edges.
+            Smallest distance between the pores, cell sizes.
 
         Raises
         ------

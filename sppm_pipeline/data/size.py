@@ -1,4 +1,4 @@
-"""How large artifacts, and the work on them, will be before they exist: what estimates are computed from."""
+"""Expected sizes of artifacts, and of the work on them: what estimates are computed from."""
 
 from __future__ import annotations
 

@@ -23,8 +23,8 @@ class StiffnessReport(Artifact):
     ----------
     stiffness : (6, 6) float64
         In `unit`.
-    phases : tuple of (share, Young's modulus, Poisson's ratio)
-        What the cell is made of, void (modulus 0) included; shares sum to 1.
+    phases : tuple of (fraction, Young's modulus, Poisson's ratio)
+        What the cell is made of, void (modulus 0) included; fractions sum to 1.
     method : str
         How it was found, for people.
     unit : str or None
@@ -58,8 +58,8 @@ class StiffnessReport(Artifact):
             raise ValueError("a stiffness is symmetric")
         if np.linalg.eigvalsh(c)[0] < -1e-4 * largest:
             raise ValueError("a stiffness has no negative energy")
-        if abs(sum(share for share, _, _ in self.phases) - 1) > 1e-6:
-            raise ValueError(f"the shares of the phases sum to 1, got {self.phases}")
+        if abs(sum(fraction for fraction, _, _ in self.phases) - 1) > 1e-6:
+            raise ValueError(f"the fractions of the phases sum to 1, got {self.phases}")
 
     @property
     def C(self) -> NDArray[np.float64]:
@@ -68,8 +68,8 @@ class StiffnessReport(Artifact):
 
     @property
     def porosity(self) -> float:
-        """Share of the void."""
-        return sum(share for share, young, _ in self.phases if young == 0)
+        """Fraction of the void."""
+        return sum(fraction for fraction, young, _ in self.phases if young == 0)
 
     @property
     def base(self) -> float:

@@ -41,7 +41,7 @@ class NotStorable(TypeError):
 
 
 class DamagedError(Exception):
-    """What was read is not what was written."""
+    """Stored data differ from what was written."""
 
 
 class StoredFile(NamedTuple):

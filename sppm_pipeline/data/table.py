@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.data.artifact import Artifact, escaped, shown
 from sppm_pipeline.errors import ConfigError
 
-MOST_ROWS = 20
+MAX_ROWS = 20
 """Rows that notebooks show."""
 
 
@@ -38,7 +38,7 @@ class Table(Artifact):
     Attributes
     ----------
     columns : mapping of str to tuple
-        Numbers, texts, or None where a run has no value. The columns of a sweep are ``run``, its parameters,
+        Numbers, strings, or None where a run has no value. The columns of a sweep are ``run``, its parameters,
         ``status``, ``error``, then ``<stage id>.<number>``.
     files : mapping of str to tuple of RunFile or None
         Of a sweep, the files that its runs wrote, by the name that they have in the folder of each run.
@@ -74,9 +74,9 @@ class Table(Artifact):
     def _repr_html_(self) -> str:
         """The first rows, as notebooks show them."""
         head = "".join(f"<th>{escaped(name)}</th>" for name in self.columns)
-        rows = zip(*(values[:MOST_ROWS] for values in self.columns.values()), strict=True)
+        rows = zip(*(values[:MAX_ROWS] for values in self.columns.values()), strict=True)
         body = "".join("<tr>" + "".join(f"<td>{escaped(shown(v))}</td>" for v in row) + "</tr>" for row in rows)
-        more = f"<p>{self.rows - MOST_ROWS} more rows</p>" if self.rows > MOST_ROWS else ""
+        more = f"<p>{self.rows - MAX_ROWS} more rows</p>" if self.rows > MAX_ROWS else ""
         return f"<table><tr>{head}</tr>{body}</table>{more}"
 
     def check(self) -> None:
@@ -113,7 +113,7 @@ class Table(Artifact):
         return np.array([float(v) if isinstance(v, (bool, int, float)) else np.nan for v in self.column(name)], float)
 
     def texts(self, name: str) -> list[str]:
-        """The values of a column as texts, empty where there is nothing.
+        """The values of a column as strings, empty where there is nothing.
 
         Raises
         ------

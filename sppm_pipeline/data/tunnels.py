@@ -74,7 +74,7 @@ class TunnelGraph(Artifact):
             raise ValueError("a tunnel between two pieces must lead from an interior pore to a face pore")
 
     def segments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Start and end points of all tunnels, each (m, 3), cell edges."""
+        """Start and end points of all tunnels, each (m, 3), cell sizes."""
         start = self.pores.centers[self.edges[:, 0]]
         return start, self.pores.centers[self.edges[:, 1]] + self.shift
 

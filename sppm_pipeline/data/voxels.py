@@ -21,7 +21,7 @@ class Voxels(Artifact):
         Indexed x, y, z; x is contiguous in memory. As integers the phase, 0 for void; as floats the fraction of the
         voxel that is solid, from 0 to 1.
     spacing : (sx, sy, sz)
-        Edges of a voxel, mm, or cell edges if `physical` is False.
+        Edges of a voxel, mm, or cell sizes if `physical` is False.
     physical : bool
     periodic : tuple of 3 bools
         Whether opposite sides are neighbors.
@@ -127,7 +127,7 @@ class Voxels(Artifact):
         return self.values >= 0.5 if self.fractions else self.values > 0
 
     def summary(self) -> dict[str, Any]:
-        """Shape, porosity, and the share of each phase."""
+        """Shape, porosity, and the fraction of each phase."""
         size = self.values.size
         summary: dict[str, Any] = {
             "shape": list(self.shape),
@@ -136,5 +136,5 @@ class Voxels(Artifact):
         }
         if self.fractions:
             return {**summary, "porosity": 1 - float(self.values.sum(dtype=np.float64)) / size}
-        shares = np.bincount(self.values.reshape(-1, order="F"), minlength=2) / size
-        return {**summary, "porosity": float(shares[0]), "phases": [float(share) for share in shares[1:]]}
+        fractions = np.bincount(self.values.reshape(-1, order="F"), minlength=2) / size
+        return {**summary, "porosity": float(fractions[0]), "phases": [float(fraction) for fraction in fractions[1:]]}

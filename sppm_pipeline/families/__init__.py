@@ -1,4 +1,4 @@
-"""Base classes of the families whose members share work: a new sampler, connector, formula or tile rule is one method.
+"""Base classes of families of stages: a new sampler, connector, formula or tile rule is one method.
 
 A sampler in a few lines::
 

@@ -20,7 +20,7 @@ from sppm_pipeline.stage import Context, Stage
 
 @dataclass(frozen=True, kw_only=True)
 class Formula(Stage):
-    """What `FieldMaker` and `PartFieldMaker` share: the formula, and the size of a cell.
+    """Common base of `FieldMaker` and `PartFieldMaker`: the formula, and the size of a cell.
 
     Implement `cut_at` where an option says what tuning the porosity should change, and `finest_radius` where it is
     known what a grid must show.

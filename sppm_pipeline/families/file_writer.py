@@ -1,4 +1,4 @@
-"""What stages that write one file share: the format told by the extension, the file written piece by piece."""
+"""Base of stages that write one file: the format chosen by the extension, the file written piece by piece."""
 
 from __future__ import annotations
 

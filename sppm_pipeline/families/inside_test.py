@@ -45,7 +45,7 @@ def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[Surf
         return mesh, found.method
     context.report(undecided_share=found.undecided_share, disagreement=found.disagreement)
     what = (
-        f"{mesh.name} is not closed; its inside is told by {_WORDS[found.method]}, "
+        f"{mesh.name} is not closed; its inside is decided by {_WORDS[found.method]}, "
         f"and {found.undecided_share:.1%} of it is doubtful"
     )
     if found.undecided_share > MAX_UNDECIDED:

@@ -134,7 +134,7 @@ class LayerWriter(Stage):
         (target / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
 
     def encoding(self, stack: SliceStack) -> dict[str, Any]:
-        """Entries of ``manifest.json`` that tell how `encode` writes a pixel."""
+        """Entries of ``manifest.json`` that describe how `encode` writes a pixel."""
         return {}
 
     def run(self, context: Context, stack: SliceStack) -> None:

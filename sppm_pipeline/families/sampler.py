@@ -90,7 +90,7 @@ class Sampler(Stage):
         return (self.requested_spacing(cell) or pores.spacing or 0.0) if pores.has_faces else 0.0
 
     def expected_count(self, face_pores: float) -> float:
-        """Pores of one interior as the options tell; `LookupError` if they do not."""
+        """Pores of one interior as the options state; `LookupError` if they do not."""
         for name in ("count", "total"):
             value = getattr(self, name, None)
             if value is not None:

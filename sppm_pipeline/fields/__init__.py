@@ -1,1 +1,1 @@
-"""What is evaluated lazily: scalar fields, what is composed of them, and the stacks of layers cut from them."""
+"""Lazily evaluated data: scalar fields, fields composed of fields, and the stacks of layers cut from them."""

@@ -1,4 +1,4 @@
-"""What lies in a mesh and how far from its surface, layer by layer of one grid."""
+"""Inside test of, and signed distance from, a mesh, layer by layer of one grid."""
 
 from __future__ import annotations
 

@@ -28,14 +28,14 @@ class FieldSlices(SliceStack):
     ----------
     source : ScalarField
     grid : Grid
-        Pixel centers of all layers, cell edges.
+        Pixel centers of all layers, cell sizes.
     pixel, layer : float
         Pitch and height, mm.
     lower : tuple of 3 floats
         World position of the low corner of the stack, mm.
     islands : {"remove", "keep"}
     subsamples : int
-        For gray layers: each pixel is sampled on k x k points, and its value is the solid share.
+        For gray layers: each pixel is sampled on k x k points, and its value is the solid fraction.
     """
 
     source: ScalarField

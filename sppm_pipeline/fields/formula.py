@@ -24,7 +24,7 @@ from sppm_pipeline.numerics.threads import ordered_map
 BLOCK = 1 << 18
 """Samples evaluated together by one thread: few enough that intermediate results stay in the processor's cache."""
 
-MOST_KEPT = 512
+MAX_KEPT = 512
 """Cells whose tables are kept, some 200 KB each: a slab of a part of 22 x 22 cells."""
 
 CellIndex = tuple[int, int, int]
@@ -100,7 +100,7 @@ class FormulaField(PlacedField):
 class CellCache:
     """What was made for the cells that were asked for last."""
 
-    def __init__(self, most: int = MOST_KEPT) -> None:
+    def __init__(self, most: int = MAX_KEPT) -> None:
         self._most = most
         self._made: OrderedDict[Any, Any] = OrderedDict()
         self._lock = Lock()

@@ -37,9 +37,9 @@ class MeshSlices(SliceStack):
     size : tuple of 3 ints
         Pixels along x and y, number of layers.
     method : {"scanline", "winding", "vote"}
-        How it is told what is inside.
+        Method of the inside test.
     subsamples : int
-        For gray layers: each pixel is sampled on k x k points, and its value is the solid share.
+        For gray layers: each pixel is sampled on k x k points, and its value is the solid fraction.
     """
 
     source: SurfaceMesh

@@ -35,7 +35,7 @@ class Microstructure(ScalarField):
     graph : TunnelGraph
         The pores and tunnels the kernels stand for.
     pieces : Pieces
-        Kernels by interior, face and connector; cell edges.
+        Kernels by interior, face and connector; cell sizes.
     level : float
         The level C: solid where the sum is smaller.
     """

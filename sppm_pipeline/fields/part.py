@@ -33,7 +33,7 @@ class Part(WrappedField):
     islands : {"remove", "keep"}
         Whether solid that is not connected to the largest component is left out where the part is sliced or meshed.
     inside : {"scanline", "winding", "vote"} or None
-        How it is told what lies in the domain; None for the first if the domain bounds a solid, else the second.
+        Method of the inside test of the domain; None for the first if the domain bounds a solid, else the second.
     """
 
     domain: SurfaceMesh
@@ -47,20 +47,20 @@ class Part(WrappedField):
 
     @property
     def method(self) -> Method:
-        """How it is told what lies in the domain."""
+        """Method of the inside test of the domain."""
         from sppm_pipeline.numerics.domain.inside import way_for
 
         return self.inside or way_for(self.domain.bounds_solid)
 
     def in_mm(self, grid: Grid) -> Grid:
-        """`grid`, given in cell edges, in world millimeters."""
+        """`grid`, given in cell sizes, in world millimeters."""
         edge = self.physical_edge()
         x, y, z = (o + edge * g for o, g in zip(self.origin_mm, grid.origin, strict=True))
         hx, hy, hz = (edge * h for h in grid.spacing)
         return Grid((x, y, z), (hx, hy, hz), grid.shape)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        """The larger of the microstructure's field and the distance from the domain in cell edges.
+        """The larger of the microstructure's field and the distance from the domain in cell sizes.
 
         Who extracts a surface takes both apart, as their sizes have nothing to do with each other.
         """
@@ -70,7 +70,7 @@ class Part(WrappedField):
     def sample_apart(
         self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The microstructure's field, made solid inside the skin, and the distance from the domain in cell edges.
+        """The microstructure's field, made solid inside the skin, and the distance from the domain in cell sizes.
 
         The distance is cut off one spacing from the surface of the domain; with a skin, as much farther as that is
         thick. Layers start <= k < stop of the grid, all of them unless given.
@@ -88,7 +88,7 @@ class Part(WrappedField):
         """The fields of the microstructure, of the skin (None without one) and of the domain; see `sample_apart`.
 
         Solid is where the domain's field is negative and one of the other two as well. Those of the domain and of the
-        skin are distances in cell edges; that of the microstructure is steeper or flatter.
+        skin are distances in cell sizes; that of the microstructure is steeper or flatter.
         """
         stop = grid.shape[2] if stop is None else stop
         inner = self.base.sample_layers(grid, start, stop, threads)

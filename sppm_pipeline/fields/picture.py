@@ -18,10 +18,10 @@ from sppm_pipeline.numerics.grid import Grid, cell_nodes
 if TYPE_CHECKING:
     from sppm_pipeline.render.camera import Camera
 
-MOST_SAMPLES = 64_000_000
+MAX_SAMPLES = 64_000_000
 """Samples of a field for one picture; finer grids are coarsened, as no pixel would show the difference."""
 
-MOST_TILES = 64
+MAX_TILES = 64
 """Tiles on a sheet."""
 
 
@@ -33,7 +33,7 @@ def field_picture(
     *,
     section: float | None = None,
     threads: int = 1,
-    most_samples: int = MOST_SAMPLES,
+    max_samples: int = MAX_SAMPLES,
 ) -> NDArray[np.uint8]:
     """The solid of a field as a picture (height, width, 3).
 
@@ -41,12 +41,12 @@ def field_picture(
     ----------
     field : ScalarField
     resolution : int
-        Samples along a cell edge; fewer if there were more than `most_samples`.
+        Samples along a cell edge; fewer if there were more than `max_samples`.
     size : (width, height)
     camera : Camera
     section : float, optional
-        Keep only this share along y, the far side, to look inside.
-    threads, most_samples : int
+        Keep only this fraction along y, the far side, to look inside.
+    threads, max_samples : int
     """
     from sppm_pipeline.render.mesh_view import render_field
 
@@ -58,7 +58,7 @@ def field_picture(
     if section is not None:
         low[1] = high[1] - section * (high[1] - low[1])
     n = resolution
-    while n > 4 and np.prod((high - low) * n + 1) > most_samples:
+    while n > 4 and np.prod((high - low) * n + 1) > max_samples:
         n -= 1
     first, last = np.floor(low * n + 1e-6).astype(int), np.ceil(high * n - 1e-6).astype(int)
     nx, ny, nz = (int(v) for v in last - first + 1)
@@ -78,13 +78,13 @@ def tile_sheet(
     threads: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.uint8]:
-    """Pictures of the tiles of a set, up to `MOST_TILES`, with their colors and porosities."""
+    """Pictures of the tiles of a set, up to `MAX_TILES`, with their colors and porosities."""
     from sppm_pipeline.render.mesh_view import render_field
     from sppm_pipeline.render.sheets import contact_sheet
 
     pictures, labels = [], []
     c = tileset.palette_colors
-    shown = min(tileset.micro.interiors, MOST_TILES)
+    shown = min(tileset.micro.interiors, MAX_TILES)
     for t in range(shown):
         colors = (t // c**2, t // c % c, t % c) if tileset.kind == "wang" else (0, 0, 0)
         grid = cell_nodes(resolution)
@@ -109,4 +109,4 @@ def notebook_png(what: ScalarField | TileSet) -> bytes | None:
         return png_of(tile_sheet(what, 24, Camera()))
     if isinstance(what, Microstructure) and (what.interiors > 1 or max(what.colors) > 1):
         return None
-    return png_of(field_picture(what, 40, NOTEBOOK_SIZE, Camera(), most_samples=NOTEBOOK_SAMPLES))
+    return png_of(field_picture(what, 40, NOTEBOOK_SIZE, Camera(), max_samples=NOTEBOOK_SAMPLES))

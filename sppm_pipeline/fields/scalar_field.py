@@ -19,7 +19,7 @@ RESOLVED = 1.2
 class ScalarField(Artifact, ABC):
     """A field ``G - C`` over a lattice of unit cells: negative inside the solid, positive in pores and tunnels.
 
-    It is no distance. Positions are in cell edges, measured from the lattice origin; `edge_mm` and `origin_mm` say
+    It is no distance. Positions are in cell sizes, measured from the lattice origin; `edge_mm` and `origin_mm` say
     where that is in the world. Nothing is computed before somebody samples it.
 
     Attributes
@@ -50,13 +50,13 @@ class ScalarField(Artifact, ABC):
 
     @abstractmethod
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        """Values in the layers start <= k < stop of a grid (cell edges), (stop - start, ny, nx) float32, C-contiguous.
+        """Values in the layers start <= k < stop of a grid (cell sizes), (stop - start, ny, nx) float32, C-contiguous.
 
         A sample depends on its position alone: not on the number of threads, nor on the layers that are asked for.
         """
 
     def sample(self, grid: Grid | int, threads: int = 1) -> NDArray[np.float32]:
-        """Values at the points of a grid (cell edges), (nz, ny, nx) float32, C-contiguous.
+        """Values at the points of a grid (cell sizes), (nz, ny, nx) float32, C-contiguous.
 
         Parameters
         ----------
@@ -96,16 +96,16 @@ class ScalarField(Artifact, ABC):
 
     @property
     def finest_radius(self) -> float | None:
-        """Radius of the thinnest tunnel, cell edges; None if it is unknown."""
+        """Radius of the thinnest tunnel, cell sizes; None if it is unknown."""
         return None
 
     def coarseness(self, spacing: float) -> str | None:
-        """What to tell a user whose samples lie too far apart to show the thinnest tunnels; None if they do not.
+        """Warning for samples too far apart to resolve the thinnest tunnels; None if they are not.
 
         Parameters
         ----------
         spacing : float
-            Distance of samples, cell edges.
+            Distance of samples, cell sizes.
         """
         radius = self.finest_radius
         if radius is None or spacing <= RESOLVED * radius:

@@ -23,7 +23,7 @@ class Slabs:
     Attributes
     ----------
     findings : dict
-        Empty until the last slab was read; then for instance the solid volume and the share of islands removed.
+        Empty until the last slab was read; then for instance the solid volume and the fraction of islands removed.
     """
 
     def __init__(self, source: Generator[Slab, None, dict[str, Any]]) -> None:

@@ -45,7 +45,7 @@ class WrappedField(ScalarField):
         return self.base.origin_mm
 
     def summary(self) -> dict[str, Any]:
-        """That of the field it was made from."""
+        """The summary of the field it was made from."""
         return self.base.summary()
 
 
@@ -82,7 +82,7 @@ class CutField(WrappedField):
         return values
 
     def summary(self) -> dict[str, Any]:
-        """That of the field, and where it is cut."""
+        """The summary of the field, and the value it is cut at."""
         return {**self.base.summary(), "cut": self.value}
 
 

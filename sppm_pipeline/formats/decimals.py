@@ -39,7 +39,7 @@ class Words(NamedTuple):
 
     @classmethod
     def of(cls, first: bytes, second: bytes, third: bytes, last: bytes) -> Words:
-        """Pack four texts of at most 16 characters."""
+        """Pack four strings of at most 16 characters."""
         words = [first, second, third, last]
         if max(map(len, words)) > _LONGEST_WORD:
             raise ValueError(f"a word between numbers has at most {_LONGEST_WORD} characters")

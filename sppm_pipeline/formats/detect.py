@@ -54,7 +54,7 @@ def format_of_name(name: str) -> str:
 
 
 def sniff(data: bytes | memoryview | bytearray) -> str | None:
-    """What the content looks like: a key of `FORMATS`, a description of something else, or None if unclear."""
+    """Guess the format from the content: a key of `FORMATS`, a description of something else, or None if unclear."""
     head = bytes(data[:4096])
     if head[:4] == b"glTF":
         return "glb"
@@ -81,7 +81,7 @@ def sniff(data: bytes | memoryview | bytearray) -> str | None:
 
 
 class MeshFile(NamedTuple):
-    """What a mesh file says.
+    """The contents of a mesh file.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What all mesh encoders share: checks of what is to be written, blocks of rows in order, words of the machine."""
+"""Common parts of the mesh encoders: input checks, blocks of rows encoded in order, operations on machine words."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 class Written(NamedTuple):
-    """A mesh as the encoders want it.
+    """A mesh as the encoders need it.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ def little_endian(rows: NDArray[Any]) -> memoryview:
 
 
 def in_blocks(rows: int, encode: Callable[[slice], T], threads: int) -> Iterator[T]:
-    """What `encode` makes of each block of rows, in their order."""
+    """Encode each block of rows by threads, in order."""
     blocks = (slice(start, min(start + ROWS_AT_ONCE, rows)) for start in range(0, rows, ROWS_AT_ONCE))
     return ordered_map(encode, blocks, threads if rows > ROWS_AT_ONCE else 1)
 

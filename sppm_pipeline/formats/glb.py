@@ -13,7 +13,7 @@ from sppm_pipeline.formats.glb_encode import encode as encode
 from sppm_pipeline.formats.gltf import Entry, read_document, read_meshes
 from sppm_pipeline.formats.mesh_arrays import (
     IDENTITY,
-    MOST_PLACED,
+    MAX_PLACED,
     DecodedMesh,
     Matrix,
     after,
@@ -117,8 +117,8 @@ def _require_readable(document: Entry) -> None:
 def _nodes(document: Entry) -> list[tuple[Entry, Matrix]]:
     """The nodes of the scene that have a mesh, with their transformation, in the order of the tree."""
     nodes, scenes = document.entries("nodes"), document.entries("scenes")
-    if len(nodes) > MOST_PLACED:
-        document.fail(f"it has {len(nodes)} nodes; at most {MOST_PLACED} are read")
+    if len(nodes) > MAX_PLACED:
+        document.fail(f"it has {len(nodes)} nodes; at most {MAX_PLACED} are read")
     children = [node.integers("children") for node in nodes]
     if scenes:
         number = document.integer("scene", 0)

@@ -15,7 +15,7 @@ from sppm_pipeline.numerics.compiled import jit
 
 _METER = 1000.0  # mm
 _FLOAT, _UINT, _ARRAY, _ELEMENTS = 5126, 5125, 34962, 34963  # codes of the specification
-_MOST = 2**32 - 1
+_MAX = 2**32 - 1
 
 
 def encode(
@@ -29,7 +29,7 @@ def encode(
 ) -> Iterator[bytes | memoryview]:
     """Write a mesh, (n, 3) in millimeters with z up and (m, 3), piece by piece. Same mesh, same bytes.
 
-    Positions are turned, y up, and stored as float32 meters, as the specification wants it.
+    Positions are turned, y up, and stored as float32 meters, as the specification requires.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def encode(
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + size
-    if total > _MOST:
+    if total > _MAX:
         raise DesignError(f"the file would have {total} bytes; a GLB holds up to 4 GiB", hint="write the mesh as PLY")
     yield b"glTF" + _word(2) + _word(total) + _word(len(text)) + b"JSON" + text + _word(size) + b"BIN\0"
     for array in arrays:

@@ -1,4 +1,4 @@
-"""What a glTF document says, and its tables: every value and bound is checked here, trimesh reads the numbers.
+"""The document of a glTF file, and its tables: every value and bound is checked here, trimesh reads the numbers.
 
 trimesh is given a file of its own, with one mesh for each surface and nothing but positions and vertex numbers. What it
 passes over or takes as it stands (sparse changes, normalized integers, fans) is written out before.
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.mesh_arrays import MOST_TRIANGLES, DecodedMesh, merge_equal, require_sound
+from sppm_pipeline.formats.mesh_arrays import MAX_TRIANGLES, DecodedMesh, merge_equal, require_sound
 from sppm_pipeline.formats.trimesh_reader import tables_by_trimesh
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
@@ -24,7 +24,7 @@ _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126:
 _WIDTHS = {"SCALAR": 1, "VEC3": 3}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _NO_SURFACE = {0, 1, 2, 3}  # points and lines
-_LARGEST, _MOST_VALUES = 2**24, 2**20
+_LARGEST, _MAX_VALUES = 2**24, 2**20
 
 
 def read_document(text: bytes, name: str) -> Entry:
@@ -36,10 +36,10 @@ def read_document(text: bytes, name: str) -> Entry:
         If it is no JSON object, or a very large one.
     """
     values = text.count(b",") + text.count(b"[") + text.count(b"{")
-    if len(text) > _LARGEST or values > _MOST_VALUES:
+    if len(text) > _LARGEST or values > _MAX_VALUES:
         raise InputError(
             f"{name}: its JSON has {len(text)} bytes and about {values} values; read are up to {_LARGEST} and "
-            f"{_MOST_VALUES}",
+            f"{_MAX_VALUES}",
             hint="export fewer objects: join them to one mesh",
         )
     try:
@@ -261,8 +261,8 @@ class _Tables:
             if len(corners) < 3:
                 continue
             self._rows += max(len(positions), len(corners) // (3 if mode == _TRIANGLES else 1))
-            if self._rows > MOST_TRIANGLES:
-                primitive.fail(f"with it the file has more than {MOST_TRIANGLES} vertices or triangles")
+            if self._rows > MAX_TRIANGLES:
+                primitive.fail(f"with it the file has more than {MAX_TRIANGLES} vertices or triangles")
             if mode == _FAN:
                 corners = np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], 1).reshape(-1)
             attributes = {"POSITION": self._put(positions, "VEC3")}

@@ -24,7 +24,7 @@ from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE, VoxelImage, checked
 
 ENDINGS = (".png", ".tif", ".tiff")
 
-MOST_LAYERS = 1 << 16
+MAX_LAYERS = 1 << 16
 
 _DEFLATED = (8, 32946)  # compression schemes of TIFF
 _HIGHEST_RATIO, _ALWAYS_ALLOWED = 1032, 2**26
@@ -52,8 +52,8 @@ def decode_tiff(data: bytes, name: str) -> VoxelImage:
             _require_gray(series, name)
         ((height, width), dtype, photometric) = kinds.pop()
         layers = sum(math.prod(series.shape[:-2]) for series in file.series)
-        if layers > MOST_LAYERS:
-            raise InputError(f"{name} has {layers} pages; the limit is {MOST_LAYERS}")
+        if layers > MAX_LAYERS:
+            raise InputError(f"{name} has {layers} pages; the limit is {MAX_LAYERS}")
         checked_shape((width, height, layers), dtype.itemsize, name)
         for series in file.series:
             for page in series.pages:
@@ -104,8 +104,8 @@ def read_folder(folder: Path) -> VoxelImage:
             f"{folder} holds {'files ending in ' + ' and '.join(endings) if files else 'no pictures'}",
             hint=f"a stack is a folder of files of one kind: {', '.join(ENDINGS)}",
         )
-    if len(files) > MOST_LAYERS:
-        raise InputError(f"{folder} has {len(files)} pictures; the limit is {MOST_LAYERS}")
+    if len(files) > MAX_LAYERS:
+        raise InputError(f"{folder} has {len(files)} pictures; the limit is {MAX_LAYERS}")
     files.sort(key=lambda path: ([int(word) for word in re.findall(r"\d+", path.name)][-1:], path.name))
 
     if endings != [".png"]:

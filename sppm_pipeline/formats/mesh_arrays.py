@@ -1,4 +1,4 @@
-"""What readers of mesh formats share: the checks before a mesh is handed out, equal positions merged, copies placed."""
+"""Common parts of the mesh readers: validation of the result, equal positions merged, copies placed."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Matrix = NDArray[np.float64]
 IDENTITY: Matrix = np.eye(3, 4)
 IDENTITY.flags.writeable = False
 
-MOST_TRIANGLES = 2**25
+MAX_TRIANGLES = 2**25
 """A few kilobytes can ask for any number of copies; more triangles than this are not made of them."""
 
-MOST_PLACED = 2**17
+MAX_PLACED = 2**17
 """Objects and copies of objects in one file, empty ones included."""
 
 _AT_ONCE = 2**20  # vertices
@@ -186,9 +186,9 @@ def after(outer: Matrix, inner: Matrix) -> Matrix:
 def require_few(name: str, placed: int, vertices: int, triangles: int) -> None:
     """Raise InputError, before anything is allocated, if the copies of a file add up to too much."""
     for count, limit, what in (
-        (placed, MOST_PLACED, "copies of objects"),
-        (triangles, MOST_TRIANGLES, "triangles"),
-        (vertices, MOST_TRIANGLES, "vertices"),
+        (placed, MAX_PLACED, "copies of objects"),
+        (triangles, MAX_TRIANGLES, "triangles"),
+        (vertices, MAX_TRIANGLES, "vertices"),
     ):
         if count > limit:
             many = str(count) if count < 10**18 else "more than 10^18"

@@ -52,7 +52,7 @@ class _Element(NamedTuple):
         return any(entry.counter for entry in self.properties)
 
     @property
-    def least_bytes(self) -> int:
+    def min_bytes(self) -> int:
         """Bytes of one row, its lists being empty."""
         return sum(entry.size for entry in self.properties)
 
@@ -230,7 +230,7 @@ def _binary(
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int64)
     for element in elements:
         left = len(view) - position
-        require_room(name, f"elements {element.name!r}", element.rows, element.least_bytes, left, position)
+        require_room(name, f"elements {element.name!r}", element.rows, element.min_bytes, left, position)
         if not element.properties:
             continue
         start = position

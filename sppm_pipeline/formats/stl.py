@@ -71,7 +71,7 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     faces = faces.reshape(-1, 3)
     require_faces(name, faces)
     if not edge_counts(faces).closed:
-        # CAD programs leave noise of 1e-16 where they mean 0, and so rims that are none.
+        # CAD programs leave noise of 1e-16 where they mean 0, and so boundary loops that are none.
         step = largest(corners.reshape(-1)) / 2**24 or 1.0
         first_coarse, coarse = merge_equal(np.rint(corners.astype(np.float64) / step).astype(np.int32))
         coarse = coarse.reshape(-1, 3)

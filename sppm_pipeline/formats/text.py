@@ -1,4 +1,4 @@
-"""ASCII mesh files, line by line: words and numbers, and messages that say where something is wrong."""
+"""Line reader for ASCII mesh files: words and numbers, and error messages with the line."""
 
 from __future__ import annotations
 

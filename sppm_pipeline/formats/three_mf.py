@@ -27,7 +27,7 @@ _USUAL_MODEL = "3D/3dmodel.model"
 _RELATIONSHIP = "http://schemas.openxmlformats.org/package/2006/relationships Relationship"
 _MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _SMALL_PART = 2**20
-_MOST_PARTS = 4096
+_MAX_PARTS = 4096
 _DEEPEST = 256  # components inside components
 _SOLID = {"model", "surface"}  # objects of other types are supports and modifiers, not the part
 
@@ -116,8 +116,8 @@ class _Package:
     def model(self, part: str) -> Model:
         """A model part."""
         if part not in self._models:
-            if len(self._models) >= _MOST_PARTS:
-                raise InputError(f"{self._name}: it is spread over more than {_MOST_PARTS} parts")
+            if len(self._models) >= _MAX_PARTS:
+                raise InputError(f"{self._name}: it is spread over more than {_MAX_PARTS} parts")
             model = read_model(self._archive.read(part, LARGEST_PART), self._name, part)
             first = next(iter(self._models.values()), model)
             if model.unit != first.unit:

@@ -38,7 +38,7 @@ def encode(
     metadata: Mapping[str, str] | None = None,
     offsets: NDArray[np.floating] | None = None,
 ) -> Iterator[bytes | memoryview]:
-    """Write a mesh, (n, 3) in millimeters and (m, 3), piece by piece, as the core specification wants it.
+    """Write a mesh, (n, 3) in millimeters and (m, 3), piece by piece, as the core specification requires.
 
     Coordinates are rounded to 5e-10 of the power of ten above the largest one. Same mesh, same bytes.
 

@@ -19,7 +19,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.mesh_arrays import IDENTITY, MOST_PLACED, MOST_TRIANGLES, DecodedMesh, Matrix, require_sound
+from sppm_pipeline.formats.mesh_arrays import IDENTITY, MAX_PLACED, MAX_TRIANGLES, DecodedMesh, Matrix, require_sound
 from sppm_pipeline.formats.trimesh_reader import tables_by_trimesh
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
@@ -213,7 +213,7 @@ class _ModelReader(XmlReader):
         self._parser.StartNamespaceDeclHandler = self._declare
 
     def model(self) -> Model:
-        """What was read."""
+        """The model that was read."""
         if self._unit is None:
             self.fail("there is no model")
         return Model(self._unit, self._objects, self._items)
@@ -261,8 +261,8 @@ class _ModelReader(XmlReader):
         if tag == _OBJECT and self._identifier is not None and self.path[-1] == _RESOURCES:
             self._objects[self._identifier] = Object(self._kind, self._mesh, self._components)
             self._identifier = None
-            if len(self._objects) > MOST_PLACED:
-                self.fail(f"there are more than {MOST_PLACED} objects")
+            if len(self._objects) > MAX_PLACED:
+                self.fail(f"there are more than {MAX_PLACED} objects")
 
     def _start_model(self, tag: str, attributes: dict[str, str]) -> None:
         if tag != _MODEL:
@@ -280,8 +280,8 @@ class _ModelReader(XmlReader):
         """The tables of the mesh that has ended, which trimesh reads piece by piece: its memory grows with the text."""
         if not self._counts[_TRIANGLES]:
             return np.empty((0, 3)), np.empty((0, 3), np.int64)
-        if max(self._counts.values()) > MOST_TRIANGLES:
-            self.fail(f"a mesh has more than {MOST_TRIANGLES} vertices or triangles")
+        if max(self._counts.values()) > MAX_TRIANGLES:
+            self.fail(f"a mesh has more than {MAX_TRIANGLES} vertices or triangles")
         where = f"{self._name}: {self._part}, object {self._identifier}"
         names = {(f"xmlns:{prefix}" if prefix else "xmlns"): uri for prefix, uri in self._prefixes.items()}
         declared = " ".join(f"{key}={quoteattr(uri)}" for key, uri in names.items()).encode()
@@ -303,8 +303,8 @@ class _ModelReader(XmlReader):
 
     def _use(self, attributes: dict[str, str]) -> Use:
         self._uses += 1
-        if self._uses > MOST_PLACED:
-            self.fail(f"there are more than {MOST_PLACED} components and items")
+        if self._uses > MAX_PLACED:
+            self.fail(f"there are more than {MAX_PLACED} components and items")
         part = attributes.get(_PATH)
         return Use(part, self._number(attributes, "objectid"), self._matrix(attributes.get("transform")))
 

@@ -63,7 +63,7 @@ def decode_other(data: bytes | memoryview | bytearray, name: str, kind: str) -> 
     -------
     mesh : ((n, 3) float64, (m, 3) int64)
     unit : str or None
-        The unit that the file states, if trimesh tells.
+        The unit that the file states, if trimesh knows it.
     mm : float
         That unit in millimeters; 1 if there is none.
 

@@ -1,4 +1,4 @@
-"""What the formats of volume meshes share: checked arrays, numbers as rows of text."""
+"""Common parts of the volume mesh formats: checked arrays, numbers as rows of text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CHUNK = 20000
 def as_written(
     nodes: NDArray[np.floating], cells: NDArray[np.integer], materials: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.uint8]]:
-    """The arrays as the encoders want them: (n, 3) float64, (m, 4) or (m, 10) int32, (m,) uint8, C-contiguous.
+    """The arrays as the encoders need them: (n, 3) float64, (m, 4) or (m, 10) int32, (m,) uint8, C-contiguous.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def number_rows(rows: NDArray[np.float64], separator: str, first: int | None = N
 
 
 def integer_rows(rows: NDArray[np.integer] | Sequence[Sequence[int]], separator: str) -> Iterator[bytes]:
-    """Lines of whole numbers."""
+    """Lines of integers."""
     table = np.asarray(rows)
     if not table.size:
         return

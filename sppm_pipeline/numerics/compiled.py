@@ -1,4 +1,4 @@
-"""How kernels are compiled: one decorator, so that every kernel is cached on disk and releases the GIL.
+"""The decorators that compile functions by Numba, so that all are cached on disk and release the GIL.
 
 Kernels are compiled on their first call, not on import, and the machine code is kept in Numba's cache; a caller
 that notifies its user of the wait registers a callback with `sppm_pipeline.numerics.kernel_cache`.

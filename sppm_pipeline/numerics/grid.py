@@ -60,7 +60,7 @@ def sample_one_period(
     ----------
     grid : Grid
     cells : tuple of 3 ints
-        The period, cell edges.
+        The period, cell sizes.
     start, stop : int
     sample : function of grid, start, stop
         Computes layers of a grid, (layers, ny, nx).

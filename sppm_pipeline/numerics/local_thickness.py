@@ -41,7 +41,7 @@ def squared_distance(
 
 @jit
 def _along_rows(lines: NDArray[np.int32], wraps: bool) -> None:
-    """Lower envelope of parabolas along the last axis: each sample looks outward until nothing nearer can come."""
+    """One pass of Saito and Toriwaki (1994): each sample searches outward until nothing nearer can come."""
     nz, ny, n = lines.shape
     best = np.empty(n, np.int32)
     for k in range(nz):

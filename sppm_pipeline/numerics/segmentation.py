@@ -1,4 +1,4 @@
-"""From gray values to solid and void."""
+"""Segmentation of gray values into solid and void."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_LABELS = 64
+MAX_LABELS = 64
 """Different values of an image that may be labels of phases; images with more are gray."""
 
 
@@ -16,7 +16,7 @@ def labels_of(values: NDArray[Any]) -> NDArray[Any] | None:
     found: NDArray[Any] = np.zeros(0, values.dtype)
     for k in range(values.shape[2]):  # layer by layer, so that nothing of the image's size is sorted
         found = np.union1d(found, values[:, :, k])
-        if len(found) > MOST_LABELS:
+        if len(found) > MAX_LABELS:
             return None
     return found
 

@@ -75,7 +75,7 @@ def framed(camera: Camera, points: NDArray[np.float64], size: tuple[int, int], m
     size : (width, height)
         Size of the picture in pixels.
     margin : float
-        Share of the picture left free on each side.
+        Fraction of the picture left free on each side.
 
     Returns
     -------

@@ -117,7 +117,7 @@ def check_chart(path: str, **texts: str) -> None:
     Raises
     ------
     ConfigError
-        If matplotlib is not installed, the extension is none of .pdf, .png and .svg, or the mathematics of a text is
+        If matplotlib is not installed, the extension is none of .pdf, .png and .svg, or the mathematics of a label is
         not valid.
     """
     if find_spec("matplotlib") is None:

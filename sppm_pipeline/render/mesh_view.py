@@ -243,7 +243,7 @@ def render_mesh(
     background : (r, g, b), optional
         One color for the background; a light gradient otherwise.
     margin : float
-        Share of the picture left free on each side.
+        Fraction of the picture left free on each side.
 
     Returns
     -------
@@ -323,7 +323,7 @@ def render_field(
 def cut_values(
     vertices: NDArray[np.float64], inner: NDArray[np.float32], outer: NDArray[np.float32] | None, grid: Grid
 ) -> NDArray[np.float64]:
-    """A value at each vertex that is positive where the surface is a cut; its zero line is the rim of the cut.
+    """A value at each vertex that is positive where the surface is a cut; its zero line is the border of the cut.
 
     A cut lies on the border of the grid, or where the domain's field is zero and not that of the microstructure.
 

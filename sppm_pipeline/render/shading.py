@@ -1,4 +1,4 @@
-"""From what is seen in each pixel (depth, normal, color) to a picture: lights, ambient occlusion, antialiasing.
+"""Shading of a depth, normal and color buffer: lights, ambient occlusion, antialiasing.
 
 Porous parts are hard to read under plain lights, since every strut looks like every other. What tells a pore from a
 strut is how much of the sky a point sees. Screen-space ambient occlusion estimates it from the depth image: around each
@@ -82,7 +82,7 @@ def _occlusion(
     radius: float,
     hidden: NDArray[np.float32],
 ) -> None:
-    """Share of the points of a half ball above each sample that lie behind something seen."""
+    """Fraction of the points of a half ball above each sample that lie behind something seen."""
     height, width = depth.shape
     reach = np.float32(radius)
     bias = np.float32(0.03) * reach

@@ -1,4 +1,4 @@
-"""What stands around pictures: sheets of several of them, labels, and the scale of the colors of a surface."""
+"""Annotation of pictures: sheets of several of them, labels, and color bars."""
 
 from __future__ import annotations
 

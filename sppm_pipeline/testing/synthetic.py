@@ -45,7 +45,7 @@ class Whole(Number):
 
 @dataclass(frozen=True)
 class Text(Artifact):
-    """A text."""
+    """A string."""
 
     text: str
 
@@ -278,7 +278,7 @@ class Failing(Stage):
             case "interrupt":
                 context.output("half.txt").write_text("half", encoding="utf-8")
                 signal.raise_signal(signal.SIGINT)
-                for _ in range(1000):  # a run in a thread of its own hears of it when it next tells something
+                for _ in range(1000):  # a run in a thread of its own notices when it next reports something
                     context.progress(0, 1, "waiting to be interrupted")
                     time.sleep(0.01)
         return Number(0.0)

@@ -152,7 +152,7 @@ def test_ranges_of_sweeps(work, to):
 
 def test_a_long_sweep_is_checked_by_a_part_of_its_rows(work, monkeypatch):
     from sppm_pipeline.engine.config.parameters import sweep_rows
-    from sppm_pipeline.engine.plan.session import MOST_CHECKED, Session, check_sweep
+    from sppm_pipeline.engine.plan.session import MAX_CHECKED, Session, check_sweep
 
     planned = []
     original = Session.plan
@@ -160,5 +160,5 @@ def test_a_long_sweep_is_checked_by_a_part_of_its_rows(work, monkeypatch):
     text = "params: {a: 1}\nsweep: {a: {from: 1, to: 50000}}\npipeline: [{stage: read.number, value: '${a}'}]\n"
     session = work.session(text)
     check_sweep(session, sweep_rows(session.configuration.sweep, session.configuration.params))
-    assert len(planned) <= MOST_CHECKED + 1
+    assert len(planned) <= MAX_CHECKED + 1
     assert (planned[0], planned[-1]) == (1, 50000)

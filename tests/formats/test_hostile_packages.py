@@ -14,7 +14,7 @@ import pytest
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.detect import FORMATS, decode_mesh
-from sppm_pipeline.formats.mesh_arrays import MOST_PLACED, MOST_TRIANGLES
+from sppm_pipeline.formats.mesh_arrays import MAX_PLACED, MAX_TRIANGLES
 from sppm_pipeline.formats.three_mf_encode import _RELATIONS, _TYPES
 from sppm_pipeline.formats.three_mf_model import CORE, PRODUCTION
 
@@ -415,6 +415,6 @@ def test_hostile(name: str) -> None:
 def test_the_largest_explosion_that_is_read_is_bounded() -> None:
     levels = 4
     vertices, faces = decode_mesh(package(model(explosion(levels), f'<item objectid="{levels + 1}"/>')), "a.3mf")
-    assert len(faces) == 4 * 10**levels <= MOST_TRIANGLES
+    assert len(faces) == 4 * 10**levels <= MAX_TRIANGLES
     assert len(vertices) == 4 * 10**levels
-    assert 10**levels < MOST_PLACED
+    assert 10**levels < MAX_PLACED

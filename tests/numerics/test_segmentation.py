@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.segmentation import MOST_LABELS, labels_of, otsu
+from sppm_pipeline.numerics.segmentation import MAX_LABELS, labels_of, otsu
 
 
 def test_labels_of_a_few_values_and_of_many():
     image = np.zeros((3, 4, 5), np.int16)
     image[1], image[2, 0, 0] = 7, -2
     assert labels_of(image).tolist() == [-2, 0, 7]
-    assert labels_of(np.arange(MOST_LABELS + 1).reshape(1, 1, -1)) is None
+    assert labels_of(np.arange(MAX_LABELS + 1).reshape(1, 1, -1)) is None
 
 
 @pytest.mark.parametrize("scale", [1.0, 255.0, 65535.0])

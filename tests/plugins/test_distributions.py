@@ -139,7 +139,7 @@ pipeline:
     assert tiles["pores_per_cell"] == 9 + 16
     laid = summary(record, "tile.even_interiors")
     assert laid["interiors_used"] == 27
-    assert (laid["fewest_uses"], laid["most_uses"]) == (2, 3)
+    assert (laid["min_uses"], laid["max_uses"]) == (2, 3)
     assert laid["alike_across_faces"] == laid["alike_across_edges"] == laid["alike_across_corners"] == 0
 
 

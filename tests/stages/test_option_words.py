@@ -1,4 +1,4 @@
-"""One word, one meaning, one unit: options of one name say the same in built-in stages and in the plugins kept here.
+"""One word, one meaning, one unit: options of one name say the same in all stages, those of the plugins here included.
 
 The shared sentence of an option is the text of its help before the first semicolon; what follows is the stage's own.
 """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 # what it costs that two cells carry the same interior, by how they touch
 FACE, EDGE, CORNER = 100, 10, 1
 _COST = {1: FACE, 2: EDGE, 3: CORNER}
-_MOST_TRIES = 2000
+_MAX_TRIES = 2000
 """Cells that are tried for a swap with one cell; bounds the time for large parts."""
 _WORTH_ANOTHER_PASS = 0.98
 """Swapping ends when a pass over all cells has left more than this share of the cost."""
@@ -134,7 +134,7 @@ def _swap(
 ) -> None:
     """Swap the card at `place` with the one that lowers the cost most, if there is one."""
     mine = cells[place]
-    others = places if len(places) <= _MOST_TRIES else rng.choice(places, _MOST_TRIES, replace=False)
+    others = places if len(places) <= _MAX_TRIES else rng.choice(places, _MAX_TRIES, replace=False)
     # a swap with a neighbor would change the very cells that its cost is counted from
     others = others[(cells[others] != mine) & ~np.isin(others, place + steps)]
     theirs = cells[others]

@@ -17,7 +17,7 @@ class EvenInteriors(Tiler):
     """Deal the interiors to the cells like cards: none is used more than once more often than another.
 
     Cells with the same interior do not touch across a face, an edge or a corner; if there are too few interiors for
-    that, they touch across corners rather than edges, and edges rather than faces, and the run record tells how often.
+    that, they touch across corners rather than edges, and edges rather than faces, and the run record says how often.
     From 27 interiors on such a layout exists for parts of any shape, as a cell has 26 neighbors (Hajnal and
     Szemeredi 1970). Face colors are drawn as by the built-in rule for the kind of tile set.
     """
@@ -45,8 +45,8 @@ class EvenInteriors(Tiler):
         uses = np.bincount(interior[interior >= 0], minlength=tileset.micro.interiors)
         alike = alike_pairs(interior)
         context.report(
-            fewest_uses=int(uses.min()),
-            most_uses=int(uses.max()),
+            min_uses=int(uses.min()),
+            max_uses=int(uses.max()),
             alike_across_faces=alike.face,
             alike_across_edges=alike.edge,
             alike_across_corners=alike.corner,

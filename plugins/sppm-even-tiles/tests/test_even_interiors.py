@@ -67,8 +67,8 @@ def test_a_part_is_covered_and_the_promise_is_counted() -> None:
     interior = tiling.arrays.interior
     count = np.bincount(interior[interior >= 0], minlength=27)
     assert (interior < 0).any()
-    assert context.reported["fewest_uses"] == count.min()
-    assert context.reported["most_uses"] == count.max() <= count.min() + 1
+    assert context.reported["min_uses"] == count.min()
+    assert context.reported["max_uses"] == count.max() <= count.min() + 1
     assert [context.reported[f"alike_across_{what}"] for what in ("faces", "edges", "corners")] == [0, 0, 0]
     assert not context.warnings
 

@@ -1,4 +1,4 @@
-"""What the samplers of this package share: they tell how close their pores have come."""
+"""Base of the samplers of this package: the smallest distance of the pores is measured and reported."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def wave_vectors(count: int, share: float) -> NDArray[np.float64]:
     Returns
     -------
     (m, 3) float64
-        Whole numbers of waves along x, y, z; of each pair k and -k one, in order of falling wave length.
+        Integer numbers of waves along x, y, z; of each pair k and -k one, in order of falling wave length.
     """
     allowed = int(share * 3 * (count - 1))
     reach = int(np.ceil((allowed / 2) ** (1 / 3))) + 2

@@ -14,7 +14,7 @@ class DecimateMesh(Stage):
     """Lower the number of triangles (quadric edge collapse, Garland and Heckbert 1997).
 
     Edges whose collapse changes the surface least go first; collapses that would change the topology are left out, so
-    a closed mesh stays closed, and in rare cases more triangles remain than target. MeshLab runs in a child process.
+    a closed mesh stays closed, and in rare cases more triangles remain than requested. MeshLab runs in a child process.
     """
 
     name: ClassVar[str] = "mesh.decimate"

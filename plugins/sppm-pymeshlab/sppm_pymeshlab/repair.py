@@ -1,4 +1,4 @@
-"""``mesh.repair``: a broken mesh becomes one that bounds a solid, step by step, each step judged."""
+"""``mesh.repair``: a broken mesh becomes one that bounds a solid, step by step, each followed by an inside test."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from sppm_pipeline import (
 )
 
 if TYPE_CHECKING:
-    from sppm_pymeshlab.judge import Judge
+    from sppm_pymeshlab.inside_test import InsideTest
 
 STEPS = ("clean", "merge", "split", "orient", "close", "unite", "wrap")
 """The steps, in the order in which ``auto`` tries them."""
 
 FEW = 30
-"""Fewer sample points inside than this judge coarsely."""
+"""Fewer sample points inside than this measure changes coarsely."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,22 +108,22 @@ class _Repair:
 
         self.mesh = self.start
         self.consistent = edge_counts(self.start.faces).consistent
-        self._judge: Judge | None = None
+        self._inside_test: InsideTest | None = None
 
     @property
-    def judge(self) -> Judge:
-        """Made when it is first needed: asking the points takes longer than most steps."""
-        from sppm_pymeshlab.judge import Judge
+    def inside_test(self) -> InsideTest:
+        """The inside test, made when first needed, as it takes longer than most steps."""
+        from sppm_pymeshlab.inside_test import InsideTest
 
-        if self._judge is None:
-            self._judge = Judge(self.start, self.options.samples, self.context.threads)
-            inside = int(self._judge.inside.sum())
+        if self._inside_test is None:
+            self._inside_test = InsideTest(self.start, self.options.samples, self.context.threads)
+            inside = int(self._inside_test.inside.sum())
             if inside < FEW:
                 self.context.warn(
                     f"only {inside} of {self.options.samples} sample points lie inside {self.start.name}, so steps "
-                    "are judged coarsely; give more `samples` if the part is slender"
+                    "are measured coarsely; give more `samples` if the part is slender"
                 )
-        return self._judge
+        return self._inside_test
 
     def automatically(self) -> None:
         """Take the steps that are called for; those that spoil something are undone."""
@@ -175,7 +175,7 @@ class _Repair:
                 raise
             self._note(step, self.mesh, None, error.message)
             return
-        changed = self.judge.changed(made)
+        changed = self.inside_test.changed(made)
         wrapping, turning = step == "wrap", step == "orient" and not self.consistent
         spoilt = self._spoilt(step, made)
         if not spoilt and changed > self.options.maximum_change and not (wrapping or turning):
@@ -186,12 +186,12 @@ class _Repair:
         if spoilt:
             self.context.warn(f"after the step {step!r}: {spoilt}")
         self._note(step, made, changed, None)
-        self.judge.accept(made, as_new_truth=turning)
+        self.inside_test.accept(made, as_new_truth=turning)
         self.mesh = made
         self.intersecting = None
 
     def _spoilt(self, step: str, made: SurfaceMesh) -> str | None:
-        """What is worse than before, if the step was meant to make it better."""
+        """Defects that a step has increased though it was to reduce them."""
         from sppm_pipeline import mesh_edges as edge_counts
 
         was, now = edge_counts(self.mesh.faces), edge_counts(made.faces)
@@ -254,7 +254,7 @@ class _Repair:
         self.log.append(entry)
 
     def finished(self) -> SurfaceMesh:
-        """The mesh, if it will do; the report of all steps in any case."""
+        """The mesh, if it is acceptable; the report of all steps in any case."""
         from sppm_pipeline import mesh_edges as edge_counts
         from sppm_pipeline import mesh_volume as volume
 
@@ -275,7 +275,7 @@ class _Repair:
             except SppmError as error:
                 self.context.warn(f"self-intersections could not be counted: {error.message}")
         if self.mesh is not self.start:
-            self.context.report(changed_share=self.judge.changed(self.mesh))
+            self.context.report(changed_share=self.inside_test.changed(self.mesh))
         if self.options.must_close and not (edges.bounds_solid and after > 0):
             taken = ", ".join(f"{entry['step']}{'' if entry['kept'] else ' (undone)'}" for entry in self.log) or "none"
             raise InputError(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from sppm_pymeshlab import meshlab
-from sppm_pymeshlab.judge import Judge
+from sppm_pymeshlab.inside_test import InsideTest
 from sppm_pymeshlab.repair import STEPS, RepairMesh
 
 from sppm_pipeline.data.length import Length
@@ -95,7 +95,7 @@ def test_duplicate_and_degenerate_triangles_go(ball):
 
 
 def test_seams_are_merged(ball):
-    """Each triangle has corners of its own, moved by less than the wish."""
+    """Each triangle has corners of its own, moved by less than the tolerance."""
     rng = np.random.default_rng(1)
     corners = ball.vertices[ball.faces].reshape(-1, 3)
     corners = corners + rng.uniform(-1e-6, 1e-6, corners.shape)
@@ -128,7 +128,7 @@ def test_cavities_stay(boxes):
 
 
 def test_a_bowl_is_not_filled_in_secret(ball):
-    """To close the rim of half a ball with a lid changes what is inside; that is for the user to say."""
+    """To close the boundary loop of half a ball with a lid changes what is inside; that is for the user to say."""
     bowl = SurfaceMesh(ball.vertices, ball.faces[ball.vertices[ball.faces].mean(1)[:, 2] < -1], "bowl")
     with pytest.raises(InputError, match=r"bowl can't be repaired: .*close \(undone\)"):
         repaired(bowl)
@@ -200,20 +200,20 @@ def test_refused_filters_are_no_crash(soup):
         repaired(soup, steps=("unite",))
 
 
-def test_a_slender_part_is_judged_with_a_warning(boxes):
+def test_a_slender_part_is_measured_with_a_warning(boxes):
     mesh = boxes(((0, 0, 0), (10, 10, 0.01), False), ((5, 5, 5), (0.01, 0.01, 10), True))
     _, context = repaired(mesh, steps=("orient",), must_close=False)
     assert "lie inside" in context.warnings[0]
 
 
-def test_the_judge_sees_what_changes_and_not_which_way_it_is_wound(ball):
-    judge = Judge(ball, 500, 1)
-    assert judge.inside.mean() == pytest.approx(np.pi / 6, abs=0.03)
-    assert judge.changed(SurfaceMesh(ball.vertices, ball.faces[:, ::-1])) == 0
+def test_the_inside_test_sees_what_changes_and_not_which_way_it_is_wound(ball):
+    test = InsideTest(ball, 500, 1)
+    assert test.inside.mean() == pytest.approx(np.pi / 6, abs=0.03)
+    assert test.changed(SurfaceMesh(ball.vertices, ball.faces[:, ::-1])) == 0
     smaller = SurfaceMesh(ball.vertices * 0.5 ** (1 / 3), ball.faces)
-    assert judge.changed(smaller) == pytest.approx(0.5, abs=0.05)
-    judge.accept(smaller)
-    assert judge.changed(ball) == 0, "compared with the input, not with the last step"
+    assert test.changed(smaller) == pytest.approx(0.5, abs=0.05)
+    test.accept(smaller)
+    assert test.changed(ball) == 0, "compared with the input, not with the last step"
 
 
 @pytest.mark.parametrize("steps", [(), ("auto",), ("clean", "auto")])

@@ -20,7 +20,7 @@ class StrutGraph(NamedTuple):
     Attributes
     ----------
     starts, ends : (m, 3) float64
-        Cell edges; the start lies in [0, 1)^3, the end may lie in a neighboring cell.
+        Cell sizes; the start lies in [0, 1)^3, the end may lie in a neighboring cell.
     start_radii, end_radii : (m,) float64
         Radii at the ends over the mean; 1 for cylinders.
     """

@@ -28,7 +28,7 @@ from sppm_pipeline import (
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum."""
 
-MOST_PORES = 3_000_000
+MAX_PORES = 3_000_000
 """Pores of a part; they take some 300 bytes each."""
 
 
@@ -152,9 +152,9 @@ class Organic(PartFieldMaker):
                 hint=f"radii are below 4 spacings, the spacing lies between 0.001 and {max(region)} cell sizes",
             )
         expected = math.prod(0.75 * (n + 2 * spacing) / spacing for n in region) / 0.75**2
-        if expected > MOST_PORES:
+        if expected > MAX_PORES:
             raise ResourceError(
-                f"the part would take about {expected:.2g} pores; the limit is {MOST_PORES}",
+                f"the part would take about {expected:.2g} pores; the limit is {MAX_PORES}",
                 hint="give a larger spacing, or repeat a cell, or use `tile.free_faces`, whose cost does not grow",
             )
         # beyond the box, too, so that its sides are like any plane

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline import CellIndex
 
-MOST_SEEDS = 5000
+MAX_SEEDS = 5000
 """Seeds of one cell."""
 
 _STREAM = 64

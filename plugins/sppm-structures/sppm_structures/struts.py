@@ -25,7 +25,7 @@ from sppm_pipeline import (
 from sppm_structures.graphs import LATTICES, StrutGraph, strut_graph
 
 LARGEST_FILE = 1 << 24
-MOST_STRUTS = 5000
+MAX_STRUTS = 5000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,7 +38,7 @@ class StrutField(FormulaField):
     starts, ends, radii : (m, 3), (m, 3), (m, 2) float64
         Axes of the struts in cell sizes; radii at both ends over `radius`.
     radius : float
-        Cell edges.
+        Cell sizes.
     blend : float
         Length over which joints are rounded, cell sizes; 0 for none.
     repeat : int
@@ -89,7 +89,7 @@ class Struts(FieldMaker):
     less than 4 b lower it, as in the smooth minimum ``-b log(sum exp(-d / b))`` (with ``(1 - t/4)^4`` for ``exp(-t)``):
     joints get fillets. ``tune.porosity`` adds the same to all radii.
 
-    A graph of one's own is a JSON file ``{"nodes": [[x, y, z], ...], "edges": [[i, j], ...], "radii": [...]}`` with
+    A custom graph is a JSON file ``{"nodes": [[x, y, z], ...], "edges": [[i, j], ...], "radii": [...]}`` with
     positions in cell sizes and, if wanted, a radius for each node over the option `radius`; or a CSV file with a strut
     in each row: x1, y1, z1, x2, y2, z2. Ends may lie in neighboring cells; copies are counted once.
     """
@@ -152,8 +152,8 @@ def _from_json(text: str, name: str) -> StrutGraph:
             f"{name} is no graph of struts: {type(error).__name__}: {error}",
             hint='it should read {"nodes": [[x, y, z], ...], "edges": [[i, j], ...]}',
         ) from error
-    if len(edges) > MOST_STRUTS:
-        raise InputError(f"{name} has {len(edges)} struts; the limit is {MOST_STRUTS}")
+    if len(edges) > MAX_STRUTS:
+        raise InputError(f"{name} has {len(edges)} struts; the limit is {MAX_STRUTS}")
     if len(edges) and not (edges.min() >= 0 and edges.max() < len(nodes)):
         bad = int(edges.max() if edges.max() >= len(nodes) else edges.min())
         raise InputError(f"{name}: an edge names node {bad}; there are nodes 0 to {len(nodes) - 1}")
@@ -177,7 +177,7 @@ def _from_csv(text: str, name: str) -> StrutGraph:
         if len(values) != 6:
             raise InputError(f"{name}:{number}: a strut is six numbers x1, y1, z1, x2, y2, z2, got {len(values)}")
         rows.append(values)
-        if len(rows) > MOST_STRUTS:
-            raise InputError(f"{name} has more struts than the limit of {MOST_STRUTS}")
+        if len(rows) > MAX_STRUTS:
+            raise InputError(f"{name} has more struts than the limit of {MAX_STRUTS}")
     struts = np.array(rows, np.float64).reshape(-1, 6)
     return strut_graph(struts[:, :3], struts[:, 3:])

@@ -24,9 +24,9 @@ from sppm_pipeline import (
     frozen,
     option,
 )
-from sppm_structures.seeds import MOST_SEEDS, HashedSeeds, blue_noise, images_near
+from sppm_structures.seeds import MAX_SEEDS, HashedSeeds, blue_noise, images_near
 
-MOST_SHARED = np.sqrt(3.0) / 2
+MAX_SHARED = np.sqrt(3.0) / 2
 """No point of a periodic cell is further than this from a seed, cell sizes."""
 
 
@@ -56,7 +56,7 @@ class VoronoiFoam(CellwiseField):
     @property
     def furthest(self) -> float:
         """No point is further than this from the nearest seed, cell sizes."""
-        return min(self.hashed.furthest, MOST_SHARED if self.periodic else np.inf) if self.hashed else MOST_SHARED
+        return min(self.hashed.furthest, MAX_SHARED if self.periodic else np.inf) if self.hashed else MAX_SHARED
 
     def seeds_near(self, cell: CellIndex, margin: float) -> tuple[NDArray[np.float64], int]:
         """Seeds in a cell, first, and those nearer to it than `margin`; relative to its low corner."""
@@ -211,6 +211,6 @@ def _seeds_of(pores: PoreSet) -> NDArray[np.float64]:
     centers[centers >= 1.0] = 0.0
     _, first = np.unique(np.round(centers * 1e7) % 10**7, axis=0, return_index=True)
     centers = frozen(centers[np.sort(first)])
-    if not 1 <= len(centers) <= MOST_SEEDS:
-        raise InputError(f"a foam needs 1 to {MOST_SEEDS} different pores, got {len(centers)}")
+    if not 1 <= len(centers) <= MAX_SEEDS:
+        raise InputError(f"a foam needs 1 to {MAX_SEEDS} different pores, got {len(centers)}")
     return centers

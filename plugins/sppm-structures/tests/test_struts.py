@@ -32,7 +32,7 @@ class TestContract(StageContract):
         return [Struts(), Struts(lattice="kelvin", repeat=2, edge=Length(3.0), blend=Length(0.0))]
 
 
-# struts of a cell, and their total length in cell edges
+# struts of a cell, and their total length in cell sizes
 COUNTS = {
     "simple_cubic": (3, 3.0),
     "bcc": (8, 4 * 3**0.5),
@@ -171,7 +171,7 @@ def test_files_that_are_no_graph(write, name, text, said):
 
 
 def test_sizes_that_make_no_sense(tmp_path):
-    with pytest.raises(ConfigError, match="half a cell"):
+    with pytest.raises(ConfigError, match="half the cell size"):
         made(radius=Length(0.6))
     with pytest.raises(ConfigError, match="physical unit"):
         made(radius=Length(0.6, "mm"))

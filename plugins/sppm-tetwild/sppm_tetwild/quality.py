@@ -45,7 +45,7 @@ def aspect_ratios(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
         return np.asarray(longest / (2 * 6**0.5 * radius))
 
 
-def crowded_faces(cells: Cells) -> int:
+def non_manifold_faces(cells: Cells) -> int:
     """Number of triangles that more than two tetrahedra share; none, unless some overlap."""
     sides = np.sort(cells[:, _SIDES].reshape(-1, 3), axis=1)
     sides = sides[np.lexsort(sides.T)]

@@ -3,7 +3,7 @@
 fTetWild seeds its generators from the system's random device, ``std::random_device``, and offers no way to seed them
 itself, so that no two of its meshes are the same. Its shared library calls the device through a slot that the dynamic
 linker fills; here that slot is filled with a function of ours. Called in a child process before fTetWild starts; where
-the library is not as expected nothing is changed, and the caller is told.
+the library is not as expected nothing is changed, and the caller is notified.
 
 The layout of the file is that of the System V ABI, chapters 4 and 5 ("Object files", "Program loading").
 """

@@ -13,7 +13,7 @@ from sppm_pipeline import Context, DesignError, InputError, Length, Stage, Surfa
 FLAT = 1e-6
 """A mesh thinner than this share of its diagonal counts as flat."""
 
-MOST_ENVELOPE = 0.1
+MAX_ENVELOPE = 0.1
 """Share of the volume that the envelope may make up without a warning."""
 
 HINT = "repair the mesh, decimate it, or give a larger `epsilon`; `time_limit` gives more time"
@@ -77,7 +77,7 @@ class TetWild(Stage):
                 f"got {edge * diagonal:.4g} mm and {epsilon * diagonal:.4g} mm"
             )
         box = self._box(mesh, epsilon * diagonal)
-        if epsilon * diagonal * area > MOST_ENVELOPE * enclosed:
+        if epsilon * diagonal * area > MAX_ENVELOPE * enclosed:
             context.warn(
                 f"within `epsilon` ({epsilon * diagonal:.3g} mm) of the surface lies "
                 f"{epsilon * diagonal * area / enclosed:.0%} of the volume: thin walls may close or vanish"
@@ -199,7 +199,7 @@ def _oriented(
     DesignError
         If nothing came back, a tetrahedron is flat, or some overlap.
     """
-    from sppm_tetwild.quality import cell_volumes, crowded_faces
+    from sppm_tetwild.quality import cell_volumes, non_manifold_faces
 
     if not len(cells):
         raise DesignError(f"no tetrahedra were made of {name}", hint="give a smaller `epsilon`")
@@ -212,10 +212,11 @@ def _oriented(
     turned = cell_volumes(nodes, cells) < 0
     cells[turned] = cells[turned][:, [0, 2, 1, 3]]
     flat = int((cell_volumes(nodes, cells) <= 0).sum())
-    if flat or crowded_faces(cells):
+    non_manifold = non_manifold_faces(cells)
+    if flat or non_manifold:
         raise DesignError(
-            f"of {len(cells)} tetrahedra made of {name}, {flat} are flat, and {crowded_faces(cells)} triangles belong "
-            "to more than two",
+            f"of {len(cells)} tetrahedra made of {name}, {flat} are flat, and {non_manifold} triangles belong to "
+            "more than two",
             hint="leave `optimize` on, or repair the mesh",
         )
     return nodes, cells

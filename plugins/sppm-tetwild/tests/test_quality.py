@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sppm_tetwild.quality import aspect_ratios, cell_volumes, crowded_faces, dihedral_angles
+from sppm_tetwild.quality import aspect_ratios, cell_volumes, dihedral_angles, non_manifold_faces
 
 REGULAR = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
 CELL = np.array([[0, 1, 2, 3]], np.int32)
@@ -52,5 +52,5 @@ def test_flat_tetrahedra_are_endlessly_bad():
 
 def test_overlapping_tetrahedra_are_found():
     cells = np.array([[0, 1, 2, 3], [0, 2, 1, 4]], np.int32)
-    assert crowded_faces(cells) == 0
-    assert crowded_faces(np.concatenate([cells, [[0, 1, 2, 5]]])) == 1
+    assert non_manifold_faces(cells) == 0
+    assert non_manifold_faces(np.concatenate([cells, [[0, 1, 2, 5]]])) == 1

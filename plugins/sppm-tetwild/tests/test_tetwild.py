@@ -15,7 +15,7 @@ from sppm_tetwild import random_device
 from sppm_tetwild.quality import cell_volumes, dihedral_angles
 from sppm_tetwild.tetwild import TetWild
 
-import sppm_pipeline.process as native
+import sppm_pipeline
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import DesignError, InputError, ResourceError
@@ -144,7 +144,7 @@ def test_lengths_beyond_the_part_are_refused(options):
 def answer(monkeypatch, nodes, cells, draws=2):
     """Let the child return what it should not."""
     arrays = {"nodes": np.array(nodes, float), "cells": np.array(cells, np.int32).reshape(-1, 4)}
-    monkeypatch.setattr(native, "run_native", lambda *_, **__: NativeResult(arrays, {"draws": draws}))
+    monkeypatch.setattr(sppm_pipeline, "run_native", lambda *_, **__: NativeResult(arrays, {"draws": draws}))
 
 
 TETRAHEDRON = SurfaceMesh(np.eye(4, 3, -1), [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], "corner")

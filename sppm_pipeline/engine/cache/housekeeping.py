@@ -19,7 +19,7 @@ from sppm_pipeline.errors import ConfigError
 AFTER_PRUNING = 0.8
 """Share of the cap that is left after entries were removed, so that not every run has to remove some."""
 
-MOST_RECENTS = 2000
+MAX_RECENTS = 2000
 """Configurations whose last run is remembered."""
 
 _UNITS = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
@@ -91,7 +91,7 @@ def prune(store: Store, cap: int) -> tuple[int, int]:
         removed += 1
     with contextlib.suppress(OSError):
         recents = sorted((store.root / "recent").iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
-        for path in recents[MOST_RECENTS:] if cap else recents:
+        for path in recents[MAX_RECENTS:] if cap else recents:
             path.unlink(missing_ok=True)
     if store.root.is_dir():
         _set_usage(store.root, total)

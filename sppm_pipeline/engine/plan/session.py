@@ -140,7 +140,7 @@ def open_session(request: RunRequest) -> Session:
 
 Row = Mapping[str, Entry]
 
-MOST_CHECKED = 1000
+MAX_CHECKED = 1000
 """Rows that are planned before any work."""
 
 MAXIMUM_ROWS = 50
@@ -211,15 +211,15 @@ def check_sweep(session: Session, rows: Sequence[Row]) -> None:
     """Plan with every value that occurs, so that a bad one is found before any work.
 
     In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
-    than `MOST_CHECKED` a part is tried.
+    than `MAX_CHECKED` a part is tried.
     """
     sweep = session.configuration.sweep
     first = rows[0]
     problems = Problems()
     if sweep is not None and isinstance(sweep.value, dict):
         rows = [row for row in rows if sum(row[name].node is not first[name].node for name in row) <= 1]
-    if len(rows) > MOST_CHECKED:  # of a long range, values spread evenly over it stand for all, both ends among them
-        rows = [*rows[: -1 : -(-len(rows) // MOST_CHECKED)], rows[-1]]
+    if len(rows) > MAX_CHECKED:  # of a long range, values spread evenly over it stand for all, both ends among them
+        rows = [*rows[: -1 : -(-len(rows) // MAX_CHECKED)], rows[-1]]
     for row in rows:
         try:
             session.plan(row)

@@ -34,7 +34,7 @@ RECORD = "run.json"
 SUMS = "SHA256SUMS"
 SWEEP_RUNS = "runs"
 
-MOST_SYNCED = 4096
+MAX_SYNCED = 4096
 """Files of one output that the run waits for until the disk has them; more would hold it up for minutes."""
 
 
@@ -162,7 +162,7 @@ class RunFolder:
                     os.replace(final, self._aside())  # only files take each other's place in one step
                 os.replace(staged, final)
                 files = [final / inside for inside in files_in(final)] if final.is_dir() else [final]
-                self._syncing += [self._workers().submit(sync, file) for file in files[:MOST_SYNCED]]
+                self._syncing += [self._workers().submit(sync, file) for file in files[:MAX_SYNCED]]
         except OSError as error:
             raise ResourceError(f"can't put the output {name!r} into place: {error.strerror}") from error
         self.earlier -= set(pending)

@@ -274,7 +274,7 @@ def _warnings(record: Mapping[str, Any]) -> list[str]:
     ]
 
 
-MOST_LISTED = 6
+MAX_LISTED = 6
 """Longest list whose numbers get columns of their own: vectors, and the rows and columns of a stiffness matrix."""
 
 
@@ -292,7 +292,7 @@ def _numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
             yield name, int(value) if isinstance(value, bool) else value
         elif isinstance(value, dict):
             yield from ((f"{name}.{inner}", number) for inner, number in _numbers(value))
-        elif isinstance(value, list) and len(value) <= MOST_LISTED:
+        elif isinstance(value, list) and len(value) <= MAX_LISTED:
             listed = {str(number): one for number, one in enumerate(value, 1) if not isinstance(one, dict)}
             yield from ((f"{name}.{inner}", number) for inner, number in _numbers(listed))
 

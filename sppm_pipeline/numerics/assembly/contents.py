@@ -1,4 +1,4 @@
-"""What cells are put together from, where it stands in a tiling, and which pieces meet at a lattice site.
+"""The pieces of a tiling (interiors, faces, connectors), their places, and which meet at a lattice site.
 
 A *site* is a place of the lattice of cells: its cell, if there is one, and the faces in its three low planes. Every
 face belongs to exactly one site, which is how shared faces are counted once.

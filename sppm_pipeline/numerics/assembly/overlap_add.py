@@ -61,7 +61,7 @@ def assemble(
     """
     shape = _shape(layer_start, layer_stop, x0, x1, y0, y1)
     if bank.solid_level is not None:
-        raise ValueError("an int16 bank tells solid from void only; build one without solid_level")
+        raise ValueError("an int16 bank distinguishes only solid and void; build one without solid_level")
     field = np.empty(shape, dtype=np.float32) if out is None else out
     if field.shape != shape or field.dtype != np.float32 or not field.flags.c_contiguous:
         raise ValueError(f"out must be a C-contiguous float32 array {shape}")

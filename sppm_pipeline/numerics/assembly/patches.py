@@ -4,7 +4,7 @@ A patch keeps, row by row, the samples between the first and the last that lie a
 If only few combinations of an interior and its six face colors occur, an interior, its connectors and its three low
 faces are merged into one patch, which costs about a third of the additions.
 
-A bank that only has to tell solid from void at one level keeps its samples in sixteen bits, cut off at the level: half
+A bank that only separates solid from void at one level keeps its samples in sixteen bits, cut off at the level: half
 the memory, and sums that are exact whatever their order.
 """
 
@@ -90,8 +90,9 @@ class PatchBank(NamedTuple):
 
 def _encode(rows: NDArray[np.int64], base: int) -> NDArray[np.int64]:
     """One number for an interior and six colors -1 <= color < base - 1; sorts as the rows do."""
+    # the largest code has to fit an int64
     if (float(rows[..., 0].max(initial=0)) + 2.0) * float(base) ** 6 > 2.0**62:
-        raise ValueError(f"{base - 1} colors are too many for their combinations to be told apart in one number")
+        raise ValueError(f"{base - 1} colors are too many for their combinations to be encoded in one number")
     code = rows[..., 0] + 1
     for column in range(1, 7):
         code = code * base + rows[..., column] + 1

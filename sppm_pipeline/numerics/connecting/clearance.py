@@ -1,4 +1,4 @@
-"""How near tunnels come to each other, periodic images included, and connectors that keep clear of each other."""
+"""Distances between tunnels, periodic images included, and connectors that keep a clearance."""
 
 from __future__ import annotations
 

@@ -22,12 +22,13 @@ from sppm_pipeline.numerics.connecting.trees import (
 # a relaxed variable this near to 0 or 1 counts as decided
 _DECIDED = 1e-6
 
-# reduced costs below this share of the mean edge length leave an edge undecided in the first round; the share falls as
-# _NEARLY_PORES / n, because the work grows steeply with the number of such edges while the loss grows with the length
+# reduced costs below this fraction of the mean edge length leave an edge undecided in the first round; the fraction
+# falls as _NEARLY_PORES / n, because the work grows steeply with the number of such edges while the loss grows with the
+# length
 _NEARLY = 0.1
 _NEARLY_PORES = 15.0
 
-# rounding of the solver in reduced costs and gap, as a share of the total length of the candidates
+# rounding of the solver in reduced costs and gap, as a fraction of the total length of the candidates
 _SLACK = 1e-9
 
 # clusters of the spanning tree up to this size get a row at once; larger ones only if a solution violates it
@@ -106,13 +107,13 @@ class _Program:
         self.loops = loops
         self.tree = lower <= 1 and not loops
         self.allowed = np.ones(m)
-        self.clashes = np.zeros((0, 2), np.int64)
+        self.conflicts = np.zeros((0, 2), np.int64)
         if clearance is not None:
             pairs, _ = close_pairs(points, edges, shifts, clearance, periodic=axes.tolist())
             own = pairs[:, 0] == pairs[:, 1]
             self.allowed[pairs[own, 0]] = 0.0
-            self.clashes = pairs[~own]
-        self.clash_added = np.zeros(len(self.clashes), np.bool_)
+            self.conflicts = pairs[~own]
+        self.conflict_added = np.zeros(len(self.conflicts), np.bool_)
         # degrees: row v holds the edges at v
         self.columns = [np.argsort(edges.ravel(), kind="stable") // 2]
         self.counts = [np.bincount(edges.ravel(), minlength=n)]
@@ -203,7 +204,7 @@ class _Program:
                 return chosen
 
     def _solved(self, result: Any) -> bool:
-        """Whether there is a solution; raises if the solver can't tell."""
+        """Whether there is a solution; raises if the solver does not decide it."""
         if result.status in (0, 2):
             return bool(result.status == 0)
         raise DesignError(
@@ -226,15 +227,15 @@ class _Program:
             found = self._cut_bridges(picked)
         else:
             found = parts > 1
-        hit = chosen[self.clashes].all(axis=1)
+        hit = chosen[self.conflicts].all(axis=1)
         if hit.any():
-            # all that excludes a tunnel in such a pair: its next best neighbor would often clash as well
+            # all that excludes a tunnel in such a pair: its next best neighbor would often conflict as well
             involved = np.zeros(len(chosen), np.bool_)
-            involved[self.clashes[hit]] = True
-            fresh = involved[self.clashes].any(axis=1) & ~self.clash_added
-            for pair in self.clashes[fresh]:
+            involved[self.conflicts[hit]] = True
+            fresh = involved[self.conflicts].any(axis=1) & ~self.conflict_added
+            for pair in self.conflicts[fresh]:
                 self._add(pair, -np.inf, 1.0)
-            self.clash_added |= fresh
+            self.conflict_added |= fresh
             # a relaxed solution may use both tunnels of a pair by halves, and then violates no row
             found |= bool(fresh.any())
         return found

@@ -5,8 +5,8 @@ edges and puts in up to two others along an alternating trail, so that only the 
 
 Integers are kept in two tables with named columns, because the time to compile a call grows with its number of arrays:
 
-* ``edge`` (m, 5): the two vertices, `CHOSEN` (0 or 1), and the range `CLASH_FROM`, `CLASH_TO` in ``clash`` of the edges
-  that may not be chosen beside it;
+* ``edge`` (m, 5): the two vertices, `CHOSEN` (0 or 1), and the range `CONFLICT_FROM`, `CONFLICT_TO` in
+  ``conflict`` of the edges that may not be chosen beside it;
 * ``node`` (n + 1, 5 + upper): `DEGREE`; the range `FROM`, `TO` in ``near``, where the edges at each vertex stand by
   rising length; `SEEN`, `QUEUE`: scratch of the searches; from `SLOTS` on the chosen edges at the vertex. The last row
   belongs to no vertex; its `SEEN` is the stamp of the latest search.
@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connecting.trees import find_root, mark_bridges
 
-CHOSEN, CLASH_FROM, CLASH_TO = 2, 3, 4
+CHOSEN, CONFLICT_FROM, CONFLICT_TO = 2, 3, 4
 DEGREE, FROM, TO, SEEN, QUEUE, SLOTS = 0, 1, 2, 3, 4, 5
 
 
 def edge_table(
-    edges: NDArray[np.int64], length: NDArray[np.float64], clashes: NDArray[np.int64]
+    edges: NDArray[np.int64], length: NDArray[np.float64], conflicts: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The table ``edge`` with no edge chosen, ``clash``, ``near``, and the edges by rising length, (m,).
+    """The table ``edge`` with no edge chosen, ``conflict``, ``near``, and the edges by rising length, (m,).
 
     Parameters
     ----------
@@ -38,19 +38,19 @@ def edge_table(
         Vertices of each edge.
     length : (m,) float64
         Cost of each edge.
-    clashes : (c, 2) int64
+    conflicts : (c, 2) int64
         Pairs of edges that exclude each other; a pair (e, e) excludes e.
     """
     order = np.argsort(length, kind="stable")
     edge = np.zeros((len(edges), 5), np.int64)
     edge[:, :2] = edges
-    owner = clashes.ravel()
-    edge[:, CLASH_TO] = np.cumsum(np.bincount(owner, minlength=len(edges)))
-    edge[1:, CLASH_FROM] = edge[:-1, CLASH_TO]
+    owner = conflicts.ravel()
+    edge[:, CONFLICT_TO] = np.cumsum(np.bincount(owner, minlength=len(edges)))
+    edge[1:, CONFLICT_FROM] = edge[:-1, CONFLICT_TO]
     # an entry and its partner in the pair stand at positions that differ in the last bit
-    clash = owner[np.argsort(owner, kind="stable") ^ 1]
+    conflict = owner[np.argsort(owner, kind="stable") ^ 1]
     near = order[np.argsort(edges[order].ravel(), kind="stable") // 2]
-    return edge, clash, near, order
+    return edge, conflict, near, order
 
 
 def node_table(n: int, edges: NDArray[np.int64], upper: int) -> NDArray[np.int64]:
@@ -96,10 +96,10 @@ def _apply(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: in
 
 
 @jit
-def _clear(edge: NDArray[np.int64], clash: NDArray[np.int64], e: int, out1: int, out2: int, beside: int) -> bool:
-    """Whether e clashes neither with itself or a chosen edge (but out1, out2) nor with the edge `beside`."""
-    for s in range(edge[e, CLASH_FROM], edge[e, CLASH_TO]):
-        f = clash[s]
+def _clear(edge: NDArray[np.int64], conflict: NDArray[np.int64], e: int, out1: int, out2: int, beside: int) -> bool:
+    """Whether e conflicts neither with itself or a chosen edge (but out1, out2) nor with the edge `beside`."""
+    for s in range(edge[e, CONFLICT_FROM], edge[e, CONFLICT_TO]):
+        f = conflict[s]
         if f in (e, beside) or (edge[f, CHOSEN] and f != out1 and f != out2):
             return False
     return True
@@ -143,7 +143,7 @@ def _joined(
 def _allowed(
     edge: NDArray[np.int64],
     node: NDArray[np.int64],
-    clash: NDArray[np.int64],
+    conflict: NDArray[np.int64],
     out1: int,
     out2: int,
     in1: int,
@@ -152,7 +152,7 @@ def _allowed(
 ) -> bool:
     """Whether the move keeps the graph connected (with `loops`: without bridges) and clear. Degrees are not checked."""
     for e, beside in ((in1, in2), (in2, in1)):
-        if e >= 0 and not _clear(edge, clash, e, out1, out2, beside):
+        if e >= 0 and not _clear(edge, conflict, e, out1, out2, beside):
             return False
     if loops:
         _apply(edge, node, out1, out2, in1, in2)
@@ -330,7 +330,7 @@ def make_loops(
 def improve(
     edge: NDArray[np.int64],
     node: NDArray[np.int64],
-    clash: NDArray[np.int64],
+    conflict: NDArray[np.int64],
     length: NDArray[np.float64],
     near: NDArray[np.int64],
     lower: int,
@@ -339,8 +339,8 @@ def improve(
 ) -> None:
     """Make moves that shorten the graph until none is left; every vertex is tried again after a move near it.
 
-    A clash weighs more than any length: a chosen edge that clashes is taken out at any cost, if a move allows it, and
-    no edge that would clash is put in. So the number of clashes falls, but need not reach 0.
+    A conflict weighs more than any length: a chosen edge in conflict is taken out at any cost, if a move allows it, and
+    no edge that would conflict is put in. So the number of conflicts falls, but need not reach 0.
     """
     n = node.shape[0] - 1
     waiting = np.ones(n, np.bool_)
@@ -348,7 +348,7 @@ def improve(
     v = int(np.int64(0))
     while left > 0:
         if waiting[v]:
-            move = _shorter(edge, node, clash, length, near, v, lower, upper, loops)
+            move = _shorter(edge, node, conflict, length, near, v, lower, upper, loops)
             if move[0] >= 0:
                 _apply(edge, node, move[0], move[1], move[2], move[3])
                 for e in move:
@@ -366,7 +366,7 @@ def improve(
 def _shorter(
     edge: NDArray[np.int64],
     node: NDArray[np.int64],
-    clash: NDArray[np.int64],
+    conflict: NDArray[np.int64],
     length: NDArray[np.float64],
     near: NDArray[np.int64],
     t0: int,
@@ -386,8 +386,8 @@ def _shorter(
     for s1 in range(node[t0, DEGREE]):
         e1 = node[t0, SLOTS + s1]
         t1 = edge[e1, 0] + edge[e1, 1] - t0
-        worth = length[e1] if _clear(edge, clash, e1, none, none, none) else length[e1] + penalty
-        if spare and node[t1, DEGREE] > lower and _allowed(edge, node, clash, e1, none, none, none, loops):
+        worth = length[e1] if _clear(edge, conflict, e1, none, none, none) else length[e1] + penalty
+        if spare and node[t1, DEGREE] > lower and _allowed(edge, node, conflict, e1, none, none, none, loops):
             return e1, none, none, none
         for s2 in range(node[t1, FROM], node[t1, TO]):
             e2 = near[s2]
@@ -398,7 +398,7 @@ def _shorter(
                 continue
             t2 = edge[e2, 0] + edge[e2, 1] - t1
             ends_well = t2 == t0 or (spare and node[t2, DEGREE] < upper)
-            if ends_well and _allowed(edge, node, clash, e1, none, e2, none, loops):
+            if ends_well and _allowed(edge, node, conflict, e1, none, e2, none, loops):
                 return e1, none, e2, none
             if t2 == t0:
                 continue
@@ -409,7 +409,7 @@ def _shorter(
                 if e3 == e1 or t3 == t1:
                     continue
                 ends_well = node[t0, DEGREE] > lower + 1 if t3 == t0 else spare and node[t3, DEGREE] > lower
-                if ends_well and _allowed(edge, node, clash, e1, e3, e2, none, loops):
+                if ends_well and _allowed(edge, node, conflict, e1, e3, e2, none, loops):
                     return e1, e3, e2, none
                 for s4 in range(node[t3, FROM], node[t3, TO]):
                     e4 = near[s4]
@@ -419,6 +419,6 @@ def _shorter(
                         continue
                     t4 = edge[e4, 0] + edge[e4, 1] - t3
                     ends_well = t4 == t0 or (spare and node[t4, DEGREE] < upper)
-                    if ends_well and _allowed(edge, node, clash, e1, e3, e2, e4, loops):
+                    if ends_well and _allowed(edge, node, conflict, e1, e3, e2, e4, loops):
                         return e1, e3, e2, e4
     return none, none, none, none

@@ -52,9 +52,9 @@ def greedy_subgraph(
     k = min(k, most)
     while True:
         edges, shifts = candidate_graph(points, k, periodic=axes.tolist())
-        clashes = _clashes(points, edges, shifts, axes, clearance)
+        conflicts = _conflicts(points, edges, shifts, axes, clearance)
         length = edge_lengths(points, edges, shifts)
-        edge, clash, near, order = edge_table(edges, length, clashes)
+        edge, conflict, near, order = edge_table(edges, length, conflicts)
         node = node_table(n, edges, upper)
         last = k >= min(most, _WIDEST)
         complete = connect_and_fill(edge, node, length, near, order, lower, upper)
@@ -63,17 +63,17 @@ def greedy_subgraph(
         if not complete and last:
             ring_edges, ring_shifts = _ring_graph(points, axes, max(lower, 2) if n > 2 else lower)
             edges, shifts, ring = merged_edges(edges, shifts, ring_edges, ring_shifts)
-            clashes = _clashes(points, edges, shifts, axes, clearance)
+            conflicts = _conflicts(points, edges, shifts, axes, clearance)
             length = edge_lengths(points, edges, shifts)
-            edge, clash, near, order = edge_table(edges, length, clashes)
+            edge, conflict, near, order = edge_table(edges, length, conflicts)
             node = node_table(n, edges, upper)
             for e in ring:
                 insert(edge, node, e)
             complete = True
         if complete:
-            improve(edge, node, clash, length, near, lower, upper, loops)
+            improve(edge, node, conflict, length, near, lower, upper, loops)
             chosen = edge[:, CHOSEN] == 1
-            if not chosen[clashes].all(axis=1).any():
+            if not chosen[conflicts].all(axis=1).any():
                 return edges[chosen], shifts[chosen]
             if last:
                 raise _clearance_error(points, edges[chosen], shifts[chosen], axes, clearance or 0.0)
@@ -101,7 +101,7 @@ def _clearance_error(
     )
 
 
-def _clashes(
+def _conflicts(
     points: NDArray[np.float64],
     edges: NDArray[np.int64],
     shifts: NDArray[np.int64],

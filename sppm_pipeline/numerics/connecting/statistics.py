@@ -1,4 +1,4 @@
-"""Figures of a tunnel graph: degrees, parts, loops, bridges, lengths, and whether it runs through the periodic cell.
+"""Statistics of a tunnel graph: degrees, parts, loops, bridges, lengths, and whether it runs through the periodic cell.
 
 Also the graph as `networkx` has it, for GraphML, JSON and inspection by other tools.
 """

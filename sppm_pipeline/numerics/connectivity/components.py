@@ -263,12 +263,12 @@ class PhaseReport(NamedTuple):
     components : int
         Number of connected components; 0 for an empty phase.
     largest_share : float
-        Share of the phase that is in its largest component; 0 for an empty phase.
+        Fraction of the phase that is in its largest component; 0 for an empty phase.
     wraps : 3 bools
         Whether the largest component runs through along x, y, z: along a periodic axis, whether it is connected to its
         own periodic image; along another, whether it reaches from the first to the last layer.
     removed_share : float
-        Share of the phase that goes when only the largest component is kept.
+        Fraction of the phase that goes when only the largest component is kept.
     """
 
     components: int

@@ -24,7 +24,7 @@ from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_root, 
 
 
 class IslandStatistics(NamedTuple):
-    """What the first pass found.
+    """Statistics of the components, from the first pass.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class IslandStatistics(NamedTuple):
     kept : int
         How many of them stay.
     largest_share : float
-        Share of the phase that is in the largest component.
+        Fraction of the phase that is in the largest component.
     removed_share : float
-        Share of the phase that is removed.
+        Fraction of the phase that is removed.
     spans : 3 bools
         Whether the largest component reaches, along x, y, z, from the first to the last voxel of the whole phase.
     """
@@ -140,7 +140,7 @@ class IslandFilter:
         Parameters
         ----------
         keep : "largest" or float
-            Keep the largest component only (the first of equals), or all that hold at least this share of the phase.
+            Keep the largest component only (the first of equals), or all that hold at least this fraction of the phase.
 
         Returns
         -------
@@ -149,7 +149,7 @@ class IslandFilter:
         Raises
         ------
         ValueError
-            If the share is not in (0, 1].
+            If the fraction is not in (0, 1].
         """
         if keep != "largest" and not 0 < keep <= 1:
             raise ValueError(f"the share of the phase that a kept component holds is in (0, 1], not {keep}")

@@ -16,14 +16,14 @@ from sppm_pipeline.numerics.meshcheck.measures import bounds, edge_counts
 from sppm_pipeline.numerics.meshcheck.orientation import orient
 
 Method = Literal["scanline", "winding", "vote"]
-"""How it is decided what is inside: rays along x, the generalized winding number, or rays along all three axes."""
+"""The method of the inside test: rays along x, the generalized winding number, or rays along all three axes."""
 
 PROBED = 48
 """Samples along the longest side of the box on which a mesh is tested."""
 
 
 class InsideTest(NamedTuple):
-    """What `inside_test` finds.
+    """The result of `inside_test`.
 
     Attributes
     ----------

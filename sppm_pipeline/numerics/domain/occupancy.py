@@ -21,7 +21,7 @@ def gray_by_coverage(samples: NDArray[np.uint8] | NDArray[np.bool_], factor: tup
     Returns
     -------
     (h, w) uint8
-        255 times the share that is inside, rounded to the nearest integer, halves upwards.
+        255 times the fraction that is inside, rounded to the nearest integer, halves upwards.
 
     Raises
     ------

@@ -62,6 +62,7 @@ def ball_mesh(center: Point, radius: float, subdivisions: int = 3) -> Mesh:
     faces : (m, 3) int32
     """
     _at_least(0, subdivisions=subdivisions)
+    # the corners of an icosahedron lie on three golden rectangles
     golden = (1 + 5**0.5) / 2
     points = np.array(
         [

@@ -93,7 +93,7 @@ class Occupancy(NamedTuple):
         Rays that meet the mesh.
     open_rays : int
         How many of them do not leave as often as they enter. 0 for a closed mesh that is wound consistently; the
-        caller decides from the share what is still acceptable.
+        caller decides from the fraction what is still acceptable.
     undecided : int
         Voxels about which rays or winding number are not of one mind.
     """

@@ -35,7 +35,7 @@ def signed_distance(
     reach : float
         Distances are sought up to here; what lies further off gets the reach itself, with its sign.
     method : Method
-        How the sign is told, see `prepare_inside`.
+        Method of the inside test for the sign, see `prepare_inside`.
 
     Returns
     -------

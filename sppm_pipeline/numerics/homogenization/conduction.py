@@ -27,8 +27,13 @@ from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved, Stop,
 from sppm_pipeline.numerics.homogenization.multigrid.transfer import coarsened, coarser_widths, shortness
 
 _LAYERS = 8
+"""Layers of voxels whose energies are summed at once; a constant, so that sums do not depend on threads."""
+
 _FLOOR = 1e-6
+"""Conductivity over the mean of the voxels' below which no accuracy is requested ..."""
+
 _NO_FLUX = 1e-9
+"""... and below which a direction has no path of conduction."""
 
 #: Rows of scratch: sum and difference along z, 4 modes of the line before, 4 flows carried to the next line, 4 flows
 #: of the line, the flows of a row of nodes.
@@ -166,6 +171,7 @@ class ConductionLevel:
         self.k = padded(k, dtype)
         self.c = conduction_coefficients(edges).astype(dtype)
         self.size = np.array([nx, ny, nz], np.int64)
+        # the diagonal of a brick: 16/9 for the weights 1, 1/3, 1/3, 1/9 of its modes
         self.diagonal = node_sums(16 / 9 * float(self.c[:3] @ self.c[:3]) * k).reshape(-1)
         self.weight = np.zeros(nx * ny * nz, dtype)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import inline_jit, jit
 from sppm_pipeline.numerics.homogenization.multigrid.rows import BLOCK, HEAD, STRIDE, gather_row
 
+# weighted strains of a brick whose squares make its energy: 7 times lambda, 18 times mu
 _MODES = 25
 #: Rows of scratch: sums and differences along z of two lines, then the strains of six fields.
 ENERGY_ROWS = 12 + 6 * _MODES

@@ -181,7 +181,7 @@ class ElasticLevel:
         self.weight = np.zeros(nx * ny * nz, dtype)
 
     def apply(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
-        """See `sweep.sweep`."""
+        """See `elastic_operator.apply_stiffness`."""
         return apply_stiffness(
             mode, v, r, self.weight, self.lam, self.mu, self.c, self.size, out, work.plane, work.rows
         )

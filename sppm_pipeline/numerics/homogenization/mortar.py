@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 
-# Dunavant's quadrature of degree 4 on the triangle: the product of two quadratic functions is integrated exactly
+# Dunavant's quadrature of degree 4 on the triangle (Int. J. Numer. Meth. Eng. 21, 1985):
+# the product of two quadratic functions is integrated exactly
 _W1, _A1, _W2, _A2 = 0.223381589678011, 0.445948490915965, 0.109951743655322, 0.091576213509771
 _QUADRATURE = np.array(
     [[_W1, _A1, _A1], [_W1, 1 - 2 * _A1, _A1], [_W1, _A1, 1 - 2 * _A1],
@@ -21,7 +22,7 @@ _SIDES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 _MIDS = np.array([[5, 9, 8], [7, 9, 6], [4, 8, 7], [6, 5, 4]])
 
 _SLIVER = 1e-12
-"""Overlaps smaller than this share of a triangle are rounding."""
+"""Overlaps smaller than this fraction of a triangle are rounding."""
 
 
 class FacePair(NamedTuple):
@@ -164,7 +165,7 @@ def _shapes_at(shares: NDArray[np.float64], width: int) -> NDArray[np.float64]:
 
 
 @jit
-def _shares(corners: NDArray[np.float64], x: float, y: float, out: NDArray[np.float64]) -> None:
+def _barycentric(corners: NDArray[np.float64], x: float, y: float, out: NDArray[np.float64]) -> None:
     """Barycentric coordinates of a point."""
     ux, uy = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1]
     vx, vy = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1]
@@ -177,14 +178,15 @@ def _shares(corners: NDArray[np.float64], x: float, y: float, out: NDArray[np.fl
 
 @jit
 def _located(points: NDArray[np.float64], low: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """For each point the triangle that it lies deepest in, -1 if it is far from all, and its shares there."""
+    """For each point the triangle that it lies deepest in, -1 if it is far from all, and its coordinates in it."""
     chosen = np.full(len(points), -1)
     shares = np.zeros((len(points), 3))
     trial = np.empty(3)
     for p in range(len(points)):
+        # the smallest barycentric coordinate is positive inside; down to this a point still belongs to a triangle
         best = -0.1
         for t in range(len(low)):
-            _shares(low[t], points[p, 0], points[p, 1], trial)
+            _barycentric(low[t], points[p, 0], points[p, 1], trial)
             depth = min(trial[0], min(trial[1], trial[2]))
             if depth > best:
                 best = depth
@@ -260,8 +262,8 @@ def _overlaps(
             for q in range(len(quadrature)):
                 x = polygon[0, 0] + quadrature[q, 1] * ux + quadrature[q, 2] * vx
                 y = polygon[0, 1] + quadrature[q, 1] * uy + quadrature[q, 2] * vy
-                _shares(a, x, y, shares_low)
-                _shares(b, x, y, shares_high)
+                _barycentric(a, x, y, shares_low)
+                _barycentric(b, x, y, shares_high)
                 _shape(shares_low, width, shape_low)
                 _shape(shares_high, width, shape_high)
                 for i in range(width):

@@ -175,6 +175,7 @@ def multigrid(matrix: Any, modes: NDArray[np.float64]) -> Callable[[Vector], Vec
             matrix,
             B=modes,
             strength=("symmetric", {"theta": 0.03}),
+            # the factor of Vaněk, Mandel and Brezina, over the largest eigenvalue
             smooth=("jacobi", {"omega": 4.0 / 3.0}),
             presmoother=("block_gauss_seidel", {"sweep": "symmetric"}),
             postsmoother=("block_gauss_seidel", {"sweep": "symmetric"}),

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 
-# A quadrature of degree 2 suffices for straight-sided quadratic tetrahedra, whose gradients are linear.
+# The quadrature of degree 2 with four points (Hammer, Marlowe and Stroud 1956) suffices for
+# straight-sided quadratic tetrahedra, whose gradients are linear.
 _A, _B = (5 + 3 * 5**0.5) / 20, (5 - 5**0.5) / 20
 _POINTS = np.array([[_A, _B, _B, _B], [_B, _A, _B, _B], [_B, _B, _A, _B], [_B, _B, _B, _A]])
 _MIDDLE = np.full((1, 4), 0.25)

@@ -1,1 +1,1 @@
-"""What is wrong with a triangle mesh, and what it encloses: adjacency, orientation, self-intersections, measures."""
+"""Diagnosis of triangle meshes: adjacency, orientation, self-intersections, measures."""

@@ -22,7 +22,7 @@ NON_MANIFOLD = -2
 
 
 class Adjacency(NamedTuple):
-    """What `adjacency` finds.
+    """The result of `adjacency`.
 
     Attributes
     ----------

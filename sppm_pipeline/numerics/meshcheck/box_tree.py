@@ -71,6 +71,7 @@ def _morton(points: NDArray[np.float64], low: NDArray[np.float64], extent: float
     for i in range(points.shape[0]):
         code = np.uint64(0)
         for a in range(3):
+            # 2^21 - 1: three coordinates of 21 bits fill a word of 64
             bits = np.uint64((points[i, a] - low[a]) / extent * 2097151.0)
             for b in range(21):
                 code |= (bits >> np.uint64(b) & np.uint64(1)) << np.uint64(3 * b + a)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 
-#: A triangle counts as degenerate if its height over the longest edge is at most this share of that edge.
+#: A triangle counts as degenerate if its height over the longest edge is at most this fraction of that edge.
 FLAT = 1e-12
 
 #: Lists of edges longer than this are not left to the insertion sort.
@@ -53,7 +53,7 @@ class EdgeCounts(NamedTuple):
 
 
 class SurfaceMeasures(NamedTuple):
-    """What `measure_surface` finds; lengths in the unit of the vertices."""
+    """The result of `measure_surface`; lengths in the unit of the vertices."""
 
     vertices: int  # that a triangle uses
     faces: int
@@ -182,7 +182,7 @@ def measure_surface(vertices: NDArray[np.floating], faces: NDArray[np.integer]) 
 
 
 def _numbered(faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], int]:
-    """The triangles as the kernels want them, and the number of vertices they may name; the kernels check no index."""
+    """The triangles as compiled code needs them (it checks no index), and the number of vertices they may name."""
     if faces.size == 0:
         return np.empty((0, 3), np.int64), 0
     if faces.min() < 0 or faces.max() >= 2**31:

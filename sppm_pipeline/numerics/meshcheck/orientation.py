@@ -23,11 +23,11 @@ RAYS = 256
 """Rays sent from each side of an open patch."""
 
 DECISIVE = 0.2
-"""An open patch is turned if the shares of rays that escape from its two sides differ by more than this."""
+"""An open patch is turned if the fractions of rays that escape from its two sides differ by more than this."""
 
 
 class Orientation(NamedTuple):
-    """What `orient` makes.
+    """The result of `orient`.
 
     Attributes
     ----------
@@ -206,7 +206,8 @@ def _samples(
 
 
 def _around(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A direction for each normal, spread over the half ball around it by a Fibonacci spiral."""
+    """A direction for each normal, spread over the half ball around it."""
+    # the sequence of low discrepancy of Roberts (2018): 1 / p and 1 / p^2 of the plastic number p, p^3 = p + 1
     i = np.arange(len(normals))
     height = 1 - 2 * ((i * 0.7548776662466927) % 1)
     angle = 2 * np.pi * ((i * 0.5698402909980532) % 1)

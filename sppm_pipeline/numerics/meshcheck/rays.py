@@ -18,7 +18,7 @@ SAMPLES = 100_000
 def layers_around(
     tree: BoxTree, labels: NDArray[np.int32], points: NDArray[np.float64], own: NDArray[np.int32]
 ) -> NDArray[np.int64]:
-    """How often the rest of a mesh goes around points, each on a piece of the mesh that does not count.
+    """Winding numbers of points on a mesh, each without the piece of the mesh that it lies on.
 
     The crossings of a ray along x are counted with their sign by exact predicates; so for closed pieces the result is
     their winding number, and rays through edges and corners need no care.
@@ -43,7 +43,7 @@ def layers_around(
 def exits_along(
     tree: BoxTree, origins: NDArray[np.float64], directions: NDArray[np.float64], own: NDArray[np.int64], both: bool
 ) -> NDArray[np.float64]:
-    """How far it is along rays to a triangle.
+    """Distance along rays to the first triangle.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def exits_along(
 
 
 class WallThickness(NamedTuple):
-    """What `wall_thickness` finds.
+    """The result of `wall_thickness`.
 
     Attributes
     ----------
@@ -87,11 +87,11 @@ class WallThickness(NamedTuple):
     points: NDArray[np.float64]
 
     def quantile(self, share: float) -> float:
-        """The thickness that this share of the area is below."""
+        """The thickness that this fraction of the area is below."""
         return float(np.quantile(self.thickness, share, method="lower"))
 
     def share_below(self, limit: float) -> float:
-        """The share of the area where the wall is thinner than a limit."""
+        """The fraction of the area where the wall is thinner than a limit."""
         return float(np.mean(self.thickness < limit))
 
 
@@ -100,7 +100,7 @@ def wall_thickness(tree: BoxTree, samples: int = SAMPLES) -> WallThickness:
 
     Rays run along the inward normal from points spread evenly over the area, the same for the same mesh. Each ends
     where it first leaves the solid through another triangle. Where surfaces meet in a sharp edge the thickness goes to
-    0, as it does in the solid; only the share of such area says how much of the solid that concerns.
+    0, as it does in the solid; only the fraction of such area says how much of the solid that concerns.
 
     Parameters
     ----------
@@ -117,6 +117,7 @@ def wall_thickness(tree: BoxTree, samples: int = SAMPLES) -> WallThickness:
     i = np.arange(samples)
     # inside of a triangle, points follow a sequence of low discrepancy (Roberts 2018) that no lattice can resonate with
     place = np.minimum(np.searchsorted(share, (i + 0.5) / samples * share[-1], side="right"), len(share) - 1)
+    # 1 / p and 1 / p^2, where p = 1.3247... solves p^3 = p + 1 (the plastic number)
     one, other = (0.5 + i * 0.7548776662466927) % 1, (0.5 + i * 0.5698402909980532) % 1
     over = one + other > 1
     one, other = np.where(over, 1 - one, one)[:, None], np.where(over, 1 - other, other)[:, None]

@@ -26,7 +26,7 @@ from sppm_pipeline.numerics.meshcheck.self_intersections import SelfIntersection
 
 
 class MeshReport(NamedTuple):
-    """What `mesh_report` finds; lengths in the unit of the vertices.
+    """The result of `mesh_report`; lengths in the unit of the vertices.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ _LEAVES_AT_ONCE = 4096
 
 
 class SelfIntersections(NamedTuple):
-    """What `self_intersections` finds.
+    """The result of `self_intersections`.
 
     Attributes
     ----------

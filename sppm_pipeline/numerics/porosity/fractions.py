@@ -1,4 +1,4 @@
-"""How much of each voxel is solid, from samples of a smooth field."""
+"""Solid fractions of voxels, from samples of a smooth field."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _cube(value: float) -> float:
 
 @inline_jit
 def below_plane(value: float, a: float, b: float, c: float) -> float:
-    """Share of a unit cube in which ``value + (a, b, c) · x`` is negative, x being measured from its center.
+    """Fraction of a unit cube in which ``value + (a, b, c) · x`` is negative, x being measured from its center.
 
     Exact for a plane: inclusion and exclusion of the corners that the plane cuts off.
     """
@@ -43,7 +43,7 @@ def below_plane(value: float, a: float, b: float, c: float) -> float:
 
 @jit
 def _add_fractions(samples: NDArray[np.float32], k: Any, out: NDArray[np.float32]) -> None:
-    """Mean share of the k^3 parts of each voxel; `samples` has one part more on each side."""
+    """Mean fraction of the k^3 parts of each voxel; `samples` has one part more on each side."""
     nz, ny, nx = out.shape
     share = 1.0 / (k * k * k)
     for z in range(1, nz * k + 1):
@@ -53,7 +53,8 @@ def _add_fractions(samples: NDArray[np.float32], k: Any, out: NDArray[np.float32
                 left, right = np.float64(samples[z, y, x - 1]), np.float64(samples[z, y, x + 1])
                 front, back = np.float64(samples[z, y - 1, x]), np.float64(samples[z, y + 1, x])
                 low, high = np.float64(samples[z - 1, y, x]), np.float64(samples[z + 1, y, x])
-                # the mean over the part: with the sample alone, curved walls would all be displaced to one side
+                # the mean over the part, to second order value + Laplacian / 24: with the
+                # sample alone, curved walls would all be displaced to one side
                 mean = 0.75 * value + (left + right + front + back + low + high) / 24.0
                 slopes = 0.5 * (right - left), 0.5 * (back - front), 0.5 * (high - low)
                 inside = below_plane(mean, slopes[0], slopes[1], slopes[2])
@@ -66,12 +67,12 @@ def solid_fractions(
     resolution: int,
     parts: int = 2,
 ) -> NDArray[np.float32]:
-    """Share of each voxel in which a periodic field is negative, (nz, ny, nx) float32.
+    """Fraction of each voxel in which a periodic field is negative, (nz, ny, nx) float32.
 
     Each voxel is cut into ``parts^3``; in each part the field is taken for a plane, with its mean and slope from the
     samples at the center and its six neighbors. That is exact for flat walls and of second order for curved ones;
-    with two parts the share of a voxel on a sphere with a radius of four voxels is right within 0.02, the volume within
-    0.1 %.
+    with two parts the fraction of a voxel on a sphere with a radius of four voxels is right within 0.02, the volume
+    within 0.1 %.
 
     Parameters
     ----------

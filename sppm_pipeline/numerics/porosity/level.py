@@ -26,8 +26,8 @@ class LevelFit(NamedTuple):
     level : float
         C; representable in the type of the samples.
     porosity : float
-        Share of the samples with G >= C, counted. Differs from the target by at most half a sample, unless many samples
-        share one value.
+        Fraction of the samples with G >= C, counted. Differs from the target by at most half a sample, unless many
+        samples share one value.
     """
 
     level: float

@@ -21,7 +21,7 @@ class PorosityLine(NamedTuple):
     intercept : float
         Porosity at n = 0 (an extrapolation).
     r_squared : float
-        Share of the variance of the porosity that the line explains.
+        Fraction of the variance of the porosity that the line explains.
     residual_sd : float
         Standard deviation of the residuals, with two degrees of freedom taken by the line; 0 for two samples.
     largest_residual : float

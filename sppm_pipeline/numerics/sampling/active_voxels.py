@@ -15,7 +15,7 @@ from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.sampling.cell_list import CellList, add_point, is_free, next_uniform
 
 _SPOT = (0.0, 0.0, 0.0)
-# Voxels below this share of the spacing can't be told from round-off: what is left of them counts as covered.
+# Voxels below this fraction of the spacing are within round-off: what is left of them counts as covered.
 _FINEST = 1e-9
 # Plain darts left in every active voxel of a level before the voxels are split again.
 _DARTS_PER_VOXEL = 1.0

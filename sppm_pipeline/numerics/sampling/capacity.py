@@ -1,4 +1,4 @@
-"""How many pores fit: the mean count at which random sequential addition with a given spacing is saturated.
+"""Packing capacity: the mean count at which random sequential addition with a given spacing is saturated.
 
 Balls of diameter l thrown at random fill .3841 of space, discs .5470 of the plane, rods .7476 of the line (the jamming
 limits of random sequential addition; Torquato, Uche and Stillinger 2006; Renyi 1958), which makes .7336, .6966 and
@@ -17,7 +17,9 @@ from collections.abc import Sequence
 
 from sppm_pipeline.errors import DesignError
 
+# centers per l^d at the jamming limits above: .7476, .5470 / (pi / 4), .3841 / (pi / 6)
 _JAMMED = {0: 1.0, 1: 0.7476, 2: 0.6966, 3: 0.7336}
+# by how much of the spacing an edge counts as longer, fitted to measured saturation
 _EDGE = 0.64
 
 
@@ -87,14 +89,15 @@ def face_capacity(spacing: float, colors: int = 1, margin: float | None = None) 
     """
     if spacing <= 0.0 or colors < 1:
         raise ValueError(f"spacing and colors must be positive, got {spacing}, {colors}")
-    share = (0.0 if colors == 1 else 0.5) if margin is None else margin / spacing
-    crowded = 0.70 - 0.17 * math.pow(colors, -0.7)  # loss at a margin of l/2
-    if share <= 0.5:
-        loss = 0.46 + (crowded - 0.46) * share / 0.5
-    elif share <= 0.71:
-        loss = crowded + (0.76 - crowded) * (share - 0.5) / 0.21
+    # the fit of the docstring: linear to l/2, to .71 l, and beyond, where the side is 1 - 2 margin + .66 l
+    ratio = (0.0 if colors == 1 else 0.5) if margin is None else margin / spacing
+    at_half = 0.70 - 0.17 * math.pow(colors, -0.7)  # loss at a margin of l/2
+    if ratio <= 0.5:
+        loss = 0.46 + (at_half - 0.46) * ratio / 0.5
+    elif ratio <= 0.71:
+        loss = at_half + (0.76 - at_half) * (ratio - 0.5) / 0.21
     else:
-        loss = 2.0 * share - 0.66
+        loss = 2.0 * ratio - 0.66
     width = max(0.0, (1.0 - loss * spacing) / spacing)
     return _JAMMED[2] * width * width
 

@@ -1,4 +1,4 @@
-"""What samplers are compiled from: a stream of uniform numbers, and a bucket grid (cell list) over points.
+"""Building blocks of the samplers: a stream of uniform numbers, and a bucket grid (cell list) over points.
 
 The grid answers "is this spot free?" at a cost that does not grow with the number of points.
 

@@ -19,12 +19,12 @@ from sppm_pipeline.numerics.sampling.active_voxels import fill_active_voxels, th
 from sppm_pipeline.numerics.sampling.capacity import box_capacity, check_capacity
 from sppm_pipeline.numerics.sampling.cell_list import add_points, empty_cell_list, new_stream
 
-# Share of the capacity up to which plain darts are cheaper than keeping a list of voxels (some 20 darts a pore).
+# Fraction of the capacity up to which plain darts are cheaper than keeping a list of voxels (some 20 darts a pore).
 NAIVE_SHARE = 0.75
-# Darts a pore after which the plain way is left even below that share: obstacles have taken the room.
+# Darts a pore after which plain darts are given up even below that fraction: obstacles have taken the space.
 NAIVE_BUDGET = 60
 # The voxel list of more points than this takes gigabytes, and no cell needs them.
-_MOST_POINTS = 5_000_000
+_MAX_POINTS = 5_000_000
 _PORE, _OBSTACLE = 0, -1
 
 
@@ -142,10 +142,10 @@ def _wanted(
             raise DesignError("a packing share needs a spacing above 0", hint="give the number of pores instead")
         check_capacity(1, spacing, side.tolist(), periodic=wraps)
         rows = bound if share == 1.0 else max(1.0, math.floor(share * capacity))
-        wanted = int(rows) if rows <= _MOST_POINTS else 0
-    if rows > _MOST_POINTS:
+        wanted = int(rows) if rows <= _MAX_POINTS else 0
+    if rows > _MAX_POINTS:
         raise DesignError(
-            f"a spacing of {spacing:.6g} asks for up to {rows:.3g} pores; at most {_MOST_POINTS} are thrown at once",
+            f"a spacing of {spacing:.6g} asks for up to {rows:.3g} pores; at most {_MAX_POINTS} are thrown at once",
             hint="choose a larger spacing or fewer pores",
         )
     return wanted, int(rows)

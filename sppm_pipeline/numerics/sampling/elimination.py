@@ -1,7 +1,8 @@
 """Sample elimination: exactly n well-spread points, without a spacing to be chosen.
 
 Yuksel 2015, "Sample elimination for generating Poisson disk sample sets" (Computer Graphics Forum 34): start from many
-random points and take away, one by one, the point most crowded by its neighbors, until n are left.
+random points and take away, one by one, the point with the largest weight (a sum over near neighbors), until n are
+left.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from sppm_pipeline.numerics.sampling.cell_list import (
     wrapped,
 )
 
-# The constants of the paper: the weight's exponent is 8 (three squarings below); neighbors nearer than a share
+# The constants of the paper: the weight's exponent is 8 (three squarings below); neighbors nearer than a fraction
 # BETA (1 - (n / m)^GAMMA) of the ideal distance weigh no more than at that distance.
 _BETA, _GAMMA = 0.65, 1.5
 
@@ -131,7 +132,7 @@ def elimination_order(
     *,
     periodic: Sequence[bool] = (False, False, False),
 ) -> NDArray[np.int64]:
-    """Take the most crowded point away, again and again, until `count` points are left.
+    """Remove the point with the largest weight, again and again, until `count` points are left.
 
     Parameters
     ----------
@@ -191,7 +192,7 @@ def eliminate(
     lower, upper : (3,)
         Corners of the box, cell sizes; equal coordinates along an axis give points in a plane or on a line.
     periodic : 3 bools
-        Axes of period 1. Along the others points gather at the walls, as nothing outside crowds them.
+        Axes of period 1. Along the others points gather at the walls, as nothing outside adds weight.
     oversampling : float
         Random points to start from, as a multiple of `count`; at least 1.
 

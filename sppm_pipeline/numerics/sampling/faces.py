@@ -44,7 +44,7 @@ def split_between_faces_and_interior(
     face_count : int or None
         Pores on the three faces alone, instead of `total`.
     spacing : float or None
-        Cell edges.
+        Cell sizes.
     share : float or None
         Pores as a share of the packing limit.
     colors : int
@@ -54,7 +54,7 @@ def split_between_faces_and_interior(
     -------
     face_count : int
     spacing : float
-        Cell edges.
+        Cell sizes.
 
     Raises
     ------
@@ -210,7 +210,7 @@ def mirrored_faces(
         if margin is None:
             raise DesignError(
                 f"with {colors} face colors the face pores keep {border:.4g} from the border, which leaves no face",
-                hint="choose a spacing below 1 cell edge",
+                hint="choose a spacing below 1 cell size",
             )
         raise ValueError(f"margin must lie in [0, 0.5), got {margin}")
     if colors > 1 and border < spacing / 2.0:
@@ -250,7 +250,7 @@ def _thrown(
                 for axis in range(3)
             ]
         best = max(best, placed)
-        # As in `throw`: beyond five standard deviations more attempts are in vain.
+        # As in `throw`: beyond five standard deviations more attempts are futile.
         if rows - best > 1.5 * math.sqrt(rows):
             break
     per_face = best / wanted.size

@@ -20,11 +20,11 @@ OPERATIONS = {"union": "Add", "difference": "Subtract", "intersection": "Interse
 """Name of each operation here and in manifold3d."""
 
 TOLERANCE = 1e-6
-"""By how much, as a share of the larger volume, a result may leave its bounds; rounding is far below."""
+"""By how much, as a fraction of the larger volume, a result may leave its bounds; rounding is far below."""
 
 
 class BooleanOutcome(NamedTuple):
-    """What manifold3d said.
+    """The result of a Boolean by manifold3d.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What happens to a surface at the border of the box: closed by a cap, or left open for the next periodic cell.
+"""Closing of a surface at the border of the box: by a cap, or left open for the next periodic cell.
 
 A field of n + 1 samples an edge whose opposite faces are equal (`wrapped`) gives, without a cap, a surface whose
 opposite boundaries match vertex by vertex. `capped_marching_cubes` closes the solid with flat caps that lie exactly in
@@ -89,7 +89,9 @@ def _expected(field: NDArray[np.float32], level: float) -> tuple[int, int]:
     crossed = np.count_nonzero(some[:, :, 1:] != some[:, :, :-1]) + 4 * np.count_nonzero(
         some[:, :, :: field.shape[2] - 1]
     )
+    # an isotropic surface crosses as many edges along y and z; a tenth more in reserve
     vertices = int(1.1 * 3 * crossed * field.shape[0] / len(some))
+    # Euler: a closed surface of small genus has two triangles a vertex
     return vertices, 2 * vertices
 
 

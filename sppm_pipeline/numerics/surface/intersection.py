@@ -58,7 +58,7 @@ def on_both_fields(
 
 @jit
 def _leaves(solid: float, void: float) -> float:
-    """Where, as a share of the way, a field leaves its solid: -1 if it never is in it, 2 if it does not leave."""
+    """Where, as a fraction of the way, a field leaves its solid: -1 if it never is in it, 2 if it does not leave."""
     if not solid < 0.0:
         return -1.0
     if void < 0.0:

@@ -20,7 +20,7 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.surface.marching_cubes import Mesh
 
 STEP = 2.0**-8
-"""How far a vertex is moved, as a share of the way to the middle of its neighbors."""
+"""How far a vertex is moved, as a fraction of the way to the middle of its neighbors."""
 
 
 def run_level_set(
@@ -141,7 +141,7 @@ def _minus_value_at(
 ) -> float:
     """The trilinear interpolant with its sign turned, as manifold3d has its solid where values are positive."""
     nz, ny, nx = values.shape
-    # a share of a millionth is rounding: lattice points are to have the value of their sample
+    # a fraction of a millionth is rounding: lattice points are to have the value of their sample
     u = min(max((x - x0) * scale, 0.0), nx - 1.0)
     v = min(max((y - y0) * scale, 0.0), ny - 1.0)
     w = min(max((z - z0) * scale, 0.0), nz - 1.0)

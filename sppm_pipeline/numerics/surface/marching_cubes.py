@@ -1,6 +1,6 @@
 """Marching cubes (Lorensen and Cline, 1987) with consistent faces, over a whole field or slab by slab.
 
-The signs of the samples are packed 64 to a word. Words tell which cubes the surface passes; the numbers of the
+The signs of the samples are packed 64 to a word. Words show which cubes the surface passes; the numbers of the
 vertices follow from running counts along the eight rows of edges of a row of cubes, as in flying edges (Schroeder,
 Maynard and Geveci, 2015), so that no table from edges to vertices is kept.
 
@@ -39,7 +39,7 @@ from sppm_pipeline.numerics.surface.sign_words import (
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 
-#: Least distance of a vertex from the ends of its grid edge, as a share of that edge.
+#: Least distance of a vertex from the ends of its grid edge, as a fraction of that edge.
 EDGE_MARGIN = 2.0**-10
 
 

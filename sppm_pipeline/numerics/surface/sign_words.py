@@ -1,6 +1,6 @@
-"""The signs of a field, 64 samples to a word, and what can be counted in them.
+"""The signs of a field, 64 samples to a word, and counts of crossed edges and cubes from them.
 
-Bit i % 64 of ``words[k, j, i // 64]`` tells whether sample (i, j, k) is solid; bits past the end of a row are 0. A view
+Bit i % 64 of ``words[k, j, i // 64]`` says whether sample (i, j, k) is solid; bits past the end of a row are 0. A view
 of a row would cost a reference count at every call, so the kernels take the plane and the number of the row.
 """
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.tetrahedra.faces import boundary_triangles, face_neighbors
 
 TOLERANCE = 1e-6
-"""Share of the shortest edge of the box by which copies may miss each other."""
+"""Fraction of the shortest edge of the box by which copies may miss each other."""
 
 
 class FaceMatch(NamedTuple):
@@ -57,7 +57,7 @@ def matched_nodes(
     box : (2, 3) float
         Low and high corner.
     tolerance : float
-        Share of the shortest edge of the box by which copies may miss each other.
+        Fraction of the shortest edge of the box by which copies may miss each other.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def matched_nodes(
     place = np.arange(len(chosen))
     np.minimum.at(place, found.max(1), found.min(1))
     if (place[found[:, 0]] != place[found[:, 1]]).any():
-        raise ValueError("nodes on a face of the box are too close to each other to tell their copies apart")
+        raise ValueError("nodes on a face of the box are too close to each other to distinguish their copies")
     same = np.linalg.norm(points[chosen[found[:, 0]]] - points[chosen[found[:, 1]]], axis=1) <= 2 * reach
     if same.any():
         raise ValueError(f"nodes {chosen[found[np.argmax(same)]].tolist()} on a face of the box coincide")

@@ -1,4 +1,4 @@
-"""How well shaped tetrahedra are: dihedral angles, aspect ratios, volumes, orientation."""
+"""Shape quality of tetrahedra: dihedral angles, aspect ratios, volumes, orientation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FIFTHS = 900
 
 
 class Quality(NamedTuple):
-    """What `quality` finds. Cells without volume have no angles; they are counted as inverted.
+    """The result of `quality`. Cells without volume have no angles; they are counted as inverted.
 
     Attributes
     ----------

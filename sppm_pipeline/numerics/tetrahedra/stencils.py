@@ -1,4 +1,4 @@
-"""How each tetrahedron of the lattice is cut: the stencils of isosurface stuffing (Labelle and Shewchuk, 2007).
+"""The stencils of isosurface stuffing (Labelle and Shewchuk, 2007).
 
 A quadrilateral between two solid corners p, q of a face and the points where the surface cuts the edges from p and q
 to the third corner is split by a diagonal. It ends at the point on the longer of the two edges. If they are equally

@@ -59,7 +59,7 @@ def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.
         Whether the box repeats for ever.
     others : arrays as `values`
         If `values` is the maximum of several fields, these fields: the surface is then where, coming from the solid,
-        the first of them reaches zero, which their maximum does not tell.
+        the first of them reaches zero, which their maximum does not show.
 
     Raises
     ------
@@ -80,9 +80,9 @@ def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.
             hint="lower the resolution, or mesh a smaller piece",
         )
     found = find_crossings(values, periodic)
-    shares = _shares(found.ends, others or (values,))
+    fractions = _cut_positions(found.ends, others or (values,))
     top = (2 * nx, 2 * ny, 2 * nz)
-    on_surface, moved = warp(found, shares, top, periodic)
+    on_surface, moved = warp(found, fractions, top, periodic)
     signs = np.sign(values).astype(np.int8)
     np.negative(signs, out=signs)
     signs.ravel()[found.points[on_surface]] = 0
@@ -90,10 +90,10 @@ def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.
         repeat_low_faces(signs)
     names = cut_tetrahedra(signs, found.slot_of, found.starts, found.incident, found.slots, periodic)
     del signs
-    used, tets = _used(names, values.size + 8 * len(shares))
+    used, tets = _used(names, values.size + 8 * len(fractions))
     twins = _twins(used, values.shape, periodic)
     slot = _slot_of_nodes(used, found, values.shape, periodic)
-    nodes = _positions(used, found, shares, moved, slot, values.shape)
+    nodes = _positions(used, found, fractions, moved, slot, values.shape)
     put_back = 0
     while True:  # every round puts at least one point back, so that this ends
         has_moved = np.append(moved.any(1), False)[slot]
@@ -105,7 +105,7 @@ def stuff(values: NDArray[np.float32], periodic: bool, others: tuple[NDArray[np.
             return Stuffed(nodes / 2, tets, twins, put_back)
         put_back += len(slots)
         moved[slots] = 0
-        nodes = _positions(used, found, shares, moved, slot, values.shape)
+        nodes = _positions(used, found, fractions, moved, slot, values.shape)
 
 
 def require_room(nx: int, ny: int, nz: int) -> None:
@@ -117,8 +117,8 @@ def require_room(nx: int, ny: int, nz: int) -> None:
         )
 
 
-def _shares(ends: NDArray[np.int32], fields: tuple[NDArray[np.float32], ...]) -> NDArray[np.float64]:
-    """Where the surface cuts each edge, by linear interpolation, as a share from the first end."""
+def _cut_positions(ends: NDArray[np.int32], fields: tuple[NDArray[np.float32], ...]) -> NDArray[np.float64]:
+    """Where the surface cuts each edge, by linear interpolation, as a fraction from the first end."""
     (x0, y0, z0), (x1, y1, z1) = ends[:, 0].T, ends[:, 1].T
     solid_first = np.ones(len(ends), np.bool_)
     for field in fields:
@@ -182,7 +182,7 @@ def _slot_of_nodes(
 def _positions(
     used: NDArray[np.int64],
     found: Crossings,
-    shares: NDArray[np.float64],
+    fractions: NDArray[np.float64],
     moved: NDArray[np.float64],
     slot: NDArray[np.int32],
     shape: tuple[int, ...],
@@ -196,7 +196,7 @@ def _positions(
     nodes[shifted] += moved[slot[shifted]]
     edge, copy = np.divmod(used[points:] - size, 8)
     ends = found.ends[edge].astype(np.float64)
-    cut = ends[:, 0] + shares[edge, None] * (ends[:, 1] - ends[:, 0])
+    cut = ends[:, 0] + fractions[edge, None] * (ends[:, 1] - ends[:, 0])
     top = np.array(shape[::-1]) - 1
     for axis in range(3):
         high = (copy >> axis & 1).astype(bool)
@@ -212,7 +212,7 @@ def without_islands(mesh: Stuffed) -> tuple[Stuffed, float]:
     -------
     mesh : Stuffed
     removed : float
-        Share of the volume that went.
+        Fraction of the volume that went.
     """
     count, labels = components(face_neighbors(mesh.twins[mesh.tets]))
     if count <= 1:
@@ -238,18 +238,18 @@ def expected_counts(surface: float, volume: float, porosity: float, resolution: 
 
 
 TOO_CLOSE = np.array([np.nan, 0.45, 0.45, 0.41189, 0.24999])
-"""Share of an edge below which the surface counts as too close to its end, by the squared length of the edge in the
+"""Fraction of an edge below which the surface counts as too close to its end, by the squared length of the edge in the
 doubled grid: 4 and 3 for the long and short edges of the lattice, with the paper's values; 2 and 1 for the half
 diagonals of squares in the faces of the box and for the edges from their centers into the box."""
 
 REACH_IN_FACE = 0.45
-"""Share of an edge up to which a point in a face of the box is moved, if an edge leaving the face asks for it."""
+"""Fraction of an edge up to which a point in a face of the box is moved, if an edge leaving the face asks for it."""
 
 
 def warp(
-    crossings: Crossings, shares: NDArray[np.float64], top: tuple[int, int, int], periodic: bool
+    crossings: Crossings, fractions: NDArray[np.float64], top: tuple[int, int, int], periodic: bool
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Which points are put onto the surface, and by how much each moves.
+    """Warp lattice points onto the surface: which ones move, and by how much.
 
     A point in a face of the box moves in that face only, in an edge of the box along it. Where only edges that leave
     the face are cut too close to it, it is moved along one in the face that is cut within reach; failing that it stays
@@ -258,8 +258,8 @@ def warp(
     Parameters
     ----------
     crossings : Crossings
-    shares : (e,) float64
-        Where the surface cuts each edge, as a share of it from its first end.
+    fractions : (e,) float64
+        Where the surface cuts each edge, as a fraction of it from its first end.
     top : 3 ints
         Largest coordinates of the doubled grid, x, y, z.
     periodic : bool
@@ -280,7 +280,7 @@ def warp(
     on_surface = np.zeros(len(at), np.bool_)
     moved = np.zeros((len(at), 3))
     _warp(
-        order, crossings.starts, crossings.incident, crossings.slots, shares, steps, TOO_CLOSE[squares],
+        order, crossings.starts, crossings.incident, crossings.slots, fractions, steps, TOO_CLOSE[squares],
         np.sqrt(squares), fixed, on_surface, moved,
     )  # fmt: skip
     return on_surface, moved
@@ -292,7 +292,7 @@ def _warp(
     starts: NDArray[np.int64],
     incident: NDArray[np.int64],
     slots: NDArray[np.int32],
-    shares: NDArray[np.float64],
+    fractions: NDArray[np.float64],
     steps: NDArray[np.float64],
     too_close: NDArray[np.float64],
     lengths: NDArray[np.float64],
@@ -309,14 +309,14 @@ def _warp(
             first = slots[e, 0] == s
             if on_surface[slots[e, 1] if first else slots[e, 0]]:
                 continue
-            share = shares[e] if first else 1.0 - shares[e]
-            close |= share < too_close[e]
-            allowed = share < (REACH_IN_FACE if in_face else too_close[e])
+            fraction = fractions[e] if first else 1.0 - fractions[e]
+            close |= fraction < too_close[e]
+            allowed = fraction < (REACH_IN_FACE if in_face else too_close[e])
             for axis in range(3):
                 if fixed[s, axis] and steps[e, axis] != 0:
                     allowed = False
-            if allowed and share * lengths[e] < nearest:
-                best, way, nearest = e, (share if first else -share), share * lengths[e]
+            if allowed and fraction * lengths[e] < nearest:
+                best, way, nearest = e, (fraction if first else -fraction), fraction * lengths[e]
         if close:
             on_surface[s] = True
             if best >= 0:

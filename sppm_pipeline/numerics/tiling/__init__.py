@@ -1,4 +1,4 @@
-"""Which content stands in which cell of an assembly (paper, section "Overall Stochasticity").
+"""Tile rules: which content goes into which cell of an assembly (paper, section "Overall Stochasticity").
 
 A tiling is a pair ``(interior, faces)`` of integer arrays. ``interior`` (nx, ny, nz) holds the interior of each cell
 and -1 where there is no cell. ``faces`` holds one array for each axis, one longer than ``interior`` along that axis:

@@ -20,8 +20,8 @@ from sppm_pipeline.numerics.tiling.lattice import (
     hash_places,
 )
 
-_MOST_COLORS_OF_FACES = 215  # 215^4 < 2^31
-_MOST_COLORS_OF_CELLS = 14  # 14^8 < 2^31
+_MAX_COLORS_OF_FACES = 215  # 215^4 < 2^31
+_MAX_COLORS_OF_CELLS = 14  # 14^8 < 2^31
 
 
 def _combined(corners: NDArray[np.int32], colors: int, axes: tuple[int, ...]) -> NDArray[np.int32]:
@@ -70,7 +70,7 @@ def tile_corners(
         If there are too many colors to number the interiors (more than 14, without `interiors`) or the faces (more
         than 215), or fewer than one color or interior.
     """
-    check_count("corner colors", colors, _MOST_COLORS_OF_FACES if interiors is not None else _MOST_COLORS_OF_CELLS)
+    check_count("corner colors", colors, _MAX_COLORS_OF_FACES if interiors is not None else _MAX_COLORS_OF_CELLS)
     cells = checked_mask(mask)
     nx, ny, nz = cells.shape
     i, j, k = np.ogrid[: nx + 1, : ny + 1, : nz + 1]

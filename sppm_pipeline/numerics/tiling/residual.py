@@ -76,15 +76,16 @@ def mean_cell(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.float
 
 
 def bragg_share(image: ArrayLike, cells: tuple[int, int, int], *, corrected: bool = True) -> float:
-    """Share of the variance of an image that repeats from cell to cell: 0 for a random structure, 1 for a crystal.
+    """Fraction of the variance of an image that repeats from cell to cell: 0 for a random structure, 1 for a crystal.
 
-    The raw share is the variance of the mean cell over the variance of the image. By Parseval's theorem it is *the same
-    number* as the power of the image at the points of the reciprocal lattice (the Bragg peaks, frequency zero left out)
-    over its power at all frequencies but zero, so no Fourier transform is needed.
+    The raw fraction is the variance of the mean cell over the variance of the image. By Parseval's theorem it is *the
+    same number* as the power of the image at the points of the reciprocal lattice (the Bragg peaks, frequency zero left
+    out) over its power at all frequencies but zero, so no Fourier transform is needed.
 
-    Even of M independent cells the raw share is about 1/M, since their average keeps a remainder. The corrected share
-    replaces the variance of the mean cell, which is the mean covariance of all M^2 pairs of cells, by the mean over the
-    pairs of *different* cells. Its expectation is zero for independent cells, so single values may fall below zero.
+    Even of M independent cells the raw fraction is about 1/M, since their average keeps a remainder. The corrected
+    fraction replaces the variance of the mean cell, which is the mean covariance of all M^2 pairs of cells, by the mean
+    over the pairs of *different* cells. Its expectation is zero for independent cells, so single values may fall below
+    zero.
 
     Parameters
     ----------
@@ -98,12 +99,12 @@ def bragg_share(image: ArrayLike, cells: tuple[int, int, int], *, corrected: boo
     Returns
     -------
     float
-        The share; NaN for an image without contrast.
+        The fraction; NaN for an image without contrast.
 
     Raises
     ------
     ValueError
-        If the image can't be divided into whole voxels, or there is one cell only and the corrected share is wanted.
+        If the image can't be divided into whole voxels, or there is one cell only and the corrected fraction is wanted.
     """
     blocks = _blocks(image, cells)
     count = cells[0] * cells[1] * cells[2]

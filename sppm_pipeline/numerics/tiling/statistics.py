@@ -1,4 +1,4 @@
-"""What can be counted in a tiling: broken rules, alike neighbors, scores, and the entropy that a rule leaves.
+"""Statistics of a tiling: broken rules, alike neighbors, scores, and the entropy that a rule leaves.
 
 Nothing here is shared with the tilers, so that it is an independent test of each.
 """

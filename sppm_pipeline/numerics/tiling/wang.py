@@ -32,11 +32,11 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.tiling.lattice import TIE, Faces, check_count, checked_mask, faces_of_cells, hash_places
 
-_MOST_COLORS = 1290  # 1290^3 is the largest cube below 2^31
+_MAX_COLORS = 1290  # 1290^3 is the largest cube below 2^31
 
 
 @jit
-def _run_mate(
+def _run_neighbor(
     mask: NDArray[np.bool_], tiles: NDArray[np.int32], place: int, index: int, count: int, stride: int, periodic: bool
 ) -> int:
     """The tile of a cell already placed on the run through `place`, or -1."""
@@ -69,6 +69,7 @@ def _add_sameness(
                 elif kk < 0 or jj < 0 or ii < 0 or kk >= nz or jj >= ny or ii >= nx:
                     continue
                 if steps > 0 and tiles[kk, jj, ii] >= 0:
+                    # Rule 2: neighbors across faces, edges and corners weigh 3, 2 and 1
                     sameness[tiles[kk, jj, ii]] += 4 - steps
 
 
@@ -92,9 +93,9 @@ def _fill(
                 place = (k * ny + j) * nx + i
                 if not flat_mask[place]:
                     continue
-                along_x = _run_mate(flat_mask, flat_tiles, place, i, nx, 1, periodic)
-                along_y = _run_mate(flat_mask, flat_tiles, place, j, ny, nx, periodic)
-                along_z = _run_mate(flat_mask, flat_tiles, place, k, nz, nx * ny, periodic)
+                along_x = _run_neighbor(flat_mask, flat_tiles, place, i, nx, 1, periodic)
+                along_y = _run_neighbor(flat_mask, flat_tiles, place, j, ny, nx, periodic)
+                along_z = _run_neighbor(flat_mask, flat_tiles, place, k, nz, nx * ny, periodic)
                 x0, x1 = (0, colors) if along_x < 0 else (along_x // square, along_x // square + 1)
                 y0, y1 = (0, colors) if along_y < 0 else (along_y // colors % colors, along_y // colors % colors + 1)
                 z0, z1 = (0, colors) if along_z < 0 else (along_z % colors, along_z % colors + 1)
@@ -102,7 +103,7 @@ def _fill(
                     flat_tiles[place] = (x0 * colors + y0) * colors + z0
                     continue
                 if scored:
-                    # The highest score is the least weight of neighbors that are the same tile.
+                    # The highest score (eq. 6) is the smallest weight of neighbors that are the same tile.
                     sameness[:] = 0
                     _add_sameness(tiles, k, j, i, periodic, sameness)
                 least, ties = 1 << 30, 0
@@ -142,7 +143,7 @@ def tile_colors(colors: int = 3) -> NDArray[np.int32]:
     DesignError
         If c isn't within 1..1290.
     """
-    check_count("face colors", colors, _MOST_COLORS)
+    check_count("face colors", colors, _MAX_COLORS)
     tile = np.arange(colors**3, dtype=np.int32)
     return np.stack([tile // colors**2, tile // colors % colors, tile % colors], axis=1)
 
@@ -179,7 +180,7 @@ def tile_wang(
     DesignError
         If `colors` isn't within 1..1290.
     """
-    check_count("face colors", colors, _MOST_COLORS)
+    check_count("face colors", colors, _MAX_COLORS)
     cells = checked_mask(mask)
     nx, ny, nz = cells.shape
     stored = np.ascontiguousarray(cells.transpose(2, 1, 0))

@@ -1,1 +1,1 @@
-"""Something is measured, and may be rejected."""
+"""Stages that measure an artifact, and may reject it."""

@@ -1,4 +1,4 @@
-"""``check.connectivity``: is the solid one piece, and the void?"""
+"""``check.connectivity``: the connected components of solid and void."""
 
 from __future__ import annotations
 

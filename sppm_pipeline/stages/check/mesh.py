@@ -1,4 +1,4 @@
-"""``check.mesh``: does a mesh bound a solid that can be made, and if not, why?"""
+"""``check.mesh``: the mesh report, and whether the mesh bounds a solid."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ class CheckMesh(Stage):
         found = mesh_report(mesh.vertices, mesh.faces)
         thin = self.thin.mm() if self.thin is not None else None
         problems = self._problems(found, thin)
-        facts = f"{_count(found.measures.components, 'component')}, {_count(found.measures.faces, 'triangle')}"
+        counts = f"{_count(found.measures.components, 'component')}, {_count(found.measures.faces, 'triangle')}"
         if problems:
-            verdict = f"{mesh.name} ({facts}) has {_count(len(problems), 'problem')}: {'; '.join(problems.values())}"
+            verdict = f"{mesh.name} ({counts}) has {_count(len(problems), 'problem')}: {'; '.join(problems.values())}"
         else:
-            verdict = f"{mesh.name} ({facts}) bounds a solid: watertight, manifold, wound outwards"
+            verdict = f"{mesh.name} ({counts}) bounds a solid: watertight, manifold, wound outwards"
             if thin is not None:
                 share = found.walls.share_below(thin)
                 verdict += f", {share:.1%} of it" if share else ", none of it"

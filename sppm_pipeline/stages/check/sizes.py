@@ -1,4 +1,4 @@
-"""``check.sizes``: how wide pores and struts are, and how much surface there is."""
+"""``check.sizes``: local thickness of pores and struts, and specific surface."""
 
 from __future__ import annotations
 

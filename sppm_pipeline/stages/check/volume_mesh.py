@@ -1,4 +1,4 @@
-"""``check.volume_mesh``: is a volume mesh fit for finite elements?"""
+"""``check.volume_mesh``: whether a volume mesh is fit for finite elements."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Pores are joined by tunnels."""
+"""Stages that join pores by tunnels."""

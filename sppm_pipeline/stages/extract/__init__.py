@@ -1,1 +1,1 @@
-"""A field becomes a triangle mesh."""
+"""Stages that extract meshes and voxel images from fields."""

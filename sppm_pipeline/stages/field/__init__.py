@@ -1,1 +1,1 @@
-"""Pores and tunnels become a field."""
+"""Stages that make a scalar field of pores and tunnels."""

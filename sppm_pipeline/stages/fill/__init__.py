@@ -1,1 +1,1 @@
-"""A part is cut from the tiling."""
+"""Stages that intersect a microstructure with a part."""

@@ -1,1 +1,1 @@
-"""Effective properties of a periodic structure."""
+"""Stages that compute effective properties of a periodic structure."""

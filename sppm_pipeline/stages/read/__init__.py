@@ -1,1 +1,1 @@
-"""Files and primitives become artifacts."""
+"""Stages that read files, and make primitives."""

@@ -149,7 +149,7 @@ class ReadMesh(Stage):
 
 
 def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:
-    """Number of triangles and size of the box in a file, as far as they can be told without reading all of it."""
+    """Number of triangles and size of the box in a file, as far as they can be known without reading all of it."""
     length, extension = path.stat().st_size, path.suffix[1:].lower()
     with path.open("rb") as file:
         header = file.read(HEADER)
@@ -160,8 +160,8 @@ def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:
         corners = records["corners"].reshape(-1, 3).astype(np.float64)
         x, y, z = (corners.max(0) - corners.min(0)).tolist()
         return float(count), (x, y, z)
-    told = re.search(rb"element face (\d+)" if extension == "ply" else rb"^OFF\s+\d+\s+(\d+)", header)
-    return float(told[1]) if told else length / TYPICAL_BYTES[extension], None
+    found = re.search(rb"element face (\d+)" if extension == "ply" else rb"^OFF\s+\d+\s+(\d+)", header)
+    return float(found[1]) if found else length / TYPICAL_BYTES[extension], None
 
 
 def _box(

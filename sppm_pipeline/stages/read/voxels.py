@@ -24,7 +24,7 @@ class ReadVoxels(Stage):
     """Read a voxel image: .npy, a TIFF file of many pages, a folder of PNG or TIFF files, or .nrrd.
 
     The image becomes phases (0 is void) or solid fractions. An image of two values is void and solid; one with the
-    values 0, 1, 2 ... holds phases; a gray one needs a threshold, or to be told that its values are fractions.
+    values 0, 1, 2 ... holds phases; a gray one needs a threshold, or the statement that its values are fractions.
     """
 
     name: ClassVar[str] = "read.voxels"
@@ -97,7 +97,7 @@ class ReadVoxels(Stage):
             return self._fractions(values)
         if self.values in ("threshold", "otsu"):
             if self.values == "otsu" and values.min() == values.max():
-                raise InputError(f"{name} has one value only, {values.min():g}: there is nothing to tell apart")
+                raise InputError(f"{name} has one value only, {values.min():g}: there is nothing to separate")
             cut = otsu(values) if self.threshold is None else self.threshold
             context.report(threshold=cut)
             solid: NDArray[np.bool_] = (values < cut) if self.invert else (values >= cut)

@@ -1,1 +1,1 @@
-"""Pores are thrown."""
+"""Stages that sample pore positions."""

@@ -14,7 +14,7 @@ from sppm_pipeline.stage import option
 
 @dataclass(frozen=True, kw_only=True)
 class Elimination(Sampler):
-    """Weighted sample elimination (Yuksel 2015): many uniform candidates, the most crowded removed until n are left.
+    """Weighted sample elimination (Yuksel 2015): remove from many uniform candidates those with near neighbors.
 
     It always ends with the requested number and needs no spacing; it keeps away from face pores only through `gap`.
     """

@@ -16,7 +16,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import design_of, options, start_of
 from sppm_pipeline.stage import Context, Stage, option
 
-MOST_TOGETHER = 16
+MAX_TOGETHER = 16
 """Colors thrown against each other; more patterns keep a margin that makes them independent."""
 
 
@@ -100,7 +100,7 @@ class MirroredFaces(Stage):
                 + (f" and, with several face colors, at least half the spacing of {spacing:.4g}" * (max(colors) > 1)),
                 hint="leave `margin` out for the least that works",
             )
-        if max(colors) <= MOST_TOGETHER and len(set(colors)) == 1:
+        if max(colors) <= MAX_TOGETHER and len(set(colors)) == 1:
             patterns = mirrored_faces(context.rng(), None, spacing, colors[0], margin=margin, total=count)
         else:
             patterns = self._apart(context, count, spacing, colors, margin)

@@ -1,1 +1,1 @@
-"""A field becomes a stack of layers."""
+"""Stages that slice fields and meshes into layers."""

@@ -1,1 +1,1 @@
-"""Cells are laid into a part."""
+"""Stages that lay cells into a part."""

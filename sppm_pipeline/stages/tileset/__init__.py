@@ -1,1 +1,1 @@
-"""A recipe is drawn for many interiors and face colors."""
+"""Stages that draw a recipe for many interiors and face colors."""

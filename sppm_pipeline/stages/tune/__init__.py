@@ -1,1 +1,1 @@
-"""A recipe is repeated until it meets a target."""
+"""Stages that repeat a recipe until it meets a target."""

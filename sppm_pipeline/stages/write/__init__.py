@@ -1,1 +1,1 @@
-"""Artifacts become files."""
+"""Stages that write artifacts to files."""

@@ -12,7 +12,7 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
-MOST_ROWS = 200
+MAX_ROWS = 200
 """Maximum number of rows of a chart of readable size."""
 
 
@@ -50,8 +50,8 @@ class WriteBars(Stage):
         """Draw the panels."""
         from sppm_pipeline.render.charts import Panel, bars, plain_text
 
-        if not 0 < table.rows <= MOST_ROWS:
-            raise ConfigError(f"the table has {table.rows} rows; bars can be drawn of 1 to {MOST_ROWS}")
+        if not 0 < table.rows <= MAX_ROWS:
+            raise ConfigError(f"the table has {table.rows} rows; bars can be drawn of 1 to {MAX_ROWS}")
         rows = table.order(self.sort, descending=self.descending) if self.sort else list(range(table.rows))
         names = table.texts(self.label)
         unknown = [name for name in self.mark if name not in names]

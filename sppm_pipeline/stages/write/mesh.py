@@ -24,7 +24,7 @@ COPIES = (".3mf", ".glb")
 
 @dataclass(frozen=True, kw_only=True)
 class WriteMesh(Stage):
-    """Write a triangle mesh; the extension tells the format: binary STL or PLY, OBJ, OFF, 3MF or GLB.
+    """Write a triangle mesh; the extension chooses the format: binary STL or PLY, OBJ, OFF, 3MF or GLB.
 
     Coordinates are millimeters; a GLB is in meters with y up, as its specification says. What `extract.unit_cell` makes
     is written once, with a place for each copy, to a .3mf or .glb file; slicing programs unite solids that touch.

@@ -9,7 +9,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.families import options
-from sppm_pipeline.fields.picture import MOST_SAMPLES, MOST_TILES, field_picture, tile_sheet
+from sppm_pipeline.fields.picture import MAX_SAMPLES, MAX_TILES, field_picture, tile_sheet
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.stage import Context, Stage, option
@@ -40,8 +40,8 @@ class WritePicture(Stage):
             return Size(pixels=pixels, triangles=what.triangles)
         body = what.body
         if what.cells > body.volume:  # a sheet of a tile set
-            tiles, pixels = min(what.cells, MOST_TILES), 300.0 * 270
-        while n > 4 and body.samples(n) * share > MOST_SAMPLES:
+            tiles, pixels = min(what.cells, MAX_TILES), 300.0 * 270
+        while n > 4 and body.samples(n) * share > MAX_SAMPLES:
             n -= 1
         grid, shown = what.grid(n), share * tiles
         return Size(

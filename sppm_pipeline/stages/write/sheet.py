@@ -18,7 +18,7 @@ from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
-MOST_PICTURES = 400
+MAX_PICTURES = 400
 """Pictures on a sheet."""
 
 
@@ -62,8 +62,8 @@ class WriteSheet(Stage):
         files = table.files[self.picture]
         labels = table.texts(self.label)
         there = [(file, label) for file, label in zip(files, labels, strict=True) if file is not None]
-        if len(there) > MOST_PICTURES:
-            raise ConfigError(f"{len(there)} pictures are too many for a sheet; at most {MOST_PICTURES} fit")
+        if len(there) > MAX_PICTURES:
+            raise ConfigError(f"{len(there)} pictures are too many for a sheet; at most {MAX_PICTURES} fit")
         if len(there) < len(files):
             missing = [label for file, label in zip(files, labels, strict=True) if file is None]
             context.warn(f"{len(missing)} runs wrote no {self.picture!r}: {', '.join(missing[:10])}")

@@ -1,4 +1,4 @@
-"""``write.table``: chosen columns of a table, under headings of one's own."""
+"""``write.table``: chosen columns of a table, under chosen headings."""
 
 from __future__ import annotations
 
@@ -65,5 +65,5 @@ class WriteTable(Stage):
 
 
 def _cell(text: str) -> str:
-    """A text that stays in its cell of a Markdown table."""
+    """Escape a string so that it stays in its cell of a Markdown table."""
     return " ".join(text.replace("|", "\\|").split())

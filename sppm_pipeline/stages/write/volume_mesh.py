@@ -25,7 +25,7 @@ COMMENTS = (
 
 @dataclass(frozen=True, kw_only=True)
 class WriteVolumeMesh(Stage):
-    """Write a volume mesh; the extension tells the format: VTU, legacy VTK, Abaqus INP or Gmsh MSH 4.1.
+    """Write a volume mesh; the extension chooses the format: VTU, legacy VTK, Abaqus INP or Gmsh MSH 4.1.
 
     A .vtu or .vtk file, for ParaView and PyVista, has the cell array ``material``. An .inp file, for Abaqus and
     CalculiX, has elements C3D4 or C3D10, sets of elements, and sets of the nodes in the faces of the box (of the

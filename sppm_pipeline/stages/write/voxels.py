@@ -16,7 +16,7 @@ from sppm_pipeline.stage import Context, Stage
 
 @dataclass(frozen=True, kw_only=True)
 class WriteVoxels(Stage):
-    """Write a voxel image; the extension tells the format: a NumPy array, a TIFF file of many pages, or VTK image data.
+    """Write a voxel image; the extension chooses the format: a NumPy array, a multi-page TIFF, or VTK image data.
 
     A .npy or .vti file holds uint8 phases, 0 for void, or float32 solid fractions, indexed x, y, z. A TIFF file has one
     page a layer, the lowest first, rows from the largest y down; an image of one phase has the values 0 and 255 there,

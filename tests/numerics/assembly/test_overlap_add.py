@@ -12,7 +12,7 @@ from sppm_pipeline.numerics.kernels.kernels import concatenated, empty_kernels
 from sppm_pipeline.testing.exact_sum import cutoff_bound, exact_sum
 
 # Patches that can lie over one voxel: sites within one cell, ten pieces each.
-MOST_PATCHES = 27 * 10
+MAX_PATCHES = 27 * 10
 
 
 def samples(low: tuple[int, int, int], high: tuple[int, int, int], n: int, offset: float) -> np.ndarray:
@@ -47,7 +47,7 @@ def test_random_tilings_within_the_bound(
     points = samples(corner, stop, n, offset)
     if periodic:
         points %= np.array(shape)
-    bound = cutoff_bound(everything, points.min(axis=0), points.max(axis=0), blocks=4) + MOST_PATCHES * 1e-5
+    bound = cutoff_bound(everything, points.min(axis=0), points.max(axis=0), blocks=4) + MAX_PATCHES * 1e-5
     assert np.abs(field.ravel() - exact_sum(everything, points)).max() <= bound
 
 

@@ -37,7 +37,7 @@ def test_mates_are_the_two_sides_of_an_edge():
     assert (found.fan_count, found.surface_count, found.non_manifold_vertices) == (len(BALL[0]), 1, 0)
 
 
-def test_crowded_edges_and_non_manifold_vertices():
+def test_non_manifold_edges_and_non_manifold_vertices():
     book = np.array([(0, 1, 2), (1, 0, 3), (0, 1, 4)])
     found = adjacency(book)
     assert np.count_nonzero(found.opposite == NON_MANIFOLD) == 3

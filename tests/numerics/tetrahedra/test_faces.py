@@ -59,7 +59,7 @@ def test_the_boundary_is_closed_and_points_outward():
     assert found.volume == pytest.approx(total)
 
 
-def test_crowded_faces():
+def test_non_manifold_faces():
     tets = np.array([[0, 1, 2, 3], [0, 2, 1, 4], [0, 1, 2, 5]])
     neighbors = face_neighbors(tets)
     assert (neighbors == NON_MANIFOLD).sum() == 3

@@ -23,6 +23,7 @@ _TWICE = 8
 """Coarse grids with longer axes than this are visited twice in a cycle."""
 
 _POWER_STEPS = 10
+"""Steps of the power method for the largest eigenvalue of a level."""
 
 
 class Level(Protocol):
@@ -119,7 +120,7 @@ class Hierarchy:
     ----------
     levels : list of Level
     transfers : list of (6,) int64
-        Shapes of each pair of grids, as `transfer.restrict` wants them.
+        Shapes of each pair of grids, as `transfer.restrict` needs them.
     inverse : (m, m) float64
         Of the coarsest matrix.
     scratch_rows : int
@@ -151,6 +152,7 @@ class Hierarchy:
             inverse = np.zeros_like(level.weight)
             np.divide(1, level.diagonal, out=inverse, where=level.diagonal > 0)
             level.weight[:] = inverse
+            # damped Jacobi converges below 2 / (largest eigenvalue), which power steps approach from below
             damping = 1.9 / (largest or _largest_eigenvalue(level, work))
             level.weight *= level.weight.dtype.type(min(0.5, damping))
         pairs = pairwise(levels)
@@ -197,9 +199,10 @@ class Hierarchy:
 
 
 def _largest_eigenvalue(level: Level, work: Workspace) -> float:
-    """Of the matrix over its diagonal, by power steps from alternating signs with a fixed pattern."""
+    """Largest eigenvalue of the matrix over its diagonal, by power steps from fixed pseudo-random numbers."""
     size = level.components * level.weight.size
     numbers = np.arange(size, dtype=np.uint32)
+    # a hash in place of random numbers: 2^32 over the golden ratio (Knuth), then a multiplier of xxHash32
     numbers *= np.uint32(2654435769)
     numbers ^= numbers >> np.uint32(15)
     numbers *= np.uint32(2246822519)

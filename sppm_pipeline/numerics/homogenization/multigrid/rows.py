@@ -1,4 +1,4 @@
-"""What the passes over a grid do with single rows of nodes, for any number of components.
+"""Row operations of the passes over a grid, for any number of components.
 
 A pass takes rows in blocks of at most `BLOCK` nodes. A row of scratch holds the block from the node before it to the
 one after it, the first node of the block at `HEAD`. Rows of scratch lie `STRIDE` apart, a constant, so that the

@@ -41,7 +41,7 @@ def coarser_widths(widths: list[NDArray[np.float64]]) -> list[NDArray[np.float64
 
 
 def shortness(widths: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """What makes up for calculating with whole voxels only: a short one is stiffer across its width."""
+    """Factors for grids whose last voxel is shorter: it is stiffer across its width."""
     z, y, x = widths
     return 1 / (z[:, None, None] * y[:, None] * x)
 

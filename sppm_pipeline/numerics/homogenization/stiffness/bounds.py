@@ -85,6 +85,7 @@ def hashin_shtrikman(phases: list[tuple[float, float, float]]) -> tuple[Interval
     def bulk(shear: float) -> float:
         return _shifted_mean([(fraction, k) for fraction, k, _ in present], 4 * shear / 3)
 
+    # zeta(K, G) of Berryman
     def zeta(k: float, g: float) -> float:
         return g / 6 * (9 * k + 8 * g) / (k + 2 * g) if g > 0 else 0.0
 

@@ -1,4 +1,4 @@
-"""What the limit of a sequence of grids is, and how far the finest one is from it."""
+"""Richardson extrapolation over a sequence of grids, and the error bar of the finest."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 4.0)
-"""Orders of convergence that are believed; outside, the grids are too coarse to tell."""
+"""Orders of convergence that are accepted; outside, the grids are too coarse to extrapolate."""
 
 SAFETY = 1.25
-"""Roache's factor for an order that was observed on three grids; 3 is used for an assumed one."""
+"""Roache's factor ("Verification and Validation in Computational Science and Engineering", 1998) for an order that was
+observed on three grids; 3 is used for an assumed one."""
 
 
 class Limit(NamedTuple):
@@ -21,7 +22,7 @@ class Limit(NamedTuple):
     Attributes
     ----------
     value : array
-        The extrapolated values; those of the finest grid where the grids are too coarse to tell.
+        The extrapolated values; those of the finest grid where the grids are too coarse to extrapolate.
     error : array
         Error bar of the finest grid's values.
     order : float

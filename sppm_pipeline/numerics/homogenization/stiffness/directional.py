@@ -85,6 +85,7 @@ def extremes(stiffness: NDArray[np.float64]) -> dict[str, tuple[float, NDArray[n
     found = {}
     for name, sign in (("min", 1.0), ("max", -1.0)):
         best = vertices[int(np.argmin(sign * values))]
+        # pattern search: the best of eight directions around; the step halves where none is better
         step = 0.05
         while step > 1e-5:
             first = np.cross(best, np.eye(3)[int(np.argmin(np.abs(best)))])

@@ -74,6 +74,7 @@ def nearest_isotropic(stiffness: NDArray[np.float64], norm: str = "paper") -> Is
     The paper, section 3.2; Martínez et al. 2016.
     """
     a, b, c = _means(stiffness)
+    # where both derivatives of the squared distance vanish, by the bulk and by the shear modulus
     bulk = (a + 2 * b) / 3
     if norm == "paper":
         shear = (4 * (a - b) + 3 * c) / 11

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 """Tensor indices of the Voigt indices."""
 
+# Mandel's notation: with shear entries times sqrt(2), the product of 6-vectors is that of the tensors
 _ROOT2 = np.sqrt(2.0)
 _WEIGHT = np.array([1, 1, 1, _ROOT2, _ROOT2, _ROOT2])
 
 SOFT = 1e-7
-"""Eigenvalues below this share of the largest count as zero stiffness: less than what solvers in single precision
+"""Eigenvalues below this fraction of the largest count as zero stiffness: less than what solvers in single precision
 leave of a mechanism, far more than rounding."""
 
 

@@ -1,4 +1,4 @@
-"""Whether a step of a repair has kept the solid: sample points are asked before and after."""
+"""The inside test of a repair: how many sample points change sides from step to step."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from sppm_pipeline import SurfaceMesh
 from sppm_pymeshlab.winding import spread_points, winding_change, winding_numbers
 
 
-class Judge:
-    """Sample points in the box of a mesh, and what they say of it.
+class InsideTest:
+    """Inside test at sample points in the box of a mesh, kept up to date while the mesh is repaired.
 
     A point is inside where the surface goes around it, either way, by more than one half; so a mesh that is inside out
     says the same as one that is not.
@@ -43,7 +43,7 @@ class Judge:
         return self._windings + winding_change(self._points, before, after, threads=self._threads)
 
     def changed(self, mesh: SurfaceMesh) -> float:
-        """Points that have changed sides, as a share of those that were inside."""
+        """Points that have changed sides, as a fraction of those that were inside."""
         inside = np.abs(self.windings(mesh)) > 0.5
         return int((inside != self.inside).sum()) / max(1, int(self.inside.sum()))
 
