@@ -95,11 +95,11 @@ def test_factors_that_would_shrink_or_explode(shrink, inflate):
         SmoothMesh(shrink=shrink, inflate=inflate).check_options()
 
 
-@pytest.mark.parametrize("options", [{"faces": 500}, {"share": 0.25}])
+@pytest.mark.parametrize("options", [{"triangles": 500}, {"keep": 0.25}])
 def test_decimation_meets_the_number(torus, options):
     context = PlainContext()
     made = DecimateMesh(**options).run(context, torus)
-    target = options.get("faces", len(torus.faces) * 0.25)
+    target = options.get("triangles", len(torus.faces) * 0.25)
     assert len(made.faces) == pytest.approx(target, abs=2)
     assert edge_counts(made.faces).closed
     assert genus(made.faces) == 1
@@ -120,9 +120,9 @@ def test_few_triangles_stay(ball):
     assert "stays as it is" in context.warnings[0]
 
 
-@pytest.mark.parametrize("options", [{}, {"faces": 10, "share": 0.5}])
+@pytest.mark.parametrize("options", [{}, {"triangles": 10, "keep": 0.5}])
 def test_one_measure_of_decimation_is_needed(options):
-    with pytest.raises(ConfigError, match="either `faces` or `share`"):
+    with pytest.raises(ConfigError, match="either `triangles` or `keep`"):
         DecimateMesh(**options).check_options()
 
 

@@ -171,7 +171,7 @@ def test_files_that_are_no_graph(write, name, text, said):
 
 
 def test_sizes_that_make_no_sense(tmp_path):
-    with pytest.raises(ConfigError, match="half a cell"):
+    with pytest.raises(ConfigError, match="half the cell size"):
         made(radius=Length(0.6))
     with pytest.raises(ConfigError, match="physical unit"):
         made(radius=Length(0.6, "mm"))

@@ -80,7 +80,7 @@ class TestContract(StageContract):
         return [Voronoi(), Voronoi(form="closed", seeding="darts"), Voronoi(layout="part", cells=(2, 1, 1), fine=0.2)]
 
 
-SOURCES = [{"seeds": 3}, {"seeds": 2, "fine": 0.4}, {"seeds": 3, "pattern": "darts"}, {"seeds": 1}]
+SOURCES = [{"seeds": 3}, {"seeds": 2, "fine": 0.4}, {"seeds": 3, "seeding": "darts"}, {"seeds": 1}]
 
 
 @pytest.mark.parametrize("options", SOURCES)
@@ -200,7 +200,7 @@ def test_far_places_cost_no_more_and_keep_their_precision():
 
 @pytest.mark.parametrize(
     ("options", "porosity", "voids"),
-    [({}, 0.8, 1), ({"pattern": "darts"}, 0.8, 1), ({"form": "closed", "seeds": 2, "jitter": 0.5}, 0.6, 8)],
+    [({}, 0.8, 1), ({"seeding": "darts"}, 0.8, 1), ({"form": "closed", "seeds": 2, "jitter": 0.5}, 0.6, 8)],
 )
 def test_density_is_reached_and_the_phases_hang_together(options, porosity, voids):
     tuned = TunePorosity(target=porosity).run(PlainContext(), recipe_of(Voronoi(**options, edge=Length(5.0))))
@@ -256,9 +256,9 @@ def test_tuning_changes_the_radius_only():
         ({"thickness": Length(0.1)}, "radius"),
         ({"form": "closed", "radius": Length(0.1)}, "thickness"),
         ({"cells": (2, 2, 2)}, "layout: part"),
-        ({"layout": "part", "pattern": "darts"}, "jittered"),
+        ({"layout": "part", "seeding": "darts"}, "jittered"),
         ({"layout": "part"}, "no part to cover"),
-        ({"pattern": "darts", "fine": 0.5}, "fine"),
+        ({"seeding": "darts", "fine": 0.5}, "fine"),
         ({"radius": Length(0.6)}, "less than 0.5"),
         ({"radius": Length(0.6, "mm")}, "physical unit"),
     ],

@@ -32,7 +32,7 @@ needs_pytetwild = pytest.mark.skipif(
 seedable = sys.platform == "linux" and platform.machine() in ("x86_64", "aarch64")
 
 BALL = SurfaceMesh(*ball_mesh((5.0, 5.0, 5.0), 5.0, 1), name="ball")
-QUICK: dict[str, Any] = {"epsilon": Length(0.03), "edge": Length(0.2), "iterations": 10}
+QUICK: dict[str, Any] = {"epsilon": Length(0.03), "ideal_edge_length": Length(0.2), "rounds": 10}
 
 
 @needs_pytetwild
@@ -133,7 +133,9 @@ def test_what_would_crash_is_refused(vertices, faces, words):
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("options", [{"edge": Length(1.1)}, {"epsilon": Length(0.2)}, {"edge": Length(1, "m")}])
+@pytest.mark.parametrize(
+    "options", [{"ideal_edge_length": Length(1.1)}, {"epsilon": Length(0.2)}, {"ideal_edge_length": Length(1, "m")}]
+)
 def test_lengths_beyond_the_part_are_refused(options):
     with pytest.raises(DesignError, match="as long as the diagonal"):
         TetWild(**options).run(PlainContext(), BALL)
