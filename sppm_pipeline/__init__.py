@@ -83,6 +83,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.families import (
         Connector,
         FieldMaker,
+        Homogenizer,
         InteriorBox,
         Lattice,
         LayerWriter,
@@ -92,7 +93,6 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         Sampler,
         Tiler,
         TileSetMaker,
-        VoxelHomogenizer,
         lattice_for,
         options,
     )
@@ -145,7 +145,7 @@ _PLACES = {
     "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError ResourceError "
     "SppmError WiringError",
     "families": "Connector FieldMaker InteriorBox Lattice LayerWriter MeshWriter PartFieldMaker Piece "
-    "Sampler TileSetMaker Tiler VoxelHomogenizer lattice_for options",
+    "Sampler TileSetMaker Tiler Homogenizer lattice_for options",
     "fields.formula": "CellIndex CellwiseField FormulaField PlacedField",
     "fields.microstructure": "Microstructure",
     "fields.part": "Part",
@@ -196,6 +196,7 @@ __all__ = [
     "FieldMaker",
     "FormulaField",
     "Grid",
+    "Homogenizer",
     "InputError",
     "InteriorBox",
     "Kernels",
@@ -238,7 +239,6 @@ __all__ = [
     "TilingArrays",
     "TunnelGraph",
     "VolumeMesh",
-    "VoxelHomogenizer",
     "Voxels",
     "WiringError",
     "WrappedField",

@@ -31,7 +31,7 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.connector import Connector, Piece
 from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
 from sppm_pipeline.families.file_writer import MeshWriter
-from sppm_pipeline.families.homogenizer import VoxelHomogenizer
+from sppm_pipeline.families.homogenizer import Homogenizer
 from sppm_pipeline.families.layer_writer import LayerWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, design_of, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for, tiling_size
@@ -40,6 +40,7 @@ from sppm_pipeline.families.tileset_maker import TileSetMaker
 __all__ = [
     "Connector",
     "FieldMaker",
+    "Homogenizer",
     "InteriorBox",
     "Lattice",
     "LayerWriter",
@@ -49,7 +50,6 @@ __all__ = [
     "Sampler",
     "TileSetMaker",
     "Tiler",
-    "VoxelHomogenizer",
     "design_of",
     "lattice_for",
     "options",

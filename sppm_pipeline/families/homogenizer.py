@@ -63,7 +63,7 @@ class Cell(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VoxelHomogenizer(Stage):
+class Homogenizer(Stage):
     """Base of stages that solve cell problems on voxels."""
 
     resolution: int = options.resolution(64, note="of fields; images keep theirs")

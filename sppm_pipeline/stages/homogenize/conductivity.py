@@ -13,13 +13,13 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.homogenizer import Cell, VoxelHomogenizer
+from sppm_pipeline.families.homogenizer import Cell, Homogenizer
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, option
 
 
 @dataclass(frozen=True, kw_only=True)
-class HomogenizeConductivity(VoxelHomogenizer):
+class HomogenizeConductivity(Homogenizer):
     """Compute the effective conductivity of a periodic cell on voxels: of heat, charge, or what diffuses.
 
     One phase conducts, the other insulates: the solid, or the void with ``of: void`` (diffusion in the pores). The

@@ -14,13 +14,13 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.homogenizer import Cell, VoxelHomogenizer
+from sppm_pipeline.families.homogenizer import Cell, Homogenizer
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, option
 
 
 @dataclass(frozen=True, kw_only=True)
-class ElasticHomogenizer(VoxelHomogenizer):
+class ElasticHomogenizer(Homogenizer):
     """Base of stages that compute effective stiffnesses on voxels: materials, and the stiffness report of a cell."""
 
     young: float | tuple[float, ...] = options.young(

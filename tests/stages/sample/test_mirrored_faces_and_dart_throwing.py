@@ -217,6 +217,12 @@ def test_darts_refuse_contradictions(options):
         DartThrowing(**options).check_options()
 
 
+def test_a_number_of_darts_alone_is_half_packed():
+    alone = DartThrowing(total=66).run(PlainContext(3), None)
+    halved = DartThrowing(total=66, share=0.5).run(PlainContext(3), None)
+    assert np.array_equal(alone.centers, halved.centers)
+
+
 def test_what_cannot_be_is_said():
     with pytest.raises(DesignError, match="fit"):
         both(face={"count": 300, "spacing": Length(0.17)})
@@ -227,7 +233,7 @@ def test_what_cannot_be_is_said():
     with pytest.raises(DesignError, match="half a cell"):
         both(face={"total": 2, "share": 1.0})
     with pytest.raises(ConfigError, match="spacing is missing"):
-        DartThrowing(count=3).run(PlainContext(), None)
+        DartThrowing(share=0.5).run(PlainContext(), None)
     stage = MirroredFaces(count=3, spacing=Length(0.2))
     faces = stage.run(PlainContext(), None)
     with pytest.raises(ConfigError, match="carry pores already"):
