@@ -224,7 +224,8 @@ def test_a_machine_is_learned_from_its_cache(here, capsys, monkeypatch):
     for stage in record["stages"]:
         ratio = stage["seconds"] / max(before[stage["id"]], 1e-5)
         if stage["seconds"] > 0.01 and 1 / rates.BOUND < ratio < rates.BOUND:
-            assert after[stage["id"]] == pytest.approx(stage["seconds"], rel=0.05, abs=1e-3), stage["id"]
+            # stages of recipes are timed by themselves: what their callers do besides is not learned, some per cent
+            assert after[stage["id"]] == pytest.approx(stage["seconds"], rel=0.25, abs=2e-3), stage["id"]
     monkeypatch.setenv("SPPM_CACHE", "off")
     assert {stage["id"]: stage["seconds"] for stage in estimated(capsys, "part.yaml")["stages"]} == before
 
