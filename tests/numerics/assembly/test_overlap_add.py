@@ -173,7 +173,7 @@ def test_sixteen_bits_serve_one_level_and_no_field(sets) -> None:
     bank = build_bank(pieces, 8, solid_level=0.25)
     with pytest.raises(ValueError, match=r"level 0\.25, not 0\.3"):
         assemble_solid(bank, tiling, 0.3, 0, 8, 0, 8, 0, 8)
-    with pytest.raises(ValueError, match="solid from void only"):
+    with pytest.raises(ValueError, match="only solid and void"):
         assemble(bank, tiling, 0, 8, 0, 8, 0, 8)
     with pytest.raises(ValueError, match="positive level"):
         build_bank(pieces, 8, solid_level=0.0)
