@@ -119,7 +119,7 @@ class Part(WrappedField):
         return solid
 
     def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
-        """Warning for voxels larger than the skin is thick, which leave it open along that axis; None for smaller ones."""
+        """Warning for voxels larger than the skin is thick, which leave it open; None for smaller ones."""
         largest = max(voxel_mm)
         if not 0 < self.skin_mm < largest * (1 - 1e-6):
             return None
