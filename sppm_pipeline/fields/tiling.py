@@ -64,7 +64,7 @@ class Tiling(ScalarField):
 
     @property
     def cells(self) -> tuple[int, int, int]:
-        return self.arrays.interior.shape
+        return self.arrays.shape
 
     @property
     def periodic(self) -> bool:
@@ -165,7 +165,7 @@ class Tiling(ScalarField):
         if key not in tables:
             combinations = self.tileset.combinations()
             patches = len(combinations) if combinations is not None else micro.interiors
-            cells = int(np.count_nonzero(self.arrays.interior >= 0))
+            cells = int(np.count_nonzero(self.arrays.box >= 0))
             arguments = {"offset": offset, "cutoff": CUTOFF}
             # a patch is somewhat larger than a cell and is worth sampling if it is used a few times
             if self.tileset.kind == "fresh" or cells < USES_OF_A_PATCH * patches:
@@ -181,7 +181,7 @@ class Tiling(ScalarField):
         """Size of the lattice and number of filled cells."""
         return {
             "lattice": list(self.cells),
-            "filled_cells": int((self.arrays.interior >= 0).sum()),
+            "filled_cells": int((self.arrays.box >= 0).sum()),
             "cell_mm": self.edge,
-            "interiors_used": len(np.unique(self.arrays.interior[self.arrays.interior >= 0])),
+            "interiors_used": len(np.unique(self.arrays.box[self.arrays.box >= 0])),
         }
