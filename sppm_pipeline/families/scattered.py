@@ -83,9 +83,7 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
                 place %= blocks.shape
             if (place >= 0).all() and (place < blocks.shape).all() and numbers[tuple(place)] >= 0:
                 around.append(thrown[numbers[tuple(place)]] + shift)
-        box = InteriorBox(
-            np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, face_pores=0
-        )
+        box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, face_pores=0)
         new[t] = sampler.thrown(context, int(t), box)
         thrown[t] = np.concatenate([thrown[t], new[t]])
         context.progress(done + 1, base.interiors, "blocks")
