@@ -15,6 +15,7 @@ from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
 from sppm_pipeline.families.tiler import at_porosity, check_repeats
+from sppm_pipeline.families.tileset_maker import check_faces
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
@@ -70,6 +71,7 @@ class FreshTiling(Stage):
                 f"the recipe {recipe.name!r} makes a {type(micro).__name__}; fresh cells need a Microstructure",
                 hint="end the recipe with `field.gaussian`",
             )
+        check_faces(micro, palette, recipe.name)
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
         tiling = Tiling(TileSet(micro, "fresh", 0), TilingArrays(interior, faces, self.periodic), edge, lattice.origin)
         return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)
