@@ -21,6 +21,7 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stages.slice.field import SliceField
 from sppm_pipeline.stages.slice.mesh import SliceMesh
 from sppm_pipeline.stages.write.png import WritePng
+from sppm_pipeline.testing.contracts import SlicerContract
 from sppm_pipeline.testing.plain_context import PlainContext
 
 PRINTER = (0.019, 0.024, 0.05)
@@ -253,6 +254,22 @@ def test_pixels_that_are_not_square_need_a_layer():
             stage(pixel=(Length(19, "um"), Length(24, "um"))).check_options()
         assert "layer: 0.05 mm" in caught.value.hint
         stage(pixel=(Length(19, "um"), Length(0.019))[:1] * 2).check_options()
+
+
+class TestMeshContract(SlicerContract):
+    def stages(self):
+        return [SliceMesh(**options((0.3, 0.2, 0.5))), SliceMesh(**options((0.3, 0.3, 0.5), gray=2, islands="remove"))]
+
+    def inputs(self):
+        return {"mesh": BALL}
+
+
+class TestFieldContract(SlicerContract):
+    def stages(self):
+        return [SliceField(**options((0.3, 0.2, 0.5))), SliceField(resolution=7, gray=2)]
+
+    def inputs(self):
+        return {"field": Part(Solid(), BAR, 0.0)}
 
 
 def test_the_expected_size_counts_three_pitches():
