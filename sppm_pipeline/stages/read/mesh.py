@@ -25,6 +25,9 @@ LARGEST_FILE = 2 * 2**30
 FARTHEST, SMALLEST = 1e9, 1e-6
 """Largest coordinate and smallest size of a part, mm; beyond, a unit is wrong or a file is broken."""
 
+SUSPICIOUS = 10.0
+"""mm; a file without a unit whose part is smaller may be in inches, or in meters."""
+
 FLAT = 1e-9
 """A part is flat if it is thinner than this share of its size, or encloses less than this share of its box."""
 
@@ -117,6 +120,12 @@ class ReadMesh(Stage):
             }[self.place]
             vertices = vertices * factor + offset
         lower, upper = _box(vertices, faces, self.path.name)
+        largest = float((upper - lower).max())
+        if largest < SUSPICIOUS and (self.unit, file.unit, self.scale, self.height) == (None,) * 4:
+            context.warn(
+                f"{self.path.name} states no unit, and in mm it is only {_sides(upper - lower)} mm in size; `unit: in` "
+                f"would make it {_sides((upper - lower) * UNITS_IN_MM['in'])} mm; `unit: mm` says that it is right"
+            )
         counts, enclosed = edge_counts(faces), volume(vertices, faces)
         context.report(
             unit=self.unit or file.unit or "mm",
@@ -164,6 +173,10 @@ def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:
     return float(found[1]) if found else length / TYPICAL_BYTES[extension], None
 
 
+def _sides(extent: NDArray[np.float64]) -> str:
+    return " x ".join(f"{size:.4g}" for size in extent)
+
+
 def _box(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -183,7 +196,7 @@ def _box(
             f"{name} reaches to {farthest:g} mm; at most {FARTHEST:g} mm make sense", hint="check `unit` and `scale`"
         )
     extent = upper - lower
-    shown = " x ".join(f"{size:g}" for size in extent)
+    shown = _sides(extent)
     if not extent.max() >= SMALLEST:
         raise InputError(f"{name} is as small as a point: its size is {shown} mm", hint="check `unit` and `scale`")
     if not extent.min() > FLAT * extent.max():

@@ -65,3 +65,15 @@ def test_a_hopeless_part_is_refused(wang_tiling):
     assert "repair" in caught.value.hint
     with pytest.raises(InputError, match="no triangles"):
         filled(wang_tiling, SurfaceMesh(np.zeros((0, 3)), np.zeros((0, 3), int)))
+
+
+def test_a_part_of_less_than_two_cells_is_filled_with_a_warning(wang_tiling, ball):
+    edge = wang_tiling.physical_edge()
+    extent = (ball.upper - ball.lower).max()
+    for cells, warned in ((1.9, True), (2.1, False)):
+        factor = cells * edge / extent
+        _, context = filled(wang_tiling, SurfaceMesh(ball.vertices * factor, ball.faces))
+        assert bool(context.warnings) is warned
+    _, context = filled(wang_tiling, SurfaceMesh(ball.vertices * edge / extent, ball.faces))
+    assert f"less than 2 cells of {edge:g} mm" in context.warnings[0]
+    assert f"{25.4 * edge:.4g}" in context.warnings[0]

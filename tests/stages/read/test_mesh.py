@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.formats import obj, ply, stl
 from sppm_pipeline.numerics.domain import primitive_meshes
@@ -137,3 +138,16 @@ def test_what_is_written_is_read_again(name, ball, tmp_path):
     first = (tmp_path / name).read_bytes()
     WriteMesh(path=name).run(context, ball)
     assert (tmp_path / name).read_bytes() == first
+
+
+def test_a_part_too_small_for_millimeters_is_suspected_to_be_in_inches(tmp_path):
+    v, f = primitive_meshes.ball_mesh((0.0, 0.0, 0.0), 2.5, 2)
+    for name in ("a.stl", "a.3mf"):
+        WriteMesh(path=name).run(PlainContext(directory=tmp_path), SurfaceMesh(v, f))
+    told = read(tmp_path / "a.stl")[1].warnings
+    assert len(told) == 1
+    assert "5 x 5 x 5 mm" in told[0]
+    assert "`unit: in` would make it 127 x 127 x 127 mm" in told[0]
+    for options in ({"unit": "mm"}, {"unit": "in"}, {"scale": 1.5}, {"height": Length(5, "mm")}):
+        assert not read(tmp_path / "a.stl", **options)[1].warnings
+    assert not read(tmp_path / "a.3mf")[1].warnings  # it states its unit
