@@ -48,6 +48,8 @@ def encode(
     yield "".join(f"** {line}\n" for line in comments).encode()
     yield b"*NODE, NSET=NODES\n"
     yield from number_rows(points, ", ", first=1)
+    if standing is not None:  # in the same block, as some readers keep one block only
+        yield from number_rows(np.repeat(points.mean(axis=0)[None], 3, axis=0), ", ", first=n + 1)
     numbers = np.arange(1, len(corners) + 1)[:, None]
     for material in np.unique(materials):
         of_it = materials == material
@@ -75,10 +77,9 @@ def _constraints(points: NDArray[np.float64], standing: NDArray[np.integer], n: 
     if not (edge > 0).all():
         raise ValueError("a periodic mesh has copies along x, y and z")
     steps = np.rint(apart / edge).astype(np.int64)
-    middle = points.mean(axis=0)
     yield b"** reference nodes: their displacements are the gradient of the mean displacement, times the cell's edge\n"
     for axis, name in enumerate("XYZ"):
-        yield f"*NODE, NSET=REF{name}\n{n + 1 + axis}, {', '.join(repr(float(v)) for v in middle)}\n".encode()
+        yield f"*NSET, NSET=REF{name}\n{n + 1 + axis}\n".encode()
     lines = ["*EQUATION"]
     for node, other, step in zip((tied + 1).tolist(), (standing[tied] + 1).tolist(), steps.tolist(), strict=True):
         moved = [(n + 1 + axis, -by) for axis, by in enumerate(step) if by]
@@ -86,6 +87,43 @@ def _constraints(points: NDArray[np.float64], standing: NDArray[np.integer], n: 
             terms = [f"{node}, {i}, 1.", f"{other}, {i}, -1.", *(f"{ref}, {i}, {by}." for ref, by in moved)]
             lines.append(str(len(terms)))
             lines.extend(", ".join(terms[k : k + 4]) for k in range(0, len(terms), 4))
+    yield ("\n".join(lines) + "\n").encode()
+
+
+_LOADS = ((0, 0), (1, 1), (2, 2), (2, 1), (2, 0), (1, 0))
+"""Reference node and component that carry the mean stresses xx, yy, zz, yz, xz, xy; the other three are held."""
+
+
+def stiffness_job(
+    moduli: Mapping[int, tuple[float, float]], standing: NDArray[np.integer], box: NDArray[np.float64]
+) -> Iterator[bytes]:
+    """Materials and six static steps behind a mesh whose copies are tied: a mean stress of one in each of them.
+
+    The stresses are forces on the reference nodes, whose displacements over the edges of the cell are then the mean
+    strains. Prescribed displacements would not do: CalculiX leaves the forces of equations out of reaction forces.
+
+    Parameters
+    ----------
+    moduli : mapping of material to (Young's modulus, Poisson's ratio)
+    standing : (n,) integers
+        As `encode` takes it.
+    box : (2, 3) float
+        Low and high corner of the cell.
+    """
+    edges = [float(edge) for edge in box[1] - box[0]]
+    lines = []
+    for material, (young, poisson) in moduli.items():
+        lines += [f"*MATERIAL, NAME=PHASE{material}", "*ELASTIC", f"{young!r}, {poisson!r}"]
+        lines.append(f"*SOLID SECTION, ELSET=MATERIAL{material}, MATERIAL=PHASE{material}")
+    held = int(np.flatnonzero(standing == np.arange(len(standing)))[0]) + 1
+    lines += ["*NSET, NSET=REF", *(str(len(standing) + 1 + axis) for axis in range(3))]
+    lines += ["** no rigid motion: one node, and the rotations of the mean gradient"]
+    lines += ["*BOUNDARY", f"{held}, 1, 3", "REFX, 2, 3", "REFY, 3, 3"]
+    for name, (axis, component) in zip(("XX", "YY", "ZZ", "YZ", "XZ", "XY"), _LOADS, strict=True):
+        force = edges[0] * edges[1] * edges[2] / edges[axis]
+        lines += [f"** a mean stress {name} of one", "*STEP", "*STATIC", "*CLOAD, OP=NEW"]
+        lines += [f"REF{'XYZ'[axis]}, {component + 1}, {force!r}", "*NODE PRINT, NSET=REF", "U"]
+        lines += ["*EL PRINT, ELSET=SOLID, TOTALS=ONLY", "ELSE", "*END STEP"]
     yield ("\n".join(lines) + "\n").encode()
 
 

@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.volume_mesh import VolumeMesh
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.families.file_writer import extension_of, require_format, write_pieces
 from sppm_pipeline.stage import Context, Stage, option
@@ -31,9 +33,10 @@ class WriteVolumeMesh(Stage):
 
     A .vtu or .vtk file, for ParaView and PyVista, has the cell array ``material``. An .inp file, for Abaqus and
     CalculiX, has elements C3D4 or C3D10, sets of elements, and sets of the nodes in the faces of the box (of the
-    bounding box, for a mesh that is no cell), on its edges and at its corners; materials, loads and steps are yours. An
-    .msh file has the physical groups ``material1``, ... and the triangles ``XMIN`` ... ``ZMAX`` in the faces of the box
-    and ``SURFACE``; of a matched periodic cell the copies of nodes are listed as well. Coordinates are millimeters.
+    bounding box, for a mesh that is no cell), on its edges and at its corners; with `job`, all that CalculiX needs to
+    find the stiffness of the cell. An .msh file has the physical groups ``material1``, ... and the triangles ``XMIN``
+    ... ``ZMAX`` in the faces of the box and ``SURFACE``; of a matched periodic cell the copies of nodes are listed as
+    well. Coordinates are millimeters.
     """
 
     name: ClassVar[str] = "write.volume_mesh"
@@ -50,8 +53,21 @@ class WriteVolumeMesh(Stage):
         formerly="periodic",
     )
 
+    job: bool = option(
+        False,
+        help="add materials and six load cases to an .inp file, a job from which CalculiX finds the effective "
+        "stiffness; needs `tie_faces`",
+    )
+    young: float | tuple[float, ...] = options.young(1.0, note="or of each material; of a `job`")
+    poisson: float | tuple[float, ...] = options.poisson(0.3, note="or of each material; of a `job`")
+
     def check_options(self) -> None:
-        require_format(self, self.path, FORMATS, {"compress": ".vtu", "tie_faces": ".inp"})
+        inp_only = dict.fromkeys(("tie_faces", "job", "young", "poisson"), ".inp")
+        require_format(self, self.path, FORMATS, {"compress": ".vtu"} | inp_only)
+        if self.job and not self.tie_faces:
+            raise ConfigError("a job needs tied faces, as it loads the cell through them", hint="add `tie_faces: true`")
+        if not self.job and (self.young, self.poisson) != (1.0, 0.3):
+            raise ConfigError("`young` and `poisson` are the materials of a job", hint="add `job: true`")
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
         return Size(tetrahedra=mesh.tetrahedra, nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)
@@ -85,7 +101,21 @@ class WriteVolumeMesh(Stage):
             )
         standing = matched_nodes(mesh.nodes, mesh.around) if self.tie_faces else None
         sets = box_node_sets(mesh.nodes, mesh.around)
-        return inp.encode(mesh.nodes, mesh.cells, mesh.material_of_cells, sets, standing, COMMENTS)
+        yield from inp.encode(mesh.nodes, mesh.cells, mesh.material_of_cells, sets, standing, COMMENTS)
+        if self.job and standing is not None:
+            yield from inp.stiffness_job(self._moduli(mesh), standing, np.asarray(mesh.around))
+
+    def _moduli(self, mesh: VolumeMesh) -> dict[int, tuple[float, float]]:
+        """Young's modulus and Poisson's ratio of each material of the mesh."""
+        materials = [int(material) for material in np.unique(mesh.material_of_cells)]
+
+        def of(name: str, given: float | tuple[float, ...]) -> list[float]:
+            values = given if isinstance(given, tuple) else (given,) * materials[-1]
+            if len(values) < materials[-1]:
+                raise ConfigError(f"the mesh has {materials[-1]} materials, `{name}` gives values for {len(values)}")
+            return [values[material - 1] for material in materials]
+
+        return dict(zip(materials, zip(of("young", self.young), of("poisson", self.poisson), strict=True), strict=True))
 
     def _msh(self, mesh: VolumeMesh) -> Iterator[bytes]:
         from sppm_pipeline.formats import msh

@@ -1,6 +1,9 @@
 """Volume meshes are written, and read back by ``read.volume_mesh``."""
 
 import dataclasses
+import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -9,6 +12,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, ResourceError
+from sppm_pipeline.stages.homogenize.tet import HomogenizeTet
 from sppm_pipeline.stages.mesh.isosurface_stuffing import IsosurfaceStuffing
 from sppm_pipeline.stages.read.volume_mesh import ReadVolumeMesh
 from sppm_pipeline.stages.write.volume_mesh import WriteVolumeMesh
@@ -55,6 +59,52 @@ def test_constraints_need_matching_faces(mesh):
     assert "*EQUATION" in path.read_text()
     with pytest.raises(DesignError, match="do not match"):
         written(WriteVolumeMesh(path="mesh.inp", tie_faces=True), dataclasses.replace(mesh, matched=False))
+
+
+def test_reference_nodes_stand_in_the_one_block_of_nodes(mesh):
+    path, _keep = written(WriteVolumeMesh(path="mesh.inp", tie_faces=True), mesh)
+    assert path.read_text().count("*NODE,") == 1
+    read = meshio.read(path)
+    assert len(read.points) == len(mesh.nodes) + 3
+    assert [read.point_sets[f"REF{axis}"].tolist() for axis in "XYZ"] == [[len(mesh.nodes) + i] for i in range(3)]
+
+
+RECIPE = Path(__file__).parents[3] / "docs" / "howto" / "mesh-for-finite-elements.md"
+
+
+def test_calculix_finds_the_stiffness_of_the_homogenizer(mesh):
+    solver = shutil.which("ccx")
+    if solver is None:
+        pytest.skip("CalculiX is not installed")
+    young, poisson = (2000.0, 800.0), (0.35, 0.2)
+    path, _keep = written(
+        WriteVolumeMesh(path="mesh.inp", tie_faces=True, job=True, young=young, poisson=poisson), mesh
+    )
+    subprocess.run([solver, "mesh"], cwd=path.parent, check=True, capture_output=True, timeout=120)
+    dat = path.with_suffix(".dat").read_text()
+    code = re.search(r"```python\n(.*?)```", RECIPE.read_text(), re.DOTALL)
+    names: dict = {}
+    exec(code[1], names)
+    edges = mesh.box[1] - mesh.box[0]
+    found = names["stiffness"](dat, edges)
+    expected = HomogenizeTet(young=young, poisson=poisson, residual=1e-10).run(PlainContext(), mesh).stiffness
+    assert np.allclose(found, expected, rtol=0, atol=3e-5 * expected.max())
+    energies = [float(word) for word in re.findall(r"total internal energy for set SOLID .*\n\n\s*(\S+)", dat)]
+    assert np.allclose(energies, np.diag(np.linalg.inv(expected)) / 2 * np.prod(edges), rtol=1e-4)
+
+
+def test_options_of_a_job():
+    with pytest.raises(ConfigError, match="a job needs tied faces"):
+        WriteVolumeMesh(path="a.inp", job=True).check_options()
+    with pytest.raises(ConfigError, match="materials of a job"):
+        WriteVolumeMesh(path="a.inp", tie_faces=True, young=3.0).check_options()
+    with pytest.raises(ConfigError, match=r"`job` is an option of \.inp files"):
+        WriteVolumeMesh(path="a.msh", job=True).check_options()
+
+
+def test_a_job_needs_constants_of_each_material(mesh):
+    with pytest.raises(ConfigError, match="the mesh has 2 materials, `young` gives values for 1"):
+        written(WriteVolumeMesh(path="mesh.inp", tie_faces=True, job=True, young=(1.0,)), mesh)
 
 
 def test_options():
