@@ -26,6 +26,8 @@ ENDINGS = (".png", ".tif", ".tiff")
 
 MAX_LAYERS = 1 << 16
 
+_DESCRIPTION, _X_RESOLUTION, _Y_RESOLUTION, _UNIT, _CENTIMETER = 270, 282, 283, 296, 3  # tags of TIFF
+
 _DEFLATED = (8, 32946)  # compression schemes of TIFF
 _HIGHEST_RATIO, _ALWAYS_ALLOWED = 1032, 2**26
 """What deflate can make of a byte, and what a strip may unpack to before anybody looks closer."""
@@ -113,8 +115,16 @@ def read_folder(folder: Path) -> VoxelImage:
     return _stacked(map(_picture, files), len(files), str(folder))
 
 
-def encode_tiff(values: NDArray[Any]) -> bytes:
-    """A TIFF file with one page a layer, losslessly compressed, (nx, ny, nz) bool, uint8 or float32."""
+def encode_tiff(values: NDArray[Any], spacing: tuple[float, float, float] | None = None) -> bytes:
+    """A TIFF file with one page a layer, losslessly compressed.
+
+    Parameters
+    ----------
+    values : (nx, ny, nz) bool, uint8 or float32
+    spacing : (sx, sy, sz), mm, optional
+        Edges of a voxel. Resolutions are per centimeter, a unit of TIFF; the distance of layers, for which TIFF has no
+        tag, stands in a description as ImageJ writes it, in the same unit.
+    """
     from PIL import Image
 
     if values.dtype == bool:
@@ -122,7 +132,16 @@ def encode_tiff(values: NDArray[Any]) -> bytes:
     # picture rows run along x, from the largest y down
     pages = [Image.fromarray(np.ascontiguousarray(values[:, ::-1, k].T)) for k in range(values.shape[2])]
     stream = io.BytesIO()
-    pages[0].save(stream, "TIFF", save_all=True, append_images=pages[1:], compression="tiff_adobe_deflate")
+    tags: dict[int, Any] = {}
+    if spacing is not None:
+        count = len(pages)
+        about = f"ImageJ=1.54\nimages={count}\nslices={count}\nunit=cm\nspacing={spacing[2] / 10!r}\n"
+        tags = {_DESCRIPTION: about, _X_RESOLUTION: 10 / spacing[0], _Y_RESOLUTION: 10 / spacing[1], _UNIT: _CENTIMETER}
+    for page in pages:
+        page.encoderinfo = {"tiffinfo": tags, "compression": "tiff_adobe_deflate"}
+    pages[0].save(
+        stream, "TIFF", save_all=True, append_images=pages[1:], compression="tiff_adobe_deflate", tiffinfo=tags
+    )
     return stream.getvalue()
 
 

@@ -11,14 +11,15 @@ import bz2
 import io
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.input_file import library, third_party_reader
-from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE, VoxelImage, checked_shape
+from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE, VoxelImage, checked_shape, raw_values
 
 _LONGEST_HEADER = 1 << 20
 _WIDEST = 8  # bytes of a voxel
@@ -54,6 +55,23 @@ def decode(data: bytes, name: str) -> VoxelImage:
     if header["encoding"] == "raw" and values.nbytes != len(body):
         raise InputError(f"{name}: {values.nbytes} bytes of data are announced, {len(body)} are there", hint=_HINT)
     return VoxelImage(values, spacing)
+
+
+def encode(values: NDArray[Any], spacing: tuple[float, float, float] | None = None) -> Iterator[bytes]:
+    """A file with raw data attached, piece by piece.
+
+    Parameters
+    ----------
+    values : (nx, ny, nz) uint8 or float32
+        The first axis of the file is x.
+    spacing : (sx, sy, sz), mm, optional
+    """
+    kind = {"uint8": "uint8", "float32": "float"}[values.dtype.name]
+    lines = ["NRRD0004", f"type: {kind}", "dimension: 3", f"sizes: {' '.join(map(str, values.shape))}"]
+    if spacing is not None:
+        lines += [f"spacings: {' '.join(repr(float(edge)) for edge in spacing)}", 'units: "mm" "mm" "mm"']
+    yield "\n".join([*lines, "encoding: raw", "endian: little", "", ""]).encode()
+    yield from raw_values(values)
 
 
 def _unpacked(data: bytes, header: dict[str, Any], limit: int, name: str) -> bytes:

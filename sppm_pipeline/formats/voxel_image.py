@@ -98,6 +98,14 @@ def encode_npy(values: NDArray[Any]) -> Iterator[bytes]:
         yield flat[start : start + step].tobytes()
 
 
+def raw_values(values: NDArray[Any]) -> Iterator[bytes]:
+    """The values in little-endian order, x fastest, piece by piece."""
+    flat = values.reshape(-1, order="F").astype(values.dtype.newbyteorder("<"), copy=False)
+    step = max(1, _CHUNK // values.dtype.itemsize)
+    for start in range(0, flat.size, step):
+        yield flat[start : start + step].tobytes()
+
+
 def encode_vti(
     values: NDArray[Any], spacing: tuple[float, float, float], origin: tuple[float, float, float], array: str
 ) -> Iterator[bytes]:
@@ -123,8 +131,5 @@ def encode_vti(
         '  <AppendedData encoding="raw">\n_'
     ).encode()
     yield np.uint64(values.size * values.dtype.itemsize).astype("<u8").tobytes()
-    flat = values.reshape(-1, order="F").astype(values.dtype.newbyteorder("<"), copy=False)
-    step = max(1, _CHUNK // values.dtype.itemsize)
-    for start in range(0, flat.size, step):
-        yield flat[start : start + step].tobytes()
+    yield from raw_values(values)
     yield b"\n  </AppendedData>\n</VTKFile>\n"

@@ -8,6 +8,7 @@ import tracemalloc
 import zlib
 from xml.etree import ElementTree
 
+import nrrd as pynrrd
 import numpy as np
 import pytest
 import tifffile
@@ -94,6 +95,35 @@ def test_tiff_round_trip_and_another_reader(values):
     pages = tifffile.imread(io.BytesIO(data))
     assert pages.shape == values.shape[::-1]
     assert (pages[:, ::-1].transpose(2, 1, 0) == values * scale).all()
+
+
+def test_a_tiff_states_the_size_of_a_voxel_on_every_page():
+    data = image_stack.encode_tiff(IMAGE, (0.05, 0.04, 0.125))
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        for page in file.pages:
+            found = [page.tags[name].value for name in ("XResolution", "YResolution")]
+            assert [10 * below / above for above, below in found] == pytest.approx([0.05, 0.04])
+            assert page.tags["ResolutionUnit"].value == 3  # centimeters
+        assert file.imagej_metadata["unit"] == "cm"
+        assert file.imagej_metadata["spacing"] == pytest.approx(0.0125)
+        assert file.imagej_metadata["slices"] == IMAGE.shape[2]
+        assert (file.asarray()[:, ::-1].transpose(2, 1, 0) == IMAGE).all()
+    assert (image_stack.decode_tiff(data, "a.tif").values == IMAGE).all()
+
+
+@pytest.mark.parametrize("values", [IMAGE, GRAY])
+@pytest.mark.parametrize("spacing", [(0.05, 0.04, 0.125), None])
+def test_nrrd_round_trip_and_another_reader(values, spacing):
+    data = b"".join(nrrd.encode(np.asfortranarray(values), spacing))
+    found = nrrd.decode(data, "a.nrrd")
+    assert (found.values == values).all()
+    assert found.values.dtype == values.dtype
+    assert found.spacing == spacing
+    stream = io.BytesIO(data)
+    header = pynrrd.read_header(stream)
+    assert header["encoding"] == "raw"
+    assert header.get("units") == (["mm"] * 3 if spacing else None)
+    assert (pynrrd.read_data(header, stream) == values).all()
 
 
 def tiff_of(pages, **how):

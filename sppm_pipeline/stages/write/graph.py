@@ -17,7 +17,11 @@ from sppm_pipeline.stage import Context, Stage
 
 @dataclass(frozen=True, kw_only=True)
 class WriteGraph(Stage):
-    """Write pores and tunnels as GraphML or node-link JSON, and report degrees, bridges and loops."""
+    """Write pores and tunnels as GraphML or node-link JSON, and report degrees, bridges and loops.
+
+    Coordinates and lengths are in cell sizes, as the attribute ``length_unit`` of the graph says; ``cell_size_mm`` is
+    there if the cell has a size.
+    """
 
     name: ClassVar[str] = "write.graph"
 
@@ -37,6 +41,9 @@ class WriteGraph(Stage):
         axis = pores.axis_of_piece()[pores.piece]
         region = ["interior" if a < 0 else f"face_{'xyz'[a]}" for a in axis]
         exported = networkx_graph(pores.centers, graph.edges, graph.shift, region)
+        exported.graph["length_unit"] = "cell size"
+        if pores.cell.physical:
+            exported.graph["cell_size_mm"] = pores.cell.edge
         target = context.output(self.path)
         if extension_of(self.path) == ".json":
             text = json.dumps(networkx.node_link_data(exported, edges="edges"), indent=1, sort_keys=True)

@@ -1,4 +1,4 @@
-"""``write.voxels``: a voxel image as .npy, TIFF or VTK image data."""
+"""``write.voxels``: a voxel image as .npy, TIFF, VTK image data or NRRD."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.file_writer import extension_of, require_format, write_pieces
 from sppm_pipeline.stage import Context, Stage
 
-FORMATS = (".npy", ".tif", ".tiff", ".vti")
+FORMATS = (".npy", ".tif", ".tiff", ".vti", ".nrrd")
 
 
 @dataclass(frozen=True, kw_only=True)
 class WriteVoxels(Stage):
-    """Write a voxel image; the extension chooses the format: a NumPy array, a multi-page TIFF, or VTK image data.
+    """Write a voxel image; the extension chooses the format: a NumPy array, a multi-page TIFF, VTK image data, or NRRD.
 
-    A .npy or .vti file holds uint8 phases, 0 for void, or float32 solid fractions, indexed x, y, z. A TIFF file has one
-    page a layer, the lowest first, rows from the largest y down; an image of one phase has the values 0 and 255 there,
-    one of several phases their numbers, fractions are 32-bit reals.
+    A .npy, .vti or .nrrd file holds uint8 phases, 0 for void, or float32 solid fractions, indexed x, y, z. A TIFF file
+    has one page a layer, the lowest first, rows from the largest y down; an image of one phase has the values 0 and 255
+    there, one of several phases their numbers, fractions are 32-bit reals. The size of a voxel, where the cell has one,
+    is kept by all but .npy: in a TIFF file as resolutions per centimeter, and as ImageJ does.
     """
 
     name: ClassVar[str] = "write.voxels"
@@ -37,7 +38,9 @@ class WriteVoxels(Stage):
 
     @property
     def rated_as(self) -> str:
-        return {".tif": "write.tiff"}.get(extension_of(self.path), f"write{extension_of(self.path)}")
+        return {".tif": "write.tiff", ".nrrd": "write.npy"}.get(
+            extension_of(self.path), f"write{extension_of(self.path)}"
+        )
 
     def run(self, context: Context, voxels: Voxels) -> None:
         """Write the file."""
@@ -45,7 +48,7 @@ class WriteVoxels(Stage):
         context.report(bytes=size, voxels=voxels.values.size)
 
     def _encoded(self, voxels: Voxels) -> Iterable[bytes]:
-        from sppm_pipeline.formats import image_stack, voxel_image
+        from sppm_pipeline.formats import image_stack, nrrd, voxel_image
 
         extension = extension_of(self.path)
         if extension == ".npy":
@@ -53,5 +56,8 @@ class WriteVoxels(Stage):
         if extension == ".vti":
             array = "fraction" if voxels.fractions else "phase"
             return voxel_image.encode_vti(voxels.values, voxels.spacing, (0.0, 0.0, 0.0), array)
+        spacing = voxels.spacing if voxels.physical else None
+        if extension == ".nrrd":
+            return nrrd.encode(voxels.values, spacing)
         several = voxels.fractions or voxels.values.max() > 1
-        return [image_stack.encode_tiff(voxels.values if several else voxels.solid())]
+        return [image_stack.encode_tiff(voxels.values if several else voxels.solid(), spacing)]

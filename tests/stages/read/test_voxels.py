@@ -118,7 +118,7 @@ def test_a_stack_of_pictures(tmp_path):
     assert made.values[:, 0].tolist() == [[0, 0, 0], [1, 1, 1]]
 
 
-@pytest.mark.parametrize("name", ["v.npy", "v.tiff", "v.tif"])
+@pytest.mark.parametrize("name", ["v.npy", "v.tiff", "v.tif", "v.nrrd"])
 def test_a_cell_goes_out_and_comes_back(cell, tmp_path, name):
     context = PlainContext(directory=tmp_path)
     voxels = ExtractVoxels(resolution=20).run(context, cell)

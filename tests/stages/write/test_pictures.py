@@ -1,5 +1,6 @@
 """Pictures, charts and graphs: there, of the right size, the same bytes each time."""
 
+import dataclasses
 import json
 
 import networkx
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.part import Part
@@ -96,5 +98,17 @@ def test_graphs_are_read_back(cell, tmp_path):
         first = (tmp_path / name).read_bytes()
         WriteGraph(path=name).run(context, cell.graph)
         assert (tmp_path / name).read_bytes() == first
-    with pytest.raises(ConfigError, match=r"ends in \.graphml"):
-        WriteGraph(path="g.txt").check_options()
+
+
+def test_graphs_say_their_unit_of_length(cell, tmp_path):
+    graph = cell.graph
+    sized = dataclasses.replace(graph, pores=dataclasses.replace(graph.pores, cell=Cell(7.5, physical=True)))
+    for made, expected in (
+        (graph, {"length_unit": "cell size"}),
+        (sized, {"length_unit": "cell size", "cell_size_mm": 7.5}),
+    ):
+        for name in ("g.graphml", "g.json"):
+            WriteGraph(path=name).run(PlainContext(directory=tmp_path), made)
+        assert networkx.read_graphml(tmp_path / "g.graphml").graph.items() >= expected.items()
+        assert json.loads((tmp_path / "g.json").read_text())["graph"].items() >= expected.items()
+        assert ("cell_size_mm" in json.loads((tmp_path / "g.json").read_text())["graph"]) == made.pores.cell.physical
