@@ -65,6 +65,8 @@ class OptionSpec:
         Whether the value names a file or folder that the stage writes.
     suffixes : tuple of str
         How the name of an output may end, in lower case: with one of ``.stl``, ...; ``/`` for a folder.
+    column : bool
+        Whether the value names a column of a table.
     formerly : str or None
         An earlier name of the option, still accepted.
     """
@@ -78,6 +80,7 @@ class OptionSpec:
     choices: tuple[str, ...] = ()
     output: bool = False
     suffixes: tuple[str, ...] = ()
+    column: bool = False
     formerly: str | None = None
 
 
@@ -111,6 +114,7 @@ def option(
     choices: Iterable[str] = (),
     output: bool = False,
     suffixes: Iterable[str] = (),
+    column: bool = False,
     formerly: str | None = None,
 ) -> Any:
     """Declare an option of a stage; without `default` the option is required.
@@ -118,10 +122,13 @@ def option(
     The type comes from the annotation: bool, int, float, str, `pathlib.Path` (an input file, taken relative to the
     configuration file), `Length`, ``tuple[int, int]``, ``tuple[float, ...]``, and any of these ``| None``.
     A string with `output` names a file or folder below the run directory, which is checked before any work starts;
-    `suffixes` are the endings that the stage can write, ``/`` if it writes a folder.
+    `suffixes` are the endings that the stage can write, ``/`` if it writes a folder. A string with `column` names a
+    column of a table; where that is the table of a sweep, a column that no run can make is refused before the sweep.
     An option that was renamed states its earlier name as `formerly`; configurations that use it run, with a warning.
     """
-    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices), output, tuple(suffixes), formerly)
+    spec = OptionSpec(
+        help, unit, minimum, maximum, above, below, tuple(choices), output, tuple(suffixes), column, formerly
+    )
     return dataclasses.field(default=default, metadata={"option": spec})
 
 

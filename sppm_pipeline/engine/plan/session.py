@@ -13,6 +13,7 @@ from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean
 from sppm_pipeline.engine.plan.estimate import PlanEstimate, estimate_plan, refuse_what_cannot_fit
+from sppm_pipeline.engine.plan.inputs import impossible_columns, missing_inputs
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.plugins import BUILTINS, Plugins, load_plugins
 from sppm_pipeline.engine.plan.rates import Speed
@@ -155,13 +156,17 @@ def checked(session: Session, until: str | None = None) -> tuple[Plan, Sequence[
     try:
         plan = session.plan()
         check_until(plan, until)
+        for missing in missing_inputs(plan, until):
+            problems.add(missing)
     except ConfigError as error:
         problems.add(error)
     if session.configuration.sweep is not None:
         try:
             rows = sweep_rows(session.configuration.sweep, session.configuration.params)
             if plan is not None:
-                check_sweep(session, rows)
+                check_sweep(session, rows, until)
+                for impossible in impossible_columns(plan, tuple(rows[0])):
+                    problems.add(impossible)
         except ConfigError as error:
             problems.add(error)
     problems.raise_any()
@@ -201,7 +206,7 @@ def check_until(plan: Plan, until: str | None) -> None:
         raise ConfigError(f"--until: the pipeline has no stage {until!r}", hint=did_you_mean(until, ids))
 
 
-def check_sweep(session: Session, rows: Sequence[Row]) -> None:
+def check_sweep(session: Session, rows: Sequence[Row], until: str | None = None) -> None:
     """Plan with every value that occurs, so that a bad one is found before any work.
 
     In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
@@ -216,7 +221,8 @@ def check_sweep(session: Session, rows: Sequence[Row]) -> None:
         rows = [*rows[: -1 : -(-len(rows) // MAX_CHECKED)], rows[-1]]
     for row in rows:
         try:
-            session.plan(row)
+            for missing in missing_inputs(session.plan(row), until):
+                problems.add(missing)
         except ConfigError as error:
             problems.add(error)
     problems.raise_any()

@@ -79,7 +79,7 @@ def run_sweep(
     assert session.configuration.sweep is not None
     check_until(plan, until)
     rows = sweep_rows(session.configuration.sweep, session.configuration.params)
-    check_sweep(session, rows)
+    check_sweep(session, rows, until)
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
         names = _row_names(len(rows))

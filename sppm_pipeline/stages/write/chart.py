@@ -28,15 +28,15 @@ class WriteChart(Stage):
     name: ClassVar[str] = "write.chart"
 
     path: str = options.write_path("chart.png", suffixes=CHARTS)
-    x: str = option(help="column along the horizontal axis")
-    y: str = option(help="column along the vertical axis")
+    x: str = option(help="column along the horizontal axis", column=True)
+    y: str = option(help="column along the vertical axis", column=True)
     kind: str = option(
         "points",
         help="points, box plots of the values at equal x, or their means with standard deviations as error bars",
         choices=("points", "boxes", "means"),
     )
-    error: str = option("", help="column with half lengths of the error bars of points; none if empty")
-    group: str = option("", help="column by whose values the rows are told apart by color; none if empty")
+    error: str = option("", help="column with half lengths of the error bars of points; none if empty", column=True)
+    group: str = option("", help="column by whose values the rows are told apart by color; none if empty", column=True)
     line: bool = option(False, help="draw the least-squares line through all points and report it")
     log_x: bool = option(False, help="logarithmic horizontal axis; values that are not positive are left out")
     log_y: bool = option(False, help="logarithmic vertical axis; values that are not positive are left out")
