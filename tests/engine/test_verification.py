@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.cli.main import main
+from sppm_pipeline.engine.cache.identity import arithmetic
+from sppm_pipeline.engine.run import verification
+from sppm_pipeline.engine.run.record import versions
 from sppm_pipeline.engine.run.sweep import run_sweep
-from sppm_pipeline.engine.run.verification import verify_run
+from sppm_pipeline.engine.run.verification import differences, verify_run
 from sppm_pipeline.errors import DesignError, InputError
 
 SINGLE = """name: single
@@ -152,3 +155,24 @@ def test_what_is_no_run(tmp_path):
     with pytest.raises(InputError, match="holds no run"):
         verify_run(tmp_path)
     assert main(["verify", str(tmp_path / "nowhere")]) == 3
+
+
+def test_what_differs_from_where_a_run_was_made_is_told(out, monkeypatch, capsys):
+    assert differences(out) == []
+    here = arithmetic()
+    assert here["processor"]
+    assert json.loads((out / "run.json").read_text())["platform"].items() >= {
+        "instructions": here["instructions"], "blas": here["blas"]
+    }.items()  # fmt: skip
+    monkeypatch.setattr(verification, "arithmetic", lambda: here | {"instructions": "others", "OPENBLAS_CORETYPE": "X"})
+    monkeypatch.setattr(verification, "versions", lambda: {**versions(), "numba": "0.1"})
+    told = differences(out)
+    assert [line.split(" was ")[0] for line in told] == ["instructions", "OPENBLAS_CORETYPE", "numba"]
+    assert told[1] == "OPENBLAS_CORETYPE was not set, here it is X"
+    capsys.readouterr()
+    assert main(["verify", str(out)]) == 0  # nothing was changed
+    printed = capsys.readouterr().out
+    assert "may differ in last digits" in printed
+    assert "numba was" in printed
+    (out / "run.json").write_text("{}")
+    assert differences(out) == []

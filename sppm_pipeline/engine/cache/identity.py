@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -11,6 +12,8 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import sppm_pipeline
 from sppm_pipeline.engine.plan.plugins import Plugin
@@ -113,6 +116,36 @@ def _processor() -> str:
     wanted = ("vendor_id", "cpu family", "model", "stepping", "flags", "Features", "CPU ")
     described = "\n".join(line for line in kept if line.startswith(wanted)) or text
     return "-".join(about) + "-" + hashlib.sha256(described.encode()).hexdigest()[:12]
+
+
+def arithmetic() -> dict[str, str | None]:
+    """What the last digits of numbers depend on besides versions, for the run record.
+
+    Returns
+    -------
+    dict
+        ``processor``, its name as the system says it, and ``instructions``, a digest of what it can do, which is what
+        compiled kernels are made for; ``numba_target``, None in a process that compiled nothing; ``blas``, the linear
+        algebra below numpy, which chooses its code by the processor; and environment variables that change them.
+    """
+    blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
+    target = None
+    if "llvmlite.binding" in sys.modules:
+        target = os.environ.get("NUMBA_CPU_NAME") or sys.modules["llvmlite.binding"].get_host_cpu_name()
+    return {
+        "processor": _processor_name(),
+        "instructions": _processor(),
+        "numba_target": target,
+        "blas": f"{blas.get('name', 'unknown')} {blas.get('version', '')}".strip(),
+    } | {name: os.environ[name] for name in _SETTINGS if name in os.environ}
+
+
+def _processor_name() -> str:
+    with contextlib.suppress(OSError), open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+        found = re.search(r"^model name\s*: (.+)$", file.read(1 << 14), re.MULTILINE)
+        if found:
+            return found[1]
+    return platform.processor() or platform.machine()
 
 
 _FOLDER = re.compile(r"(.+?)-([^-]+)(-py[\d.]+)?\.(dist|egg)-info")

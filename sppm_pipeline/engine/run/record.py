@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 import sppm_pipeline
-from sppm_pipeline.engine.cache.identity import installed_version
+from sppm_pipeline.engine.cache.identity import arithmetic, installed_version
 from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.planning import Plan
@@ -64,11 +64,7 @@ def record_of(
         "seconds": round(seconds, 6),
         "peak_memory_mb": peak_memory_mb(),
         "threads": threads,
-        "versions": {
-            "sppm_pipeline": sppm_pipeline.__version__,
-            "python": platform.python_version(),
-            **_library_versions(),
-        },
+        "versions": versions(),
         "plugins": [
             {"name": name, "distribution": plugin.distribution, "version": plugin.version}
             for name, plugin in plugins.items()
@@ -78,6 +74,7 @@ def record_of(
             "release": platform.release(),
             "machine": platform.machine(),
             "processors": os.cpu_count(),
+            **arithmetic(),
         },
         "warnings": list(warnings),
         "error": error_entry(error) if error is not None else None,
@@ -85,10 +82,10 @@ def record_of(
     return record | dict(extra) | {"stages": list(stages)}
 
 
-def _library_versions() -> dict[str, str]:
-    """Versions of the libraries that results come from; also of those that a run from the cache did not load."""
-    found = {name: installed_version(name) for name in _LIBRARIES}
-    return {name: version for name, version in found.items() if version is not None}
+def versions() -> dict[str, str]:
+    """Versions of the program and the libraries below it; also of those that a run from the cache did not load."""
+    found = {"sppm_pipeline": sppm_pipeline.__version__, "python": platform.python_version()}
+    return found | {name: version for name in _LIBRARIES if (version := installed_version(name)) is not None}
 
 
 def error_entry(error: SppmError) -> dict[str, Any]:

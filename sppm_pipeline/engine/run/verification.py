@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sppm_pipeline.engine.cache.identity import arithmetic
 from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.files import digest_of, files_in, tree_digest
 from sppm_pipeline.engine.run.outputs import RECORD, SUMS, SWEEP_RUNS
+from sppm_pipeline.engine.run.record import versions
 from sppm_pipeline.engine.strict_json import BrokenSealError, read_sealed
 from sppm_pipeline.errors import InputError
 
@@ -75,6 +77,31 @@ def finished_run(path: Path, key: str) -> dict[str, Any] | None:
     if record.get("key") != key or record.get("status") != "done":
         return None
     return record if not verify_run(path)[0] else None
+
+
+def differences(path: Path) -> list[str]:
+    """What is not here as it was where the run was made, and may change the last digits of a repeat.
+
+    Parameters
+    ----------
+    path : Path
+        A run directory; one whose record can't be read has no differences to tell.
+    """
+    try:
+        record = read_sealed((path / RECORD).read_bytes())
+    except (OSError, ValueError):
+        return []
+    then, now = record.get("platform", {}), arithmetic()
+    names = dict.fromkeys((*(name for name in then if name.isupper()), *now))
+    pairs = [(name, then.get(name), now.get(name)) for name in names if name.isupper() or name in then]
+    pairs += [(name, was, versions().get(name)) for name, was in record.get("versions", {}).items()]
+    # a run from the cache has compiled nothing, and so may this process
+    optional = {"numba_target"}
+    return [
+        f"{name} was {was or 'not set'}, here it is {here or 'not there'}"
+        for name, was, here in pairs
+        if was != here and not (name in optional and None in (was, here))
+    ]
 
 
 def _verify(path: Path, prefix: str, pool: ThreadPoolExecutor, seal: str | None) -> tuple[list[Finding], int]:
