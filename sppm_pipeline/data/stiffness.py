@@ -40,7 +40,7 @@ class StiffnessReport(Artifact):
     method: str
     unit: str | None = None
     error: NDArray[np.float64] | None = None
-    solver: dict[str, Any] = field(default_factory=dict, compare=False)
+    solver: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stiffness", frozen(np.asarray(self.stiffness, np.float64)))
