@@ -42,6 +42,10 @@ class Pieces:
         """Number of face colors, c."""
         return len(self.faces[0])
 
+    def every(self) -> list[Kernels]:
+        """All kernel sets."""
+        return [*self.interiors, *(kernels for axis in self.faces for kernels in axis), *self.connectors.values()]
+
 
 class TilingArrays(NamedTuple):
     """Content of a box of nx x ny x nz cells; cell (i, j, k) fills [i, i+1] x [j, j+1] x [k, k+1].
