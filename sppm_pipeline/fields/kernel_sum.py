@@ -35,8 +35,9 @@ class KernelSum(ScalarField):
     """Base of fields that are a sum G of kernels less a level C: solid where G < C (paper, eq. 3-5).
 
     A subclass gives the level, the sum itself (`kernel_sums`), and sampled pieces if it has such (`patches`). A grid
-    finer than `coarse_pitch`, if there is one, is interpolated from a coarse one (`FineSampler`). Otherwise patches are added up where they pay and the grid fits the cells, or the kernels are
-    summed; both agree within the stated cut-off. The choice belongs to the field and the spacings of the grid.
+    finer than `coarse_pitch`, if there is one, is interpolated from a coarse one (`FineSampler`). Otherwise patches are
+    added up where they pay and the grid fits the cells, or the kernels are summed; both agree within the stated
+    cut-off. The choice belongs to the field and the spacings of the grid.
     """
 
     @property
@@ -124,7 +125,7 @@ class KernelSum(ScalarField):
         pitch = self.coarse_pitch
         if pitch is None or 0 in grid.shape:
             return None
-        n = math.ceil(1.0 / pitch - 1e-9)
+        n = max(2, math.ceil(1.0 / pitch - 1e-9))
         if math.prod(min(TAPS, spacing * n) for spacing in grid.spacing) > PAYING_SHARE:
             return None
         sampler = _SAMPLERS.get(self)
