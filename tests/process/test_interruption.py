@@ -13,7 +13,7 @@ class Hit(BaseException):
 
 
 def test_the_right_thread_is_hit_while_it_starts_others():
-    # a thread that is about to begin has the number of the one that starts it: without care, most rounds hit a wrong one
+    # a thread that is about to begin has the number of the one that starts it: without care, most rounds hit that one
     for delay in range(40):
         hit = []
 
