@@ -42,12 +42,7 @@ def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[D
 
     Objects that are supports are left out.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The content of the file.
-    name : str
-        How to call the file in messages.
+    See `detect.decode_mesh` for what all readers take and raise.
 
     Returns
     -------
@@ -56,11 +51,6 @@ def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[D
         ``millimeter``, ``inch``...
     mm : float
         The unit in millimeters.
-
-    Raises
-    ------
-    InputError
-        With the part and line of what is wrong.
     """
     require_content(data, name)
     package = _Package(Archive(data, name), name)
