@@ -65,7 +65,7 @@ class FineSampler:
             for window, cells in zip(self._window[:2], field.cells[:2], strict=True)
         ]
         plane = grid.shape[0] * len(self._window[1])
-        self._height = max(LEAST_PLANES, min(per_cell, CHUNK_SAMPLES // plane))
+        self._height = max(LEAST_PLANES, min(per_cell + 2 * MARGIN, CHUNK_SAMPLES // plane))
         self._chunks: dict[int, _Chunk] = {}
 
     def sample(
@@ -90,7 +90,7 @@ class FineSampler:
                 for layer in layers:
                     taps = range(z.first[layer], z.first[layer] + TAPS)
                     interpolate_layer(
-                        [chunks[k // height].plane(k) for k in taps],
+                        [chunks[(k + MARGIN) // height].plane(k) for k in taps],
                         z.weights[layer],
                         y,
                         level,
@@ -106,7 +106,7 @@ class FineSampler:
 
     def _groups(self, start: int, stop: int) -> list[tuple[int, int]]:
         """Runs of layers that are interpolated from the same chunks."""
-        low = self._taps[2].first[start:stop]
+        low = self._taps[2].first[start:stop] + MARGIN
         changes = (np.diff(low // self._height) != 0) | (np.diff((low + TAPS - 1) // self._height) != 0)
         return list(pairwise([start, *(int(c) + 1 + start for c in np.flatnonzero(changes)), stop]))
 
@@ -115,11 +115,12 @@ class FineSampler:
     ) -> dict[int, _Chunk]:
         """The chunks for layers first <= k < last, with all samples that the wanted ones depend on."""
         low, high = (int(self._taps[2].first[layer]) for layer in (first, last - 1))
-        high += TAPS
+        high += TAPS - 1
         x, y, z = self._window
         chunks = {}
-        for c in range(low // self._height, (high - 1) // self._height + 1):
-            planes = range(max(c * self._height, z.start), min((c + 1) * self._height, z.stop))
+        for c in range((low + MARGIN) // self._height, (high + MARGIN) // self._height + 1):
+            first = c * self._height - MARGIN
+            planes = range(max(first, z.start), min(first + self._height, z.stop))
             chunks[c] = self._chunks.get(c) or _Chunk(planes, x, y, self._lanes)
         self._chunks = chunks
         if (patches := field.patches(self._n, 0.0, threads)) is not None:
@@ -186,14 +187,13 @@ class _Chunk:
 
         def add(column: tuple[int, int]) -> None:
             x, y = (spans[axis][number] for axis, number in enumerate(column))
-            for cell in range(self.planes.start // n, (self.planes.stop - 1) // n + 1):
-                low, high = max(self.planes.start, cell * n), min(self.planes.stop, (cell + 1) * n)
-                layer = cell % field.cells[2] if field.periodic else cell
-                grid = Grid((x.first / n, y.first / n, float(layer)), (1.0 / n,) * 3, (x.samples, y.samples, n))
-                sums = field.kernel_sums(grid, low - cell * n, high - cell * n)
-                block = self._sums[low - self.planes.start : high - self.planes.start]
-                for (from_y, to_y), (from_x, to_x) in product(y.own, x.own):
-                    block[:, to_y, to_x] = sums[:, from_y, from_x]
+            # counted from a whole cell below the lattice, so that a plane has the same place in every chunk
+            base = min(-1, self.planes.start // n)
+            low, high = (k - base * n for k in (self.planes.start, self.planes.stop))
+            grid = Grid((x.first / n, y.first / n, float(base)), (1.0 / n,) * 3, (x.samples, y.samples, high))
+            sums = field.kernel_sums(grid, low, high)
+            for (from_y, to_y), (from_x, to_x) in product(y.own, x.own):
+                self._sums[:, to_y, to_x] = sums[:, from_y, from_x]
 
         _in_threads(add, sorted(columns), threads)
         self.done |= columns
