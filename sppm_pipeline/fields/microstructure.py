@@ -213,10 +213,11 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     most = max(pores.colors)  # every axis is given as many colors, the missing ones without content
     first_of_axis = np.array([pores.face_piece(axis, 0) for axis in range(3)])
     of_face = np.arange(pores.interiors, len(axis_of_piece)) - first_of_axis[axis_of_piece[pores.interiors :]]
-    number = np.arange(len(axis_of_piece))
+    number = np.arange(len(axis_of_piece), dtype=np.int32)
     number[pores.interiors :] = pores.interiors + axis_of_piece[pores.interiors :] * most + of_face
     first, second = (pores.piece[graph.edges[:, end]] for end in range(2))
-    crossing = np.flatnonzero(axis_of_piece[first] != axis_of_piece[second])
+    on_face = axis_of_piece >= 0
+    crossing = np.flatnonzero(on_face[second] & ~on_face[first])
     face = second[crossing]
     axis, side = axis_of_piece[face], graph.shift[crossing].sum(1)
     codes, which = np.unique(
@@ -228,14 +229,18 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     own, first_pore = _sorted_by(number[pores.piece], count)
     tunnels, first_tunnel = _sorted_by(of_tunnel, count)
     starts, ends = graph.segments()
+
+    def taken(array: NDArray[np.float64], order: NDArray[np.int64] | None) -> NDArray[np.float64]:
+        return frozen(array if order is None else array[order])
+
     kernels = Kernels(
-        frozen(pores.centers[own]), frozen(omega[own]),
-        frozen(starts[tunnels]), frozen(ends[tunnels]), frozen(mu[tunnels]), profile,
+        taken(pores.centers, own), taken(omega, own),
+        taken(starts, tunnels), taken(ends, tunnels), taken(mu, tunnels), profile,
     )  # fmt: skip
     return Pieces(kernels, frozen(first_pore), frozen(first_tunnel), pores.interiors, most, frozen(codes))
 
 
-def _sorted_by(piece: NDArray[np.int64], pieces: int) -> tuple[NDArray[np.int64] | slice, NDArray[np.int64]]:
-    """The order that sorts by piece (nothing is moved if all is sorted), and where each piece begins."""
+def _sorted_by(piece: NDArray[np.int32], pieces: int) -> tuple[NDArray[np.int64] | None, NDArray[np.int64]]:
+    """The order that sorts by piece, None if all is sorted, and where each piece begins."""
     first = np.concatenate([[0], np.cumsum(np.bincount(piece, minlength=pieces))])
-    return slice(None) if (piece[1:] >= piece[:-1]).all() else np.argsort(piece, kind="stable"), first
+    return None if (piece[1:] >= piece[:-1]).all() else np.argsort(piece, kind="stable"), first

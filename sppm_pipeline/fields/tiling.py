@@ -92,7 +92,7 @@ class Tiling(KernelSum):
         count = len(combinations) if combinations is not None else pieces.interiors
         cells = int(np.count_nonzero(self.arrays.box >= 0))
         # a patch is somewhat larger than a cell and is worth sampling if it is used a few times
-        if tileset.kind == "fresh" or cells < USES_OF_A_PATCH * count:
+        if tileset.kind in ("fresh", "scattered") or cells < USES_OF_A_PATCH * count:
             return None
         tables, key = sampling_tables(pieces), (tileset.kind, tileset.palette_colors, n, offset)
         made = {"offset": offset, "cutoff": CUTOFF}

@@ -67,6 +67,9 @@ class SliceField(Stage):
         ox, oy, oz = field.origin_mm
         if (coarse := field.coarseness(max(hx, hy, hz))) is not None:
             context.warn(coarse)
+        samples = (pitch[0] / self.gray, pitch[1] / self.gray, pitch[2])
+        if isinstance(field, Part) and (gap := field.skin_gap(samples)) is not None:
+            context.warn(gap)
         return FieldSlices(
             source=field.exactly() if self.exact else field,
             grid=Grid(((i + 0.5) * hx, (j + 0.5) * hy, (k + 0.5) * hz), (hx, hy, hz), shape),
