@@ -3,8 +3,8 @@
 Between two samples of the coarse grid a line is taken from the polynomial of degree five through the three samples on
 either side (Lagrange). It passes through the coarse samples, and it is continuous. For sums of kernels, which are
 smooth but for the axes of tunnels, it is off by a fifth to an eighth of what the four taps of Catmull and Rom are off
-by on the same coarse grid. Taken axis by axis (x, z, y) the 216 taps of a fine sample cost some eight multiplications: `stretch`
-makes the rows of coarse planes fine, once for all layers near them, and `interpolate_layer` does the rest.
+by on the same coarse grid. Taken axis by axis (x, z, y) the 216 taps of a fine sample cost some eight multiplications:
+`stretch` makes the rows of coarse planes fine, once for all layers near them, and `interpolate_layer` does the rest.
 """
 
 from __future__ import annotations
