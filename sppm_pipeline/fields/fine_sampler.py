@@ -16,8 +16,9 @@ from sppm_pipeline.numerics.interpolation import BEFORE, TAPS, Taps, interpolate
 if TYPE_CHECKING:
     from sppm_pipeline.fields.kernel_sum import KernelSum, Patches
 
-CHUNK_SAMPLES = 2**23
-"""Coarse samples that are summed and kept at a time, 32 MB; two such chunks may be held at once."""
+CHUNK_SAMPLES = 2**22
+"""Samples of coarse planes that are summed and kept at a time, two such chunks at once. Of 16 MB, whose memory is used
+again; that of larger ones comes fresh from the system, which takes as long as to fill it."""
 
 LEAST_PLANES = 8
 """Coarse planes of a chunk at the least, so that kernels are not listed again for each plane."""
