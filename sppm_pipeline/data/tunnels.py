@@ -18,7 +18,8 @@ class TunnelGraph(Artifact):
 
     Edge (i, j) with shift s is the tunnel from pore i to the image of pore j at ``centers[j] + s``. An edge inside one
     interior or one face pattern belongs to that piece; an edge from an interior pore i to a face pore j is a
-    connector, with shift 1 along the axis of the face if it ends on the high side of the cell.
+    connector, with shift 1 along the axis of the face if it ends on the high side of the cell. Between blocks without
+    faces (`PoreSet.blocks`) edges lead from any pore to any other, and belong to the block of the first.
 
     Attributes
     ----------
@@ -68,6 +69,8 @@ class TunnelGraph(Artifact):
             raise ValueError(f"{len(self.edges)} tunnels but shifts of shape {self.shift.shape}")
         if len(self.edges) and not 0 <= self.edges.min() <= self.edges.max() < len(self.pores.centers):
             raise ValueError("a tunnel names a pore that does not exist")
+        if self.pores.blocks is not None:
+            return
         a, b = self.pores.piece[self.edges].T
         wrong = (a != b) & ~((a < self.pores.interiors) & (b >= self.pores.interiors))
         if wrong.any():
@@ -75,16 +78,18 @@ class TunnelGraph(Artifact):
 
     def segments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Start and end points of all tunnels, each (m, 3), cell sizes."""
-        start = self.pores.centers[self.edges[:, 0]]
-        return start, self.pores.centers[self.edges[:, 1]] + self.shift
+        start, end = (self.pores.centers[self.edges[:, k]] for k in range(2))
+        end += self.shift
+        return start, end
 
     def summary(self) -> dict[str, Any]:
         """Counts and lengths; the samplers' connectivity statistics are reported by the connecting stage."""
         start, end = self.segments()
-        length = np.sqrt(((end - start) ** 2).sum(1))
-        a, b = self.pores.piece[self.edges].T
+        end -= start
+        length = np.sqrt(np.einsum("ij,ij->i", end, end))
+        a, b = (self.pores.piece[self.edges[:, k]] for k in range(2))
         return {
             "tunnels": len(self.edges),
-            "connectors": int((a != b).sum()),
+            "connectors": 0 if self.pores.blocks is not None else int((a != b).sum()),
             "mean_tunnel_length": float(length.mean()) if len(length) else None,
         }

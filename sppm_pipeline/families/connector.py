@@ -14,6 +14,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.families.scattered import joined
 from sppm_pipeline.stage import Context, Stage
 
 
@@ -196,7 +197,9 @@ class Connector(Stage):
         )
 
     def run(self, context: Context, pores: PoreSet) -> TunnelGraph:
-        """Join all pieces, then connect faces and interiors."""
+        """Join all pieces, then connect faces and interiors; or all blocks of a lattice without faces."""
+        if context.palette.blocks is not None:
+            return joined(context, self, pores)
         edges, shifts = [np.zeros((0, 2), np.int64)], [np.zeros((0, 3), np.int64)]
         axis_of_piece = pores.axis_of_piece()
         members = [pores.indices(piece) for piece in range(len(axis_of_piece))]

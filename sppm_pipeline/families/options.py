@@ -36,6 +36,7 @@ periodic = _shared("opposite sides are neighbors, as homogenization needs it")
 resolution = _shared("voxels along an edge of the cell", unit="voxels", minimum=2, maximum=1024)
 voxel = _shared("edge of a voxel", unit="mm", above=0, maximum=1e6)
 islands = _shared("what becomes of disconnected solid", choices=("remove", "keep"))
+exact = _shared("sum the kernels at every sample of fine grids, too, instead of interpolating between coarser sums")
 
 # pores
 count = _shared("number of pores that the stage places", minimum=0, maximum=100_000)
@@ -80,8 +81,10 @@ gray = _shared(
     minimum=1,
     maximum=16,
 )
-layer = _shared("layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3)
-pixel = _shared("pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
+layer = _shared("layer height; the pitch of square pixels if omitted", unit="mm", minimum=1e-6, maximum=1e3)
+pixel = _shared(
+    "pixel pitch, or [along x, along y] of pixels that are not square", unit="mm", minimum=1e-6, maximum=1e3
+)
 
 # files, pictures and tables
 read_path = _shared("file or folder to read")

@@ -59,6 +59,29 @@ def test_without_a_wish_the_recipe_s_level_stays(recipe):
     assert WangTileSet(colors=1, resolution=8).run(PlainContext(1), recipe(level=0.31)).micro.level == 0.31
 
 
+@pytest.mark.parametrize(
+    "stage",
+    [
+        WangTileSet(colors=2, resolution=8),
+        FreeFacesTileSet(colors=1, interiors=3, resolution=8),
+        CornerColorsTileSet(colors=2, interiors=3, resolution=8),
+        FreshTiling(cells=(2, 1, 1)),
+    ],
+)
+def test_interiors_without_faces_do_not_fit_together(stage):
+    from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+    from sppm_pipeline.stages.field.gaussian import GaussianField
+
+    bare = recipe_of(
+        Elimination(count=8),
+        BoundedDegreeSubgraph(mode="greedy"),
+        GaussianField(pore_radius=Length(0.1), tunnel_radius=Length(0.03)),
+    )
+    arguments = (None,) if isinstance(stage, FreshTiling) else ()
+    with pytest.raises(DesignError, match=r"makes \[0, 0, 0\] face patterns"):
+        stage.run(PlainContext(1), bare, *arguments)
+
+
 def test_a_tolerance_out_of_reach(recipe):
     with pytest.raises(DesignError, match="finer grid"):
         WangTileSet(colors=1, porosity=0.5, resolution=8, tolerance=1e-9).run(PlainContext(1), recipe())
@@ -72,7 +95,7 @@ def test_every_rule_on_boxes_and_masks(sets, kind, shape, ball):
     tileset, rule = sets[kind], RULES[kind]
     stage = rule(cells=shape) if shape else rule(cell=Length(1.7, "mm"))
     tiling = stage.run(PlainContext(2), tileset, ball)
-    interior, faces, periodic = tiling.arrays
+    interior, faces, periodic, _ = tiling.arrays
     check_tiling(tiling.arrays, tileset.micro.pieces)
     assert not periodic
     filled = interior >= 0
@@ -151,7 +174,7 @@ def laid_once(cell):
 def test_fresh_cells_meet_at_their_faces_and_nothing_is_used_twice(recipe, cells, ball):
     stage = FreshTiling(cells=cells, cell=Length(3.4, "mm"), porosity=0.5, resolution=16)
     tiling = stage.run(PlainContext(3), recipe(), ball)
-    interior, faces, _ = tiling.arrays
+    interior, faces, *_ = tiling.arrays
     check_tiling(tiling.arrays, tiling.tileset.micro.pieces)
     for numbers in (interior, *faces):
         used = numbers[numbers >= 0]
