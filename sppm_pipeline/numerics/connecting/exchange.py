@@ -106,7 +106,7 @@ def _remove(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
 
 
 @jit
-def _apply(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: int, in1: int, in2: int) -> None:
+def apply_move(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: int, in1: int, in2: int) -> None:
     """Take the edges out and put the others in; -1 stands for none."""
     for e in (out1, out2):
         if e >= 0:
@@ -179,9 +179,9 @@ def _allowed(
         if e >= 0 and not _clear(edge, conflict, e, out1, out2, beside):
             return False
     if loops:
-        _apply(edge, node, out1, out2, in1, in2)
+        apply_move(edge, node, out1, out2, in1, in2)
         bridges, connected = mark_bridges(edge, node, int(np.int64(SLOTS)), np.zeros(edge.shape[0], np.bool_))
-        _apply(edge, node, in1, in2, out1, out2)
+        apply_move(edge, node, in1, in2, out1, out2)
         return connected and bridges == 0
     for e in (out1, out2):
         if e >= 0 and not _joined(edge, node, edge[e, 0], edge[e, 1], out1, out2, in1, in2):
@@ -269,7 +269,7 @@ def lower_degrees(
             if out < 0:
                 left += 1
                 break
-            _apply(edge, node, out, none, put, none)
+            apply_move(edge, node, out, none, put, none)
     return left
 
 
@@ -316,81 +316,8 @@ def _raise_degree(
                     best, put1, out, put2 = total, e1, e2, e3
     if put1 < 0:
         return False
-    _apply(edge, node, out, none, put1, put2)
+    apply_move(edge, node, out, none, put1, put2)
     return True
-
-
-@jit
-def make_loops(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
-) -> bool:
-    """Remove all bridges: join the smallest block that has one bridge to another block, until one block is left.
-
-    Either one edge is added, or one edge of each block is replaced by two edges between the blocks; an edge of a loop
-    leaves its block connected, and the two new edges close a loop through both. Returns False if no edge does it.
-    """
-    n = node.shape[0] - 1
-    m = edge.shape[0]
-    none = int(np.int64(-1))
-    while True:
-        bridge = np.zeros(m, np.bool_)
-        count, _ = mark_bridges(edge, node, int(np.int64(SLOTS)), bridge)
-        if count == 0:
-            return True
-        block = np.arange(n)
-        for e in range(m):
-            if edge[e, CHOSEN] and not bridge[e]:
-                a, b = find_root(block, edge[e, 0]), find_root(block, edge[e, 1])
-                block[max(a, b)] = min(a, b)
-        size = np.zeros(n, np.int64)
-        bridges_of = np.zeros(n, np.int64)
-        for v in range(n):
-            block[v] = find_root(block, v)
-            size[block[v]] += 1
-        for e in range(m):
-            if bridge[e]:
-                bridges_of[block[edge[e, 0]]] += 1
-                bridges_of[block[edge[e, 1]]] += 1
-        leaf = -1
-        for v in range(n):
-            if bridges_of[v] == 1 and (leaf < 0 or size[v] < size[leaf]):
-                leaf = v
-        best = np.inf
-        out1 = out2 = in1 = in2 = none
-        for e in range(m):
-            if edge[e, CHOSEN] or (block[edge[e, 0]] == leaf) == (block[edge[e, 1]] == leaf):
-                continue
-            p = 0 if block[edge[e, 0]] == leaf else 1
-            x, y = edge[e, p], edge[e, 1 - p]
-            cost = length[e]
-            room = node[x, DEGREE] < node[x, UPPER] and node[y, DEGREE] < node[y, UPPER]
-            if cost < best and room:
-                best, out1, out2, in1, in2 = cost, none, none, e, none
-            for s in range(SLOTS, SLOTS + node[x, DEGREE]):
-                here = node[x, s]
-                if bridge[here]:
-                    continue
-                far = edge[here, 0] + edge[here, 1] - x
-                for r in range(SLOTS, SLOTS + node[y, DEGREE]):
-                    there = node[y, r]
-                    if bridge[there]:
-                        continue
-                    goal = edge[there, 0] + edge[there, 1] - y
-                    for q in range(node[far, FROM], node[far, TO]):
-                        f = near[q]
-                        total = cost - length[here] - length[there] + length[f]
-                        if total >= best:
-                            break
-                        if edge[f, 0] + edge[f, 1] - far != goal or edge[f, CHOSEN] or f == e:
-                            continue
-                        best, out1, out2, in1, in2 = total, here, there, e, f
-                        break
-        if in1 < 0:
-            return False
-        _apply(edge, node, out1, out2, in1, in2)
 
 
 @jit
@@ -419,7 +346,7 @@ def improve(
         if waiting[v]:
             move = _shorter(edge, node, conflict, length, near, v, loops, penalty)
             if move[0] >= 0:
-                _apply(edge, node, move[0], move[1], move[2], move[3])
+                apply_move(edge, node, move[0], move[1], move[2], move[3])
                 for e in move:
                     if e >= 0:
                         for p in range(2):

@@ -15,9 +15,9 @@ from sppm_pipeline.numerics.connecting.exchange import (
     edge_table,
     improve,
     insert_all,
-    make_loops,
     node_table,
 )
+from sppm_pipeline.numerics.connecting.loops import make_loops
 from sppm_pipeline.numerics.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree, nearest_turns
 
 Edges = tuple[NDArray[np.int64], NDArray[np.int64]]
