@@ -170,6 +170,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: tileset.corner_colors, recipe: cell, colors: 2, porosity: 0.6, resolution: $r, tolerance: 0.05}
   - {stage: tile.corner_colors, cells: [$k, $k, $k], cell: 5 mm}
   - {stage: tile.fresh, recipe: cell, cells: [$c, $c, $c], cell: 5 mm, porosity: 0.6, resolution: 16}
+  - {stage: tile.scattered, recipe: cell, cells: [$c, $c, $c], cell: 5 mm, porosity: 0.6, resolution: 16}
 """,
         {
             "n": (42, 42, 60, 72),
