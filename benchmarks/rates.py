@@ -59,6 +59,13 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
         )
         for mode in ("greedy", "lp_fix", "exact")
     },
+    "neighbors": (
+        """pipeline:
+  - {stage: sample.dart_throwing, total: $n}
+  - {stage: connect.relative_neighbors}
+""",
+        {"n": (100, 100, 1000, 3000)},
+    ),
     "samplers": (
         """pipeline:
   - {stage: sample.elimination, count: $n}
