@@ -7,7 +7,6 @@ from becoming a puzzle: whatever a plugin does wrong ends in one error that name
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import signal
 import sys
@@ -188,7 +187,7 @@ class _Watchdog:
             if self._main:
                 signal.signal(signal.SIGALRM, self._before)
             elif self.fired:  # what has not been delivered must not hit what comes after the stage
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), None)
+                interruption.raise_in(self._thread, None)
 
     def _raise(self, number: int, frame: Any) -> None:
         if not self._done.is_set():
@@ -204,7 +203,7 @@ class _Watchdog:
             if self._main:
                 signal.pthread_kill(self._thread, signal.SIGALRM)
             else:
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), ctypes.py_object(_TimeUp))
+                interruption.raise_in(self._thread, _TimeUp)
         if not self._done.wait(GRACE):
             interruption.cancel_all(self._error, self._thread)
             with contextlib.suppress(OSError, ValueError):
