@@ -213,6 +213,32 @@ def test_less_and_less_repeats(sets, recipe):
     assert min(free, corner) > fresh
 
 
+def test_the_27_tiles_show_no_bars_along_the_edges_of_cells():
+    """At porosity .70 corners and edges are solid as often as anything else; with the paper's faces almost always."""
+    from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+    from sppm_pipeline.stages.field.gaussian import GaussianField
+    from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+    from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+
+    def folded(seed, way):
+        cell = recipe_of(
+            MirroredFaces(total=68, share=0.6, faces_margin=way),
+            DartThrowing(total=68),
+            BoundedDegreeSubgraph(mode="greedy"),
+            GaussianField(pore_radius=Length(0.11), tunnel_radius=Length(0.03)),
+        )
+        made = WangTileSet(porosity=0.7, resolution=16, tolerance=0.02).run(PlainContext(seed), cell)
+        context = PlainContext()
+        tiling = WangTiling(cells=(6, 6, 6), periodic=True).run(PlainContext(seed), made, None)
+        CheckResidualPeriodicity(resolution=16).run(context, tiling)
+        return [context.reported[f"folded_{place}"] for place in ("corner", "edge", "face", "center")]
+
+    paper = folded(1, "paper")
+    assert min(paper[:2]) > 0.5
+    level = np.mean([folded(seed, "homogeneous") for seed in range(5)], axis=0)
+    assert np.abs(level - 0.3).max() < 0.1
+
+
 def assembled_graph(tiling):
     """Pores of a periodic tiling as (site, pore), and its tunnels: those of every cell, and of every face once."""
     graph, arrays = tiling.tileset.micro.graph, tiling.arrays
