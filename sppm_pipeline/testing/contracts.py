@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Cell
@@ -185,9 +186,9 @@ class SlicerContract(StageContract):
             stack, _ = self._run(stage)
             assert isinstance(stack, SliceStack)
             nx, ny, nz = stack.shape
-            found = []
+            found: list[NDArray[np.uint8]] = []
             for start, slab in stack.slabs():
-                assert start == sum(map(len, found)), f"a slab starts at layer {start}"
+                assert start == sum(len(one) for one in found), f"a slab starts at layer {start}"
                 assert slab.shape[1:] == (ny, nx), "layers are (ny, nx), rows along x"
                 assert slab.dtype == np.uint8
                 found.append(slab.copy())

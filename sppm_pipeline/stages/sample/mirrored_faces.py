@@ -160,10 +160,15 @@ class MirroredFaces(Stage):
                 assert self.share is not None
                 spacing = spacing_at_share(self.total, self.share)
             return replace(base, spacing=spacing)
-        count, spacing = split_between_faces_and_interior(
-            total=None, face_count=self.count, spacing=spacing, share=self.share, colors=1
-        )
-        return with_darts(context, base, blocks, count, spacing)
+        if spacing is None:  # that of the cell
+            _, spacing = (
+                split_between_faces_and_interior(
+                    total=None, face_count=self.count, spacing=None, share=self.share, colors=1
+                )
+                if self.faces_margin == "paper"
+                else self._homogeneous(None)
+            )
+        return with_darts(context, base, blocks, self.count, spacing)
 
     def _apart(
         self, context: Context, count: int, spacing: float, colors: tuple[int, int, int], margin: float | None
