@@ -118,7 +118,7 @@ class MirroredFaces(Stage):
         piece = np.repeat(np.arange(len(flat)) + base.interiors, [len(p) for p in flat]).astype(np.int32)
         return base.extended(np.concatenate(flat), piece, colors=colors, spacing=spacing)
 
-    def _homogeneous(self, spacing: float | None, met: int) -> tuple[float, float]:
+    def _homogeneous(self, spacing: float | None, met: int = 1) -> tuple[float, float]:
         """Number of pores of a cell and their spacing, cell sizes."""
         from sppm_pipeline.numerics.sampling.edges import homogeneous_design
 
