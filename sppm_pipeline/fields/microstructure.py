@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +12,27 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.wrapped import WrappedField
 from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, lone_periodic_cell
-from sppm_pipeline.numerics.grid import Grid, sample_one_period
+from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
+
+
+_TABLES: WeakKeyDictionary[Pieces, dict[Any, Any]] = WeakKeyDictionary()
+
+
+def sampling_tables(pieces: Pieces) -> dict[Any, Any]:
+    """What was worked out to sample these kernels: patch banks and a catalog; it is freed with them.
+
+    The level does not enter, so that microstructures that differ in nothing else share the tables.
+    """
+    return _TABLES.setdefault(pieces, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +112,24 @@ class Microstructure(ScalarField):
         """Interior t with faces of the given colors on both opposite sides, repeated for ever."""
         return PeriodicTile(self, interior, colors)
 
+    def laid_sums(
+        self,
+        arrays: TilingArrays,
+        grid: Grid,
+        start: int,
+        stop: int,
+        threads: int = 1,
+        wanted: NDArray[np.int32] | None = None,
+    ) -> NDArray[np.float32]:
+        """The sum G of all kernels of a layout, which `KernelSum.kernel_sums` asks for."""
+        from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
+
+        tables = sampling_tables(self.pieces)
+        if "catalog" not in tables:
+            tables["catalog"] = make_catalog(self.pieces, CUTOFF)
+        catalog = tables["catalog"]
+        return sample_exact(self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog)
+
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         if self.interiors > 1 or max(self.colors) > 1:
             raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
@@ -110,22 +141,21 @@ class Microstructure(ScalarField):
 
 
 @dataclass(frozen=True, eq=False)
-class PeriodicTile(WrappedField):
+class PeriodicTile(WrappedField, KernelSum):
     """One tile of a microstructure among copies of itself."""
 
     base: Microstructure
     interior: int
     colors: tuple[int, int, int]
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        from sppm_pipeline.numerics.assembly.gather import sample_exact
+    @property
+    def solid_below(self) -> float:
+        return self.base.level
 
-        def sample(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
-            return sample_exact(self.base.pieces, self.arrays(), grid, CUTOFF, threads, start, stop)
-
-        values = sample_one_period(grid, self.cells, start, stop, sample)
-        values -= np.float32(self.base.level)
-        return values
+    def kernel_sums(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.float32]:
+        return self.base.laid_sums(self.arrays(), grid, start, stop, threads, wanted)
 
     def summary(self) -> dict[str, Any]:
         """Which interior and which faces."""
