@@ -45,6 +45,17 @@ class KernelSum(ScalarField):
         A layer's values depend neither on start and stop nor on the number of threads; `wanted` as for `solid_layers`.
         """
 
+    @property
+    def additive(self) -> bool:
+        """Whether G is the sum of those of its parts and continuous; else `own_values` is what is sampled."""
+        return True
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """A continuous field with the sign of G - C in the layers start <= k < stop of any grid."""
+        values = self.kernel_sums(grid, start, stop, threads)
+        values -= np.float32(self.solid_below)
+        return values
+
     def patches(self, n: int, offset: float, threads: int = 1) -> Patches | None:
         """Sampled pieces, n samples a cell edge, sample i at (i + offset) / n; None if they do not pay.
 
@@ -57,6 +68,12 @@ class KernelSum(ScalarField):
         return self._sums(grid, 0, grid.shape[2], threads)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        if not self.additive:
+
+            def own(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+                return self.own_values(grid, start, stop, threads)
+
+            return sample_one_period(grid, self.cells, start, stop, own) if self.periodic else own(grid, start, stop)
         values = self._sums(grid, start, stop, threads)
         values -= np.float32(self.solid_below)
         return values
@@ -64,6 +81,9 @@ class KernelSum(ScalarField):
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint8]:
+        if not self.additive:
+            return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
+
         def solid(grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
             if (placed := self._placed(grid, threads)) is not None:
                 from sppm_pipeline.numerics.assembly.overlap_add import assemble_solid

@@ -72,10 +72,18 @@ class Microstructure(ScalarField):
         return True
 
     @property
-    def finest_radius(self) -> float | None:
+    def additive(self) -> bool:
+        """Whether the field is the sum of those of the pieces, less the level; else `laid_values` makes it."""
+        return True
+
+    def _kernels(self) -> list[Kernels]:
+        """The kernels of all pieces."""
         pieces = self.pieces
-        parts = [*pieces.interiors, *(k for axis in pieces.faces for k in axis), *pieces.connectors.values()]
-        tunnels = [(float(k.mu.max()), k.profile) for k in parts if len(k.mu)]
+        return [*pieces.interiors, *(k for axis in pieces.faces for k in axis), *pieces.connectors.values()]
+
+    @property
+    def finest_radius(self) -> float | None:
+        tunnels = [(float(k.mu.max()), k.profile) for k in self._kernels() if len(k.mu)]
         if not tunnels or self.level >= 1:
             return None
         mu, profile = max(tunnels)
@@ -130,10 +138,25 @@ class Microstructure(ScalarField):
         catalog = tables["catalog"]
         return sample_exact(self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog)
 
+    def laid_values(
+        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1
+    ) -> NDArray[np.float32]:
+        """What is sampled of a layout: G - C, or another field of the same sign."""
+        values = self.laid_sums(arrays, grid, start, stop, threads)
+        values -= np.float32(self.level)
+        return values
+
+    def sums(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        """G of the periodic cell at the points of a grid, (nz, ny, nx) float32: a porosity is a quantile of it."""
+        return self._cell().sums(grid, threads)
+
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self._cell().sample_layers(grid, start, stop, threads)
+
+    def _cell(self) -> PeriodicTile:
         if self.interiors > 1 or max(self.colors) > 1:
             raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
-        return self.alone(0, (0, 0, 0)).sample_layers(grid, start, stop, threads)
+        return self.alone(0, (0, 0, 0))
 
     def summary(self) -> dict[str, Any]:
         """Numbers of pores and tunnels and the level."""
@@ -156,6 +179,13 @@ class PeriodicTile(WrappedField, KernelSum):
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.float32]:
         return self.base.laid_sums(self.arrays(), grid, start, stop, threads, wanted)
+
+    @property
+    def additive(self) -> bool:
+        return self.base.additive
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.base.laid_values(self.arrays(), grid, start, stop, threads)
 
     def summary(self) -> dict[str, Any]:
         """Which interior and which faces."""

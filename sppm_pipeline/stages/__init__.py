@@ -22,6 +22,7 @@ BUILT_IN = {
     "connect.mst": "MinimumSpanningTree",
     "connect.mbdst": "BoundedDegreeSubgraph",
     "field.gaussian": "GaussianField",
+    "field.walls": "WallsField",
     "tune.porosity": "TunePorosity",
     "tune.stiffness": "TuneStiffness",
     "tune.retry": "Retry",
