@@ -59,7 +59,7 @@ class WallSampler:
         Both (stop - start, ny, nx), for the layers start <= k < stop. Where there are no cells, there are no walls:
         points beyond the largest empty radius have that as their distance.
         """
-        nx, ny, nz = grid.shape
+        nx, ny = grid.shape[:2]
         distance = np.full((stop - start, ny, nx), UNCLAIMED, np.float32)
         depth = np.full((stop - start, ny, nx), -self._margin, np.float32)
         if distance.size == 0:
@@ -74,9 +74,7 @@ class WallSampler:
         raise_to_depth(depth, grid, tunnels.starts, tunnels.ends, 1 / tunnels.mu, self._margin, threads, start)
         return distance, depth
 
-    def _cells_near(
-        self, lower: NDArray[np.float64], upper: NDArray[np.float64], threads: int
-    ) -> list[VoronoiCells]:
+    def _cells_near(self, lower: NDArray[np.float64], upper: NDArray[np.float64], threads: int) -> list[VoronoiCells]:
         """The Voronoi cells that may meet a box, in the order of their sites; one set for each image of a site."""
         first = np.floor(lower - self.empty).astype(np.int64)
         last = np.floor(upper + self.empty).astype(np.int64)

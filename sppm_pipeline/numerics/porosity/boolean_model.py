@@ -53,8 +53,8 @@ def kernels_at_a_point(pores: float, tunnels: float, pore_reach: float, tunnel_r
 def expected_walls(length: float, half: float, radius: float, tunnels: float) -> tuple[float, float]:
     """Porosity of a cell of pierced walls and area of their sides, for lengths in cell sizes.
 
-    Voronoi cells of pores with the mean distance `length` have ``2.9 / length`` of faces per volume (random pores: Okabe
-    et al., "Spatial Tessellations", ch. 5), fewer are opened by tunnels.
+    Voronoi cells of pores with the mean distance `length` have ``2.9 / length`` of faces per volume (random pores:
+    Okabe et al., "Spatial Tessellations", ch. 5); tunnels open some.
     """
     pierced = min(0.9, tunnels * math.pi * radius**2 * length / 2.9)
     area = 2.9 / length * (1 - pierced)

@@ -1,9 +1,9 @@
 """Voronoi cells of pores, one by one: the box around a pore, clipped by the planes halfway to its neighbors.
 
-A cell is kept in its dual form (as by Ray, Sokolov, Lefebvre and Lévy, "Meshless Voronoi on the GPU", ACM Transactions on
-Graphics 37, 2018): each corner is a triple of planes. Neighbors come nearest first, and the cell is finished when the
-next one lies more than twice as far as its farthest corner. Nothing is shared between cells, so any of them can be made
-alone, wherever all pores within twice the largest empty radius are known.
+A cell is kept in its dual form (as by Ray, Sokolov, Lefebvre and Lévy, "Meshless Voronoi on the GPU", ACM Transactions
+on Graphics 37, 2018): each corner is a triple of planes. Neighbors come nearest first, and the cell is finished when
+the next one lies more than twice as far as its farthest corner. Nothing is shared between cells, so any of them can be
+made alone, wherever all pores within twice the largest empty radius are known.
 """
 
 from __future__ import annotations
@@ -165,10 +165,8 @@ def _clip_all(
 
 
 @jit
-def _box(
-    face: NDArray[np.float64], corner: NDArray[np.float64], triple: NDArray[np.int32], half: float
-) -> int:
-    """Write the box |x|, |y|, |z| <= half; returns the number of its corners. Triples turn the same way, seen outside."""
+def _box(face: NDArray[np.float64], corner: NDArray[np.float64], triple: NDArray[np.int32], half: float) -> int:
+    """Write the box |x|, |y|, |z| <= half and return its number of corners; triples turn alike, seen from outside."""
     for a in range(3):
         for side in range(2):
             f = 2 * a + side

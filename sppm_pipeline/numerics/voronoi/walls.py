@@ -12,7 +12,9 @@ OPEN = np.float32(16.0)
 
 
 @inline_jit
-def _wall_field(distance: NDArray[np.float32], depth: NDArray[np.float32], half: np.float32, radius: np.float32) -> None:
+def _wall_field(
+    distance: NDArray[np.float32], depth: NDArray[np.float32], half: np.float32, radius: np.float32
+) -> None:
     for i in range(np.uint64(len(distance))):
         a, b = distance[i] - half, depth[i]
         top, gap = max(a, b), abs(a - b)

@@ -41,7 +41,7 @@ def raise_to_depth(
     """
     layers = len(out)
     if layers == 0 or len(starts) == 0:
-        return
+        return None
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
 
     def fill(start: int, stop: int) -> None:

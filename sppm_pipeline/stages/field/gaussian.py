@@ -15,8 +15,8 @@ from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph
-from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 from sppm_pipeline.numerics.kernels.kernels import log_normal_factors
+from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 from sppm_pipeline.stage import Context, Stage, option
 
 NARROWEST, WIDEST = 1e-3, 8.0

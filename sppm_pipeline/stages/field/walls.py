@@ -36,8 +36,8 @@ class WallsField(Stage):
     """Put walls between neighboring pores, and let the tunnels pierce them: stiff, isotropic and open.
 
     Solid is what lies within half a thickness of the faces of the pores' Voronoi cells and in no tunnel. A target
-    porosity (`tune.porosity`, a tile set's or an assembly's `porosity`) is reached by the thickness. An extension of the
-    paper, for any of its pores and tunnels.
+    porosity (`tune.porosity`, a tile set's or an assembly's `porosity`) is reached by the thickness. An extension of
+    the paper, for any of its pores and tunnels.
     """
 
     name: ClassVar[str] = "field.walls"
@@ -92,9 +92,8 @@ class WallsField(Stage):
                 raise ConfigError(f"option {name!r} is {value}, that is {found:.3g} cell sizes; allowed are {WIDEST:g}")
             return found
 
-        return (
-            length, given("thickness", THICKNESS_SHARE) / 2, given("tunnel_radius", TUNNEL_SHARE), given("rounding", 0.0)
-        )  # fmt: skip
+        half, radius = given("thickness", THICKNESS_SHARE) / 2, given("tunnel_radius", TUNNEL_SHARE)
+        return length, half, radius, given("rounding", 0.0)
 
 
 def joined_to_nearest(graph: TunnelGraph) -> tuple[TunnelGraph, int]:
