@@ -81,8 +81,10 @@ gray = _shared(
     minimum=1,
     maximum=16,
 )
-layer = _shared("layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3)
-pixel = _shared("pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
+layer = _shared("layer height; the pitch of square pixels if omitted", unit="mm", minimum=1e-6, maximum=1e3)
+pixel = _shared(
+    "pixel pitch, or [along x, along y] of pixels that are not square", unit="mm", minimum=1e-6, maximum=1e3
+)
 
 # files, pictures and tables
 read_path = _shared("file or folder to read")

@@ -15,9 +15,9 @@ from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.wrapped import WrappedField
-from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, connector_code, lone_periodic_cell
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels
+from sppm_pipeline.numerics.kernels.kernels import Kernels, kernel_reaches
 from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 
 CUTOFF = 1e-5
@@ -76,18 +76,15 @@ class Microstructure(ScalarField):
         """Whether the field is the sum of those of the pieces, less the level; else `laid_values` makes it."""
         return True
 
-    def _kernels(self) -> list[Kernels]:
-        """The kernels of all pieces."""
-        pieces = self.pieces
-        return [*pieces.interiors, *(k for axis in pieces.faces for k in axis), *pieces.connectors.values()]
+    @property
+    def reach(self) -> float:
+        """How far, in cell sizes, a pore or tunnel is felt."""
+        return max(float(reaches.max(initial=0)) for reaches in kernel_reaches(self.pieces.kernels, CUTOFF))
 
     @property
     def finest_radius(self) -> float | None:
-        tunnels = [(float(k.mu.max()), k.profile) for k in self._kernels() if len(k.mu)]
-        if not tunnels or self.level >= 1:
-            return None
-        mu, profile = max(tunnels)
-        return TUNNEL_PROFILES[profile].radius(mu, self.level)
+        mu, profile = self.pieces.kernels.mu, self.pieces.kernels.profile
+        return TUNNEL_PROFILES[profile].radius(float(mu.max()), self.level) if len(mu) and self.level < 1 else None
 
     @property
     def edge_mm(self) -> float | None:
@@ -210,39 +207,33 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
         Name of the tunnels' profile.
     """
     pores = graph.pores
-    starts, ends = graph.segments()
-    a, b = pores.piece[graph.edges].T
     axis_of_piece = pores.axis_of_piece()
-    no_pores = np.zeros(0, np.int64)
-
-    def kernels(own: NDArray[np.int64], tunnels: NDArray[np.int64]) -> Kernels:
-        return Kernels(
-            frozen(pores.centers[own]),
-            frozen(omega[own]),
-            frozen(starts[tunnels]),
-            frozen(ends[tunnels]),
-            frozen(mu[tunnels]),
-            profile,
-        )
-
-    inside = np.flatnonzero(a == b)
-    inside = inside[np.argsort(a[inside], kind="stable")]
-    first = np.searchsorted(a[inside], np.arange(len(axis_of_piece) + 1))
-    whole = [kernels(pores.indices(p), inside[first[p] : first[p + 1]]) for p in range(len(axis_of_piece))]
-    empty = kernels(no_pores, no_pores)
     most = max(pores.colors)  # every axis is given as many colors, the missing ones without content
-    faces = [
-        tuple(whole[pores.face_piece(axis, k)] if k < pores.colors[axis] else empty for k in range(most))
-        for axis in range(3)
-    ]
+    first_of_axis = np.array([pores.face_piece(axis, 0) for axis in range(3)])
+    of_face = np.arange(pores.interiors, len(axis_of_piece)) - first_of_axis[axis_of_piece[pores.interiors :]]
+    number = np.arange(len(axis_of_piece))
+    number[pores.interiors :] = pores.interiors + axis_of_piece[pores.interiors :] * most + of_face
+    first, second = (pores.piece[graph.edges[:, end]] for end in range(2))
+    crossing = np.flatnonzero(axis_of_piece[first] != axis_of_piece[second])
+    face = second[crossing]
+    axis, side = axis_of_piece[face], graph.shift[crossing].sum(1)
+    codes, which = np.unique(
+        connector_code(first[crossing], axis, side, face - first_of_axis[axis], colors=most), return_inverse=True
+    )
+    of_tunnel = number[first]
+    of_tunnel[crossing] = pores.interiors + 3 * most + which.reshape(-1)
+    count = pores.interiors + 3 * most + len(codes)
+    own, first_pore = _sorted_by(number[pores.piece], count)
+    tunnels, first_tunnel = _sorted_by(of_tunnel, count)
+    starts, ends = graph.segments()
+    kernels = Kernels(
+        frozen(pores.centers[own]), frozen(omega[own]),
+        frozen(starts[tunnels]), frozen(ends[tunnels]), frozen(mu[tunnels]), profile,
+    )  # fmt: skip
+    return Pieces(kernels, frozen(first_pore), frozen(first_tunnel), pores.interiors, most, frozen(codes))
 
-    crossing = np.flatnonzero(a != b)
-    keys = np.stack([a[crossing], axis_of_piece[b[crossing]], graph.shift[crossing].sum(1), b[crossing]], 1)
-    different, which = np.unique(keys, axis=0, return_inverse=True)  # interior, axis, side, face piece
-    which = which.reshape(-1)
-    groups = np.split(crossing[np.argsort(which, kind="stable")], np.cumsum(np.bincount(which))[:-1])
-    connectors = {
-        (int(t), int(axis), int(side), int(piece) - pores.face_piece(int(axis), 0)): kernels(no_pores, group)
-        for (t, axis, side, piece), group in zip(different, groups, strict=bool(len(different)))
-    }
-    return Pieces(tuple(whole[: pores.interiors]), (faces[0], faces[1], faces[2]), connectors)
+
+def _sorted_by(piece: NDArray[np.int64], pieces: int) -> tuple[NDArray[np.int64] | slice, NDArray[np.int64]]:
+    """The order that sorts by piece (nothing is moved if all is sorted), and where each piece begins."""
+    first = np.concatenate([[0], np.cumsum(np.bincount(piece, minlength=pieces))])
+    return slice(None) if (piece[1:] >= piece[:-1]).all() else np.argsort(piece, kind="stable"), first

@@ -47,7 +47,7 @@ class Tiling(KernelSum):
 
     @property
     def cells(self) -> tuple[int, int, int]:
-        return self.arrays.interior.shape
+        return self.arrays.shape
 
     @property
     def periodic(self) -> bool:
@@ -90,8 +90,8 @@ class Tiling(KernelSum):
 
         tileset, pieces = self.tileset, self.tileset.micro.pieces
         combinations = tileset.combinations()
-        count = len(combinations) if combinations is not None else len(pieces.interiors)
-        cells = int(np.count_nonzero(self.arrays.interior >= 0))
+        count = len(combinations) if combinations is not None else pieces.interiors
+        cells = int(np.count_nonzero(self.arrays.box >= 0))
         # a patch is somewhat larger than a cell and is worth sampling if it is used a few times
         if not self.additive or tileset.kind == "fresh" or cells < USES_OF_A_PATCH * count:
             return None
@@ -109,7 +109,7 @@ class Tiling(KernelSum):
         """Size of the lattice and number of filled cells."""
         return {
             "lattice": list(self.cells),
-            "filled_cells": int((self.arrays.interior >= 0).sum()),
+            "filled_cells": int((self.arrays.box >= 0).sum()),
             "cell_mm": self.edge,
-            "interiors_used": len(np.unique(self.arrays.interior[self.arrays.interior >= 0])),
+            "interiors_used": len(np.unique(self.arrays.box[self.arrays.box >= 0])),
         }

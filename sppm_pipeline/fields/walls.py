@@ -46,8 +46,16 @@ class WalledMicrostructure(Microstructure):
 
     @property
     def finest_radius(self) -> float | None:
-        widest = max((float(k.mu.max()) for k in self._kernels() if len(k.mu)), default=None)
-        return None if widest is None else 1 / widest
+        mu = self.pieces.kernels.mu
+        return 1 / float(mu.max()) if len(mu) else None
+
+    @property
+    def reach(self) -> float:
+        """A face nearby lies between pores not farther than the largest empty radius from it."""
+        from sppm_pipeline.numerics.assembly.walls import largest_empty_radius
+
+        widest = 1 / float(self.pieces.kernels.mu.min(initial=np.inf))
+        return max(largest_empty_radius(self.pieces) + 2 * self.level + self.rounding, widest)
 
     @property
     def thinnest_wall(self) -> float | None:
@@ -75,7 +83,7 @@ class WalledMicrostructure(Microstructure):
         """Distances do not depend on the level, so microstructures that differ in nothing else share them."""
         from sppm_pipeline.numerics.assembly.walls import WallSampler
 
-        h = hashlib.sha256(repr((arrays.shape, arrays.periodic)).encode())
+        h = hashlib.sha256(repr((arrays.shape, arrays.periodic, arrays.halo)).encode())
         for values in (arrays.interior, *arrays.faces):
             h.update(np.ascontiguousarray(values).tobytes())
         kept: dict[Any, WallSampler] = sampling_tables(self.pieces).setdefault("walls", {})

@@ -34,6 +34,7 @@ BUILT_IN = {
     "tile.free_faces": "FreeFacesTiling",
     "tile.corner_colors": "CornerColorsTiling",
     "tile.fresh": "FreshTiling",
+    "tile.scattered": "ScatteredTiling",
     "fill.implicit": "ImplicitFill",
     "fill.boolean": "BooleanFill",
     "fill.combine": "Combine",

@@ -24,7 +24,7 @@ RADIUS_LEVEL = math.exp(-1)
 # Bytes of Voronoi cells that are kept for the next layers.
 _KEPT_BYTES = 96 * 2**20
 # Points along the edge of a cell at which the distance to the nearest pore is measured.
-_PROBES = 6
+_PROBES = 8
 # No point of a cell with a pore lies farther from it than its diagonal.
 _DIAGONAL = math.sqrt(3)
 
@@ -79,7 +79,8 @@ class WallSampler:
         first = np.floor(lower - self.empty).astype(np.int64)
         last = np.floor(upper + self.empty).astype(np.int64)
         if not self._tiling.periodic:  # pores of the last faces belong to sites without a cell
-            first, last = np.maximum(first, 0), np.minimum(last, self._tiling.shape)
+            halo = self._tiling.halo
+            first, last = np.maximum(first, -halo), np.minimum(last, np.add(self._tiling.shape, halo))
         shape = self._tiling.shape
         places = [
             (x, y, z)
@@ -124,9 +125,7 @@ class WallSampler:
 
 def largest_empty_radius(pieces: Pieces) -> float:
     """Bound on the distance of any point of a tiling's cells from the nearest pore, from each interior alone."""
-    centers = [kernels.centers for kernels in pieces.interiors]
-    first = np.cumsum([0] + [len(c) for c in centers])
-    found = _farthest_probe(np.concatenate([*centers, np.zeros((0, 3))]), first, _PROBES)
+    found = _farthest_probe(pieces.kernels.centers, pieces.first_pore[: pieces.interiors + 1], _PROBES)
     return min(found + _DIAGONAL / (2 * _PROBES), _DIAGONAL)
 
 

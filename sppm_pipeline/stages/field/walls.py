@@ -99,23 +99,24 @@ class WallsField(Stage):
 def joined_to_nearest(graph: TunnelGraph) -> tuple[TunnelGraph, int]:
     """The graph with a tunnel from each pore that has none to the nearest of its piece, and how many those are.
 
-    The only pore of a periodic cell is joined to its image.
+    The only pore of a periodic cell is joined to its image; the only one of another piece stays closed.
     """
     pores = graph.pores
-    missed = np.flatnonzero(np.bincount(graph.edges.ravel(), minlength=len(pores.centers)) == 0)
+    lone = pores.interiors == 1 and pores.blocks is None
     edges, shifts = [], []
-    for i in missed:
+    for i in np.flatnonzero(np.bincount(graph.edges.ravel(), minlength=len(pores.centers)) == 0):
         others = pores.indices(int(pores.piece[i]))
         step = pores.centers[others] - pores.centers[i]
-        image = -np.round(step) if pores.piece[i] < 1 and pores.interiors == 1 else np.zeros_like(step)
+        image = -np.round(step) if lone and pores.piece[i] == 0 else np.zeros_like(step)
+        if lone and len(pores.centers) == 1:
+            image[0, 0] = 1.0
         squared = ((step + image) ** 2).sum(1)
-        squared[others == i] = np.inf if len(others) > 1 else 1.0
+        squared[squared == 0] = np.inf
         nearest = int(squared.argmin())
-        edges.append((i, others[nearest]))
-        shifts.append(image[nearest] if len(others) > 1 else (1, 0, 0))
+        if np.isfinite(squared[nearest]):
+            edges.append((i, others[nearest]))
+            shifts.append(image[nearest])
     if not edges:
         return graph, 0
-    joined = TunnelGraph(
-        pores, np.concatenate([graph.edges, np.array(edges)]), np.concatenate([graph.shift, np.array(shifts)])
-    )
-    return joined, len(missed)
+    joined = TunnelGraph(pores, np.concatenate([graph.edges, edges]), np.concatenate([graph.shift, shifts]))
+    return joined, len(edges)
