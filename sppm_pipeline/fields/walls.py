@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 _SAMPLERS = 32
 """Layouts of one microstructure whose Voronoi cells are kept."""
 
+DEPTH = 0.2
+"""Mean distances of pores from a tunnel, farther than which the field does not look at it: no wall is as thick."""
+
 
 @dataclass(frozen=True, eq=False)
 class WalledMicrostructure(Microstructure):
@@ -91,7 +94,8 @@ class WalledMicrostructure(Microstructure):
         if key not in kept:
             if len(kept) >= _SAMPLERS:
                 kept.pop(next(iter(kept)), None)
-            margin = 2 * (self.finest_radius or 0.0) + self.rounding
+            depth = max(2 * (self.finest_radius or 0.0), DEPTH * self.graph.pores.per_cell ** (-1 / 3))
+            margin = depth + self.rounding
             kept[key] = WallSampler(self.pieces, arrays, self.rounding, margin)
         return kept[key]
 
