@@ -88,6 +88,10 @@ class ScalarField(Artifact, ABC):
         """
         return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
 
+    def exactly(self) -> ScalarField:
+        """The same field without the short cuts of fine grids; itself if its class takes none."""
+        return self
+
     def cut_at(self, value: float) -> ScalarField:
         """The structure whose solid is where this field is smaller than `value`; what tuning the porosity asks for.
 

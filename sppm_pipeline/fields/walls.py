@@ -48,6 +48,14 @@ class WalledMicrostructure(Microstructure):
         return False
 
     @property
+    def coarse_pitch(self) -> None:
+        """Walls have creases, between which nothing may be interpolated."""
+        return None
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.alone(0, (0, 0, 0)).own_values(grid, start, stop, threads)
+
+    @property
     def finest_radius(self) -> float | None:
         mu = self.pieces.kernels.mu
         return 1 / float(mu.max()) if len(mu) else None

@@ -21,6 +21,7 @@ BUILT_IN = {
     "sample.elimination": "Elimination",
     "connect.mst": "MinimumSpanningTree",
     "connect.mbdst": "BoundedDegreeSubgraph",
+    "connect.relative_neighbors": "RelativeNeighbors",
     "field.gaussian": "GaussianField",
     "field.walls": "WallsField",
     "tune.porosity": "TunePorosity",
