@@ -61,10 +61,12 @@ def raise_to_distance(
 
     def fill(start: int, stop: int) -> None:
         block = out[start:stop]
-        rows = [np.empty(grid.shape[0] + LANES, np.float32) for _ in range(4)]
-        planes = np.empty(2 * most, np.float32), np.empty((most, 4)), np.empty(most), np.empty(most)
-        arguments = block.reshape(-1), block.shape, first_layer + start, origin, spacing
-        _raise_cells(*arguments, *cells, rounding, *rows, *planes)
+        least, shift, total, slope = (np.empty(grid.shape[0] + LANES, np.float32) for _ in range(4))
+        _raise_cells(
+            block.reshape(-1), block.shape, first_layer + start, origin, spacing, *cells, rounding,
+            least, shift, total, slope,
+            np.empty(2 * most, np.float32), np.empty((most, 4)), np.empty(most), np.empty(most),
+        )  # fmt: skip
 
     if threads == 1 or layers == 1:
         return fill(0, layers)
