@@ -222,6 +222,22 @@ def test_representative_volume(run_yaml, summary):
         assert 0 < found["E_x"]["mean"] < 0.45  # less than the share of solid
 
 
+def test_walls(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "walls.yaml",
+        p=["pores=40"],
+        s=["walls.resolution=32", "walls.tolerance=0.005", "phases.resolution=40", "check.sizes.resolution=24",
+           "elastic.resolution=20", "write.picture.resolution=16", "write.picture.image_size=[200, 150]",
+           "extract.marching_cubes.resolution=32"],
+    )  # fmt: skip
+    assert summary(record, "walls")["porosity"] == pytest.approx(0.7, abs=0.005)
+    assert summary(record, "phases")["void_removed_share"] < 1e-4
+    assert all(summary(record, "phases")["solid_wraps"])
+    assert summary(record, "check.sizes")["thinnest_wall"] < summary(record, "check.sizes")["narrowest_tunnel"]
+    assert summary(record, "elastic")["isotropic"]["E"] > 0.1
+    assert {"walls.png", "walls.ply"} <= outputs(folder)
+
+
 def test_no_configuration_is_forgotten():
     tested = {name[5:] for name in globals() if name.startswith("test_")}
     # those that need a plugin are run by its tests

@@ -56,6 +56,17 @@ class KernelSum(ScalarField):
         """
 
     @property
+    def additive(self) -> bool:
+        """Whether G is the sum of those of its parts, and continuous; else `own_values` is what is sampled."""
+        return True
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """A continuous field with the sign of G - C in the layers start <= k < stop of any grid."""
+        values = self.kernel_sums(grid, start, stop, threads)
+        values -= np.float32(self.solid_below)
+        return values
+
+    @property
     def coarse_pitch(self) -> float | None:
         """Spacing of samples, cell sizes, from which finer ones may be interpolated; None to sum them all."""
         return None
@@ -77,6 +88,8 @@ class KernelSum(ScalarField):
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         def values(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+            if not self.additive:
+                return self.own_values(grid, start, stop, threads)
             if (fine := self._fine(grid, threads)) is not None:
                 out = np.empty((stop - start, *grid.shape[1::-1]), np.float32)
                 fine.sample(self, start, stop, threads, None, out, None)
@@ -91,6 +104,8 @@ class KernelSum(ScalarField):
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint8]:
         def solid(grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+            if not self.additive:
+                return (self.own_values(grid, start, stop, threads) < 0).view(np.uint8)
             rows = None if self.periodic else wanted
             if (fine := self._fine(grid, threads)) is not None:
                 out = np.zeros((stop - start, *grid.shape[1::-1]), np.uint8)

@@ -17,7 +17,7 @@ from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.wrapped import WrappedField
 from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, connector_code, lone_periodic_cell
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels
+from sppm_pipeline.numerics.kernels.kernels import Kernels, kernel_reaches
 from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 
 CUTOFF = 1e-5
@@ -80,6 +80,11 @@ class Microstructure(KernelSum):
     @property
     def periodic(self) -> bool:
         return True
+
+    @property
+    def reach(self) -> float:
+        """How far, in cell sizes, a pore or tunnel is felt."""
+        return max(float(reaches.max(initial=0)) for reaches in kernel_reaches(self.pieces.kernels, CUTOFF))
 
     @property
     def finest_radius(self) -> float | None:
@@ -160,6 +165,14 @@ class Microstructure(KernelSum):
             raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
         return self.alone(0, (0, 0, 0)).kernel_sums(grid, start, stop, threads, wanted)
 
+    def laid_values(
+        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1
+    ) -> NDArray[np.float32]:
+        """What is sampled of a layout whose field is not `additive`: a continuous field with the sign of G - C."""
+        values = self.laid_sums(arrays, grid, start, stop, threads)
+        values -= np.float32(self.level)
+        return values
+
     def summary(self) -> dict[str, Any]:
         """Numbers of pores and tunnels and the level."""
         return {**self.graph.pores.summary(), **self.graph.summary(), "level": self.level}
@@ -185,6 +198,13 @@ class PeriodicTile(WrappedField, KernelSum):
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.float32]:
         return self.base.laid_sums(self.arrays(), grid, start, stop, threads, wanted)
+
+    @property
+    def additive(self) -> bool:
+        return self.base.additive
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.base.laid_values(self.arrays(), grid, start, stop, threads)
 
     def summary(self) -> dict[str, Any]:
         """Which interior and which faces."""

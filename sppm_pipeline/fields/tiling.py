@@ -61,6 +61,10 @@ class Tiling(KernelSum):
         return self.tileset.micro.finest_radius
 
     @property
+    def thinnest_wall(self) -> float | None:
+        return self.tileset.micro.thinnest_wall
+
+    @property
     def edge_mm(self) -> float | None:
         return self.edge
 
@@ -84,6 +88,13 @@ class Tiling(KernelSum):
     ) -> NDArray[np.float32]:
         return self.tileset.micro.laid_sums(self.arrays, grid, start, stop, threads, wanted)
 
+    @property
+    def additive(self) -> bool:
+        return self.tileset.micro.additive
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.tileset.micro.laid_values(self.arrays, grid, start, stop, threads)
+
     def patches(self, n: int, offset: float, threads: int = 1) -> Patches | None:
         from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes
 
@@ -92,7 +103,7 @@ class Tiling(KernelSum):
         count = len(combinations) if combinations is not None else pieces.interiors
         cells = int(np.count_nonzero(self.arrays.box >= 0))
         # a patch is somewhat larger than a cell and is worth sampling if it is used a few times
-        if tileset.kind in ("fresh", "scattered") or cells < USES_OF_A_PATCH * count:
+        if not self.additive or tileset.kind in ("fresh", "scattered") or cells < USES_OF_A_PATCH * count:
             return None
         tables, key = sampling_tables(pieces), (tileset.kind, tileset.palette_colors, n, offset)
         made = {"offset": offset, "cutoff": CUTOFF}

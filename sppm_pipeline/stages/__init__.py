@@ -25,6 +25,7 @@ BUILT_IN = {
     "connect.mbdst": "BoundedDegreeSubgraph",
     "connect.relative_neighbors": "RelativeNeighbors",
     "field.gaussian": "GaussianField",
+    "field.walls": "WallsField",
     "tune.porosity": "TunePorosity",
     "tune.stiffness": "TuneStiffness",
     "tune.retry": "Retry",

@@ -14,7 +14,7 @@ from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
 from sppm_pipeline.families.tiler import at_porosity, check_repeats
-from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure
+from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
@@ -56,7 +56,6 @@ class ScatteredTiling(Stage):
 
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Throw and join the pores of all blocks of the part, and of those around it."""
-        from sppm_pipeline.numerics.kernels.kernels import kernel_reaches
         from sppm_pipeline.numerics.sampling.blocks import dilated
 
         lattice = lattice_for(self.cell, self.cells, cover, None)
@@ -68,10 +67,9 @@ class ScatteredTiling(Stage):
                 f"the recipe {recipe.name!r} makes a {type(micro).__name__}; scattered cells need a Microstructure",
                 hint="end the recipe with `field.gaussian`",
             )
-        reach = max(float(reaches.max(initial=0)) for reaches in kernel_reaches(micro.pieces.kernels, CUTOFF))
-        if reach > HALO:
+        if micro.reach > HALO:
             raise DesignError(
-                f"the kernels reach {reach:.3g} cell sizes, but only the next cell is looked at",
+                f"the kernels reach {micro.reach:.3g} cell sizes, but only the next cell is looked at",
                 hint="give larger cells with more pores, or smaller radii",
             )
         none = [np.full(tuple(n + (a == axis) for a, n in enumerate(blocks.shape)), -1, np.int32) for axis in range(3)]
