@@ -19,6 +19,7 @@ BUILT_IN = {
     "sample.mirrored_faces": "MirroredFaces",
     "sample.dart_throwing": "DartThrowing",
     "sample.elimination": "Elimination",
+    "sample.hyperuniform": "Hyperuniform",
     "connect.mst": "MinimumSpanningTree",
     "connect.mbdst": "BoundedDegreeSubgraph",
     "field.gaussian": "GaussianField",
