@@ -81,7 +81,7 @@ POSTS = (2, 3)  # pixels along x, of the post at the low and at the high corner;
 
 def posts(manifest: dict[str, Any]) -> NDArray[np.float64]:
     """Corners (24, 3, 3) in mm of the triangles of the two posts."""
-    pixel, size = manifest["pixel_mm"], np.array([manifest["width_px"], manifest["height_px"]])
+    pixel, size = np.array(manifest["pixel_mm"]), np.array([manifest["width_px"], manifest["height_px"]])
     low = np.array(manifest["origin_mm"])
     height = manifest["layers"] * manifest["layer_mm"]
     unit = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
@@ -90,7 +90,7 @@ def posts(manifest: dict[str, Any]) -> NDArray[np.float64]:
     made = []
     for start, width in zip(((-MARGIN, -MARGIN), size + MARGIN - (POSTS[1], 2)), POSTS, strict=True):
         corner = low + np.append(np.array(start) * pixel, 0)
-        made.append((unit * [width * pixel, 2 * pixel, height] + corner)[triangles])
+        made.append((unit * [width * pixel[0], 2 * pixel[1], height] + corner)[triangles])
     return np.concatenate(made)
 
 
@@ -109,15 +109,14 @@ def with_posts(stl: Path, manifest: dict[str, Any]) -> None:
 
 def slicer_layers(program: str, stl: Path, manifest: dict[str, Any]) -> tuple[Run, Iterator[NDArray[np.bool_]]]:
     """Cut with PrusaSlicer; layers (rows, columns) cropped to ours, lowest y first."""
-    pixel, frame = manifest["pixel_mm"], MARGIN + BORDER
+    (pitch_x, pitch_y), frame = manifest["pixel_mm"], MARGIN + BORDER
     columns, rows = manifest["width_px"] + 2 * frame, manifest["height_px"] + 2 * frame
     profile, archive = stl.with_suffix(".ini"), stl.with_suffix(".sl1")
+    width, height = columns * pitch_x, rows * pitch_y
     profile.write_text(
-        SLICER.format(
-            layer=manifest["layer_mm"], columns=columns, rows=rows, width=columns * pixel, height=rows * pixel
-        )
+        SLICER.format(layer=manifest["layer_mm"], columns=columns, rows=rows, width=width, height=height)
     )
-    place = ["--center", f"{columns * pixel / 2!r},{rows * pixel / 2!r}"]
+    place = ["--center", f"{width / 2!r},{height / 2!r}"]
     spent = run([program, "--export-sla", "--load", str(profile), *place, "--output", str(archive), str(stl)])
 
     def read() -> Iterator[NDArray[np.bool_]]:
@@ -142,7 +141,7 @@ def slicer_layers(program: str, stl: Path, manifest: dict[str, Any]) -> tuple[Ru
 
 
 def filled(
-    segments: NDArray[np.float64], origin: tuple[float, float], pixel: float, shape: tuple[int, int]
+    segments: NDArray[np.float64], origin: tuple[float, float], pixel: tuple[float, float], shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
     """Pixels (rows, columns) whose center lies within a section, by the even-odd rule along every row.
 
@@ -188,10 +187,10 @@ def scanned_layers(
     vertices: NDArray[np.float64], faces: NDArray[np.integer], manifest: dict[str, Any]
 ) -> Iterator[NDArray[np.bool_]]:
     """Cut a mesh with our own scanlines: pixels whose center is inside, (rows, columns), lowest y first."""
-    pixel, layer = manifest["pixel_mm"], manifest["layer_mm"]
-    x, y, z = np.array(manifest["origin_mm"]) + np.array([pixel, pixel, layer]) / 2
+    pitch = (*manifest["pixel_mm"], manifest["layer_mm"])
+    x, y, z = np.array(manifest["origin_mm"]) + np.array(pitch) / 2
     shape = (manifest["width_px"], manifest["height_px"], manifest["layers"])
-    scan = prepare_inside(vertices, faces, Grid((x, y, z), (pixel, pixel, layer), shape))
+    scan = prepare_inside(vertices, faces, Grid((x, y, z), pitch, shape))
     for k in range(shape[2]):
         yield inside_layers(scan, k, k + 1).mask[0].astype(bool)
 
@@ -273,7 +272,7 @@ def main() -> None:
     ratio = [b / a for a, b in zip(direct, total, strict=True)]
     table(
         f"{source.name}: {manifest['width_px']} x {manifest['height_px']} x {manifest['layers']} pixels of"
-        f" {manifest['pixel_mm']:g} mm, mesh at {mesh_voxels} per cell",
+        f" {manifest['pixel_mm'][0]:g} x {manifest['pixel_mm'][1]:g} mm, mesh at {mesh_voxels} per cell",
         ["way", "wall s", "CPU s", "peak MB", "output MB"],
         [
             ["layers from the field", *direct, sizes[0]],

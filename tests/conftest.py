@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.families import Cloud
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.numerics.domain import primitive_meshes
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
@@ -159,3 +160,38 @@ def summary():
         return next(stage["summary"] for stage in record["stages"] if stage["id"] == id_)
 
     return find
+
+
+@pytest.fixture(scope="session")
+def random_cloud():
+    """Makes clouds of random pores that keep a spacing."""
+    return _random_cloud
+
+
+@pytest.fixture(scope="session")
+def sorted_cloud():
+    """Makes clouds of given points."""
+    return _sorted_cloud
+
+
+def _random_cloud(lattice, pores, periodic=(False, False, False), seed=0, spacing=0.6):
+    """`pores` in a box of blocks; the spacing is a fraction of the mean distance."""
+    rng = np.random.default_rng(seed)
+    size = np.array(lattice, float)
+    reach = spacing * (size.prod() / max(pores, 1)) ** (1 / 3)
+    points = np.zeros((0, 3))
+    while len(points) < pores:
+        dart = rng.random((1, 3)) * size
+        step = np.abs(points - dart)
+        step = np.where(periodic, np.minimum(step, size - step), step)
+        if (step**2).sum(1).min(initial=np.inf) >= reach**2:
+            points = np.concatenate([points, dart])
+    return _sorted_cloud(points, lattice, periodic)
+
+
+def _sorted_cloud(points, lattice, periodic=(False, False, False)):
+    """The points sorted by block."""
+    block = np.ravel_multi_index(tuple(np.floor(points).astype(int).T), lattice)
+    count = np.bincount(block, minlength=int(np.prod(lattice)))
+    first = np.concatenate([[0], np.cumsum(count)])
+    return Cloud(points[np.argsort(block, kind="stable")], first, tuple(lattice), tuple(periodic), Cell())

@@ -56,8 +56,8 @@ def sections(folder, manifest, shift=0.0):
     """Sections of the mesh file at the mid-height of every layer, or `shift` layers above it."""
     mesh = trimesh.load_mesh(folder / "part.stl")
     ox, oy, oz = manifest["origin_mm"]
-    x = ox + (np.arange(manifest["width_px"]) + 0.5) * manifest["pixel_mm"]
-    y = oy + (np.arange(manifest["height_px"]) + 0.5) * manifest["pixel_mm"]
+    x = ox + (np.arange(manifest["width_px"]) + 0.5) * manifest["pixel_mm"][0]
+    y = oy + (np.arange(manifest["height_px"]) + 0.5) * manifest["pixel_mm"][1]
     heights = (np.arange(manifest["layers"]) + 0.5 + shift) * manifest["layer_mm"]
     pieces, frames, _ = trimesh.intersections.mesh_multiplane(mesh, (0, 0, oz), (0, 0, 1), heights)
     cut = [

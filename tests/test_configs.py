@@ -91,7 +91,7 @@ def test_bunny(run_yaml, summary, tmp_path):
     assert size[2] == pytest.approx(12)
     manifest = check_layers(folder / "slices")
     assert manifest["layers"] in (16, 17)
-    assert manifest["pixel_mm"] == pytest.approx(0.75)
+    assert manifest["pixel_mm"] == pytest.approx([0.75, 0.75])
     assert manifest["width_px"] * 0.75 == pytest.approx(size[0], abs=1.5)
 
 

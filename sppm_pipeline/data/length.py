@@ -62,6 +62,32 @@ def parse_length(value: object) -> Length:
     return Length(number, unit)
 
 
+Pixel = Length | tuple[Length, Length]
+"""Pixel pitch as written: one length for square pixels, else those along x and y."""
+
+
+def voxel_mm(pixel: Pixel, layer: Length | None) -> tuple[float, float, float]:
+    """Pixel pitch along x and y, and layer height, in millimeters; without a height layers are as high as pixels.
+
+    Raises
+    ------
+    ConfigError
+        If only one of two pitches has a unit, or pixels that are not square leave the layer height open.
+    """
+    x, y = pixel if isinstance(pixel, tuple) else (pixel, pixel)
+    if (x.unit is None) != (y.unit is None):
+        raise ConfigError(
+            f"of `pixel: [{x}, {y}]` one has a unit and the other has none",
+            hint="write both with their unit, for example `pixel: [0.019 mm, 0.024 mm]`",
+        )
+    if layer is None and not math.isclose(x.mm(), y.mm(), rel_tol=1e-9):
+        raise ConfigError(
+            f"`pixel: [{x}, {y}]` needs a `layer`: pixels that are not square don't tell how high a layer is",
+            hint="give the layer height of the printer, for example `layer: 0.05 mm`",
+        )
+    return x.mm(), y.mm(), (x if layer is None else layer).mm()
+
+
 @dataclass(frozen=True)
 class Cell(Artifact):
     """The periodic cube in which pores are designed.

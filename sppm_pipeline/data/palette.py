@@ -9,6 +9,38 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, eq=False)
+class Blocks:
+    """A lattice of blocks without faces, whose pores are thrown and joined across them (`tile.scattered`).
+
+    Attributes
+    ----------
+    mask : (nx, ny, nz) bool
+        Blocks that hold pores; interior t is the t-th of them in C order of (x, y, z).
+    periodic : bool
+        Whether the lattice repeats.
+    """
+
+    mask: NDArray[np.bool_]
+    periodic: bool
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of blocks along x, y, z."""
+        nx, ny, nz = self.mask.shape
+        return nx, ny, nz
+
+    @property
+    def sites(self) -> NDArray[np.int64]:
+        """Place of each interior in the lattice, (interiors, 3)."""
+        return np.argwhere(self.mask)
+
+    @property
+    def numbers(self) -> NDArray[np.int32]:
+        """Interior of each block, (nx, ny, nz); -1 = none."""
+        return np.where(self.mask, np.cumsum(self.mask).reshape(self.mask.shape) - 1, -1).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
 class Palette:
     """The interiors and face patterns that samplers and connectors have to supply.
 
@@ -23,11 +55,14 @@ class Palette:
         The number of face patterns perpendicular to x, y, z.
     meetings : (p, 4) int64 or None
         Rows (interior, axis, side, color); side 0 is the low face. None: all combinations.
+    blocks : Blocks or None
+        Where the interiors lie, if they are blocks of a lattice without faces; there are no colors then.
     """
 
     interiors: int = 1
     colors: tuple[int, int, int] = (1, 1, 1)
     meetings: NDArray[np.int64] | None = None
+    blocks: Blocks | None = None
 
     def all_meetings(self) -> NDArray[np.int64]:
         """The rows of `meetings`, written out, (p, 4) int64."""

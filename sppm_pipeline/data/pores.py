@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.data.artifact import Artifact, frozen
 from sppm_pipeline.data.length import Cell, parse_length
+from sppm_pipeline.data.palette import Blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,8 @@ class PoreSet(Artifact):
         Number of face patterns perpendicular to x, y, z; zeros where no pores were put on faces.
     spacing : float or None
         Smallest distance the sampler kept between pores, cell sizes.
+    blocks : Blocks or None
+        Where the interiors lie, if they are blocks of a lattice without faces. Pores are then sorted by interior.
     """
 
     cell: Cell
@@ -39,6 +42,7 @@ class PoreSet(Artifact):
     interiors: int = 1
     colors: tuple[int, int, int] = (0, 0, 0)
     spacing: float | None = None
+    blocks: Blocks | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centers", frozen(np.asarray(self.centers, np.float64).reshape(-1, 3)))
@@ -78,6 +82,8 @@ class PoreSet(Artifact):
             raise ValueError("pore centers must be finite")
         if len(self.piece) and not 0 <= self.piece.min() <= self.piece.max() < self.interiors + sum(self.colors):
             raise ValueError("a pore belongs to a piece that does not exist")
+        if self.blocks is not None and (self.has_faces or (np.diff(self.piece) < 0).any()):
+            raise ValueError("pores of blocks are sorted by block, and none lies on a face")
         for axis in range(3):
             on_face = self.axis_of_piece()[self.piece] == axis
             if on_face.any() and np.abs(self.centers[on_face, axis]).max() > 0:
@@ -114,25 +120,28 @@ class PoreSet(Artifact):
     def extended(self, centers: NDArray[np.float64], piece: NDArray[np.int32], **changes: Any) -> PoreSet:
         """The same set with more pores."""
         values: dict[str, Any] = {
-            "cell": self.cell, "interiors": self.interiors, "colors": self.colors, "spacing": self.spacing
+            "cell": self.cell, "interiors": self.interiors, "colors": self.colors, "spacing": self.spacing,
+            "blocks": self.blocks,
         } | changes  # fmt: skip
         return PoreSet(
             centers=np.concatenate([self.centers, centers]), piece=np.concatenate([self.piece, piece]), **values
         )
 
+    @property
+    def per_cell(self) -> float:
+        """Mean number of pores of one cell, each face counted once."""
+        axis_of_pore = self.axis_of_piece()[self.piece]
+        faces = sum(float((axis_of_pore == axis).sum()) / self.colors[axis] for axis in range(3) if self.colors[axis])
+        return faces + float((axis_of_pore < 0).sum()) / self.interiors
+
     def summary(self) -> dict[str, Any]:
         """Counts; `pores_per_cell` is the mean number of pores of one cell, each face counted once."""
         on_face = self.piece >= self.interiors
-        faces = sum(
-            float((self.axis_of_piece()[self.piece] == axis).sum()) / self.colors[axis]
-            for axis in range(3)
-            if self.colors[axis]
-        )
         return {
             "pores": len(self.centers),
             "face_pores": int(on_face.sum()),
             "interiors": self.interiors,
             "colors": list(self.colors),
-            "pores_per_cell": faces + float((~on_face).sum()) / self.interiors,
+            "pores_per_cell": self.per_cell,
             "spacing": self.spacing,
         }

@@ -18,7 +18,8 @@ class TunnelGraph(Artifact):
 
     Edge (i, j) with shift s is the tunnel from pore i to the image of pore j at ``centers[j] + s``. An edge inside one
     interior or one face pattern belongs to that piece; an edge from an interior pore i to a face pore j is a
-    connector, with shift 1 along the axis of the face if it ends on the high side of the cell.
+    connector, with shift 1 along the axis of the face if it ends on the high side of the cell. Between blocks without
+    faces (`PoreSet.blocks`) edges lead from any pore to any other, and belong to the block of the first.
 
     Attributes
     ----------
@@ -68,6 +69,8 @@ class TunnelGraph(Artifact):
             raise ValueError(f"{len(self.edges)} tunnels but shifts of shape {self.shift.shape}")
         if len(self.edges) and not 0 <= self.edges.min() <= self.edges.max() < len(self.pores.centers):
             raise ValueError("a tunnel names a pore that does not exist")
+        if self.pores.blocks is not None:
+            return
         a, b = self.pores.piece[self.edges].T
         wrong = (a != b) & ~((a < self.pores.interiors) & (b >= self.pores.interiors))
         if wrong.any():
@@ -85,6 +88,6 @@ class TunnelGraph(Artifact):
         a, b = self.pores.piece[self.edges].T
         return {
             "tunnels": len(self.edges),
-            "connectors": int((a != b).sum()),
+            "connectors": 0 if self.pores.blocks is not None else int((a != b).sum()),
             "mean_tunnel_length": float(length.mean()) if len(length) else None,
         }

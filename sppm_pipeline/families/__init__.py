@@ -28,7 +28,7 @@ and a formula of a periodic cell::
 from __future__ import annotations
 
 from sppm_pipeline.families import options
-from sppm_pipeline.families.connector import Connector, Piece
+from sppm_pipeline.families.connector import Cloud, Connector, Piece
 from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
 from sppm_pipeline.families.file_writer import MeshWriter
 from sppm_pipeline.families.homogenizer import Homogenizer
@@ -38,6 +38,7 @@ from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for, tiling_siz
 from sppm_pipeline.families.tileset_maker import TileSetMaker
 
 __all__ = [
+    "Cloud",
     "Connector",
     "FieldMaker",
     "Homogenizer",

@@ -14,6 +14,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.families.scattered import joined
 from sppm_pipeline.stage import Context, Stage
 
 
@@ -37,6 +38,43 @@ class Piece(NamedTuple):
     cell: Cell
 
 
+class Cloud(NamedTuple):
+    """The pores of a lattice of blocks without faces, to be joined as one graph.
+
+    Attributes
+    ----------
+    points : (n, 3) float64, cell sizes
+        Block (x, y, z) of the lattice fills [x, x + 1] x [y, y + 1] x [z, z + 1]; pores are sorted by block.
+    first : (blocks + 1,) int64
+        Where the pores of each block begin; blocks in C order of (x, y, z), as in `TilingArrays`. A block may be empty.
+    lattice : 3 ints
+        Number of blocks along x, y, z.
+    periodic : 3 bools
+        Axes along which the lattice repeats, with `lattice` as its period.
+    cell : Cell
+        Turns the user's lengths into cell sizes.
+    """
+
+    points: NDArray[np.float64]
+    first: NDArray[np.int64]
+    lattice: tuple[int, int, int]
+    periodic: tuple[bool, bool, bool]
+    cell: Cell
+
+    @property
+    def period(self) -> NDArray[np.float64]:
+        """Whole cells after which each axis repeats, (3,) float64; 0 for never."""
+        return np.where(self.periodic, self.lattice, 0).astype(np.float64)
+
+
+WINDOW_PORES = 3000
+"""Most pores, about, that `Connector.join_cloud` hands to `join` at a time, margin included."""
+
+WINDOW_MARGIN = 3.0
+"""Width of the margin in mean distances of pores. In dense random packings no edge of a relative neighborhood or of the
+six nearest is longer than two, so that both ends see all that decides about it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Connector(Stage):
     """Base of connectors: implement `join`; `run` applies it to faces and interiors separately and then connects them.
@@ -56,6 +94,78 @@ class Connector(Stage):
         shift : (m, 3) int64
             Whole cells by which the second end is moved; zero unless ``piece.periodic``.
         """
+
+    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Join the pores of a lattice of blocks into one connected graph.
+
+        A cloud that `join` can take as one piece is one. A larger one is cut into windows of blocks, and `join` is
+        called for each with a margin of pores around it; an edge counts if the window of its lower pore has found it.
+        Where the windows do not agree the graph may fall apart: whether it is connected is found by union-find, and
+        its parts are joined by the shortest edges between them, whose number is reported.
+
+        Returns
+        -------
+        edges : (m, 2) int64
+            Pairs i < j of indices into ``cloud.points``, sorted.
+        shifts : (m, 3) int64
+            Whole cells by which the second end is moved: multiples of the lattice along periodic axes, else zero.
+
+        Raises
+        ------
+        ValueError
+            If `join` returns no edges between pores of its piece.
+        """
+        from sppm_pipeline.numerics.connecting.bridging import bridging_edges
+        from sppm_pipeline.numerics.connecting.trees import canonical_edges
+
+        found = self._edges_of_windows(context, cloud)
+        edges, shifts = canonical_edges(np.concatenate([e for e, _ in found]), np.concatenate([s for _, s in found]))
+        bridges, turns = bridging_edges(cloud.points, edges, cloud.period)
+        context.report(bridging_tunnels=len(bridges))
+        return canonical_edges(np.concatenate([edges, bridges]), np.concatenate([shifts, turns]))
+
+    def _edges_of_windows(self, context: Context, cloud: Cloud) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """Edges and shifts of each window of the cloud, by calls of `join`."""
+        from sppm_pipeline.numerics.connecting.windows import (
+            Lattice,
+            edges_of_window,
+            window,
+            window_corners,
+            window_edge,
+        )
+
+        n, (size, *others) = len(cloud.points), cloud.lattice
+        cubic = all(cloud.periodic) and others == [size, size]
+        if n <= WINDOW_PORES and (cubic or not any(cloud.periodic)):
+            # a periodic piece is a unit cube
+            scale = size if cubic else 1
+            edges, shifts = self._joined(
+                context.rng(0),
+                Piece(cloud.points / scale, cubic, "interior", replace(cloud.cell, edge=scale * cloud.cell.edge)),
+            )
+            return [(edges, shifts * scale)]
+        lattice = Lattice(cloud.points, cloud.first, cloud.lattice, cloud.period)
+        margin = WINDOW_MARGIN * lattice.spacing
+        boxes = list(window_corners(cloud.lattice, window_edge(lattice, WINDOW_PORES, margin)))
+        found = []
+        for number, corners in enumerate(boxes):
+            view = window(lattice, corners, margin)
+            if view.own.any():
+                piece = Piece(cloud.points[view.pores] + view.turns, False, "interior", cloud.cell)
+                found.append(edges_of_window(view, *self._joined(context.rng(number), piece)))
+            context.progress(number + 1, len(boxes), "windows joined")
+        return found
+
+    def _joined(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """What `join` makes of a piece of a cloud, checked."""
+        if len(piece.points) < 2:
+            return np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
+        edges, shifts = (np.asarray(array, np.int64) for array in self.join(rng, piece))
+        if edges.ndim != 2 or edges.shape[1] != 2 or shifts.shape != (len(edges), 3):
+            raise ValueError(f"{self.name}.join must return edges (m, 2) and shifts (m, 3)")
+        if len(edges) and not 0 <= edges.min() <= edges.max() < len(piece.points):
+            raise ValueError(f"{self.name}.join names a pore that is not in its piece")
+        return edges, shifts
 
     def connect(
         self, face_points: NDArray[np.float64], interior_points: NDArray[np.float64], cell: Cell
@@ -82,7 +192,9 @@ class Connector(Stage):
         )
 
     def run(self, context: Context, pores: PoreSet) -> TunnelGraph:
-        """Join all pieces, then connect faces and interiors."""
+        """Join all pieces, then connect faces and interiors; or all blocks of a lattice without faces."""
+        if context.palette.blocks is not None:
+            return joined(context, self, pores)
         edges, shifts = [np.zeros((0, 2), np.int64)], [np.zeros((0, 3), np.int64)]
         axis_of_piece = pores.axis_of_piece()
         members = [pores.indices(piece) for piece in range(len(axis_of_piece))]

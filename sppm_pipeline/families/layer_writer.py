@@ -94,7 +94,7 @@ class LayerWriter(Stage):
             255 where solid, 0 elsewhere, values between only if ``stack.gray``. The first row is the side of largest
             y, as one looks down on the build plate; the first column is the side of smallest x.
         stack : SliceStack
-            Pixel pitch, layer height, size and position of the part.
+            Pixel pitch along x and y, layer height, size and position of the part.
         """
 
     def store(self, target: Path, stack: SliceStack, layers: EncodedLayers) -> None:
@@ -116,11 +116,11 @@ class LayerWriter(Stage):
             (target / f"{number:0{digits}d}{self.suffix}").write_bytes(data)
         nx, ny, nz = stack.shape
         manifest = {
-            "format": 1,
+            "format": 2,
             "layers": nz,
             "width_px": nx,
             "height_px": ny,
-            "pixel_mm": stack.pixel_mm,
+            "pixel_mm": list(stack.pixel_mm),
             "layer_mm": stack.layer_mm,
             "origin_mm": list(stack.origin_mm),
             **self.encoding(stack),
@@ -167,4 +167,4 @@ class LayerWriter(Stage):
             from sppm_pipeline.render.sheets import layer_sheet
 
             stem = self.path.rstrip("/") if target.is_dir() else str(PurePosixPath(self.path).with_suffix(""))
-            Image.fromarray(layer_sheet(overview)).save(context.output(f"{stem}-overview.png"))
+            Image.fromarray(layer_sheet(overview, pixel=stack.pixel_mm)).save(context.output(f"{stem}-overview.png"))

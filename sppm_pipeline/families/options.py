@@ -44,6 +44,7 @@ share = _shared("pores as a fraction of the maximum that the spacing allows", ab
 spacing = _shared("smallest distance between pores", unit="cell size", above=0, maximum=1e6)
 pore_radius = _shared("radius of an isolated pore", unit="cell size", minimum=1e-9, maximum=1e6)
 tunnel_radius = _shared("radius of an isolated tunnel", unit="cell size", minimum=1e-9, maximum=1e6)
+tunnel_spread = _shared("standard deviation of the logarithm of the tunnel radii", minimum=0, maximum=1)
 level = _shared("level C at which the sum of the kernels is cut", minimum=0.001, maximum=0.999)
 
 # porosity, tile sets and tuning
@@ -80,8 +81,10 @@ gray = _shared(
     minimum=1,
     maximum=16,
 )
-layer = _shared("layer height; the pixel pitch if omitted", unit="mm", minimum=1e-6, maximum=1e3)
-pixel = _shared("pixel pitch", unit="mm", minimum=1e-6, maximum=1e3)
+layer = _shared("layer height; the pitch of square pixels if omitted", unit="mm", minimum=1e-6, maximum=1e3)
+pixel = _shared(
+    "pixel pitch, or [along x, along y] of pixels that are not square", unit="mm", minimum=1e-6, maximum=1e3
+)
 
 # files, pictures and tables
 read_path = _shared("file or folder to read")

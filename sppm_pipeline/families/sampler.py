@@ -5,17 +5,18 @@ from __future__ import annotations
 import itertools
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Cell, Length
-from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import CellDesign, Size
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.scattered import block_by_block
 from sppm_pipeline.stage import Context, Stage, option
 
 
@@ -28,7 +29,8 @@ class InteriorBox(NamedTuple):
     periodic : bool
         Whether the box is the whole cell and repeats; then pores near opposite faces are neighbors.
     obstacles : (k, 3) float64
-        Pores that are there already: those of this interior and of every face it may meet, on the side it meets it.
+        Pores that are there already: those of this interior and of every face it may meet, on the side it meets it, or
+        of neighboring blocks.
     cell : Cell
         Turns the user's lengths into cell sizes.
     spacing : float or None
@@ -55,8 +57,16 @@ class Sampler(Stage):
     """Base of samplers that fill the interior of a cell: implement `throw`, or replace `run`.
 
     `run` calls `throw` once for each interior requested, each with its own generator. Where pores lie on the faces, the
-    interior is the box ``[gap, 1 - gap]^3``, otherwise the whole periodic cell.
+    interior is the box ``[gap, 1 - gap]^3``, otherwise the whole periodic cell. For scattered cells it is a block of a
+    lattice without faces, and the pores of neighboring blocks thrown before are obstacles.
+
+    Attributes
+    ----------
+    needs_whole_cell : str
+        Why cells can't be scattered with this sampler; empty if they can.
     """
+
+    needs_whole_cell: ClassVar[str] = ""
 
     edge: Length | None = options.edge(
         None,
@@ -110,6 +120,14 @@ class Sampler(Stage):
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the pores of all interiors."""
         cell, base = start_of(self.edge, pores, context.palette.interiors)
+        if context.palette.blocks is not None:
+            if self.needs_whole_cell:
+                raise ConfigError(
+                    f"{self.name} can't scatter pores: {self.needs_whole_cell}", hint="use `sample.dart_throwing`"
+                )
+            if self.gap is not None:
+                context.warn("option 'gap': scattered cells have no faces to keep a gap from")
+            return self.scatter(context, base, context.palette.blocks)
         spacing = self.requested_spacing(cell) or base.spacing
         gap = self.gap_from_faces(cell, base)
         if gap >= 0.5:
@@ -132,14 +150,23 @@ class Sampler(Stage):
                 face_pores=face_pores,
                 folded=meetings.folded(t),
             )
-            thrown = np.asarray(self.throw(context.rng(t), box), np.float64)
-            if thrown.ndim != 2 or thrown.shape[1] != 3 or not np.isfinite(thrown).all():
-                raise ValueError(f"{self.name}.throw must return finite points of shape (n, 3), got {thrown.shape}")
+            thrown = self.thrown(context, t, box)
             centers.append(thrown)
             piece.append(np.full(len(thrown), t, np.int32))
             if base.interiors > 1:
                 context.progress(t + 1, base.interiors, "interiors")
         return base.extended(np.concatenate(centers), np.concatenate(piece), spacing=self.kept_spacing(cell, base))
+
+    def scatter(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
+        """Throw the pores of all blocks of a lattice without faces, block by block; for samplers with a faster way."""
+        return block_by_block(context, self, base, blocks)
+
+    def thrown(self, context: Context, interior: int, box: InteriorBox) -> NDArray[np.float64]:
+        """What `throw` returns for an interior, checked."""
+        points = np.asarray(self.throw(context.rng(interior), box), np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise ValueError(f"{self.name}.throw must return finite points of shape (n, 3), got {points.shape}")
+        return points
 
 
 def design_of(edge: Length | None) -> CellDesign:

@@ -142,6 +142,23 @@ class Tiler(Stage):
         return Tiling(tileset, TilingArrays(interior, faces, self.periodic), lattice.edge, lattice.origin)
 
 
+def at_porosity(context: Context, tiling: Tiling, porosity: float, resolution: int) -> Tiling:
+    """The tiling cut at the level that gives this porosity; some cells, spread over the part, stand for all."""
+    from sppm_pipeline.numerics.grid import Grid
+    from sppm_pipeline.numerics.porosity.level import level_for_porosity
+
+    micro, filled = tiling.tileset.micro, np.argwhere(tiling.arrays.box >= 0)
+    h = 1.0 / resolution
+    sums = np.concatenate(
+        [
+            tiling.sums(Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (resolution,) * 3), context.threads).ravel()
+            for x, y, z in filled[:: max(1, len(filled) // 64)].astype(float)
+        ]
+    )
+    micro = micro.with_level(level_for_porosity(sums, porosity).level)
+    return Tiling(TileSet(micro, tiling.tileset.kind, 0), tiling.arrays, tiling.edge, tiling.origin)
+
+
 def check_repeats(periodic: bool, cells: tuple[int, int, int] | None) -> None:
     """Raise `ConfigError` if a part, not a box of cells, should repeat."""
     if periodic and cells is None:

@@ -67,6 +67,7 @@ class TileSetMaker(Stage):
                 f"the recipe {recipe.name!r} makes a {type(micro).__name__}; a tile set needs a Microstructure",
                 hint="end the recipe with `field.gaussian` or another stage that sums kernels",
             )
+        check_faces(micro, self.palette(), recipe.name)
         n, trial = self.resolution, self.trial()
         sums = self._sums(context, micro, trial, n)
         if self.porosity is not None:
@@ -102,6 +103,22 @@ class TileSetMaker(Stage):
             return [sums(trial[0])]
         with ThreadPoolExecutor(context.threads) as pool:
             return list(pool.map(sums, trial))
+
+
+def check_faces(micro: Microstructure, palette: Palette, recipe: str) -> None:
+    """Different interiors fit side by side only at the faces that they share.
+
+    Raises
+    ------
+    DesignError
+        If the recipe put no pores on the faces, or fewer patterns than there are colors.
+    """
+    if palette.interiors > 1 and any(made < asked for made, asked in zip(micro.colors, palette.colors, strict=True)):
+        raise DesignError(
+            f"the recipe {recipe!r} makes {list(micro.colors)} face patterns across x, y and z, and "
+            f"{palette.interiors} different interiors need {list(palette.colors)} to fit side by side",
+            hint="begin the recipe with `sample.mirrored_faces`, which puts pores on the faces",
+        )
 
 
 def _porosities(sums: list[NDArray[np.float32]], level: float, n: int) -> list[NDArray[np.float64]]:

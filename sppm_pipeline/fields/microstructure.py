@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +12,27 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.wrapped import WrappedField
-from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, lone_periodic_cell
-from sppm_pipeline.numerics.grid import Grid, sample_one_period
-from sppm_pipeline.numerics.kernels.kernels import Kernels
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, connector_code, lone_periodic_cell
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.kernels.kernels import Kernels, kernel_reaches
 from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
+
+
+_TABLES: WeakKeyDictionary[Pieces, dict[Any, Any]] = WeakKeyDictionary()
+
+
+def sampling_tables(pieces: Pieces) -> dict[Any, Any]:
+    """What was worked out to sample these kernels: patch banks and a catalog; it is freed with them.
+
+    The level does not enter, so that microstructures that differ in nothing else share the tables.
+    """
+    return _TABLES.setdefault(pieces, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +72,19 @@ class Microstructure(ScalarField):
         return True
 
     @property
+    def additive(self) -> bool:
+        """Whether the field is the sum of those of the pieces, less the level; else `laid_values` makes it."""
+        return True
+
+    @property
+    def reach(self) -> float:
+        """How far, in cell sizes, a pore or tunnel is felt."""
+        return max(float(reaches.max(initial=0)) for reaches in kernel_reaches(self.pieces.kernels, CUTOFF))
+
+    @property
     def finest_radius(self) -> float | None:
-        pieces = self.pieces
-        parts = [*pieces.interiors, *(k for axis in pieces.faces for k in axis), *pieces.connectors.values()]
-        tunnels = [(float(k.mu.max()), k.profile) for k in parts if len(k.mu)]
-        if not tunnels or self.level >= 1:
-            return None
-        mu, profile = max(tunnels)
-        return TUNNEL_PROFILES[profile].radius(mu, self.level)
+        mu, profile = self.pieces.kernels.mu, self.pieces.kernels.profile
+        return TUNNEL_PROFILES[profile].radius(float(mu.max()), self.level) if len(mu) and self.level < 1 else None
 
     @property
     def edge_mm(self) -> float | None:
@@ -99,10 +117,43 @@ class Microstructure(ScalarField):
         """Interior t with faces of the given colors on both opposite sides, repeated for ever."""
         return PeriodicTile(self, interior, colors)
 
+    def laid_sums(
+        self,
+        arrays: TilingArrays,
+        grid: Grid,
+        start: int,
+        stop: int,
+        threads: int = 1,
+        wanted: NDArray[np.int32] | None = None,
+    ) -> NDArray[np.float32]:
+        """The sum G of all kernels of a layout, which `KernelSum.kernel_sums` asks for."""
+        from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
+
+        tables = sampling_tables(self.pieces)
+        if "catalog" not in tables:
+            tables["catalog"] = make_catalog(self.pieces, CUTOFF)
+        catalog = tables["catalog"]
+        return sample_exact(self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog)
+
+    def laid_values(
+        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1
+    ) -> NDArray[np.float32]:
+        """What is sampled of a layout: G - C, or another field of the same sign."""
+        values = self.laid_sums(arrays, grid, start, stop, threads)
+        values -= np.float32(self.level)
+        return values
+
+    def sums(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
+        """G of the periodic cell at the points of a grid, (nz, ny, nx) float32: a porosity is a quantile of it."""
+        return self._cell().sums(grid, threads)
+
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self._cell().sample_layers(grid, start, stop, threads)
+
+    def _cell(self) -> PeriodicTile:
         if self.interiors > 1 or max(self.colors) > 1:
             raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
-        return self.alone(0, (0, 0, 0)).sample_layers(grid, start, stop, threads)
+        return self.alone(0, (0, 0, 0))
 
     def summary(self) -> dict[str, Any]:
         """Numbers of pores and tunnels and the level."""
@@ -110,22 +161,28 @@ class Microstructure(ScalarField):
 
 
 @dataclass(frozen=True, eq=False)
-class PeriodicTile(WrappedField):
+class PeriodicTile(WrappedField, KernelSum):
     """One tile of a microstructure among copies of itself."""
 
     base: Microstructure
     interior: int
     colors: tuple[int, int, int]
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        from sppm_pipeline.numerics.assembly.gather import sample_exact
+    @property
+    def solid_below(self) -> float:
+        return self.base.level
 
-        def sample(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
-            return sample_exact(self.base.pieces, self.arrays(), grid, CUTOFF, threads, start, stop)
+    def kernel_sums(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.float32]:
+        return self.base.laid_sums(self.arrays(), grid, start, stop, threads, wanted)
 
-        values = sample_one_period(grid, self.cells, start, stop, sample)
-        values -= np.float32(self.base.level)
-        return values
+    @property
+    def additive(self) -> bool:
+        return self.base.additive
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.base.laid_values(self.arrays(), grid, start, stop, threads)
 
     def summary(self) -> dict[str, Any]:
         """Which interior and which faces."""
@@ -150,39 +207,33 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
         Name of the tunnels' profile.
     """
     pores = graph.pores
-    starts, ends = graph.segments()
-    a, b = pores.piece[graph.edges].T
     axis_of_piece = pores.axis_of_piece()
-    no_pores = np.zeros(0, np.int64)
-
-    def kernels(own: NDArray[np.int64], tunnels: NDArray[np.int64]) -> Kernels:
-        return Kernels(
-            frozen(pores.centers[own]),
-            frozen(omega[own]),
-            frozen(starts[tunnels]),
-            frozen(ends[tunnels]),
-            frozen(mu[tunnels]),
-            profile,
-        )
-
-    inside = np.flatnonzero(a == b)
-    inside = inside[np.argsort(a[inside], kind="stable")]
-    first = np.searchsorted(a[inside], np.arange(len(axis_of_piece) + 1))
-    whole = [kernels(pores.indices(p), inside[first[p] : first[p + 1]]) for p in range(len(axis_of_piece))]
-    empty = kernels(no_pores, no_pores)
     most = max(pores.colors)  # every axis is given as many colors, the missing ones without content
-    faces = [
-        tuple(whole[pores.face_piece(axis, k)] if k < pores.colors[axis] else empty for k in range(most))
-        for axis in range(3)
-    ]
+    first_of_axis = np.array([pores.face_piece(axis, 0) for axis in range(3)])
+    of_face = np.arange(pores.interiors, len(axis_of_piece)) - first_of_axis[axis_of_piece[pores.interiors :]]
+    number = np.arange(len(axis_of_piece))
+    number[pores.interiors :] = pores.interiors + axis_of_piece[pores.interiors :] * most + of_face
+    first, second = (pores.piece[graph.edges[:, end]] for end in range(2))
+    crossing = np.flatnonzero(axis_of_piece[first] != axis_of_piece[second])
+    face = second[crossing]
+    axis, side = axis_of_piece[face], graph.shift[crossing].sum(1)
+    codes, which = np.unique(
+        connector_code(first[crossing], axis, side, face - first_of_axis[axis], colors=most), return_inverse=True
+    )
+    of_tunnel = number[first]
+    of_tunnel[crossing] = pores.interiors + 3 * most + which.reshape(-1)
+    count = pores.interiors + 3 * most + len(codes)
+    own, first_pore = _sorted_by(number[pores.piece], count)
+    tunnels, first_tunnel = _sorted_by(of_tunnel, count)
+    starts, ends = graph.segments()
+    kernels = Kernels(
+        frozen(pores.centers[own]), frozen(omega[own]),
+        frozen(starts[tunnels]), frozen(ends[tunnels]), frozen(mu[tunnels]), profile,
+    )  # fmt: skip
+    return Pieces(kernels, frozen(first_pore), frozen(first_tunnel), pores.interiors, most, frozen(codes))
 
-    crossing = np.flatnonzero(a != b)
-    keys = np.stack([a[crossing], axis_of_piece[b[crossing]], graph.shift[crossing].sum(1), b[crossing]], 1)
-    different, which = np.unique(keys, axis=0, return_inverse=True)  # interior, axis, side, face piece
-    which = which.reshape(-1)
-    groups = np.split(crossing[np.argsort(which, kind="stable")], np.cumsum(np.bincount(which))[:-1])
-    connectors = {
-        (int(t), int(axis), int(side), int(piece) - pores.face_piece(int(axis), 0)): kernels(no_pores, group)
-        for (t, axis, side, piece), group in zip(different, groups, strict=bool(len(different)))
-    }
-    return Pieces(tuple(whole[: pores.interiors]), (faces[0], faces[1], faces[2]), connectors)
+
+def _sorted_by(piece: NDArray[np.int64], pieces: int) -> tuple[NDArray[np.int64] | slice, NDArray[np.int64]]:
+    """The order that sorts by piece (nothing is moved if all is sorted), and where each piece begins."""
+    first = np.concatenate([[0], np.cumsum(np.bincount(piece, minlength=pieces))])
+    return slice(None) if (piece[1:] >= piece[:-1]).all() else np.argsort(piece, kind="stable"), first

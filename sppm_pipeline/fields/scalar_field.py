@@ -99,6 +99,11 @@ class ScalarField(Artifact, ABC):
         """Radius of the thinnest tunnel, cell sizes; None if it is unknown."""
         return None
 
+    @property
+    def thinnest_wall(self) -> float | None:
+        """Thickness of the thinnest wall of the design, cell sizes; None if there are no walls of a known thickness."""
+        return None
+
     def coarseness(self, spacing: float) -> str | None:
         """Warning for samples too far apart to resolve the thinnest tunnels; None if they are not.
 

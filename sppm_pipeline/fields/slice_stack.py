@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
@@ -37,13 +38,13 @@ class Slabs:
 class SliceStack(Artifact, ABC):
     """Layers of a part, delivered slab by slab from the bottom, never all in memory.
 
-    Layer k is the section at mid-height, ``origin z + (k + 1/2) * layer_mm``; pixel (i, j) is the square around
-    ``origin + (i + 1/2, j + 1/2) * pixel_mm``.
+    Layer k is the section at mid-height, ``origin z + (k + 1/2) * layer_mm``; pixel (i, j) is the rectangle around
+    ``origin + ((i + 1/2) * pixel_mm[0], (j + 1/2) * pixel_mm[1])``.
 
     Attributes
     ----------
-    pixel_mm : float
-        Pixel pitch.
+    pixel_mm : tuple of 2 floats
+        Pixel pitch along x and y.
     layer_mm : float
         Layer height.
     shape : tuple of 3 ints
@@ -54,7 +55,7 @@ class SliceStack(Artifact, ABC):
 
     @property
     @abstractmethod
-    def pixel_mm(self) -> float: ...
+    def pixel_mm(self) -> tuple[float, float]: ...
 
     @property
     @abstractmethod
@@ -84,22 +85,29 @@ class SliceStack(Artifact, ABC):
         return np.concatenate([slab.copy() for _, slab in self.slabs(threads)])
 
     @staticmethod
-    def from_array(layers: ArrayLike, *, pixel_mm: float, layer_mm: float | None = None) -> SliceStack:
+    def from_array(
+        layers: ArrayLike, *, pixel_mm: float | tuple[float, float], layer_mm: float | None = None
+    ) -> SliceStack:
         """Layers that are there already.
 
         Parameters
         ----------
         layers : (nz, ny, nx) array_like
             Truth values (True is solid), or integers from 0 (void) to 255 (solid); rows in order of increasing y.
-        pixel_mm : float
+        pixel_mm : float or (float, float)
+            Pitch along x and y; one number for square pixels.
         layer_mm : float, optional
-            `pixel_mm` if omitted.
+            `pixel_mm` if omitted; only square pixels do without.
 
         Raises
         ------
         ValueError
             If a value is out of range or the array has not three axes.
         """
+        px, py = pixel_mm if isinstance(pixel_mm, tuple) else (pixel_mm, pixel_mm)
+        if layer_mm is None and px != py:
+            raise ValueError(f"pixels of {px:g} x {py:g} mm don't tell how high a layer is; give `layer_mm`")
+        pitch = (float(px), float(py), float(px if layer_mm is None else layer_mm))
         values = np.asarray(layers)
         if values.ndim != 3 or not values.size or values.dtype.kind not in "biu":
             raise ValueError(f"layers need three axes of integers, got shape {values.shape} of {values.dtype}")
@@ -107,17 +115,27 @@ class SliceStack(Artifact, ABC):
             values = values * np.uint8(255)
         if not 0 <= values.min() <= values.max() <= 255:
             raise ValueError("layers hold integers from 0 (void) to 255 (solid)")
-        return ArraySlices(frozen(values.astype(np.uint8)), float(pixel_mm), float(layer_mm or pixel_mm))
+        stack = ArraySlices(frozen(values.astype(np.uint8)), pitch)
+        stack.check()
+        return stack
 
     @property
     def gray(self) -> bool:
         """Whether values between 0 and 255 occur."""
         return False
 
+    def check(self) -> None:
+        """Pixel pitch along x and y, and layer height, are positive lengths."""
+        pitch: Any = self.pixel_mm  # whatever a subclass returns
+        if not isinstance(pitch, tuple) or len(pitch) != 2:
+            raise ValueError(f"`pixel_mm` of a stack is its pitch along x and y, not {pitch!r}")
+        if not all(0 < length < math.inf for length in (*pitch, self.layer_mm)):
+            raise ValueError(f"pixels of {pitch[0]} x {pitch[1]} mm and layers of {self.layer_mm} mm can't be printed")
+
     def summary(self) -> dict[str, Any]:
         """Size and pitch."""
         nx, ny, nz = self.shape
-        return {"pixels": [nx, ny], "layers": nz, "pixel_mm": self.pixel_mm, "layer_mm": self.layer_mm}
+        return {"pixels": [nx, ny], "layers": nz, "pixel_mm": list(self.pixel_mm), "layer_mm": self.layer_mm}
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,16 +143,15 @@ class ArraySlices(SliceStack):
     """Layers that are there already, (nz, ny, nx) uint8, with the low corner of the stack at the origin."""
 
     layers: NDArray[np.uint8]
-    pixel: float
-    layer: float
+    pitch: tuple[float, float, float]
 
     @property
-    def pixel_mm(self) -> float:
-        return self.pixel
+    def pixel_mm(self) -> tuple[float, float]:
+        return self.pitch[:2]
 
     @property
     def layer_mm(self) -> float:
-        return self.layer
+        return self.pitch[2]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -152,31 +169,34 @@ class ArraySlices(SliceStack):
     def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
         for start, layer in enumerate(self.layers):
             yield start, layer[None].copy()
-        nx, ny, nz = self.shape
+        (nx, ny, nz), (hx, hy, hz) = self.shape, self.pitch
         solid = float(self.layers.sum(dtype=np.float64)) / 255
         return {
             "solid_voxels": int(np.count_nonzero(self.layers)),
             "solid_share_of_box": solid / (nx * ny * nz),
-            "solid_volume_mm3": solid * self.pixel**2 * self.layer,
+            "solid_volume_mm3": solid * (hx * hy) * hz,
         }
 
 
-def stack_size(body: Geometry, pixel: float, layer: float, gray: int, *, passes: int = 1) -> Size:
-    """The size of a stack of a body sliced at a pixel and layer pitch (mm), and of the work of evaluating it.
+def stack_size(body: Geometry, pitch: tuple[float, float, float], gray: int, *, passes: int = 1) -> Size:
+    """The size of a stack of a body sliced at a pixel pitch (x, y) and a layer height (mm), and of the work for it.
 
     Finding islands takes a pass of its own; the layers are kept for the second one, a bit a pixel, if they are few.
     """
-    edge = body.scale
-    nx, ny, nz = (max(1, round(side * edge / p)) for side, p in zip(body.box, (pixel, pixel, layer), strict=True))
+    per_edge = [body.scale / p for p in pitch]
+    nx, ny, nz = (max(1, round(side * n)) for side, n in zip(body.box, per_edge, strict=True))
     samples = float(nx) * ny * nz * gray**2
     kept = samples if passes > 1 and samples <= 2**30 else 0.0
     passes = 1 if kept else passes
-    along = edge / pixel * gray
-    even = abs(edge / pixel - round(edge / pixel)) < 1e-6 and layer == pixel
-    inside = body.volume * (edge * gray / pixel) ** 2 * edge / layer
+    along = per_edge[0] * gray
+    even = (
+        abs(along - round(along)) < 1e-6 and max(abs(n / along - 1) for n in (per_edge[1] * gray, per_edge[2])) < 1e-9
+    )
+    inside = body.volume * math.prod(per_edge) * gray**2
     slab = min(samples, max(2.0**22, nx * ny * gray**2))
+    pixel, layer = math.sqrt(pitch[0] * pitch[1]), pitch[2]
+    outline = body.outline(pixel / body.scale, layer / body.scale)
     return Size(
         samples=passes * samples, sums=passes * body.sums(inside, along, commensurate=even), resident=slab + kept / 64,
-        pixels=nx * ny, layers=nz, outline=body.outline(pixel / edge, layer / edge) * (6 if gray > 1 else 1),
-        geometry=body,
+        pixels=nx * ny, layers=nz, outline=outline * (6 if gray > 1 else 1), geometry=body,
     )  # fmt: skip

@@ -37,6 +37,10 @@ class WrappedField(ScalarField):
         return self.base.finest_radius
 
     @property
+    def thinnest_wall(self) -> float | None:
+        return self.base.thinnest_wall
+
+    @property
     def edge_mm(self) -> float | None:
         return self.base.edge_mm
 
@@ -66,6 +70,10 @@ class CutField(WrappedField):
 
     @property
     def finest_radius(self) -> float | None:
+        return None
+
+    @property
+    def thinnest_wall(self) -> float | None:
         return None
 
     def check(self) -> None:

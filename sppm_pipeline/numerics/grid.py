@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 
 class Grid(NamedTuple):
@@ -34,6 +34,30 @@ class Grid(NamedTuple):
         """The part of the grid with z-layers start <= k < stop."""
         x, y, z = self.origin
         return Grid((x, y, z + start * self.spacing[2]), self.spacing, (self.shape[0], self.shape[1], stop - start))
+
+    def subsampled(self, k: int) -> Grid:
+        """k x k points in place of each one: the middles of the equal parts of the pixel around it, in its layer."""
+        if k == 1:
+            return self
+        (x, y, z), (hx, hy, hz), (nx, ny, nz) = self
+        return Grid(
+            (x - hx / 2 + hx / (2 * k), y - hy / 2 + hy / (2 * k), z), (hx / k, hy / k, hz), (nx * k, ny * k, nz)
+        )
+
+
+def covering_voxels(
+    lower: ArrayLike, upper: ArrayLike, spacing: ArrayLike
+) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+    """The voxels of an endless lattice that cover a box: indices of the first, and their number along each axis.
+
+    Voxel (i, j, k) reaches from ``(i, j, k) * spacing`` to ``(i + 1, j + 1, k + 1) * spacing``. A millionth of a voxel
+    is rounding and no part of the box; there is at least one voxel.
+    """
+    first = np.floor(np.divide(lower, spacing) + 1e-6).astype(np.int64)
+    last = np.ceil(np.divide(upper, spacing) - 1e-6).astype(np.int64)
+    i, j, k = first.tolist()
+    nx, ny, nz = np.maximum(1, last - first).tolist()
+    return (i, j, k), (nx, ny, nz)
 
 
 def cell_centers(n: int, cells: tuple[int, int, int] = (1, 1, 1)) -> Grid:

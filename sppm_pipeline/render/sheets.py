@@ -145,6 +145,7 @@ def layer_sheet(
     columns: int | None = None,
     title: str = "",
     width: int = 320,
+    pixel: tuple[float, float] = (1.0, 1.0),
     solid: Color = _SOLID,
     void: Color = _VOID,
 ) -> NDArray[np.uint8]:
@@ -162,7 +163,9 @@ def layer_sheet(
         Line above all layers.
     width : int
         Width of the widest layer on the sheet in pixels. Larger layers are averaged down; smaller ones are enlarged by
-        the nearest whole factor, so that every pixel stays a square.
+        the nearest whole factor, so that every pixel of a column is as wide as the others.
+    pixel : (float, float)
+        Pitch along x and y, of which the ratio counts: a round part is shown round.
     solid, void : (r, g, b)
         Colors of material and of nothing.
 
@@ -186,15 +189,13 @@ def layer_sheet(
     if any(layer.ndim != 2 or 0 in layer.shape for layer in shares):
         raise ValueError(f"layers must have shape (h, w), got {[layer.shape for layer in shares]}")
     widest = max((layer.shape[1] for layer in shares), default=1)
+    scale = width / widest if widest > width else float(round(width / widest))
     pictures = []
     for layer in shares:
         gray = layer.astype(np.uint8) * np.uint8(255) if layer.dtype == np.bool_ else layer.astype(np.uint8)
-        if widest > width:
-            size = (max(1, layer.shape[1] * width // widest), max(1, layer.shape[0] * width // widest))
-            gray = np.asarray(Image.fromarray(gray).resize(size, Image.Resampling.BOX))
-        else:
-            factor = round(width / widest)
-            gray = gray.repeat(factor, axis=0).repeat(factor, axis=1)
+        wide, high = (layer.shape[1] * scale, layer.shape[0] * scale * pixel[1] / pixel[0])
+        size = (max(1, math.floor(wide + 1e-9)), max(1, math.floor(high + 1e-9)))
+        gray = np.asarray(Image.fromarray(gray).resize(size, Image.Resampling.BOX))
         share = gray[..., None] / 255.0
         mixed = share * np.array(solid) + (1.0 - share) * np.array(void)
         pictures.append(np.rint(mixed).astype(np.uint8))

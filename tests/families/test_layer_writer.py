@@ -85,7 +85,7 @@ def test_a_container_holds_all_layers_and_what_is_known_at_the_end(stack, tmp_pa
     assert solid > 0
     write(WriteRaw(), stack, tmp_path)
     with zipfile.ZipFile(tmp_path / "part.v1.zip") as archive:
-        assert json.loads(archive.read("head")) == [stack.pixel_mm, stack.layer_mm, list(stack.shape)]
+        assert json.loads(archive.read("head")) == [list(stack.pixel_mm), stack.layer_mm, list(stack.shape)]
         for number in range(stack.shape[2]):
             assert archive.read(str(number)) == (tmp_path / f"layers/{number:05d}.raw").read_bytes()
         assert json.loads(archive.read("end"))["solid_voxels"] == solid

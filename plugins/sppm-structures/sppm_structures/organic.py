@@ -98,7 +98,7 @@ class OrganicField(PlacedField):
             planes = list(self.cells)
             planes[axis] += 1
             faces.append(np.full(planes, -1, np.int32))
-        return Pieces(tuple(interiors), ((), (), ()), {}), TilingArrays(number, (faces[0], faces[1], faces[2]), False)
+        return Pieces.of(interiors), TilingArrays(number, (faces[0], faces[1], faces[2]), False)
 
     def cut_at(self, value: float) -> OrganicField:
         return replace(self, level=self.level + value)

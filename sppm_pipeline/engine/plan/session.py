@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sysconfig
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,15 +31,10 @@ def find_configuration(name: str) -> Path:
     path = Path(name)
     if path.exists():
         return path
-    examples: dict[str, Path] = {}
     package = Path(__file__).resolve().parents[2]
-    for folder in (
-        package.parent / "configs",
-        package / "configs",
-        Path(sysconfig.get_path("data")) / "share" / "sppm_pipeline" / "configs",
-    ):
-        for example in sorted(folder.glob("*.yaml")):
-            examples.setdefault(example.stem, example)
+    # a wheel carries them in the package; in a checkout they lie beside it
+    home = package if (package / "configs").is_dir() else package.parent
+    examples = {file.stem: file for folder in ("examples", "configs") for file in (home / folder).glob("*.yaml")}
     if name in examples:
         return examples[name]
     hint = did_you_mean(name, examples) if path.name == name and not path.suffix else None

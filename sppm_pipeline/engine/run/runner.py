@@ -107,8 +107,9 @@ def run_plan(
 
 
 def only_writes(step: Step) -> bool:
-    """Whether a step makes nothing but files."""
-    return not step.makes and any(option.spec.output for option in options_of(type(step.stage)).values())
+    """Whether a step makes nothing but files; one whose file may be left out is there for what it reports."""
+    outputs = [option for option in options_of(type(step.stage)).values() if option.spec.output]
+    return not step.makes and any(option.default is not None for option in outputs)
 
 
 class StepRunner:

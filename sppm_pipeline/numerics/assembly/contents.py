@@ -6,41 +6,136 @@ face belongs to exactly one site, which is how shared faces are counted once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.kernels.kernels import Kernels
+from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
     """Kernel sets from which every cell of a tiling is put together; all lengths in cell sizes.
 
+    A piece is an interior, a face pattern, or the connectors between an interior and a face. All of them lie one after
+    the other in a few arrays, as there may be a hundred thousand: interiors, then faces by axis and color, then
+    connectors in the order of their codes.
+
     Attributes
     ----------
-    interiors : tuple of K Kernels
-        Pores and tunnels inside a cell, relative to its low corner.
-    faces : tuple of 3 tuples of c Kernels
-        ``faces[axis][color]``: pores and tunnels in the plane ``coordinate[axis] = 0``, relative to the low corner of
-        the cell on the high side of the plane.
-    connectors : mapping of (interior, axis, side, color) to Kernels
-        Tunnels that join interior `interior` to the face of that color on its low (side 0) or high (side 1) side,
-        relative to the low corner of the cell; those of side 1 end in the plane ``coordinate[axis] = 1``. Absent means
-        none.
+    kernels : Kernels
+        Of all pieces. Those of an interior, and connectors, are relative to the low corner of the cell; those of a face
+        lie in the plane ``coordinate[axis] = 0``, relative to the low corner of the cell on the high side of the plane.
+        A tunnel may leave its cell.
+    first_pore, first_tunnel : (pieces + 1,) int64
+        Piece i has the pores ``first_pore[i] <= index < first_pore[i + 1]``, and likewise tunnels.
+    interiors : int
+        Number of interiors, K.
+    colors : int
+        Number of face colors of each axis, c.
+    codes : (q,) int64
+        Ascending codes (`connector_code`) of the combinations of interior, axis, side and color that have connectors;
+        those of side 1 end in the plane ``coordinate[axis] = 1``.
     """
 
-    interiors: tuple[Kernels, ...]
-    faces: tuple[tuple[Kernels, ...], tuple[Kernels, ...], tuple[Kernels, ...]]
-    connectors: Mapping[tuple[int, int, int, int], Kernels]
+    kernels: Kernels
+    first_pore: NDArray[np.int64]
+    first_tunnel: NDArray[np.int64]
+    interiors: int
+    colors: int
+    codes: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        interiors: Sequence[Kernels],
+        faces: Sequence[Sequence[Kernels]] = ((), (), ()),
+        connectors: Mapping[tuple[int, int, int, int], Kernels] | None = None,
+    ) -> Pieces:
+        """Put separate kernel sets together.
+
+        Parameters
+        ----------
+        interiors : sequence of K Kernels
+        faces : 3 sequences of c Kernels
+            ``faces[axis][color]``.
+        connectors : mapping of (interior, axis, side, color) to Kernels
+            Side 0 is the low face. Absent means none.
+        """
+        colors = len(faces[0])
+        coded = {int(connector_code(*key, colors=colors)): kernels for key, kernels in (connectors or {}).items()}
+        codes = sorted(coded)
+        parts = [*interiors, *(kernels for axis in faces for kernels in axis), *(coded[code] for code in codes)]
+        return cls(
+            concatenated(parts),
+            _ends(len(part.centers) for part in parts),
+            _ends(len(part.starts) for part in parts),
+            len(interiors),
+            colors,
+            np.array(codes, np.int64),
+        )
 
     @property
-    def colors(self) -> int:
-        """Number of face colors, c."""
-        return len(self.faces[0])
+    def numbers(self) -> PieceNumbers:
+        """Which piece has which number."""
+        return PieceNumbers(self.interiors, self.colors, self.codes)
+
+    def __len__(self) -> int:
+        return len(self.first_pore) - 1
+
+    def __getitem__(self, number: int) -> Kernels:
+        """The kernels of one piece."""
+        pores = slice(self.first_pore[number], self.first_pore[number + 1])
+        tunnels = slice(self.first_tunnel[number], self.first_tunnel[number + 1])
+        k = self.kernels
+        return Kernels(k.centers[pores], k.omega[pores], k.starts[tunnels], k.ends[tunnels], k.mu[tunnels], k.profile)
+
+
+def _ends(counts: Iterable[int]) -> NDArray[np.int64]:
+    return np.cumsum([0, *counts], dtype=np.int64)
+
+
+def connector_code(
+    interior: NDArray[np.integer] | int,
+    axis: NDArray[np.integer] | int,
+    side: NDArray[np.integer] | int,
+    color: NDArray[np.integer] | int,
+    *,
+    colors: int,
+) -> NDArray[np.int64]:
+    """One number for an interior, an axis, a side and a color; the numbers of an interior follow each other."""
+    row = (np.asarray(interior, np.int64) * 3 + axis) * 2 + side
+    code: NDArray[np.int64] = row * colors + color
+    return code
+
+
+class PieceNumbers(NamedTuple):
+    """What is needed to tell the number of a piece; see `Pieces`."""
+
+    interiors: int
+    colors: int
+    codes: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return self.interiors + 3 * self.colors + len(self.codes)
+
+    def face(self, axis: int, color: NDArray[np.int32]) -> NDArray[np.int64]:
+        """Numbers of faces; color -1 gives -1."""
+        return np.where(color >= 0, self.interiors + axis * self.colors + color.astype(np.int64), -1)
+
+    def connector(
+        self, interior: NDArray[np.int32], axis: int, side: int, color: NDArray[np.int32]
+    ) -> NDArray[np.int64]:
+        """Numbers of connectors; -1 where there is none, and where interior or color is -1."""
+        if not len(self.codes):
+            return np.full(np.shape(interior), -1, np.int64)
+        code = connector_code(interior, axis, side, color, colors=self.colors)
+        place = np.minimum(np.searchsorted(self.codes, code), len(self.codes) - 1)
+        there = (self.codes[place] == code) & (interior >= 0) & (color >= 0)
+        return np.where(there, self.interiors + 3 * self.colors + place, -1)
 
 
 class TilingArrays(NamedTuple):
@@ -55,17 +150,27 @@ class TilingArrays(NamedTuple):
         plane i of that axis, which is the low side of cell i; -1 = no face.
     periodic : bool
         Everything repeats for ever, and the last plane of faces is the first one.
+    halo : int
+        So many outermost cells on each side lie around the box: their kernels reach into it. Cell (0, 0, 0) is entry
+        (halo, halo, halo) of the arrays.
     """
 
     interior: NDArray[np.int32]
     faces: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
     periodic: bool
+    halo: int = 0
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Number of cells along x, y, z."""
+        """Number of cells of the box along x, y, z."""
         nx, ny, nz = self.interior.shape
-        return nx, ny, nz
+        return nx - 2 * self.halo, ny - 2 * self.halo, nz - 2 * self.halo
+
+    @property
+    def box(self) -> NDArray[np.int32]:
+        """Interiors of the cells of the box, without the halo."""
+        inner = slice(self.halo, -self.halo or None)
+        return self.interior[inner, inner, inner]
 
 
 def lone_periodic_cell(interior: int = 0, colors: tuple[int, int, int] = (0, 0, 0)) -> TilingArrays:
@@ -87,42 +192,23 @@ def check_tiling(tiling: TilingArrays, pieces: Pieces | None = None) -> None:
         If a shape is wrong, the first and last plane of faces of a periodic tiling differ, or a number names no
         piece.
     """
-    shape = tiling.shape
+    shape = tiling.interior.shape
+    if tiling.halo < 0 or min(tiling.shape) < 1 or (tiling.periodic and tiling.halo):
+        raise ValueError(f"a box of {shape} cells, periodic: {tiling.periodic}, has no halo of {tiling.halo}")
     for axis, faces in enumerate(tiling.faces):
         expected = tuple(size + (a == axis) for a, size in enumerate(shape))
         if faces.shape != expected:
             raise ValueError(f"faces of axis {axis} have the shape {faces.shape}, expected {expected}")
         if tiling.periodic and (np.take(faces, 0, axis) != np.take(faces, -1, axis)).any():
             raise ValueError(f"the tiling is periodic, but the first and last faces of axis {axis} differ")
-        if pieces is not None and faces.max(initial=-1) >= len(pieces.faces[axis]):
-            raise ValueError(f"a face of axis {axis} has color {faces.max()}, of {len(pieces.faces[axis])} colors")
-    if pieces is not None and tiling.interior.max(initial=-1) >= len(pieces.interiors):
-        raise ValueError(f"a cell has interior {tiling.interior.max()}, of {len(pieces.interiors)} interiors")
+        if pieces is not None and faces.max(initial=-1) >= pieces.colors:
+            raise ValueError(f"a face of axis {axis} has color {faces.max()}, of {pieces.colors} colors")
+    if pieces is not None and tiling.interior.max(initial=-1) >= pieces.interiors:
+        raise ValueError(f"a cell has interior {tiling.interior.max()}, of {pieces.interiors} interiors")
 
 
 #: An interior, three faces, six connectors.
 PIECES_A_SITE = 10
-
-
-class PieceNumbers(NamedTuple):
-    """All pieces in one list, and the place of each in it.
-
-    Attributes
-    ----------
-    kernels : list of Kernels
-        The pieces.
-    interior : (K + 1,) int32
-        Number of interior t; the last entry, reached by t = -1, is -1 (none).
-    face : (3, c + 1) int32
-        Number of the face of an axis and a color; color -1 gives -1.
-    connector : (K + 1, 3, 2, c + 1) int32
-        Number of the connectors of interior, axis, side, color; -1 = none.
-    """
-
-    kernels: list[Kernels]
-    interior: NDArray[np.int32]
-    face: NDArray[np.int32]
-    connector: NDArray[np.int32]
 
 
 class Sites(NamedTuple):
@@ -145,31 +231,14 @@ class Sites(NamedTuple):
     high: NDArray[np.int32]
 
 
-def number_pieces(pieces: Pieces) -> PieceNumbers:
-    """Number the pieces: interiors, then faces by axis and color, then connectors by their key."""
-    interiors, colors = len(pieces.interiors), pieces.colors
-    kernels = list(pieces.interiors)
-    interior = np.full(interiors + 1, -1, dtype=np.int32)
-    interior[:interiors] = np.arange(interiors)
-    face = np.full((3, colors + 1), -1, dtype=np.int32)
-    for axis in range(3):
-        face[axis, :colors] = len(kernels) + np.arange(colors)
-        kernels.extend(pieces.faces[axis])
-    connector = np.full((interiors + 1, 3, 2, colors + 1), -1, dtype=np.int32)
-    for key in sorted(pieces.connectors):
-        connector[key] = len(kernels)
-        kernels.append(pieces.connectors[key])
-    return PieceNumbers(kernels, interior, face, connector)
-
-
 def sites_between(tiling: TilingArrays, first: NDArray[np.int64], stop: NDArray[np.int64]) -> Sites:
     """The sites first <= site < stop, clipped to where the tiling has any; only these are looked at."""
-    shape = np.array(tiling.shape)
+    shape, halo = np.array(tiling.interior.shape), tiling.halo
     if not tiling.periodic:
         # The faces in the last lattice planes belong to sites without a cell.
-        first, stop = np.maximum(first, 0), np.minimum(stop, shape + 1)
+        first, stop = np.maximum(first, -halo), np.minimum(stop, shape - halo + 1)
     stop = np.maximum(first, stop)
-    index = [np.arange(first[a], stop[a]) for a in range(3)]
+    index = [np.arange(first[a], stop[a]) + halo for a in range(3)]
     inside = [np.ones(len(i), dtype=bool) if tiling.periodic else i < shape[a] for a, i in enumerate(index)]
     wrapped = [i % shape[a] if tiling.periodic else np.minimum(i, shape[a] - 1) for a, i in enumerate(index)]
     cell = inside[0][:, None, None] & inside[1][:, None] & inside[2]
@@ -204,9 +273,10 @@ def site_pieces(numbers: PieceNumbers, sites: Sites) -> NDArray[np.int32]:
         Interior, low faces of x, y, z, then the connectors by axis and side.
     """
     found = np.empty((*sites.interior.shape, PIECES_A_SITE), dtype=np.int32)
-    found[..., 0] = numbers.interior[sites.interior]
+    found[..., 0] = sites.interior
     for axis in range(3):
-        found[..., 1 + axis] = numbers.face[axis][sites.low[axis]]
-        found[..., 4 + 2 * axis] = numbers.connector[sites.interior, axis, 0, sites.low[axis]]
-        found[..., 5 + 2 * axis] = numbers.connector[sites.interior, axis, 1, sites.high[axis]]
+        low, high = sites.low[axis], sites.high[axis]
+        found[..., 1 + axis] = numbers.face(axis, low)
+        found[..., 4 + 2 * axis] = numbers.connector(sites.interior, axis, 0, low)
+        found[..., 5 + 2 * axis] = numbers.connector(sites.interior, axis, 1, high)
     return found

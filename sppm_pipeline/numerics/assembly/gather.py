@@ -12,12 +12,11 @@ from sppm_pipeline.numerics.assembly.contents import (
     PieceNumbers,
     Pieces,
     TilingArrays,
-    number_pieces,
     site_pieces,
     sites_between,
 )
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels, reach_boxes
+from sppm_pipeline.numerics.kernels.kernels import Kernels, empty_kernels, kernel_reaches, reach_boxes
 from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
@@ -28,16 +27,15 @@ _SMALL = 2**20
 
 
 class Catalog(NamedTuple):
-    """All kernels of all pieces in one set, where each piece begins, and how far each kernel and piece reaches."""
+    """All kernels of all pieces, where each piece begins, how far each piece reaches, and the cut-off that says so."""
 
     numbers: PieceNumbers
     kernels: Kernels
     first_pore: NDArray[np.int64]
     first_tunnel: NDArray[np.int64]
-    pore_boxes: tuple[NDArray[np.float64], NDArray[np.float64]]
-    tunnel_boxes: tuple[NDArray[np.float64], NDArray[np.float64]]
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
+    cutoff: float
 
 
 def sample_exact(
@@ -115,21 +113,24 @@ def sample_exact(
 
 
 def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
-    """All kernels of a tile set with their boxes of reach, piece by piece; worth keeping between calls."""
-    numbers = number_pieces(pieces)
-    kernels = numbers.kernels
-    every = concatenated(kernels)
-    pore_lower, pore_upper, tunnel_lower, tunnel_upper = reach_boxes(every, cutoff)
-    first_pore = np.cumsum([0] + [len(k.centers) for k in kernels])
-    first_tunnel = np.cumsum([0] + [len(k.starts) for k in kernels])
-    lower, upper = np.full((len(kernels), 3), np.inf), np.full((len(kernels), 3), -np.inf)
-    for i in range(len(kernels)):
-        pores, tunnels = slice(*first_pore[i : i + 2]), slice(*first_tunnel[i : i + 2])
-        lower[i] = np.concatenate([pore_lower[pores], tunnel_lower[tunnels], lower[i : i + 1]]).min(axis=0)
-        upper[i] = np.concatenate([pore_upper[pores], tunnel_upper[tunnels], upper[i : i + 1]]).max(axis=0)
-    return Catalog(
-        numbers, every, first_pore, first_tunnel, (pore_lower, pore_upper), (tunnel_lower, tunnel_upper), lower, upper
+    """All kernels of a tile set with the boxes of reach of its pieces; worth keeping between calls."""
+    every = pieces.kernels
+    lower, upper = np.full((len(pieces), 3), np.inf), np.full((len(pieces), 3), -np.inf)
+    pores, tunnels = kernel_reaches(every, cutoff)
+    ends = (
+        (every.centers, every.centers, pores, pieces.first_pore),
+        (every.starts, every.ends, tunnels, pieces.first_tunnel),
     )
+    for one, other, reach, first in ends:
+        filled = np.flatnonzero(np.diff(first))
+        if not len(filled):
+            continue
+        for axis in range(3):  # an axis at a time: there may be millions of kernels
+            a, b = one[:, axis], other[:, axis]
+            low, high = np.minimum(a, b) - reach, np.maximum(a, b) + reach
+            lower[filled, axis] = np.minimum(lower[filled, axis], np.minimum.reduceat(low, first[filled]))
+            upper[filled, axis] = np.maximum(upper[filled, axis], np.maximum.reduceat(high, first[filled]))
+    return Catalog(pieces.numbers, every, pieces.first_pore, pieces.first_tunnel, lower, upper, cutoff)
 
 
 def kernels_in_box(
@@ -166,32 +167,28 @@ def kernels_in_box(
     place = (sites.first + np.stack([x, y, z], axis=-1)).astype(np.float64)
     near = ((catalog.lower[number] + place <= upper) & (catalog.upper[number] + place >= lower)).all(axis=1)
     number, place = number[near], place[near]
-    pore, shift = _expanded(catalog.first_pore, number, place, catalog.pore_boxes, lower, upper)
-    tunnel, tunnel_shift = _expanded(catalog.first_tunnel, number, place, catalog.tunnel_boxes, lower, upper)
     every = catalog.kernels
-    return Kernels(
-        every.centers[pore] + shift,
-        every.omega[pore],
-        every.starts[tunnel] + tunnel_shift,
-        every.ends[tunnel] + tunnel_shift,
-        every.mu[tunnel],
-        every.profile,
+    pore, shift = _expanded(catalog.first_pore, number, place)
+    centers, omega = every.centers[pore], every.omega[pore]
+    tunnel, tunnel_shift = _expanded(catalog.first_tunnel, number, place)
+    starts, ends, mu = every.starts[tunnel], every.ends[tunnel], every.mu[tunnel]
+    centers += shift
+    starts += tunnel_shift
+    ends += tunnel_shift
+    found = Kernels(centers, omega, starts, ends, mu, every.profile)
+    boxes = reach_boxes(found, catalog.cutoff)
+    pores, tunnels = (
+        ((low <= upper) & (high >= lower)).all(axis=1) for low, high in zip(boxes[::2], boxes[1::2], strict=True)
     )
+    return Kernels(centers[pores], omega[pores], starts[tunnels], ends[tunnels], mu[tunnels], every.profile)
 
 
 def _expanded(
-    begin: NDArray[np.int64],
-    number: NDArray[np.int32],
-    place: NDArray[np.float64],
-    boxes: tuple[NDArray[np.float64], NDArray[np.float64]],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
+    begin: NDArray[np.int64], number: NDArray[np.int32], place: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Index and shift of every kernel of the pieces `number` at `place` whose box meets the box."""
+    """Index and shift of every kernel of the pieces `number` at `place`."""
     counts = begin[number + 1] - begin[number]
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0
     index = np.arange(total) - np.repeat(ends - counts - begin[number], counts)
-    shift = np.repeat(place, counts, axis=0)
-    meets = ((boxes[0][index] + shift <= upper) & (boxes[1][index] + shift >= lower)).all(axis=1)
-    return index[meets], shift[meets]
+    return index, np.repeat(place, counts, axis=0)

@@ -21,7 +21,6 @@ from sppm_pipeline.numerics.assembly.contents import (
     Pieces,
     Sites,
     TilingArrays,
-    number_pieces,
     site_pieces,
     sites_between,
 )
@@ -100,23 +99,23 @@ def _encode(rows: NDArray[np.int64], base: int) -> NDArray[np.int64]:
 
 
 def _base(numbers: PieceNumbers) -> int:
-    return int(numbers.face[0].size)
+    return numbers.colors + 1
 
 
-def _parts(pieces: Pieces, combinations: NDArray[np.int32] | None) -> tuple[PieceNumbers, list[int], list[Kernels]]:
-    """The numbered pieces, which of them get patches of their own, and the kernels of the merged patches."""
-    numbers = number_pieces(pieces)
+def _parts(pieces: Pieces, combinations: NDArray[np.int32] | None) -> tuple[list[int], list[Kernels]]:
+    """Which pieces get patches of their own, and the kernels of the merged patches."""
     if combinations is None:
-        return numbers, list(range(len(numbers.kernels))), []
-    merged = []
-    for interior, *colors in np.asarray(combinations, dtype=np.int64):
-        members = [numbers.interior[interior]]
-        for axis in range(3):
-            low, high = colors[2 * axis : 2 * axis + 2]
-            members += [numbers.face[axis, low], numbers.connector[interior, axis, 0, low]]
-            members += [numbers.connector[interior, axis, 1, high]]
-        merged.append(concatenated(numbers.kernels[i] for i in members if i >= 0))
-    return numbers, sorted(int(i) for i in numbers.face[:, :-1].ravel()), merged
+        return list(range(len(pieces))), []
+    numbers, merged = pieces.numbers, []
+    for row in np.asarray(combinations, dtype=np.int32):
+        interior, colors = row[:1], row[1:].reshape(3, 2, 1)
+        members = [interior]
+        for axis, (low, high) in enumerate(colors):
+            members += [numbers.face(axis, low), numbers.connector(interior, axis, 0, low)]
+            members += [numbers.connector(interior, axis, 1, high)]
+        merged.append(concatenated(pieces[int(i[0])] for i in members if i[0] >= 0))
+    faces = range(numbers.interiors, numbers.interiors + 3 * numbers.colors)
+    return list(faces), merged
 
 
 def _box(kernels: Kernels, n: int, offset: float, cutoff: float) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
@@ -142,9 +141,9 @@ def predicted_bytes(
     solid_level: float | None = None,
 ) -> int:
     """Bytes that `build_bank` needs at most, with its working space, for the same arguments; nothing is sampled."""
-    numbers, own, merged = _parts(pieces, combinations)
+    own, merged = _parts(pieces, combinations)
     total = largest = 0
-    for kernels in [numbers.kernels[i] for i in own] + merged:
+    for kernels in [pieces[i] for i in own] + merged:
         box = _box(kernels, n, offset, cutoff)
         if box is not None:
             samples = math.prod(int(s) for s in box[1])
@@ -190,8 +189,8 @@ def build_bank(
     if n < 1:
         raise ValueError(f"a cell needs at least one voxel along its edge, not {n}")
     check_cutoff(cutoff)
-    numbers, own, merged = _parts(pieces, combinations)
-    kernels = [numbers.kernels[i] for i in own] + merged
+    own, merged = _parts(pieces, combinations)
+    kernels = [pieces[i] for i in own] + merged
     boxes = [_box(k, n, offset, cutoff) for k in kernels]
     there = [i for i, box in enumerate(boxes) if box is not None]
     low = np.array([boxes[i][0] for i in there], dtype=np.int32).reshape(-1, 3)  # type: ignore[index]
@@ -231,19 +230,21 @@ def build_bank(
 
     patch = np.full(len(kernels), -1, dtype=np.int32)
     patch[there] = np.arange(len(there))
-    piece = np.full(len(numbers.kernels) + 1, -2, dtype=np.int32)
+    piece = np.full(len(pieces) + 1, -2, dtype=np.int32)
     piece[own] = patch[: len(own)]
     piece[-1] = -1
-    for i, k in enumerate(numbers.kernels):
-        if len(k.centers) + len(k.starts) == 0:
-            piece[i] = -1
-    codes = _encode(np.asarray(combinations, dtype=np.int64).reshape(-1, 7), _base(numbers)) if merged else np.zeros(0)
+    piece[:-1][np.diff(pieces.first_pore) + np.diff(pieces.first_tunnel) == 0] = -1
+    codes = (
+        _encode(np.asarray(combinations, dtype=np.int64).reshape(-1, 7), _base(pieces.numbers))
+        if merged
+        else np.zeros(0)
+    )
     order = np.argsort(codes)
     return PatchBank(
         n,
         offset,
         cutoff,
-        numbers,
+        pieces.numbers,
         piece,
         codes[order].astype(np.int64),
         patch[len(own) :][order],

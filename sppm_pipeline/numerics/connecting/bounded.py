@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.connecting.degrees import feasible_degrees
 from sppm_pipeline.numerics.connecting.greedy import greedy_subgraph
-from sppm_pipeline.numerics.connecting.trees import as_points, images_per_pair, periodic_axes
+from sppm_pipeline.numerics.connecting.trees import Periodic, as_points, images_per_pair, periods
 
 MODES = ("exact", "lp_fix", "greedy")
 
@@ -20,7 +18,7 @@ def spanning_subgraph(
     degree: tuple[int, int],
     *,
     mode: str = "exact",
-    periodic: bool | Sequence[bool] = False,
+    periodic: Periodic = False,
     k: int = 10,
     two_edge_connected: bool = False,
     clearance: float | None = None,
@@ -41,9 +39,9 @@ def spanning_subgraph(
         ``exact``: no shorter graph exists among the candidate edges (an integer program, solved by HiGHS with gap 0).
         ``lp_fix``: what the linear relaxation leaves undecided is solved exactly; typically within 0.15 % of exact.
         ``greedy``: a tree filled up and improved by exchange, a few percent longer, in milliseconds, without scipy.
-    periodic : bool or 3 bools
-        Whether the axes repeat with period 1. Two pores may then share tunnels to several images; a pore is never
-        joined to its own image.
+    periodic : bool, or 3 whole numbers
+        Whether the axes repeat with period 1, or after how many cells each does, 0 for never. Two pores may then
+        share tunnels to several images; a pore is never joined to its own image.
     k : int
         Candidate neighbors of each pore. The number grows by itself if the bounds can't be met with it.
     two_edge_connected : bool
@@ -67,7 +65,7 @@ def spanning_subgraph(
         If an argument is of the wrong shape or an unknown mode.
     """
     points = as_points(points)
-    axes = periodic_axes(periodic)
+    period = periods(periodic)
     if mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}, not {mode!r}")
     if k < 1:
@@ -76,21 +74,21 @@ def spanning_subgraph(
         raise DesignError(f"a clearance of {clearance} is not a distance", hint="give a number >= 0, or none")
     n = len(points)
     lower, upper = (int(bound) for bound in degree)
-    feasible_degrees(n, lower, upper, images=images_per_pair(axes.tolist()), two_edge_connected=two_edge_connected)
+    feasible_degrees(n, lower, upper, images=images_per_pair(period.tolist()), two_edge_connected=two_edge_connected)
     if n == 1:
         return np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
     # connection alone asks for one tunnel at every pore, loops for two
     lower = max(lower, 2 if two_edge_connected else 1)
     clearance = clearance or None
     if mode == "greedy":
-        return greedy_subgraph(points, lower, upper, axes=axes, k=k, loops=two_edge_connected, clearance=clearance)
+        return greedy_subgraph(points, lower, upper, period=period, k=k, loops=two_edge_connected, clearance=clearance)
     from sppm_pipeline.numerics.connecting.exact import exact_subgraph
 
     return exact_subgraph(
         points,
         lower,
         upper,
-        axes=axes,
+        period=period,
         k=k,
         loops=two_edge_connected,
         clearance=clearance,

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connecting.trees import as_points, periodic_axes, segments, wrapped
+from sppm_pipeline.numerics.connecting.trees import Periodic, as_points, periods, segments, wrapped
 
 
 def close_pairs(
@@ -18,7 +16,7 @@ def close_pairs(
     shifts: NDArray[np.int64],
     clearance: float,
     *,
-    periodic: bool | Sequence[bool] = False,
+    periodic: Periodic = False,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Pairs of tunnels without a common end whose axes come closer than `clearance`.
 
@@ -33,8 +31,8 @@ def close_pairs(
         Tunnels from ``points[i]`` to ``points[j] + shift``.
     clearance : float
         Distance of the axes, in the unit of the points.
-    periodic : bool or 3 bools
-        Whether the axes repeat with period 1.
+    periodic : bool, or 3 whole numbers
+        Whether the axes repeat with period 1, or after how many cells each does.
 
     Returns
     -------
@@ -43,15 +41,15 @@ def close_pairs(
     distances : (c,) float64
         The least distance of each pair.
     """
-    axes = periodic_axes(periodic)
-    inside, cells = wrapped(points, axes)
+    period = periods(periodic)
+    inside, cells = wrapped(points, period)
     edges = np.ascontiguousarray(edges)
     turns = shifts + cells[edges[:, 1]] - cells[edges[:, 0]]
     starts, ends = segments(inside, edges, turns)
     room = 4 * len(edges) + 64
     while True:
         pairs, distances = np.empty((room, 2), np.int64), np.empty(room)
-        count = _close_pairs(starts, ends, edges, turns, axes, float(clearance), pairs, distances)
+        count = _close_pairs(starts, ends, edges, turns, period, float(clearance), pairs, distances)
         if count <= room:
             return pairs[:count], distances[:count]
         room = count
@@ -101,7 +99,7 @@ def _close_pairs(
     ends: NDArray[np.float64],
     edges: NDArray[np.int64],
     turns: NDArray[np.int64],
-    axes: NDArray[np.bool_],
+    period: NDArray[np.float64],
     clearance: float,
     pairs: NDArray[np.int64],
     distances: NDArray[np.float64],
@@ -123,8 +121,8 @@ def _close_pairs(
             apart = False
             for a in range(3):
                 gap = middle[f, a] - middle[e, a]
-                if axes[a]:
-                    gap -= np.rint(gap)
+                if period[a]:
+                    gap -= period[a] * np.rint(gap / period[a])
                 if abs(gap) > reach[e, a] + reach[f, a] + clearance:
                     apart = True
                     break
@@ -132,16 +130,16 @@ def _close_pairs(
                 continue
             for a in range(3):
                 first[a] = last[a] = 0
-                if axes[a]:
+                if period[a]:
                     gap = middle[e, a] - middle[f, a]
                     span = reach[e, a] + reach[f, a] + clearance
-                    first[a] = np.int64(np.ceil(gap - span))
-                    last[a] = np.int64(np.floor(gap + span))
+                    first[a] = np.int64(np.ceil((gap - span) / period[a]))
+                    last[a] = np.int64(np.floor((gap + span) / period[a]))
             least = np.inf
             for x in range(first[0], last[0] + 1):
                 for y in range(first[1], last[1] + 1):
                     for z in range(first[2], last[2] + 1):
-                        moved[0], moved[1], moved[2] = x, y, z
+                        moved[0], moved[1], moved[2] = x * period[0], y * period[1], z * period[2]
                         if not _share_end(edges, turns, e, f, moved):
                             least = min(least, segment_distance(starts[e], ends[e], starts[f], ends[f], moved))
             if least < clearance:

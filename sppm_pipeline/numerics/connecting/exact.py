@@ -40,7 +40,7 @@ def exact_subgraph(
     lower: int,
     upper: int,
     *,
-    axes: NDArray[np.bool_],
+    period: NDArray[np.float64],
     k: int,
     loops: bool,
     clearance: float | None,
@@ -58,26 +58,26 @@ def exact_subgraph(
     """
     if lower <= 1 and clearance is None and not loops:
         # the shortest connected graph is the minimum spanning tree, unless the upper bound forbids it
-        edges, shifts = minimum_spanning_tree(points, periodic=axes.tolist())
+        edges, shifts = minimum_spanning_tree(points, periodic=period.tolist())
         if np.bincount(edges.ravel()).max() <= upper:
             return edges, shifts
     n = len(points)
-    widest = min(2 * k, all_images(n, axes))
+    widest = min(2 * k, all_images(n, period))
     k = min(k, widest)
     try:
-        greedy = greedy_subgraph(points, lower, upper, axes=axes, k=k, loops=loops, clearance=clearance)
+        greedy = greedy_subgraph(points, lower, upper, period=period, k=k, loops=loops, clearance=clearance)
     except DesignError as error:
         # the clearance was too much for the greedy search, but may not be for the solver
         greedy, failure = None, error
     while True:
-        edges, shifts = candidate_graph(points, k, periodic=axes.tolist())
+        edges, shifts = candidate_graph(points, k, periodic=period.tolist())
         incumbent = None
         if greedy is not None:
             # nearly always its edges are candidates already; otherwise they make the program feasible
             edges, shifts, positions = merged_edges(edges, shifts, *greedy)
             incumbent = np.zeros(len(edges), np.bool_)
             incumbent[positions] = True
-        program = _Program(points, edges, shifts, lower, upper, axes, loops, clearance)
+        program = _Program(points, edges, shifts, lower, upper, period, loops, clearance)
         chosen = program.solution(incumbent, fix)
         if chosen is not None:
             return edges[chosen], shifts[chosen]
@@ -96,7 +96,7 @@ class _Program:
         shifts: NDArray[np.int64],
         lower: int,
         upper: int,
-        axes: NDArray[np.bool_],
+        period: NDArray[np.float64],
         loops: bool,
         clearance: float | None,
     ) -> None:
@@ -109,7 +109,7 @@ class _Program:
         self.allowed = np.ones(m)
         self.conflicts = np.zeros((0, 2), np.int64)
         if clearance is not None:
-            pairs, _ = close_pairs(points, edges, shifts, clearance, periodic=axes.tolist())
+            pairs, _ = close_pairs(points, edges, shifts, clearance, periodic=period.tolist())
             own = pairs[:, 0] == pairs[:, 1]
             self.allowed[pairs[own, 0]] = 0.0
             self.conflicts = pairs[~own]

@@ -18,7 +18,7 @@ from sppm_pipeline.numerics.connecting.exchange import (
     make_loops,
     node_table,
 )
-from sppm_pipeline.numerics.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree
+from sppm_pipeline.numerics.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree, nearest_turns
 
 Edges = tuple[NDArray[np.int64], NDArray[np.int64]]
 
@@ -31,7 +31,7 @@ def greedy_subgraph(
     lower: int,
     upper: int,
     *,
-    axes: NDArray[np.bool_],
+    period: NDArray[np.float64],
     k: int,
     loops: bool,
     clearance: float | None,
@@ -48,11 +48,11 @@ def greedy_subgraph(
         If no graph with this clearance was found.
     """
     n = len(points)
-    most = all_images(n, axes)
+    most = all_images(n, period)
     k = min(k, most)
     while True:
-        edges, shifts = candidate_graph(points, k, periodic=axes.tolist())
-        conflicts = _conflicts(points, edges, shifts, axes, clearance)
+        edges, shifts = candidate_graph(points, k, periodic=period.tolist())
+        conflicts = _conflicts(points, edges, shifts, period, clearance)
         length = edge_lengths(points, edges, shifts)
         edge, conflict, near, order = edge_table(edges, length, conflicts)
         node = node_table(n, edges, upper)
@@ -61,9 +61,9 @@ def greedy_subgraph(
         if complete and loops:
             complete = make_loops(edge, node, length, near, upper)
         if not complete and last:
-            ring_edges, ring_shifts = _ring_graph(points, axes, max(lower, 2) if n > 2 else lower)
+            ring_edges, ring_shifts = _ring_graph(points, period, max(lower, 2) if n > 2 else lower)
             edges, shifts, ring = merged_edges(edges, shifts, ring_edges, ring_shifts)
-            conflicts = _conflicts(points, edges, shifts, axes, clearance)
+            conflicts = _conflicts(points, edges, shifts, period, clearance)
             length = edge_lengths(points, edges, shifts)
             edge, conflict, near, order = edge_table(edges, length, conflicts)
             node = node_table(n, edges, upper)
@@ -76,24 +76,24 @@ def greedy_subgraph(
             if not chosen[conflicts].all(axis=1).any():
                 return edges[chosen], shifts[chosen]
             if last:
-                raise _clearance_error(points, edges[chosen], shifts[chosen], axes, clearance or 0.0)
+                raise _clearance_error(points, edges[chosen], shifts[chosen], period, clearance or 0.0)
         k = min(2 * k, most)
 
 
-def all_images(n: int, axes: NDArray[np.bool_]) -> int:
+def all_images(n: int, period: NDArray[np.float64]) -> int:
     """More neighbors than a pore among n can have: every image of every other pore."""
-    return max((n - 1) * int(3 ** int(axes.sum())), 1)
+    return max((n - 1) * int(3 ** np.count_nonzero(period)), 1)
 
 
 def _clearance_error(
     points: NDArray[np.float64],
     edges: NDArray[np.int64],
     shifts: NDArray[np.int64],
-    axes: NDArray[np.bool_],
+    period: NDArray[np.float64],
     clearance: float,
 ) -> DesignError:
     """The error for a clearance that can't be held, with the figures of the graph that came nearest to it."""
-    _, distances = close_pairs(points, edges, shifts, clearance, periodic=axes.tolist())
+    _, distances = close_pairs(points, edges, shifts, clearance, periodic=period.tolist())
     return DesignError(
         f"no tunnel graph found in which tunnels without a common pore stay {clearance:g} apart: the best one has "
         f"{len(distances)} pairs that come closer and meets a clearance of {distances.min():.4g}",
@@ -105,13 +105,13 @@ def _conflicts(
     points: NDArray[np.float64],
     edges: NDArray[np.int64],
     shifts: NDArray[np.int64],
-    axes: NDArray[np.bool_],
+    period: NDArray[np.float64],
     clearance: float | None,
 ) -> NDArray[np.int64]:
     """The pairs (c, 2) of edges that exclude each other; an edge too close to its own image excludes itself."""
     if clearance is None:
         return np.zeros((0, 2), np.int64)
-    return close_pairs(points, edges, shifts, clearance, periodic=axes.tolist())[0]
+    return close_pairs(points, edges, shifts, clearance, periodic=period.tolist())[0]
 
 
 def merged_edges(
@@ -127,10 +127,10 @@ def merged_edges(
     return edges, shifts, np.array([position[tuple(row)] for row in rows], dtype=np.int64)
 
 
-def _ring_graph(points: NDArray[np.float64], axes: NDArray[np.bool_], degree: int) -> Edges:
+def _ring_graph(points: NDArray[np.float64], period: NDArray[np.float64], degree: int) -> Edges:
     """Harary's graph on the pores in the order of a walk round their minimum spanning tree; pairs i < j."""
     n = len(points)
-    ring = _walk(n, minimum_spanning_tree(points, periodic=axes.tolist())[0])
+    ring = _walk(n, minimum_spanning_tree(points, periodic=period.tolist())[0])
     pairs = np.sort(ring[harary_edges(n, degree)], axis=1)
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     shifts = np.empty((len(pairs), 3), np.int64)
@@ -138,7 +138,7 @@ def _ring_graph(points: NDArray[np.float64], axes: NDArray[np.bool_], degree: in
     for e, (i, j) in enumerate(pairs.tolist()):
         # the q-th copy of a pair takes its q-th nearest image
         copy = copy + 1 if e > 0 and (pairs[e] == pairs[e - 1]).all() else 0
-        shifts[e] = _image(points, i, j, copy, axes)
+        shifts[e] = _image(points, i, j, copy, period)
     return pairs, shifts
 
 
@@ -160,12 +160,11 @@ def _walk(n: int, tree: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.array(order, dtype=np.int64)
 
 
-def _image(points: NDArray[np.float64], i: int, j: int, rank: int, axes: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _image(points: NDArray[np.float64], i: int, j: int, rank: int, period: NDArray[np.float64]) -> NDArray[np.int64]:
     """Shift to the rank-th nearest image of j seen from i."""
-    reach = [np.arange(-1, 2) if periodic else np.zeros(1, int) for periodic in axes]
+    reach = [np.arange(-1, 2) * p if p else np.zeros(1) for p in period]
     grid = np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, 3)
-    nearest = np.where(axes, -np.rint(points[j] - points[i]), 0.0).astype(np.int64)
-    shifts = grid + nearest
+    shifts = grid + nearest_turns(points[j] - points[i], period)
     order = np.argsort(((points[j] + shifts - points[i]) ** 2).sum(axis=1), kind="stable")
-    chosen: NDArray[np.int64] = shifts[order[rank]]
+    chosen: NDArray[np.int64] = shifts[order[rank]].astype(np.int64)
     return chosen

@@ -30,25 +30,35 @@ def as_points(points: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-def periodic_axes(periodic: bool | Sequence[bool]) -> NDArray[np.bool_]:
-    """Which of x, y, z repeat with period 1: one flag for all, or three."""
-    axes = np.asarray(periodic, dtype=np.bool_)
-    if axes.shape not in ((), (3,)):
-        raise ValueError("periodic must be one flag or three")
-    return np.ascontiguousarray(np.broadcast_to(axes, 3))
+Periodic = bool | Sequence[float]
+"""Whether all axes repeat with period 1, or after how many whole cells each does, 0 for never."""
 
 
-def images_per_pair(periodic: bool | Sequence[bool]) -> int:
+def periods(periodic: Periodic) -> NDArray[np.float64]:
+    """Whole cells after which x, y, z repeat, (3,) float64, 0 for never.
+
+    Raises
+    ------
+    ValueError
+        If a period is no whole number.
+    """
+    period = np.asarray(periodic, dtype=np.float64)
+    if period.shape not in ((), (3,)) or (period < 0).any() or (period != np.rint(period)).any():
+        raise ValueError("periodic must be one flag, three, or three whole numbers of cells")
+    return np.ascontiguousarray(np.broadcast_to(period, 3))
+
+
+def images_per_pair(periodic: Periodic) -> int:
     """How many tunnels two pores may always share.
 
-    No tunnel is longer than the cell along a periodic axis, which leaves two images of a pore along each such axis.
+    No tunnel is longer than the period of an axis, which leaves two images of a pore along each periodic axis.
     """
-    return int(2 ** int(periodic_axes(periodic).sum()))
+    return int(2 ** np.count_nonzero(periods(periodic)))
 
 
-def wrapped(points: NDArray[np.float64], axes: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points moved into the cell along the periodic axes, and the whole cells (n, 3) that were taken off."""
-    cells = np.where(axes, np.floor(points), 0.0)
+def wrapped(points: NDArray[np.float64], period: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points moved into [0, period) along the periodic axes, and the whole cells (n, 3) that were taken off."""
+    cells = np.floor(points / np.where(period > 0, period, np.inf)) * period
     return points - cells, cells.astype(np.int64)
 
 
@@ -86,7 +96,7 @@ def edge_lengths(
 
 
 def minimum_spanning_tree(
-    points: ArrayLike, *, periodic: bool | Sequence[bool] = False
+    points: ArrayLike, *, periodic: Periodic = False
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The exact Euclidean minimum spanning tree, with every pore at its nearest image on the periodic axes.
 
@@ -97,8 +107,8 @@ def minimum_spanning_tree(
     ----------
     points : (n, 3) float64
         Pore centers; the unit is the cell size if an axis is periodic.
-    periodic : bool or 3 bools
-        Whether the axes repeat with period 1.
+    periodic : bool, or 3 whole numbers
+        Whether the axes repeat with period 1, or after how many cells each does.
 
     Returns
     -------
@@ -108,37 +118,41 @@ def minimum_spanning_tree(
         The edge runs from ``points[i]`` to ``points[j] + shift``.
     """
     points = as_points(points)
-    axes = periodic_axes(periodic)
+    period = periods(periodic)
     if len(points) < 2:
         return np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
-    inside, cells = wrapped(points, axes)
-    edges = _prim(inside, axes)
-    return canonical_edges(edges, nearest_shifts(inside, cells, axes, edges))
+    inside, cells = wrapped(points, period)
+    edges = _prim(inside, period)
+    return canonical_edges(edges, nearest_shifts(inside, cells, period, edges))
 
 
 def nearest_shifts(
-    inside: NDArray[np.float64], cells: NDArray[np.int64], axes: NDArray[np.bool_], edges: NDArray[np.int64]
+    inside: NDArray[np.float64], cells: NDArray[np.int64], period: NDArray[np.float64], edges: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Shifts (m, 3) of the edges to the nearest image, from what `wrapped` returned."""
     i, j = edges[:, 0], edges[:, 1]
-    nearest = np.where(axes, -np.rint(inside[j] - inside[i]), 0.0).astype(np.int64)
-    return nearest + cells[i] - cells[j]
+    return nearest_turns(inside[j] - inside[i], period).astype(np.int64) + cells[i] - cells[j]
+
+
+def nearest_turns(steps: NDArray[np.float64], period: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Whole cells that turn steps (..., 3) between pores into those to the nearest image."""
+    return -np.rint(steps / np.where(period > 0, period, np.inf)) * period
 
 
 @jit
-def squared_distance(inside: NDArray[np.float64], axes: NDArray[np.bool_], i: int, j: int) -> float:
+def squared_distance(inside: NDArray[np.float64], period: NDArray[np.float64], i: int, j: int) -> float:
     """Squared distance of i from the nearest image of j."""
     total = 0.0
     for a in range(3):
         step = inside[j, a] - inside[i, a]
-        if axes[a]:
-            step -= np.rint(step)
+        if period[a]:
+            step -= period[a] * np.rint(step / period[a])
         total += step * step
     return total
 
 
 @jit
-def _prim(inside: NDArray[np.float64], axes: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _prim(inside: NDArray[np.float64], period: NDArray[np.float64]) -> NDArray[np.int64]:
     n = inside.shape[0]
     best = np.full(n, np.inf)
     parent = np.zeros(n, np.int64)
@@ -150,7 +164,7 @@ def _prim(inside: NDArray[np.float64], axes: NDArray[np.bool_]) -> NDArray[np.in
         nearest = -1
         for j in range(n):
             if outside[j]:
-                d = squared_distance(inside, axes, last, j)
+                d = squared_distance(inside, period, last, j)
                 if d < best[j] or (d == best[j] and last < parent[j]):
                     best[j] = d
                     parent[j] = last

@@ -72,6 +72,11 @@ def concatenated(parts: Iterable[Kernels]) -> Kernels:
     )
 
 
+def kernel_reaches(kernels: Kernels, cutoff: float = DEFAULT_CUTOFF) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distances (n,) and (m,) from centers and axes at which pores and tunnels fall to the cut-off."""
+    return PORE_PROFILE.reach(kernels.omega, cutoff), TUNNEL_PROFILES[kernels.profile].reach(kernels.mu, cutoff)
+
+
 def reach_boxes(
     kernels: Kernels, cutoff: float = DEFAULT_CUTOFF
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -84,11 +89,17 @@ def reach_boxes(
     tunnel_lower, tunnel_upper : (m, 3) float64
         Corners of the boxes of the tunnels.
     """
-    pores = PORE_PROFILE.reach(kernels.omega, cutoff)[:, None]
-    tunnels = TUNNEL_PROFILES[kernels.profile].reach(kernels.mu, cutoff)[:, None]
+    pores, tunnels = (reach[:, None] for reach in kernel_reaches(kernels, cutoff))
     return (
         kernels.centers - pores,
         kernels.centers + pores,
         np.minimum(kernels.starts, kernels.ends) - tunnels,
         np.maximum(kernels.starts, kernels.ends) + tunnels,
     )
+
+
+def log_normal_factors(rng: np.random.Generator, spread: float, n: int) -> NDArray[np.float64]:
+    """Factors of radii (n,): log-normal, median 1, cut at two deviations so that no pore swallows a cell."""
+    if not spread:
+        return np.ones(n)
+    return np.exp(spread * np.clip(rng.standard_normal(n), -2, 2))

@@ -1,4 +1,4 @@
-"""Residual periodicity: how much of an assembled image still repeats from cell to cell."""
+"""Residual periodicity: how much of an assembled image still repeats from cell to cell, and where in the cell."""
 
 from __future__ import annotations
 
@@ -23,6 +23,32 @@ class AxisCorrelation(NamedTuple):
     y: float
     z: float
     mean: float
+
+
+class Folded(NamedTuple):
+    """Solid share of the mean cell at the places of the lattice; without a lattice all agree within the deviation.
+
+    Attributes
+    ----------
+    corner, edge, face, center : float
+        Mean within a sixteenth of the cell size of the corners; of the edges, over the middle half of their length;
+        of the faces, over the middle half in both directions; and over the middle half of the cell in all three.
+    deviation : float
+        Standard deviation of the mean cell over its voxels.
+    expected : float
+        Deviation that the mean of as many independent cells would have.
+    """
+
+    corner: float
+    edge: float
+    face: float
+    center: float
+    deviation: float
+    expected: float
+
+
+NEAR = 1 / 16
+"""Distance from a corner, edge or face within which voxels count as lying on it, cell sizes: half a pore's radius."""
 
 
 def _blocks(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.generic]:
@@ -73,6 +99,55 @@ def mean_cell(image: ArrayLike, cells: tuple[int, int, int]) -> NDArray[np.float
         If the image can't be divided into whole voxels.
     """
     return _statistics(_blocks(image, cells)).mean_cell
+
+
+def folded_shares(image: ArrayLike, cells: tuple[int, int, int]) -> Folded:
+    """Fold an image onto one cell and compare the places of the lattice.
+
+    Parameters
+    ----------
+    image : (Nx, Ny, Nz) bool or float
+        Voxel image of the assembly, 1 where it is solid.
+    cells : (cx, cy, cz)
+        Number of cells along each axis; each must divide the number of voxels.
+
+    Returns
+    -------
+    Folded
+
+    Raises
+    ------
+    ValueError
+        If the image can't be divided into whole voxels.
+    """
+    statistics = _statistics(_blocks(image, cells))
+    mean = statistics.mean_cell
+    near = [_overlap(n, (0.0, NEAR), (1.0 - NEAR, 1.0)) for n in mean.shape]
+    middle = [_overlap(n, (0.25, 0.75)) for n in mean.shape]
+
+    def share(*along: bool) -> float:
+        """Mean over the middle half of the axes that are true, and near the lattice along the others."""
+        x, y, z = (m if inside else b for inside, m, b in zip(along, middle, near, strict=True))
+        return float(np.einsum("ijk,i,j,k", mean, x, y, z))
+
+    edges = share(True, False, False), share(False, True, False), share(False, False, True)
+    faces = share(False, True, True), share(True, False, True), share(True, True, False)
+    return Folded(
+        corner=share(False, False, False),
+        edge=sum(edges) / 3,
+        face=sum(faces) / 3,
+        center=share(True, True, True),
+        deviation=float(mean.std()),
+        # voxels of independent cells vary about their own cell's mean as much as within it
+        expected=float(np.sqrt(statistics.variances.mean() / statistics.variances.size)),
+    )
+
+
+def _overlap(n: int, *spans: tuple[float, float]) -> NDArray[np.float64]:
+    """Weight of each of n voxels along an axis by its overlap with spans of 0..1; the sum is 1."""
+    low = np.arange(n) / n
+    weight = sum(np.clip(np.minimum(low + 1 / n, end) - np.maximum(low, start), 0.0, None) for start, end in spans)
+    return np.asarray(weight / np.sum(weight))
 
 
 def bragg_share(image: ArrayLike, cells: tuple[int, int, int], *, corrected: bool = True) -> float:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.wrapped import RepeatedField
@@ -17,22 +17,32 @@ from sppm_pipeline.stage import Context, Stage
 
 @dataclass(frozen=True, kw_only=True)
 class CheckResidualPeriodicity(Stage):
-    """Report the Bragg share and the axis correlation of an assembly, so that one sees what a tile rule buys.
+    """Report what repeats from cell to cell of an assembly, so that one sees what a tile rule buys.
 
     The Bragg share is the part of the variance that repeats from cell to cell: 1 for one repeated cell, 0 for an
-    assembly without memory of its lattice. The axis correlation compares each cell with its neighbors.
+    assembly without memory of its lattice. The axis correlation compares each cell with its neighbors. The folded
+    solid shares are those of the mean of all cells within 1/16 of the cell size of the corners; of the edges and
+    faces, along their middle halves; and in the middle half of the cell. Where they differ, the lattice shows.
+    The deviation of the mean cell is to be compared with that expected of independent cells.
     """
 
     name: ClassVar[str] = "check.residual_periodicity"
 
     resolution: int = options.resolution(16, minimum=4, maximum=128)
+    path: str | None = options.write_path(
+        None, note="a .png file with three sections through the mean cell; none if omitted"
+    )
+
+    def check_options(self) -> None:
+        if self.path is not None and not self.path.lower().endswith(".png"):
+            raise ConfigError(f"{self.path!r} is not the name of a .png file", hint="give `path: folded.png`")
 
     def estimate(self, palette: Palette, tiling: Size) -> Size:
         return tiling.grid(self.resolution)
 
     def run(self, context: Context, tiling: Tiling | RepeatedField) -> None:
         """Sample the whole assembly and compare its cells."""
-        from sppm_pipeline.numerics.tiling.residual import axis_correlation, bragg_share
+        from sppm_pipeline.numerics.tiling.residual import axis_correlation, bragg_share, folded_shares, mean_cell
 
         if isinstance(tiling, Tiling) and (tiling.arrays.interior < 0).any():
             raise DesignError(
@@ -43,4 +53,13 @@ class CheckResidualPeriodicity(Stage):
             raise DesignError("residual periodicity needs at least two cells along some axis")
         solid = tiling.solid(cell_centers(self.resolution, tiling.cells), context.threads).transpose(2, 1, 0)
         correlation = axis_correlation(solid, tiling.cells)
+        folded = folded_shares(solid, tiling.cells)
         context.report(bragg_share=bragg_share(solid, tiling.cells), axis_correlation=correlation.mean)
+        context.report(**{f"folded_{name}": value for name, value in folded._asdict().items()})
+        if self.path is not None:
+            from PIL import Image
+
+            from sppm_pipeline.render.folded import folded_sections
+
+            picture = folded_sections(mean_cell(solid, tiling.cells), float(solid.mean()), folded.expected)
+            Image.fromarray(picture).save(context.output(self.path))

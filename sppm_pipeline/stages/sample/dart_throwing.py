@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Cell, Length
+from sppm_pipeline.data.palette import Blocks
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import InteriorBox, Sampler, options
+from sppm_pipeline.families.scattered import with_darts
 from sppm_pipeline.stage import Context, option
 
 HALF_PACKED = 0.5
@@ -72,6 +74,22 @@ class DartThrowing(Sampler):
             capacity = box_capacity((1 - 2 * gap,) * 3, spacing, periodic=not thrown.has_faces)
             context.report(interior_packing_share=inside / capacity)
         return thrown
+
+    def scatter(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
+        from sppm_pipeline.numerics.sampling.capacity import box_capacity
+
+        spacing = self.requested_spacing(base.cell) or base.spacing
+        count = self.count if self.total is None else max(self.total - len(base.centers) / base.interiors, 0.0)
+        if count is None:
+            if spacing is None:
+                raise ConfigError("the spacing is missing", hint="give `spacing`, or `total` with `share`")
+            assert self.share is not None
+            count = self.share * box_capacity(1.0, spacing, True)
+        if spacing is None:
+            from sppm_pipeline.numerics.sampling.blocks import spacing_at_share
+
+            spacing = spacing_at_share(count, self.share or HALF_PACKED)
+        return with_darts(context, base, blocks, count, spacing, obstacles=self.clear_faces)
 
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
         from sppm_pipeline.numerics.sampling.capacity import largest_spacing

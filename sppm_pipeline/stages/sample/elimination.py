@@ -20,6 +20,7 @@ class Elimination(Sampler):
     """
 
     name: ClassVar[str] = "sample.elimination"
+    needs_whole_cell: ClassVar[str] = "it weighs the pores of a whole cell against each other"
 
     count: int = options.count(note="in one interior", minimum=1)
     candidates: float = option(5.0, help="candidates thrown for each pore kept", minimum=2, maximum=100)

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import design_of, options, start_of
+from sppm_pipeline.families.scattered import with_darts
 from sppm_pipeline.stage import Context, Stage, option
 
 MAX_TOGETHER = 16
@@ -85,6 +86,8 @@ class MirroredFaces(Stage):
         cell, base = start_of(self.edge, pores, context.palette.interiors)
         if base.has_faces:
             raise ConfigError("the faces carry pores already", hint="use one face sampler a recipe")
+        if context.palette.blocks is not None:
+            return self._scattered(context, base, context.palette.blocks)
         colors = context.palette.colors
         count, spacing = split_between_faces_and_interior(
             total=self.total,
@@ -107,6 +110,23 @@ class MirroredFaces(Stage):
         flat = [pattern for per_axis in patterns for pattern in per_axis]
         piece = np.repeat(np.arange(len(flat)) + base.interiors, [len(p) for p in flat]).astype(np.int32)
         return base.extended(np.concatenate(flat), piece, colors=colors, spacing=spacing)
+
+    def _scattered(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
+        """Without faces: the interior sampler takes the total, and a count of face pores is thrown like any others."""
+        from sppm_pipeline.numerics.sampling.blocks import spacing_at_share
+        from sppm_pipeline.numerics.sampling.faces import split_between_faces_and_interior
+
+        spacing = None if self.spacing is None else base.cell.fraction(self.spacing)
+        if self.count is None:
+            if spacing is None:
+                assert self.total is not None  # by `check_options`
+                assert self.share is not None
+                spacing = spacing_at_share(self.total, self.share)
+            return replace(base, spacing=spacing)
+        count, spacing = split_between_faces_and_interior(
+            total=None, face_count=self.count, spacing=spacing, share=self.share, colors=1
+        )
+        return with_darts(context, base, blocks, count, spacing)
 
     def _apart(
         self, context: Context, count: int, spacing: float, colors: tuple[int, int, int], margin: float | None

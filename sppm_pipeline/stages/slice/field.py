@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.length import Length, Pixel, voxel_mm
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.fields.field_slices import FieldSlices
 from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.sampled_slices import FieldSlices
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
-from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.grid import Grid, covering_voxels
 from sppm_pipeline.stage import Context, Stage
 
 
@@ -30,7 +29,7 @@ class SliceField(Stage):
     name: ClassVar[str] = "slice.field"
     advice: ClassVar[str] = "give a larger `pixel` or `layer`"
 
-    pixel: Length | None = options.pixel(None)
+    pixel: Pixel | None = options.pixel(None)
     layer: Length | None = options.layer(None)
     resolution: int | None = options.resolution(None, note="instead of `pixel` and `layer`", maximum=2048)
     islands: str = options.islands("remove", note="a part decides for itself")
@@ -41,33 +40,36 @@ class SliceField(Stage):
             raise ConfigError("give one of `pixel` and `resolution`")
         if self.resolution is not None and self.layer is not None:
             raise ConfigError("`layer` goes with `pixel`; with `resolution` layers are as high as pixels are wide")
+        self._pitch(1.0)
+
+    def _pitch(self, edge: float) -> tuple[float, float, float]:
+        """Pixel pitch along x and y, and layer height, mm."""
+        return voxel_mm(self.pixel if self.pixel is not None else Length(edge / (self.resolution or 1)), self.layer)
 
     def estimate(self, palette: Palette, field: Size) -> Size:
-        edge = field.body.scale
-        pixel = self.pixel.mm() if self.pixel is not None else edge / (self.resolution or 1)
-        layer = self.layer.mm() if self.layer is not None else pixel
-        made = stack_size(field.body, pixel, layer, self.gray, passes=2 if self.islands == "remove" else 1)
+        passes = 2 if self.islands == "remove" else 1
+        made = stack_size(field.body, self._pitch(field.body.scale), self.gray, passes=passes)
         return replace(made, design=field.design)
 
     def run(self, context: Context, field: ScalarField) -> SliceStack:
         """Place the pixels; nothing is computed yet."""
         edge = field.physical_edge()
-        pixel = self.pixel.mm() if self.pixel is not None else edge / (self.resolution or 1)
-        layer = self.layer.mm() if self.layer is not None else pixel
+        pitch = self._pitch(edge)
         if isinstance(field, Part):
             low = [(v - o) / edge for v, o in zip(field.domain.lower, field.origin_mm, strict=True)]
             high = [(v - o) / edge for v, o in zip(field.domain.upper, field.origin_mm, strict=True)]
         else:
             low, high = [0.0] * 3, [float(c) for c in field.cells]
-        pitch = (pixel / edge, pixel / edge, layer / edge)
-        # whole pixels counted from the lattice origin; a millionth of a pixel is rounding, not part
-        first = [math.floor(v / h + 1e-6) for v, h in zip(low, pitch, strict=True)]
-        last = [math.ceil(v / h - 1e-6) for v, h in zip(high, pitch, strict=True)]
-        nx, ny, nz = (max(1, b - a) for a, b in zip(first, last, strict=True))
-        x, y, z = ((a + 0.5) * h for a, h in zip(first, pitch, strict=True))
-        ox, oy, oz = (o + a * h * edge for o, a, h in zip(field.origin_mm, first, pitch, strict=True))
-        if (coarse := field.coarseness(max(pitch))) is not None:
+        hx, hy, hz = (h / edge for h in pitch)
+        (i, j, k), shape = covering_voxels(low, high, (hx, hy, hz))  # counted from the lattice origin
+        ox, oy, oz = field.origin_mm
+        if (coarse := field.coarseness(max(hx, hy, hz))) is not None:
             context.warn(coarse)
-        islands = field.islands if isinstance(field, Part) else self.islands
-        grid = Grid((x, y, z), pitch, (nx, ny, nz))
-        return FieldSlices(field, grid, pixel, layer, (ox, oy, oz), islands, self.gray)
+        return FieldSlices(
+            source=field,
+            grid=Grid(((i + 0.5) * hx, (j + 0.5) * hy, (k + 0.5) * hz), (hx, hy, hz), shape),
+            pitch=pitch,
+            lower=(ox + i * hx * edge, oy + j * hy * edge, oz + k * hz * edge),
+            islands=field.islands if isinstance(field, Part) else self.islands,
+            subsamples=self.gray,
+        )

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sppm_pipeline.data.length import Length
+import numpy as np
+
+from sppm_pipeline.data.length import Length, Pixel, voxel_mm
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.families.inside_test import outward_mesh
-from sppm_pipeline.fields.mesh_slices import MeshSlices
+from sppm_pipeline.fields.sampled_slices import MeshSlices
 from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
+from sppm_pipeline.numerics.grid import Grid, covering_voxels
 from sppm_pipeline.stage import Context, Stage, option
 
 MAX_PIXELS = 2**31
@@ -32,7 +34,7 @@ class SliceMesh(Stage):
     name: ClassVar[str] = "slice.mesh"
     advice: ClassVar[str] = "give a larger `pixel` or `layer`"
 
-    pixel: Length = options.pixel()
+    pixel: Pixel = options.pixel()
     layer: Length | None = options.layer(None)
     anchor: str = option(
         "part",
@@ -40,29 +42,38 @@ class SliceMesh(Stage):
         "so that several parts share one grid",
         choices=("part", "origin"),
     )
+    islands: str = options.islands("keep")
     gray: int = options.gray(1, formerly="grey")
     inside: str = options.inside("auto")
 
+    def check_options(self) -> None:
+        voxel_mm(self.pixel, self.layer)
+
     def estimate(self, palette: Palette, mesh: Size) -> Size:
-        layer = self.layer if self.layer is not None else self.pixel
-        made = stack_size(mesh.body.in_unit(1.0), self.pixel.mm(), layer.mm(), self.gray)
+        passes = 2 if self.islands == "remove" else 1
+        made = stack_size(mesh.body.in_unit(1.0), voxel_mm(self.pixel, self.layer), self.gray, passes=passes)
         return replace(made, triangles=mesh.triangles)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:
         """Test the mesh and place the pixels; no layer is computed yet."""
         mesh, method = outward_mesh(context, mesh, self.inside)
-        pixel = self.pixel.mm()
-        layer = self.layer.mm() if self.layer is not None else pixel
-        pitch = (pixel, pixel, layer)
-        start = mesh.lower.tolist() if self.anchor == "part" else [0.0, 0.0, 0.0]
-        # whole pixels; a millionth of one is rounding, not part
-        first = [math.floor((v - s) / h + 1e-6) for v, s, h in zip(mesh.lower, start, pitch, strict=True)]
-        last = [math.ceil((v - s) / h - 1e-6) for v, s, h in zip(mesh.upper, start, pitch, strict=True)]
-        nx, ny, nz = (max(1, b - a) for a, b in zip(first, last, strict=True))
-        if nx * ny * self.gray**2 > MAX_PIXELS:
+        pitch = hx, hy, hz = voxel_mm(self.pixel, self.layer)
+        anchor = mesh.lower if self.anchor == "part" else np.zeros(3)
+        (i, j, k), shape = covering_voxels(mesh.lower - anchor, mesh.upper - anchor, pitch)
+        if shape[0] * shape[1] * self.gray**2 > MAX_PIXELS:
             raise DesignError(
-                f"a layer would have {nx} x {ny} pixels of {pixel:g} mm, {self.gray} x {self.gray} samples each",
+                f"a layer would have {shape[0]} x {shape[1]} pixels of {hx:g} x {hy:g} mm, {self.gray} x {self.gray} "
+                "samples each",
                 hint="take a larger `pixel`, or check the unit of the mesh",
             )
-        x, y, z = (s + a * h for s, a, h in zip(start, first, pitch, strict=True))
-        return MeshSlices(mesh, pixel, layer, (x, y, z), (nx, ny, nz), method, self.gray)
+        ox, oy, oz = anchor.tolist()
+        x, y, z = lower = (ox + i * hx, oy + j * hy, oz + k * hz)
+        return MeshSlices(
+            source=mesh,
+            grid=Grid((x + hx / 2, y + hy / 2, z + hz / 2), pitch, shape),
+            pitch=pitch,
+            lower=lower,
+            islands=self.islands,
+            subsamples=self.gray,
+            method=method,
+        )

@@ -14,12 +14,12 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
-from sppm_pipeline.families.tiler import check_repeats
+from sppm_pipeline.families.tiler import at_porosity, check_repeats
+from sppm_pipeline.families.tileset_maker import check_faces
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
-from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 
@@ -39,7 +39,7 @@ class FreshTiling(Stage):
     periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
     porosity: float | None = options.porosity(None, note="that of the assembly; the recipe's own level if omitted")
     resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
-    limit: int = option(5000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
+    limit: int = option(100_000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
 
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
@@ -53,7 +53,6 @@ class FreshTiling(Stage):
 
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Number the cells and faces, then draw them all."""
-        from sppm_pipeline.numerics.porosity.level import level_for_porosity
         from sppm_pipeline.numerics.tiling.lattice import tile_fresh
 
         lattice = lattice_for(self.cell, self.cells, cover, None)
@@ -72,23 +71,10 @@ class FreshTiling(Stage):
                 f"the recipe {recipe.name!r} makes a {type(micro).__name__}; fresh cells need a Microstructure",
                 hint="end the recipe with `field.gaussian`",
             )
+        check_faces(micro, palette, recipe.name)
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
         tiling = Tiling(TileSet(micro, "fresh", 0), TilingArrays(interior, faces, self.periodic), edge, lattice.origin)
-        if self.porosity is None:
-            return tiling
-        # some cells, spread over the part, stand for all
-        chosen = np.argwhere(lattice.mask)[:: max(1, wanted // 64)]
-        h = 1.0 / self.resolution
-        sums = np.concatenate(
-            [
-                tiling.sample(
-                    Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (self.resolution,) * 3), context.threads
-                ).ravel()
-                for x, y, z in chosen.astype(float)
-            ]
-        )
-        micro = micro.with_level(level_for_porosity(sums + np.float32(micro.level), self.porosity).level)
-        return Tiling(TileSet(micro, "fresh", 0), tiling.arrays, edge, lattice.origin)
+        return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)
 
 
 def _meetings(

@@ -49,7 +49,7 @@ class WritePng(LayerWriter):
     def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes:
         from sppm_pipeline.formats.png import encode_layer
 
-        return encode_layer(image, bits=self._bits(stack), pixel_mm=(stack.pixel_mm, stack.pixel_mm))
+        return encode_layer(image, bits=self._bits(stack), pixel_mm=stack.pixel_mm)
 
     def encoding(self, stack: SliceStack) -> dict[str, Any]:
         return {"bits": self._bits(stack)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, connector_code
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated
 
 
@@ -42,7 +42,17 @@ class Sets:
                             ends = faces[axis][color].centers[:2].copy()
                             ends[:, axis] = side
                             connectors[t, axis, side, color] = kernels(np.zeros((0, 3)), inside[t].centers[:2], ends)
-        return Pieces(tuple(inside), (faces[0], faces[1], faces[2]), connectors)
+        return Pieces.of(inside, faces, connectors)
+
+    @staticmethod
+    def lone(pieces: Pieces, interior: int, colors: tuple[int, int, int]) -> Kernels:
+        """All kernels of an interior among faces that are equal on opposite sides."""
+        own, numbers = np.array([interior]), pieces.numbers
+        members = [own]
+        for axis, color in enumerate(np.array(colors)[:, None]):
+            members.append(numbers.face(axis, color))
+            members += [numbers.connector(own, axis, side, color) for side in (0, 1)]
+        return concatenated(pieces[int(number[0])] for number in members)
 
     @staticmethod
     def combinations(tiling: TilingArrays) -> np.ndarray:
@@ -70,12 +80,13 @@ class Sets:
             if periodic:
                 planes = np.concatenate([np.delete(planes, -1, axis), np.take(planes, [0], axis)], axis)
             faces.append(planes)
-        return TilingArrays(draw(len(pieces.interiors), shape), (faces[0], faces[1], faces[2]), periodic)
+        return TilingArrays(draw(pieces.interiors, shape), (faces[0], faces[1], faces[2]), periodic)
 
     @staticmethod
     def every_kernel(pieces: Pieces, tiling: TilingArrays, images: int = 0) -> Kernels:
         """All kernels of a tiling by plain loops; of a periodic one with its images."""
         nx, ny, nz = tiling.shape
+        numbers = pieces.numbers
         found = []
         for i, j, k in np.ndindex(nx + 1, ny + 1, nz + 1):
             place = np.array([i, j, k], dtype=float)
@@ -86,18 +97,20 @@ class Sets:
                 if i <= limit[0] and j <= limit[1] and k <= limit[2]:
                     color = tiling.faces[axis][i, j, k]
                     if color >= 0:
-                        found.append(pieces.faces[axis][color].shifted(place))
+                        found.append(pieces[numbers.interiors + axis * numbers.colors + color].shifted(place))
             if i == nx or j == ny or k == nz or tiling.interior[i, j, k] < 0:
                 continue
             t = int(tiling.interior[i, j, k])
-            found.append(pieces.interiors[t].shifted(place))
+            found.append(pieces[t].shifted(place))
             for axis in range(3):
                 for side in range(2):
                     step = [i, j, k]
                     step[axis] += side
-                    key = (t, axis, side, int(tiling.faces[axis][tuple(step)]))
-                    if key in pieces.connectors:
-                        found.append(pieces.connectors[key].shifted(place))
+                    color = int(tiling.faces[axis][tuple(step)])
+                    code = int(connector_code(t, axis, side, color, colors=pieces.colors))
+                    if color >= 0 and code in pieces.codes.tolist():
+                        number = numbers.interiors + 3 * numbers.colors + pieces.codes.tolist().index(code)
+                        found.append(pieces[number].shifted(place))
         steps = range(-images, images + 1)
         size = np.array([nx, ny, nz])
         return concatenated(

@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.assembly.contents import TilingArrays, lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, check_tiling, lone_periodic_cell
 from sppm_pipeline.numerics.assembly.gather import kernels_in_box as _kernels_in_box
 from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
+from sppm_pipeline.numerics.assembly.overlap_add import assemble
+from sppm_pipeline.numerics.assembly.patches import build_bank
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
 from sppm_pipeline.testing.exact_sum import cutoff_bound, exact_sum
@@ -111,23 +113,34 @@ def test_bands_threads_and_slabs_give_the_same_bytes(sets) -> None:
 def test_a_lone_cell_is_the_periodic_cell(sets) -> None:
     pieces = sets.pieces(12, share=1.0)
     tiling = lone_periodic_cell(1, (0, 1, 1))
-    members = [pieces.interiors[1], *(pieces.faces[a][c] for a, c in enumerate((0, 1, 1)))]
-    members += [pieces.connectors[1, a, s, c] for a, c in enumerate((0, 1, 1)) for s in (0, 1)]
+    members = sets.lone(pieces, 1, (0, 1, 1))
     field = sample_exact(pieces, tiling, cell_centers(20))
     steps = [np.array(step, float) for step in np.ndindex(5, 5, 5)]
-    images = concatenated(concatenated(members).shifted(step - 2.0) for step in steps)
+    images = concatenated(members.shifted(step - 2.0) for step in steps)
     assert field.ravel() == pytest.approx(exact_sum(images, points_of(cell_centers(20))), abs=2e-4)
+
+
+def test_cells_of_the_halo_count_but_are_not_of_the_box(sets) -> None:
+    pieces = sets.pieces(14)
+    whole = sets.tiling(15, (5, 4, 6), pieces)
+    inner = whole._replace(halo=1)
+    check_tiling(inner, pieces)
+    assert inner.shape == (3, 2, 4)
+    assert (inner.box == whole.interior[1:-1, 1:-1, 1:-1]).all()
+    grid = Grid((-0.7, 0.1, -0.3), (0.11, 0.13, 0.17), (40, 12, 25))
+    moved = grid._replace(origin=(0.3, 1.1, 0.7))
+    assert sample_exact(pieces, inner, grid) == pytest.approx(sample_exact(pieces, whole, moved), abs=1e-5)
+    bank = build_bank(pieces, 8)
+    there, here = assemble(bank, inner, -8, 30, -3, 20, 0, 9), assemble(bank, whole, 0, 38, 5, 28, 8, 17)
+    assert there.tobytes() == here.tobytes()
+    with pytest.raises(ValueError, match="no halo"):
+        check_tiling(whole._replace(halo=2))
 
 
 def test_moving_a_lone_cell_by_a_voxel_moves_the_field(sets) -> None:
     pieces, n = sets.pieces(13), 16
     offset = np.array([3.0, 0.0, -2.0]) / n
-    moved = replace(
-        pieces,
-        interiors=tuple(k.shifted(offset) for k in pieces.interiors),
-        faces=tuple(tuple(k.shifted(offset) for k in axis) for axis in pieces.faces),
-        connectors={key: k.shifted(offset) for key, k in pieces.connectors.items()},
-    )
+    moved = replace(pieces, kernels=pieces.kernels.shifted(offset))
     there, here = (sample_exact(p, lone_periodic_cell(), cell_centers(n)) for p in (moved, pieces))
     assert there == pytest.approx(np.roll(here, (-2, 3), (0, 2)), abs=1e-4)
 
@@ -137,10 +150,5 @@ def test_nothing_anywhere(sets) -> None:
     tiling = sets.tiling(0, (2, 2, 2), pieces, holes=1.0)
     assert len(kernels_in_box(pieces, tiling, (0, 0, 0), (2, 2, 2)).centers) == 0
     assert not sample_exact(pieces, tiling, cell_centers(4, (2, 2, 2))).any()
-    bare = replace(
-        pieces,
-        interiors=(empty_kernels(),),
-        faces=((empty_kernels(),), (empty_kernels(),), (empty_kernels(),)),
-        connectors={},
-    )
+    bare = Pieces.of([empty_kernels()], [[empty_kernels()]] * 3)
     assert not sample_exact(bare, lone_periodic_cell(), cell_centers(4)).any()

@@ -1,11 +1,9 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.assembly.contents import lone_periodic_cell
+from sppm_pipeline.numerics.assembly.contents import Pieces, lone_periodic_cell
 from sppm_pipeline.numerics.assembly.overlap_add import assemble, assemble_solid
 from sppm_pipeline.numerics.assembly.patches import build_bank
 from sppm_pipeline.numerics.kernels.kernels import concatenated, empty_kernels
@@ -65,13 +63,12 @@ def test_merged_and_separate_patches_agree_far_below_the_worst_case(sets) -> Non
 def test_a_lone_cell_is_an_assembly_of_itself(sets, offset: float) -> None:
     pieces = sets.pieces(3, share=1.0)
     tiling = lone_periodic_cell(1, (0, 1, 1))
-    members = [pieces.interiors[1], *(pieces.faces[a][c] for a, c in enumerate((0, 1, 1)))]
-    members += [pieces.connectors[1, a, s, c] for a, c in enumerate((0, 1, 1)) for s in (0, 1)]
+    members = sets.lone(pieces, 1, (0, 1, 1))
     bank = build_bank(pieces, 24, sets.combinations(tiling), offset=offset)
     m = 24 if offset else 25
     field = assemble(bank, tiling, 0, m, 0, m, 0, m)
     steps = [np.array(step, float) for step in np.ndindex(5, 5, 5)]
-    images = concatenated(concatenated(members).shifted(step - 2.0) for step in steps)
+    images = concatenated(members.shifted(step - 2.0) for step in steps)
     exact = exact_sum(images, samples((0, 0, 0), (m, m, m), 24, offset))
     assert field.ravel() == pytest.approx(exact, abs=3e-4)
 
@@ -138,14 +135,16 @@ def test_out_is_used_and_overwritten(whole_field) -> None:
 
 
 def test_empty_pieces(sets) -> None:
-    pieces = replace(sets.pieces(8), interiors=(empty_kernels(),) * 3, connectors={})
+    full = sets.pieces(8)
+    faces = [[full[full.interiors + 2 * axis + color] for color in range(2)] for axis in range(3)]
+    pieces = Pieces.of([empty_kernels()] * 3, faces)
     tiling = sets.tiling(9, (2, 2, 2), pieces, holes=0.0)
     for combinations in (None, sets.combinations(tiling)):
         bank = build_bank(pieces, 8, combinations)
         points = samples((0, 0, 0), (16, 16, 16), 8, 0.5)
         exact = exact_sum(sets.every_kernel(pieces, tiling), points)
         assert assemble(bank, tiling, 0, 16, 0, 16, 0, 16).ravel() == pytest.approx(exact, abs=1e-3)
-    bare = replace(pieces, faces=((empty_kernels(),),) * 3)
+    bare = Pieces.of([empty_kernels()] * 3, [[empty_kernels()]] * 3)
     assert not assemble(build_bank(bare, 8), lone_periodic_cell(), 0, 8, 0, 8, 0, 8).any()
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.tiling.residual import axis_correlation, bragg_share, mean_cell
+from sppm_pipeline.numerics.tiling.residual import axis_correlation, bragg_share, folded_shares, mean_cell
 
 
 def spectral_share(image, cells):
@@ -76,6 +76,44 @@ def test_signal_plus_noise_has_the_signals_share():
 def test_parseval(cells):
     image = np.random.default_rng(4).random((12, 8, 16)) < 0.4
     assert bragg_share(image, cells, corrected=False) == pytest.approx(spectral_share(image.astype(float), cells))
+
+
+def scaffold(n):
+    """Solid in the part of a cell that lies within 1/8 of its edges."""
+    near = np.minimum(np.arange(n) + 0.5, n - 0.5 - np.arange(n)) / n < 1 / 8
+    x, y, z = near[:, None, None], near[:, None], near
+    return (x & y) | (y & z) | (x & z)
+
+
+@pytest.mark.parametrize("n", [16, 32])
+def test_folding_a_scaffold_shows_its_bars(n):
+    cell = scaffold(n)
+    folded = folded_shares(np.tile(cell, (3, 2, 4)), (3, 2, 4))
+    assert folded[:4] == pytest.approx((1.0, 1.0, 0.0, 0.0))
+    assert folded.deviation == pytest.approx(cell.std())
+    lifted = folded_shares(np.tile(np.roll(cell, n // 2, axis=(0, 1, 2)), (2, 2, 2)), (2, 2, 2))
+    assert lifted.corner == 0.0
+    assert lifted.center > 0.4
+
+
+def test_windows_of_the_fold_are_weighed_by_overlap():
+    """A field that is linear between the planes of the lattice has the same shares on every grid."""
+
+    def rising(n):
+        x = np.abs((np.arange(n) + 0.5) / n - 0.5)[:, None, None] * np.ones((1, n, n))
+        return folded_shares(np.tile(x, (2, 1, 1)), (2, 1, 1))
+
+    assert rising(48)[:4] == pytest.approx(rising(16)[:4])
+    # along one of three axes 15/32 near the plane, 1/8 in the middle half
+    assert rising(16)[:4] == pytest.approx((15 / 32, (2 * 15 / 32 + 1 / 8) / 3, (15 / 32 + 2 / 8) / 3, 1 / 8))
+
+
+def test_independent_cells_deviate_as_expected():
+    rng = np.random.default_rng(8)
+    cells = (4, 4, 4)
+    found = [folded_shares(rng.random((32, 32, 32)) < 0.3, cells) for _ in range(5)]
+    assert np.mean([f.deviation for f in found]) == pytest.approx(np.mean([f.expected for f in found]), rel=0.05)
+    assert found[0].expected == pytest.approx(math.sqrt(0.3 * 0.7 / 64), rel=0.02)
 
 
 def test_one_cell_along_an_axis_has_no_neighbor_there():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
 from sppm_pipeline.numerics.grid import cell_centers, cell_nodes
@@ -99,6 +99,26 @@ def test_porosity_is_that_of_the_voxels(wang_tiling):
     for bounds in ({"minimum": expected + 0.01}, {"maximum": expected - 0.01}):
         with pytest.raises(Rejected, match="accepted are"):
             CheckPorosity(resolution=10, **bounds).run(PlainContext(), wang_tiling)
+
+
+def test_folded_shares_are_reported_and_drawn(wang_tiling, tmp_path):
+    from PIL import Image
+
+    pictures = []
+    for path in ("folded.png", "again.png", None):
+        context = PlainContext(directory=tmp_path)
+        CheckResidualPeriodicity(resolution=8, path=path).run(context, wang_tiling)
+        report = context.reported
+        assert min(report[f"folded_{place}"] for place in ("corner", "edge", "face", "center")) >= 0
+        assert report["folded_deviation"] > report["folded_expected"] > 0
+        if path:
+            pictures.append((tmp_path / path).read_bytes())
+            with Image.open(tmp_path / path) as picture:
+                assert len(picture.getcolors(10**6)) > 20
+    assert pictures[0] == pictures[1]
+    assert len(list(tmp_path.iterdir())) == 2
+    with pytest.raises(ConfigError, match="png"):
+        CheckResidualPeriodicity(path="folded.jpg").check_options()
 
 
 def test_residual_periodicity_needs_a_full_box_of_several_cells(cell, wang, ball):

@@ -35,12 +35,12 @@ RADII = {"pore_radius": Length(0.1), "tunnel_radius": Length(0.04)}
 def test_a_lone_pore_and_a_lone_tunnel_have_the_radii_asked_for():
     """At the radius the kernel has the value of the level (paper, eq. 1 to 3)."""
     micro, told = field(Cell(), **RADII, level=0.3)
-    piece = micro.pieces.interiors[0]
+    piece = micro.pieces[0]
     assert math.exp(-piece.omega[0] * 0.1**2) == pytest.approx(0.3)
     assert math.exp(-piece.mu[0] * 0.04) == pytest.approx(0.3)
     assert (told["pore_radius"], told["tunnel_radius"]) == (pytest.approx(0.1), pytest.approx(0.04))
     squared, _ = field(Cell(), **RADII, level=0.3, tunnel="squared")
-    assert math.exp(-squared.pieces.interiors[0].mu[0] * 0.04**2) == pytest.approx(0.3)
+    assert math.exp(-squared.pieces[0].mu[0] * 0.04**2) == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("tunnel", ["linear", "squared"])
@@ -92,7 +92,7 @@ def test_spreads_vary_sizes_about_the_median():
     many = TunnelGraph(PoreSet(Cell(), centers, np.zeros(400, np.int32)), edges, np.zeros((399, 3), int))
     for tunnel, power in (("linear", 1), ("squared", 2)):
         made = GaussianField(**RADII, pore_spread=0.2, tunnel_spread=0.1, tunnel=tunnel).run(PlainContext(1), many)
-        piece = made.pieces.interiors[0]
+        piece = made.pieces[0]
         pore = np.sqrt(math.log(4) / piece.omega) / 0.1
         tunnels = (math.log(4) / piece.mu) ** (1 / power) / 0.04
         for radii, spread in ((pore, 0.2), (tunnels, 0.1)):

@@ -5,7 +5,7 @@ import pytest
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.fields import field_slices
+from sppm_pipeline.fields import sampled_slices
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
 from sppm_pipeline.numerics.grid import cell_centers
@@ -43,7 +43,7 @@ def slices(field, **options):
 def test_layers_are_the_voxels(wang_tiling):
     stack = slices(wang_tiling, resolution=10, islands="keep")
     assert stack.shape == (40, 30, 30)
-    assert (stack.pixel_mm, stack.layer_mm) == (0.4, 0.4)
+    assert (stack.pixel_mm, stack.layer_mm) == ((0.4, 0.4), 0.4)
     assert stack.origin_mm == (0, 0, 0)
     found, findings = layers_and_findings(stack)
     expected = wang_tiling.solid(cell_centers(10, wang_tiling.cells))
@@ -63,8 +63,8 @@ def test_islands_are_removed_as_on_the_whole(wang_tiling, monkeypatch):
     assert removed == pytest.approx(1 - expected.sum() / wang_tiling.solid(cell_centers(10, wang_tiling.cells)).sum())
     assert removed > 0
     # in thin slabs, and evaluated twice because the stack is too large to be kept
-    monkeypatch.setattr(field_slices, "SLAB_PIXELS", 2000)
-    monkeypatch.setattr(field_slices, "KEPT_BITS", 0)
+    monkeypatch.setattr(sampled_slices, "SLAB_PIXELS", 2000)
+    monkeypatch.setattr(sampled_slices, "KEPT_BITS", 0)
     again, found_again = layers_and_findings(slices(wang_tiling, resolution=10), threads=2)
     assert again.tobytes() == found.tobytes()
     assert found_again == findings
@@ -79,7 +79,7 @@ def test_threads_and_slabs_change_no_byte(wang_tiling, ball, monkeypatch, pixel,
 
     first = made(1)
     assert made(2) == first
-    monkeypatch.setattr(field_slices, "SLAB_PIXELS", 1)
+    monkeypatch.setattr(sampled_slices, "SLAB_PIXELS", 1)
     assert made(1) == first
 
 

@@ -6,7 +6,7 @@ import pytest
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import DesignError, InputError
-from sppm_pipeline.fields import mesh_slices
+from sppm_pipeline.fields import sampled_slices
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_knot_mesh
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.slice.field import SliceField
@@ -43,11 +43,11 @@ def slices(mesh, context=None, **options):
 def middles(stack):
     nx, ny, nz = stack.shape
     ox, oy, oz = stack.origin_mm
-    h, layer = stack.pixel_mm, stack.layer_mm
+    (hx, hy), layer = stack.pixel_mm, stack.layer_mm
     z, y, x = np.meshgrid(
         oz + (np.arange(nz) + 0.5) * layer,
-        oy + (np.arange(ny) + 0.5) * h,
-        ox + (np.arange(nx) + 0.5) * h,
+        oy + (np.arange(ny) + 0.5) * hy,
+        ox + (np.arange(nx) + 0.5) * hx,
         indexing="ij",
     )
     return x, y, z
@@ -111,7 +111,7 @@ def test_slabs_and_gray(monkeypatch):
     padded[:, : fine.shape[1], : fine.shape[2]] = fine
     share = padded.reshape(-1, ny, 3, nx, 3).mean((2, 4))
     assert np.abs(shades - share).max() <= 0.5 + 1e-6
-    monkeypatch.setattr(mesh_slices, "SLAB_PIXELS", 1)
+    monkeypatch.setattr(sampled_slices, "SLAB_PIXELS", 1)
     assert layers(slices(KNOT, pixel=0.3, layer=0.2)).tobytes() == found.tobytes()
 
 
@@ -131,7 +131,7 @@ def test_a_mesh_with_a_hole_wound_at_random(inside, monkeypatch):
     assert any("not closed" in warning for warning in context.warnings)
     assert 0 < findings["undecided_share"] < 0.05
     for limit in ("SLAB_PIXELS", "VOTED_PIXELS"):
-        monkeypatch.setattr(mesh_slices, limit, 10_000)
+        monkeypatch.setattr(sampled_slices, limit, 10_000)
     assert layers(slices(broken, pixel=0.3, inside=inside)).tobytes() == found.tobytes()
 
 

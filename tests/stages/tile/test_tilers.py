@@ -59,6 +59,29 @@ def test_without_a_wish_the_recipe_s_level_stays(recipe):
     assert WangTileSet(colors=1, resolution=8).run(PlainContext(1), recipe(level=0.31)).micro.level == 0.31
 
 
+@pytest.mark.parametrize(
+    "stage",
+    [
+        WangTileSet(colors=2, resolution=8),
+        FreeFacesTileSet(colors=1, interiors=3, resolution=8),
+        CornerColorsTileSet(colors=2, interiors=3, resolution=8),
+        FreshTiling(cells=(2, 1, 1)),
+    ],
+)
+def test_interiors_without_faces_do_not_fit_together(stage):
+    from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+    from sppm_pipeline.stages.field.gaussian import GaussianField
+
+    bare = recipe_of(
+        Elimination(count=8),
+        BoundedDegreeSubgraph(mode="greedy"),
+        GaussianField(pore_radius=Length(0.1), tunnel_radius=Length(0.03)),
+    )
+    arguments = (None,) if isinstance(stage, FreshTiling) else ()
+    with pytest.raises(DesignError, match=r"makes \[0, 0, 0\] face patterns"):
+        stage.run(PlainContext(1), bare, *arguments)
+
+
 def test_a_tolerance_out_of_reach(recipe):
     with pytest.raises(DesignError, match="finer grid"):
         WangTileSet(colors=1, porosity=0.5, resolution=8, tolerance=1e-9).run(PlainContext(1), recipe())

@@ -35,7 +35,7 @@ def test_files_are_the_layers_upside_up(wang_tiling, tmp_path, bits):
     for k, name in enumerate(names):
         with Image.open(tmp_path / "slices" / name) as image:
             assert image.mode == ("L" if bits == 8 else "1")
-            assert image.info["dpi"][0] == pytest.approx(25.4 / stack.pixel_mm, rel=2e-3)
+            assert image.info["dpi"][0] == pytest.approx(25.4 / stack.pixel_mm[0], rel=2e-3)
             assert np.array_equal(np.asarray(image.convert("L")), found[k, ::-1])
     assert told["layers"] == 21
     assert told["bytes"] == sum((tmp_path / "slices" / n).stat().st_size for n in names)
@@ -46,7 +46,8 @@ def test_the_manifest_says_what_a_printer_needs(wang_tiling, tmp_path):
     stack, told = written(wang_tiling, tmp_path, path="out/layers")
     manifest = json.loads((tmp_path / "out/layers/manifest.json").read_text())
     assert (manifest["width_px"], manifest["height_px"], manifest["layers"]) == (28, 21, 21)
-    assert manifest["pixel_mm"] == manifest["layer_mm"] == pytest.approx(4 / 7)
+    assert manifest["pixel_mm"] == pytest.approx([4 / 7, 4 / 7])
+    assert manifest["layer_mm"] == pytest.approx(4 / 7)
     assert manifest["origin_mm"] == [0, 0, 0]
     assert manifest["bits"] == 1
     solid = sum(int((slab > 0).sum()) for _, slab in stack.slabs())

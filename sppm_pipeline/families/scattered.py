@@ -1,0 +1,136 @@
+"""Samplers and connectors on blocks without faces: how one method that knows a cell serves a whole lattice."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.palette import Blocks
+from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.stage import Context
+
+if TYPE_CHECKING:
+    from sppm_pipeline.families.connector import Connector
+    from sppm_pipeline.families.sampler import Sampler
+
+
+def with_darts(
+    context: Context, base: PoreSet, blocks: Blocks, mean: float, spacing: float, *, obstacles: bool = True
+) -> PoreSet:
+    """Throw darts into all blocks, `mean` pores each, by the compiled way.
+
+    Parameters
+    ----------
+    context : Context
+    base : PoreSet
+        Pores thrown before.
+    blocks : Blocks
+    mean : float
+        Pores of a block; fractions are carried from block to block.
+    spacing : float
+        Cell sizes.
+    obstacles : bool
+        Whether to keep the spacing from the pores thrown before, too.
+    """
+    from sppm_pipeline.numerics.sampling.blocks import block_quotas, check_block_spacing, throw_blocks
+
+    check_block_spacing(mean, spacing)
+    before = (base.centers, _first_of_blocks(base.piece, blocks)) if obstacles and len(base.centers) else None
+    quotas = block_quotas(blocks.mask, mean)
+    seed = int(context.rng().integers(0, 2**64, dtype=np.uint64))
+    centers, first = throw_blocks(
+        seed, quotas, spacing, periodic=blocks.periodic, before=before, threads=context.threads
+    )
+    number = np.repeat(blocks.numbers.ravel(), np.diff(first))
+    return _extended(base, blocks, centers, number, spacing)
+
+
+def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Blocks) -> PoreSet:
+    """Call the sampler's `throw` for every block, with the pores of all neighbors thrown before as obstacles.
+
+    Raises
+    ------
+    DesignError
+        If the lattice repeats and is one block wide along some axes, but not along all.
+    """
+    from sppm_pipeline.families.sampler import InteriorBox
+    from sppm_pipeline.numerics.sampling.blocks import block_colors
+
+    alone = blocks.periodic and blocks.shape == (1, 1, 1)
+    if blocks.periodic and min(blocks.shape) == 1 and not alone:
+        raise DesignError(
+            f"{sampler.name} throws block by block, and a box of {list(blocks.shape)} blocks that repeats has blocks "
+            "that are their own neighbors",
+            hint="give at least 2 cells along each axis",
+        )
+    spacing = sampler.requested_spacing(base.cell) or base.spacing
+    sites, numbers = blocks.sites, blocks.numbers
+    thrown = [base.of_piece(t) for t in range(base.interiors)]
+    new: list[NDArray[np.float64]] = [np.zeros((0, 3))] * base.interiors
+    shifts = [np.array(step) for step in itertools.product((-1, 0, 1), repeat=3)]
+    colors = block_colors(blocks.shape, blocks.periodic)[tuple(sites.T)]
+    for done, t in enumerate(np.argsort(colors, kind="stable")):
+        around = [thrown[t]] if alone else []
+        for shift in () if alone else shifts:
+            place = sites[t] + shift
+            if blocks.periodic:
+                place %= blocks.shape
+            if (place >= 0).all() and (place < blocks.shape).all() and numbers[tuple(place)] >= 0:
+                around.append(thrown[numbers[tuple(place)]] + shift)
+        box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, face_pores=0)
+        new[t] = sampler.thrown(context, int(t), box)
+        thrown[t] = np.concatenate([thrown[t], new[t]])
+        context.progress(done + 1, base.interiors, "blocks")
+    number = np.repeat(np.arange(base.interiors), [len(points) for points in new])
+    return _extended(base, blocks, np.concatenate(new), number, sampler.kept_spacing(base.cell, base))
+
+
+def _extended(
+    base: PoreSet, blocks: Blocks, centers: NDArray[np.float64], number: NDArray[np.integer], spacing: float | None
+) -> PoreSet:
+    """The pores of before and the new ones, sorted by block."""
+    changes = {"spacing": spacing, "blocks": blocks, "colors": (0, 0, 0)}
+    if not len(base.centers):
+        return replace(base, centers=centers, piece=number.astype(np.int32), **changes)
+    both = base.extended(centers, number.astype(np.int32), **changes)
+    order = np.argsort(both.piece, kind="stable")
+    return replace(both, centers=both.centers[order], piece=both.piece[order])
+
+
+def _first_of_blocks(piece: NDArray[np.int32], blocks: Blocks) -> NDArray[np.int64]:
+    """Where the pores of each block of the lattice begin, (blocks + 1,)."""
+    counts = np.zeros(blocks.mask.size, np.int64)
+    counts[blocks.mask.ravel()] = np.bincount(piece, minlength=int(blocks.mask.sum()))
+    return np.concatenate([[0], np.cumsum(counts)])
+
+
+def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGraph:
+    """Join the pores of all blocks into one graph.
+
+    Raises
+    ------
+    ConfigError
+        If the sampler knows nothing of blocks.
+    """
+    from sppm_pipeline.families.connector import Cloud
+
+    blocks = pores.blocks
+    if blocks is None:
+        raise ConfigError(
+            "a sampler of this recipe throws cells that know nothing of their neighbors, which can't be scattered",
+            hint="use `sample.dart_throwing`, or lay cells by `tile.fresh`",
+        )
+    sites = blocks.sites
+    points = pores.centers + sites[pores.piece]
+    periodic = (blocks.periodic,) * 3
+    cloud = Cloud(points, _first_of_blocks(pores.piece, blocks), blocks.shape, periodic, pores.cell)
+    edges, shift = connector.join_cloud(context, cloud)
+    shift = shift + sites[pores.piece[edges[:, 1]]]
+    shift -= sites[pores.piece[edges[:, 0]]]
+    return TunnelGraph(pores, edges, shift)

@@ -1,0 +1,118 @@
+"""Windows over a lattice of blocks of pores: a graph that is too large for one search is joined window by window.
+
+Pores are sorted by block, blocks by lattice place in C order of (x, y, z). Windows are boxes of blocks that share no
+block and together hold all of them; a window may be looked at with a margin of pores from the blocks around it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Lattice(NamedTuple):
+    """Pores sorted by the blocks of a lattice.
+
+    Attributes
+    ----------
+    points : (n, 3) float64
+        The unit is the edge of a block; block (x, y, z) fills [x, x + 1] x [y, y + 1] x [z, z + 1].
+    first : (blocks + 1,) int64
+        Where the pores of each block begin.
+    shape : 3 ints
+        Blocks along x, y and z.
+    period : (3,) float64
+        `shape` along axes that repeat, else 0.
+    """
+
+    points: NDArray[np.float64]
+    first: NDArray[np.int64]
+    shape: tuple[int, int, int]
+    period: NDArray[np.float64]
+
+    @property
+    def spacing(self) -> float:
+        """Cube root of the mean room of a pore, over the blocks that have any."""
+        return float((np.count_nonzero(np.diff(self.first)) / max(len(self.points), 1)) ** (1 / 3))
+
+
+class Window(NamedTuple):
+    """Pores of a window and of its margin.
+
+    Attributes
+    ----------
+    pores : (n,) int64
+        By block and index; a pore may occur several times, as different images.
+    turns : (n, 3) int64
+        Whole cells from each pore to its image here.
+    own : (n,) bool
+        Whether it lies in a block of the window, not in the margin.
+    """
+
+    pores: NDArray[np.int64]
+    turns: NDArray[np.int64]
+    own: NDArray[np.bool_]
+
+
+def window_edge(lattice: Lattice, most: int, margin: float = 0.0) -> int:
+    """Blocks along the edge of the largest cubic window that holds, margin included, about `most` pores."""
+    room = (most ** (1 / 3)) * lattice.spacing - 2 * margin
+    return max(1, int(room))
+
+
+def window_corners(shape: tuple[int, int, int], edge: int, offset: int = 0) -> Iterator[NDArray[np.int64]]:
+    """Low and high block (2, 3) of each window, in C order; by `offset` all windows are moved down, and those cut."""
+    cuts = [np.unique(np.clip(np.arange(-offset, size + edge, edge), 0, size)) for size in shape]
+    for i in range(len(cuts[0]) - 1):
+        for j in range(len(cuts[1]) - 1):
+            for k in range(len(cuts[2]) - 1):
+                yield np.array([[c[m], c[m + 1]] for c, m in zip(cuts, (i, j, k), strict=True)]).T
+
+
+def window(lattice: Lattice, corners: NDArray[np.int64], margin: float = 0.0) -> Window:
+    """The pores of the blocks between two corners, and those at most `margin` away from that box along any axis."""
+    shape = np.array(lattice.shape)
+    period = lattice.period.astype(np.int64)
+    around = int(np.ceil(margin))
+    low = np.where(period > 0, corners[0] - around, np.maximum(corners[0] - around, 0))
+    high = np.where(period > 0, corners[1] + around, np.minimum(corners[1] + around, shape))
+    blocks = np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), -1)
+    blocks = blocks.reshape(-1, 3)
+    number = np.ravel_multi_index(tuple((blocks % shape).T), lattice.shape)
+    count = lattice.first[number + 1] - lattice.first[number]
+    before = np.cumsum(count) - count
+    pores = np.repeat(lattice.first[number] - before, count) + np.arange(count.sum())
+    turns = np.repeat(blocks - blocks % shape, count, axis=0)
+    own = np.repeat(((blocks >= corners[0]) & (blocks < corners[1])).all(axis=1), count)
+    places = lattice.points[pores] + turns
+    near = own | ((places >= corners[0] - margin) & (places <= corners[1] + margin)).all(axis=1)
+    return Window(pores[near], turns[near], own[near])
+
+
+def edges_of_window(
+    found: Window, edges: NDArray[np.int64], shifts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The edges among pores of a window with margin that belong to the window: those whose lower pore is its own.
+
+    Windows that overlap by their margins thus report each edge once. Edges between images of one pore are dropped.
+
+    Parameters
+    ----------
+    found : Window
+    edges, shifts : (m, 2), (m, 3) int64
+        Between positions in ``found.pores``.
+
+    Returns
+    -------
+    edges, shifts : (e, 2), (e, 3) int64
+        Between pores i < j, from ``points[i]`` to ``points[j] + shift``.
+    """
+    pores = found.pores[edges]
+    turned = pores[:, 0] > pores[:, 1]
+    ends = np.where(turned[:, None], edges[:, ::-1], edges)
+    kept = found.own[ends[:, 0]] & (pores[:, 0] != pores[:, 1])
+    moved = np.where(turned[:, None], -shifts, shifts) + found.turns[ends[:, 1]] - found.turns[ends[:, 0]]
+    return found.pores[ends[kept]], moved[kept]

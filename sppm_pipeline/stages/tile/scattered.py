@@ -1,0 +1,76 @@
+"""``tile.scattered``: pores scattered over the whole part, without faces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Blocks, Palette
+from sppm_pipeline.data.size import RecipeSize, Size
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import lattice_for, options, tiling_size
+from sppm_pipeline.families.tiler import at_porosity, check_repeats
+from sppm_pipeline.fields.microstructure import Microstructure
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
+from sppm_pipeline.stage import Context, Recipe, Stage
+
+HALO = 1
+"""Blocks around the part that get pores, too, as kernels reach out of their block."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScatteredTiling(Stage):
+    """Scatter pores over the whole part: there are no faces, and nothing repeats.
+
+    An extension of the paper. The lattice only says how many pores lie in each of its blocks: the recipe's number for a
+    cell, faces and interior together. Pores keep their spacing and are joined across blocks.
+    """
+
+    name: ClassVar[str] = "tile.scattered"
+    advice: ClassVar[str] = "give larger cells, or use `tileset.free_faces` with many interiors"
+
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
+    periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
+    porosity: float | None = options.porosity(None, note="that of the assembly; the recipe's own level if omitted")
+    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
+
+    def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
+        made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
+        recipe(palette, made.cells)
+        trial = min(made.cells, 64) * float(self.resolution) ** 3 if self.porosity is not None else 0.0
+        counts = {"cells": made.cells, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
+        return made.at_porosity(self.porosity, **counts)
+
+    def check_options(self) -> None:
+        check_repeats(self.periodic, self.cells)
+
+    def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
+        """Throw and join the pores of all blocks of the part, and of those around it."""
+        from sppm_pipeline.numerics.sampling.blocks import dilated
+
+        lattice = lattice_for(self.cell, self.cells, cover, None)
+        halo = 0 if self.periodic else HALO
+        blocks = Blocks(dilated(np.pad(lattice.mask, halo)) if halo else lattice.mask, self.periodic)
+        micro = recipe.run(context, palette=Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks))
+        if not isinstance(micro, Microstructure):
+            raise ConfigError(
+                f"the recipe {recipe.name!r} makes a {type(micro).__name__}; scattered cells need a Microstructure",
+                hint="end the recipe with `field.gaussian`",
+            )
+        if micro.reach > HALO:
+            raise DesignError(
+                f"the kernels reach {micro.reach:.3g} cell sizes, but only the next cell is looked at",
+                hint="give larger cells with more pores, or smaller radii",
+            )
+        none = [np.full(tuple(n + (a == axis) for a, n in enumerate(blocks.shape)), -1, np.int32) for axis in range(3)]
+        arrays = TilingArrays(blocks.numbers, (none[0], none[1], none[2]), self.periodic, halo)
+        edge = lattice.edge if lattice.edge is not None else micro.edge_mm
+        tiling = Tiling(TileSet(micro, "fresh", 0), arrays, edge, lattice.origin)
+        return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)
