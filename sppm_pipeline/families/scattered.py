@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +83,8 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
                 place %= blocks.shape
             if (place >= 0).all() and (place < blocks.shape).all() and numbers[tuple(place)] >= 0:
                 around.append(thrown[numbers[tuple(place)]] + shift)
-        box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, face_pores=0)
+        own = np.column_stack([thrown[t], np.ones(len(thrown[t]))])
+        box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, 0, folded=own)
         new[t] = sampler.thrown(context, int(t), box)
         thrown[t] = np.concatenate([thrown[t], new[t]])
         context.progress(done + 1, base.interiors, "blocks")
@@ -95,7 +96,7 @@ def _extended(
     base: PoreSet, blocks: Blocks, centers: NDArray[np.float64], number: NDArray[np.integer], spacing: float | None
 ) -> PoreSet:
     """The pores of before and the new ones, sorted by block."""
-    changes = {"spacing": spacing, "blocks": blocks, "colors": (0, 0, 0)}
+    changes: dict[str, Any] = {"spacing": spacing, "blocks": blocks, "colors": (0, 0, 0)}
     if not len(base.centers):
         return replace(base, centers=centers, piece=number.astype(np.int32), **changes)
     both = base.extended(centers, number.astype(np.int32), **changes)

@@ -37,7 +37,7 @@ _STEPS, _STARTS = 5000, 30
 _STUCK = 1e-5
 """Slope along the step over energy, below which a minimum above zero is near; on the way to zero it is about 2."""
 _MEMORY = 20
-# what is kept above the spacing, so that a soft repulsion of `TOLERANCE` still means that the spacing is kept
+# added to spacing and walls, so that they are kept although `TOLERANCE` leaves a trace of the soft repulsion
 _MARGIN = 3e-6
 
 
@@ -131,8 +131,8 @@ def throw_stealthy(
             return points % 1.0 % 1.0 if around.periodic else points  # -1e-17 % 1.0 is 1.0
     apart = f", {spacing:.4g} apart" if spacing else ""
     raise DesignError(
-        f"{count} pores{apart}, can't be hidden from {2 * waves.number} waves: after {_STARTS} starts of {_STEPS} steps "
-        f"structure factor and overlaps are {loudest:.2g}, allowed are {TOLERANCE:g}",
+        f"{count} pores{apart}, can't be hidden from {2 * waves.number} waves: after the last of {_STARTS} starts a "
+        f"structure factor or overlap of {loudest:.2g} is left, allowed is {TOLERANCE:g}",
         hint="give a smaller `stealth`" + (" or a smaller `spacing`" if spacing else "") + ", or another seed",
     )
 
@@ -144,6 +144,7 @@ class _Landscape:
         self._waves, self._spacing, self._around, self._seen = waves, spacing, around, seen
         self._waves_of = np.empty((2, count, 3, 2 * waves.reach + 1))
         self._weight = np.ones(count)
+        self._lower, self._upper = around.lower + _MARGIN, around.upper - _MARGIN
         self._background = collective_density(around.fixed, waves, around.weight)
         self.longest_step = 0.2 * count ** (-1 / 3)
 
@@ -163,7 +164,7 @@ class _Landscape:
             _repel(points, around.obstacles, around.periodic, self._spacing, overlaps, gradient)
             energy, largest = energy + overlaps[0], max(largest, overlaps[1])
         if not around.periodic:
-            depth = np.maximum(around.lower - points, 0) - np.maximum(points - around.upper, 0)
+            depth = np.maximum(self._lower - points, 0) - np.maximum(points - self._upper, 0)
             energy, largest = energy + float((depth**2).sum()), max(largest, float((depth**2).max()))
             gradient -= 2 * depth
         return energy, gradient, largest

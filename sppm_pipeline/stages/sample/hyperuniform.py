@@ -14,6 +14,7 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import InteriorBox, Sampler, options
 from sppm_pipeline.families.sampler import Meetings
 from sppm_pipeline.stage import Context, option
+from sppm_pipeline.stages.sample.dart_throwing import HALF_PACKED
 
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.sampling.structure_factor import Waves
@@ -43,7 +44,7 @@ class Hyperuniform(Sampler):
         minimum=0.05,
         maximum=0.5,
     )
-    spacing: Length | None = options.spacing(None, note="that of the face pores if omitted, else none is kept")
+    spacing: Length | None = options.spacing(None, note="that of the face pores if omitted, else that of half packing")
 
     def check_options(self) -> None:
         if (self.count is None) == (self.total is None):
@@ -58,8 +59,10 @@ class Hyperuniform(Sampler):
         return whole / 2 if self.gap is None else whole
 
     def kept_spacing(self, cell: Cell, before: PoreSet) -> float | None:
-        known = [spacing for spacing in (self.requested_spacing(cell), before.spacing) if spacing is not None]
-        return min(known) if known and (before.spacing is not None or not len(before.centers)) else None
+        own = self.requested_spacing(cell) or before.spacing
+        if not len(before.centers):
+            return own or self._half_packed(0)
+        return min(own, before.spacing) if own and before.spacing else None
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Move the pores of all interiors; report the waves that were silenced and the smallest distance."""
@@ -67,29 +70,40 @@ class Hyperuniform(Sampler):
         from sppm_pipeline.numerics.sampling.structure_factor import structure_factor
 
         thrown = super().run(context, pores)
-        waves = self._waves(len(thrown.of_piece(0)) - (len(pores.of_piece(0)) if pores else 0), thrown.has_faces)
-        cells = [Meetings(thrown, context.palette).folded(t) for t in range(thrown.interiors)]
-        closest = min(min_spacing(thrown.of_piece(t), (not thrown.has_faces,) * 3) for t in range(thrown.interiors))
+        meetings = Meetings(thrown, context.palette)
+        loudest = 0.0
+        for t in range(thrown.interiors):
+            placed = len(thrown.of_piece(t)) - (len(pores.of_piece(t)) if pores else 0)
+            waves, cell = self._waves(placed, thrown.has_faces), meetings.folded(t)
+            loudest = max(loudest, float(structure_factor(cell[:, :3], waves, cell[:, 3]).max()))
+        repeats = (not thrown.has_faces and thrown.blocks is None,) * 3
         context.report(
             waves=2 * waves.number,
             shortest_wave=1 / waves.radius,
-            largest_structure_factor=max(
-                float(structure_factor(cell[:, :3], waves, cell[:, 3]).max()) for cell in cells
-            ),
-            smallest_distance=closest,
+            largest_structure_factor=loudest,
+            smallest_distance=min(min_spacing(thrown.of_piece(t), repeats) for t in range(thrown.interiors)),
         )
         return thrown
+
+    def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
+        from sppm_pipeline.numerics.sampling.stealthy import Surroundings, throw_stealthy
+
+        fixed, weight = box.folded[:, :3], box.folded[:, 3]
+        before = box.face_pores or len(fixed)
+        count = max(self.total - before, 0) if self.total is not None else self.count
+        assert count is not None
+        around = Surroundings(box.lower, box.upper, box.periodic, fixed, weight, box.obstacles)
+        spacing = box.spacing or self._half_packed(before)
+        return throw_stealthy(rng, count, self._waves(count, box.face_pores > 0), spacing, around)
+
+    def _half_packed(self, before: int) -> float:
+        """The spacing at which the pores of a cell are half as many as fit."""
+        from sppm_pipeline.numerics.sampling.capacity import largest_spacing
+
+        pores = self.total or (self.count or 0) + before
+        return largest_spacing(max(round(pores / HALF_PACKED), 1), (1.0, 1.0, 1.0), periodic=True)
 
     def _waves(self, count: int, has_faces: bool) -> Waves:
         from sppm_pipeline.numerics.sampling.stealthy import stealthy_waves
 
         return stealthy_waves(count, self.stealth or (BETWEEN_FACES if has_faces else PERIODIC))
-
-    def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
-        from sppm_pipeline.numerics.sampling.stealthy import Surroundings, throw_stealthy
-
-        count = self.count if self.total is None else max(self.total - box.face_pores, 0)
-        assert count is not None
-        fixed, weight = box.folded[:, :3], box.folded[:, 3]
-        around = Surroundings(box.lower, box.upper, box.periodic, fixed, weight, box.obstacles)
-        return throw_stealthy(rng, count, self._waves(count, not box.periodic), box.spacing or 0.0, around)
