@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 from sppm_pipeline.hookspecs import hookimpl
 
 if TYPE_CHECKING:
+    from sppm_pipeline.hookspecs import Preset
     from sppm_pipeline.stage import StageAlias
 
-__all__ = ["BUILT_IN", "STAGE_ALIASES", "sppm_stage_aliases", "sppm_stages"]
+__all__ = ["BUILT_IN", "STAGE_ALIASES", "sppm_presets", "sppm_stage_aliases", "sppm_stages"]
 
 BUILT_IN = {
     "read.mesh": "ReadMesh",
@@ -108,3 +109,11 @@ def sppm_stage_aliases() -> dict[str, str | StageAlias]:
         return StageAlias(name, {"path": f"{stem}.{former.removeprefix('write.')}"})
 
     return {former: alias(former, name) for former, name in STAGE_ALIASES.items()}
+
+
+@hookimpl
+def sppm_presets() -> dict[str, Preset]:
+    """Recipes for what users ask most."""
+    from sppm_pipeline.stages.presets import PRESETS
+
+    return PRESETS
