@@ -21,6 +21,8 @@ class PoreSet(Artifact):
     Pieces are numbered: interior t is piece t; the face pattern perpendicular to `axis` with color k is piece
     ``interiors + sum(colors[:axis]) + k``. A face pore is listed once, in the plane coordinate 0 of its axis; its
     twin on the opposite face is its image at coordinate 1 (paper, section 2.1, "Boundary Periodicity Regulation").
+    Pores on an edge or a corner belong to one face pattern that touches it, in the low planes: they have two or three
+    coordinates 0 and images at both ends of each of these.
 
     Attributes
     ----------
@@ -97,6 +99,14 @@ class PoreSet(Artifact):
     def axis_of_piece(self) -> NDArray[np.int64]:
         """For each piece its face axis 0, 1, 2, or -1 for interiors."""
         return np.repeat([-1, 0, 1, 2], [self.interiors, *self.colors])
+
+    def around_edges(self) -> NDArray[np.float64]:
+        """Places of all pores on edges and corners, of all colors, at all edges and corners of the cell, (k, 3)."""
+        lying = (self.piece >= self.interiors) & ((self.centers == 0).sum(1) > 1)
+        low = np.unique(self.centers[lying], axis=0)
+        for axis in range(3):
+            low = np.concatenate([low, low[low[:, axis] == 0] + np.eye(3)[axis]])
+        return low
 
     def face_piece(self, axis: int, color: int) -> int:
         """Piece number of a face pattern."""

@@ -36,6 +36,7 @@ periodic = _shared("opposite sides are neighbors, as homogenization needs it")
 resolution = _shared("voxels along an edge of the cell", unit="voxels", minimum=2, maximum=1024)
 voxel = _shared("edge of a voxel", unit="mm", above=0, maximum=1e6)
 islands = _shared("what becomes of disconnected solid", choices=("remove", "keep"))
+exact = _shared("sum the kernels at every sample of fine grids, too, instead of interpolating between coarser sums")
 
 # pores
 count = _shared("number of pores that the stage places", minimum=0, maximum=100_000)

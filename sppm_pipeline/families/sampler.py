@@ -36,7 +36,7 @@ class InteriorBox(NamedTuple):
     spacing : float or None
         Spacing of the pores thrown before, cell sizes.
     face_pores : int
-        Pores on the faces of one cell, opposite faces counted once.
+        Pores on the faces of one cell, opposite faces counted once; the mean where colors differ.
     folded : (m, 4) float64
         The pores that are there already, images and opposite faces left out: positions in cell sizes, and in which
         share of the cells of this interior they stand.
@@ -136,7 +136,8 @@ class Sampler(Stage):
                 hint="give a smaller `gap` or a smaller spacing",
             )
         meetings = Meetings(base, context.palette)
-        face_pores = sum(len(base.of_piece(base.face_piece(axis, 0))) for axis in range(3) if base.colors[axis])
+        on_axis = np.bincount(base.axis_of_piece()[base.piece] + 1, minlength=4)[1:]
+        face_pores = round(sum(n / c for n, c in zip(on_axis, base.colors, strict=True) if c))
         centers, piece = [], []
         for t in range(base.interiors):
             own = base.of_piece(t)
@@ -194,10 +195,11 @@ def start_of(edge: Length | None, pores: PoreSet | None, interiors: int) -> tupl
 
 
 class Meetings:
-    """Which face pores an interior may meet: with an open palette all, else those of its own faces."""
+    """Pores that an interior may meet: on faces with an open palette all, else those of its own; on edges all."""
 
     def __init__(self, pores: PoreSet, palette: Palette) -> None:
         self._pores = pores
+        self._edges = pores.around_edges()
         self._rows = palette.meetings if pores.has_faces else None
         if self._rows is not None:
             self._rows = self._rows[np.argsort(self._rows[:, 0], kind="stable")]
@@ -205,7 +207,7 @@ class Meetings:
             return
         axis = pores.axis_of_piece()[pores.piece]
         low, normal = pores.centers[axis >= 0], np.eye(3)[axis[axis >= 0]]
-        self._all = np.concatenate([low, low + normal])
+        self._all = np.concatenate([low, low + normal, self._edges])
         if max(pores.colors) == 1:
             # patterns go on in their planes beside the cell; those of several colors keep a margin instead
             shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))[:, None]
@@ -240,7 +242,7 @@ class Meetings:
         """Face pores around one interior, in the coordinates of its cell, (k, 3)."""
         if self._rows is None:
             return self._all
-        around = [np.zeros((0, 3))]
+        around = [self._edges]
         for _, axis, side, color in self._rows_of(interior):
             around.append(self._pores.of_piece(self._pores.face_piece(axis, color)) + side * np.eye(3)[axis])
         return np.concatenate(around)

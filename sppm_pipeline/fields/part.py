@@ -118,6 +118,17 @@ class Part(WrappedField):
         solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
         return solid
 
+    def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
+        """Warning for voxels larger than the skin is thick, which leave it open; None for smaller ones."""
+        largest = max(voxel_mm)
+        if not 0 < self.skin_mm < largest * (1 - 1e-6):
+            return None
+        which = "layers" if voxel_mm[2] == largest else "pixels"
+        return (
+            f"the skin of {self.skin_mm:g} mm is thinner than {which} of {largest:g} mm, which leaves it open across "
+            f"them; make it thicker, or the {which} finer"
+        )
+
     def _in_domain(self, grid: Grid) -> DomainSampler:
         """The sampler of the domain on a grid; the last one is kept, as slab after slab asks for the same grid."""
         sampler = _SAMPLERS.get(self)

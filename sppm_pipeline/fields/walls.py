@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 _SAMPLERS = 32
 """Layouts of one microstructure whose Voronoi cells are kept."""
 
+DEPTH = 0.2
+"""Mean distances of pores from a tunnel, farther than which the field does not look at it: no wall is as thick."""
+
 
 @dataclass(frozen=True, eq=False)
 class WalledMicrostructure(Microstructure):
@@ -43,6 +46,14 @@ class WalledMicrostructure(Microstructure):
     @property
     def additive(self) -> bool:
         return False
+
+    @property
+    def coarse_pitch(self) -> None:
+        """Walls have creases, between which nothing may be interpolated."""
+        return None
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.alone(0, (0, 0, 0)).own_values(grid, start, stop, threads)
 
     @property
     def finest_radius(self) -> float | None:
@@ -91,7 +102,8 @@ class WalledMicrostructure(Microstructure):
         if key not in kept:
             if len(kept) >= _SAMPLERS:
                 kept.pop(next(iter(kept)), None)
-            margin = 2 * (self.finest_radius or 0.0) + self.rounding
+            depth = max(2 * (self.finest_radius or 0.0), DEPTH * self.graph.pores.per_cell ** (-1 / 3))
+            margin = depth + self.rounding
             kept[key] = WallSampler(self.pieces, arrays, self.rounding, margin)
         return kept[key]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,9 @@ class WrappedField(ScalarField):
     @property
     def origin_mm(self) -> tuple[float, float, float]:
         return self.base.origin_mm
+
+    def exactly(self) -> Self:
+        return replace(self, base=self.base.exactly())
 
     def summary(self) -> dict[str, Any]:
         """The summary of the field it was made from."""

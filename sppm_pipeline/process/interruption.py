@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import queue
 import signal
 import sys
 import threading
@@ -20,6 +21,7 @@ from types import FrameType
 from typing import Protocol
 
 from sppm_pipeline.errors import SppmError
+from sppm_pipeline.process.activity import leave
 from sppm_pipeline.process.tree import signal_below
 
 PATIENCE = 0.6
@@ -27,6 +29,9 @@ PATIENCE = 0.6
 
 POLL = 0.1
 """Seconds after which the main thread looks for signals that were handed to another thread, which do not wake it."""
+
+BEGINNING = 0.2
+"""Seconds that threads are given to begin before an exception is raised in the one that started them."""
 
 STACK = 16 << 20
 """Bytes of stack; that of the main thread is smaller on some systems, and that of threads always is on macOS."""
@@ -130,7 +135,8 @@ def interruptibly(work: Callable[[], int], notify: Callable[[], None]) -> int:
         return work()
     outcome: list[int | BaseException] = []
     signals: list[int] = []
-    wake = threading.Event()
+    # a queue, as a signal may arrive while the main thread holds the lock inside of an event
+    wake: queue.SimpleQueue[None] = queue.SimpleQueue()
 
     def target() -> None:
         try:
@@ -138,19 +144,20 @@ def interruptibly(work: Callable[[], int], notify: Callable[[], None]) -> int:
         except BaseException as error:
             outcome.append(error)
         finally:
-            wake.set()
+            wake.put(None)
 
     def arrived(number: int, frame: FrameType | None) -> None:
         signals.append(number)
-        wake.set()
+        wake.put(None)
 
     before = threading.stack_size(STACK)
     thread = threading.Thread(target=target, name="sppm-work", daemon=True)
     with _handled(arrived):
         thread.start()
         threading.stack_size(before)
-        while not wake.wait(POLL):
-            pass
+        while not (outcome or signals):
+            with contextlib.suppress(queue.Empty):
+                wake.get(timeout=POLL)
         if signals and not outcome:
             _end(thread, outcome, signals, notify)
         thread.join()
@@ -182,7 +189,7 @@ def _end(
 ) -> None:
     """Ask for an end, wait for a moment, and enforce it; a second signal enforces it at once."""
     request()
-    _raise_in(thread)
+    raise_in(thread.ident or 0, KeyboardInterrupt)
     deadline = time.monotonic() + PATIENCE
     while not outcome and len(signals) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
@@ -194,14 +201,25 @@ def _end(
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
-    os._exit(128 + signals[0])
+    leave(128 + signals[0])
 
 
-def _raise_in(thread: threading.Thread) -> None:
-    """Raise `KeyboardInterrupt` in another thread, at its next step of Python."""
+def raise_in(thread: int, kind: type[BaseException] | None) -> None:
+    """Raise an exception in another thread, at its next step of Python; None takes back what was not raised yet.
+
+    Python looks for the first thread of that number, and a thread that is about to begin still has the number of the
+    one that starts it: it would die of the exception, and the right one go on. So this waits until none is beginning.
+
+    Parameters
+    ----------
+    thread : int
+        As `threading.get_ident` numbers them.
+    kind : type or None
+    """
     import ctypes
 
+    deadline = time.monotonic() + BEGINNING
+    while any(t.ident is None for t in threading.enumerate()) and time.monotonic() < deadline:
+        time.sleep(0.001)
     with contextlib.suppress(AttributeError):  # not every Python has it
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(
-            ctypes.c_ulong(thread.ident or 0), ctypes.py_object(KeyboardInterrupt)
-        )
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), kind and ctypes.py_object(kind))

@@ -23,6 +23,7 @@ BUILT_IN = {
     "sample.hyperuniform": "Hyperuniform",
     "connect.mst": "MinimumSpanningTree",
     "connect.mbdst": "BoundedDegreeSubgraph",
+    "connect.relative_neighbors": "RelativeNeighbors",
     "field.gaussian": "GaussianField",
     "field.walls": "WallsField",
     "tune.porosity": "TunePorosity",

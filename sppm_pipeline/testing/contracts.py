@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Cell
@@ -23,6 +24,7 @@ from sppm_pipeline.engine.config.options import options_of, parse_typed, plain_o
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.strict_json import json_text, jsonable
+from sppm_pipeline.fields.slice_stack import SliceStack
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.plain_context import PlainContext
 
@@ -173,3 +175,32 @@ class SamplerContract(StageContract):
             assert np.array_equal(pores.centers[:1], start.centers)
             assert len(pores.centers) > 1
             assert (pores.piece[1:] == 0).all()
+
+
+class SlicerContract(StageContract):
+    """What writers of layers expect of a stage that makes a stack of them."""
+
+    def test_layers_come_from_the_bottom_without_a_gap(self) -> None:
+        """As many and as large as the stack says; bytes that don't depend on threads, in between only if it is gray."""
+        for stage in self.stages():
+            stack, _ = self._run(stage)
+            assert isinstance(stack, SliceStack)
+            nx, ny, nz = stack.shape
+            found: list[NDArray[np.uint8]] = []
+            for start, slab in stack.slabs():
+                assert start == sum(len(one) for one in found), f"a slab starts at layer {start}"
+                assert slab.shape[1:] == (ny, nx), "layers are (ny, nx), rows along x"
+                assert slab.dtype == np.uint8
+                found.append(slab.copy())
+            layers = np.concatenate(found)
+            assert len(layers) == nz
+            assert np.array_equal(stack.to_array(threads=3), layers)
+            assert stack.gray or np.isin(layers, (0, 255)).all()
+
+    def test_pixels_have_a_pitch_along_x_and_one_along_y(self) -> None:
+        """A pair, also where both are equal, and a layer height."""
+        for stage in self.stages():
+            stack, _ = self._run(stage)
+            assert isinstance(stack.pixel_mm, tuple), "the pitch of square pixels is a pair, too"
+            assert len(stack.pixel_mm) == 2
+            assert min(*stack.pixel_mm, stack.layer_mm) > 0

@@ -104,6 +104,8 @@ def start(folder: Path, how: str, *words: str, sweep: bool = False) -> subproces
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # shells turn it off for jobs that they start with &
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
 
 

@@ -53,8 +53,20 @@ def test_layers_and_tables():
     reading = stack.slabs()
     assert len(list(reading)) == 3
     assert reading.findings["solid_volume_mm3"] == pytest.approx(20 * 0.1**2 * 0.05)
+    assert stack.pixel_mm == (0.1, 0.1)
+    oblong = sppm.SliceStack.from_array(layers, pixel_mm=(0.1, 0.2), layer_mm=0.05)
+    assert (oblong.pixel_mm, oblong.layer_mm) == ((0.1, 0.2), 0.05)
+    assert oblong.summary()["pixel_mm"] == [0.1, 0.2]
+    reading = oblong.slabs()
+    assert len(list(reading)) == 3
+    assert reading.findings["solid_volume_mm3"] == pytest.approx(20 * 0.1 * 0.2 * 0.05)
     with pytest.raises(ValueError, match="255"):
         sppm.SliceStack.from_array(np.full((1, 1, 1), 256), pixel_mm=1)
+    with pytest.raises(ValueError, match="layer_mm"):
+        sppm.SliceStack.from_array(layers, pixel_mm=(0.1, 0.2))
+    for wrong in ({"pixel_mm": 0.0}, {"pixel_mm": (0.1, -0.1), "layer_mm": 1}, {"pixel_mm": 0.1, "layer_mm": 0.0}):
+        with pytest.raises(ValueError, match="can't be printed"):
+            sppm.SliceStack.from_array(layers, **wrong)
     table = sppm.Table.from_arrays({"a": np.arange(3), "b": ["x", "y", "z"]})
     assert table.to_arrays()["a"].tolist() == [0, 1, 2]
     assert table.to_arrays()["b"].tolist() == ["x", "y", "z"]

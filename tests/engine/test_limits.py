@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import time
+
 import pytest
 
 from sppm_pipeline.engine.config.document import Override, parse_value, parse_yaml, plain, read_yaml
@@ -87,6 +90,40 @@ def test_encodings(tmp_path, data, words, place):
     assert words in caught.value.message
     assert caught.value.where is not None
     assert (caught.value.where.line, caught.value.where.column) == place
+
+
+@pytest.mark.parametrize("version", ["1.0", "1.3", "1.9", "1.22", "2.0", "x", ""])
+def test_another_version_of_yaml(version):
+    message, line, column = refused(f"# a comment\n\n%YAML {version}\n---\na: 1\n")
+    assert f"says that it is YAML {version}" in message
+    assert (line, column) == (3, 1)
+
+
+@pytest.mark.parametrize("version", ["1.1", "1.2"])
+def test_versions_that_are_read(version):
+    assert plain(parse_yaml(f"%YAML {version}\n---\na: no\nb: |\n  %YAML 1.9\n", "f")) == {
+        "a": "no",
+        "b": "%YAML 1.9\n",
+    }
+
+
+def seconds(text: str) -> float:
+    began = time.process_time()
+    with contextlib.suppress(ConfigError):
+        parse_yaml(text, "f.yaml")
+    return time.process_time() - began
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["# " + "x " * 32_000, "# " + "x" * 4000, "- |\n  " + "xx " * 1300, "- |\n  " + " " * 60_000],
+    ids=["long comments", "long words", "block texts", "blanks"],
+)
+def test_the_time_grows_with_the_size_only(line):
+    # what was quadratic took 40 to 1000 times as long as these short lines of the same size
+    size = 190_000
+    text = "sppm:\n" + f"{line}\n" * (size // len(line))
+    assert seconds(text) < 4 * seconds("sppm:\n" + "# x x x\n- |\n  xx\n" * (size // 17)) + 0.1
 
 
 def test_values_of_the_command_line_have_the_same_limits():

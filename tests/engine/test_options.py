@@ -94,6 +94,7 @@ def test_a_whole_number_becomes_a_float_where_a_float_is_wanted():
         ("numbers", [0, math.inf], "element 2"),
         ("either", "x", "an integer or a list of 3 integers"),
         ("either", [1, 2], "a list of 3 integers"),
+        ("either", [1, 0, 2], "element 2: expected an integer, at least 1, got 0"),
         ("maybe", "x", "an integer"),
         ("whole", None, "got nothing"),
     ],

@@ -39,6 +39,17 @@ def test_long_labels_shrink():
     assert np.nonzero(dark)[1].max() < 100
 
 
+@pytest.mark.parametrize("width", [37, 100, 320])
+def test_layers_of_pixels_that_are_not_square_keep_their_shape(width):
+    """A disk is a disk, averaged down or enlarged."""
+    x, y = (np.arange(50) + 0.5) * 0.2 - 5, (np.arange(100) + 0.5) * 0.1 - 5
+    disk = np.hypot(x, y[:, None]) < 5
+    picture = layer_sheet([disk], width=width, pixel=(0.2, 0.1), solid=(0, 0, 0), void=(255, 255, 255))[20:-20, 20:-20]
+    assert picture.shape[0] == picture.shape[1] == {37: 37, 100: 100, 320: 300}[width]
+    assert (picture[..., 0] / 255).mean() == pytest.approx(1 - disk.mean(), abs=1e-3)
+    assert np.array_equal(layer_sheet([disk], width=width), layer_sheet([disk], width=width, pixel=(3.0, 3.0)))
+
+
 def test_title_is_above():
     assert contact_sheet([RED], title="Title").shape[0] > contact_sheet([RED]).shape[0]
 

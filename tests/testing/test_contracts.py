@@ -12,8 +12,9 @@ import pytest
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError, WiringError
 from sppm_pipeline.families import InteriorBox, Sampler
+from sppm_pipeline.fields.slice_stack import ArraySlices, SliceStack
 from sppm_pipeline.stage import Context, Stage, option
-from sppm_pipeline.testing.contracts import SamplerContract, StageContract
+from sppm_pipeline.testing.contracts import SamplerContract, SlicerContract, StageContract
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 from sppm_pipeline.testing.synthetic import (
     LimitNumber,
@@ -120,6 +121,42 @@ class Liar(Stage):
         return Number(1)  # type: ignore[return-value]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Steps(Stage):
+    """Layers of a staircase."""
+
+    name: ClassVar[str] = "slice.steps"
+    pixel: float | tuple[float, float] = option((0.2, 0.3), help="pixel pitch", unit="mm", above=0, maximum=10)
+
+    def run(self, context: Context) -> SliceStack:
+        pitch = self.pixel if isinstance(self.pixel, tuple) else (self.pixel, self.pixel)
+        return self.stack(np.tri(3, 4, dtype=np.uint8)[None].repeat(2, axis=0) * np.uint8(255), (*pitch, 0.1))
+
+    def stack(self, layers: Any, pitch: tuple[float, float, float]) -> SliceStack:
+        return ArraySlices(layers, pitch)
+
+
+class TestSteps(SlicerContract):
+    def stages(self):
+        return [Steps(), Steps(pixel=0.5)]
+
+
+@dataclass(frozen=True, eq=False)
+class OldSlices(ArraySlices):
+    """One number for pixels, and layers in between without saying so."""
+
+    pixel_mm = 0.2
+    gray = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class OldSteps(Steps):
+    """As stacks were when pixels were square."""
+
+    def stack(self, layers: Any, pitch: tuple[float, float, float]) -> SliceStack:
+        return OldSlices(layers // 2, pitch)
+
+
 @pytest.mark.parametrize(
     ("contract", "stage", "test"),
     [
@@ -128,6 +165,8 @@ class Liar(Stage):
         (SamplerContract, Threaded(), "test_same_seed_same_result"),
         (SamplerContract, Stubborn(), "test_fills_every_interior_that_is_asked_for"),
         (SamplerContract, Stubborn(), "test_keeps_the_pores_that_are_there"),
+        (SlicerContract, OldSteps(), "test_pixels_have_a_pitch_along_x_and_one_along_y"),
+        (SlicerContract, OldSteps(), "test_layers_come_from_the_bottom_without_a_gap"),
         (StageContract, Liar(), "test_makes_what_it_announces"),
         (StageContract, Liar(), "test_has_a_name_of_family_and_word"),
         (StageContract, Liar(), "test_says_what_it_does"),
@@ -172,3 +211,8 @@ def test_recipes_of_stages():
     assert list(recipe.options()) == ["read.whole", "field.scale", "field.scale#2"]
     with pytest.raises(WiringError):
         recipe_of(ScaleNumber())
+
+
+def test_a_stack_whose_pixels_have_one_number_is_refused_by_the_engine():
+    with pytest.raises(ValueError, match=r"pitch along x and y, not 0\.2"):
+        OldSteps().run(PlainContext()).check()

@@ -35,9 +35,10 @@ MAX_DEPTH = 32
 MAX_NODES = 20_000
 """Values, counted with every alias and every parameter expanded."""
 
-_LONG_LINE = re.compile(rf"[^\r\n\x85\u2028\u2029]{{{MAX_LINE + 1}}}")
-_LONG_WORD = re.compile(rf"[^\s,\[\]{{}}]{{{MAX_SCALAR + 1}}}")
-_DEEP = re.compile(rf"(?:[\[{{][ \t]*){{{2 * MAX_DEPTH + 1}}}")
+# each looks only from where a line or a word begins: from every character on, it would take quadratic time
+_LONG_LINE = re.compile(rf"(?<![^\r\n\x85\u2028\u2029])[^\r\n\x85\u2028\u2029]{{{MAX_LINE + 1}}}")
+_LONG_WORD = re.compile(rf"(?<![^\s,\[\]{{}}])[^\s,\[\]{{}}]{{{MAX_SCALAR + 1}}}")
+_DEEP = re.compile(rf"(?:[\[{{][ \t]*+){{{2 * MAX_DEPTH + 1}}}")
 """Brackets on brackets: the parser looks ahead over a thousand of them, in quadratic time."""
 
 _ENCODINGS = {
@@ -95,6 +96,7 @@ def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None
     ConfigError
         At the line and column of the first offence.
     """
+    _refuse_version(text, file, fixed)
     found = _LONG_LINE.search(text)
     if found is not None:
         place = fixed or _place(text, found.start(), file)
@@ -106,6 +108,20 @@ def refuse_unparsed(text: str, file: str, fixed: Position | None = None) -> None
     found = _DEEP.search(text)
     if found is not None:
         raise ConfigError(f"nested deeper than {MAX_DEPTH} levels", where=fixed or _place(text, found.start(), file))
+
+
+def _refuse_version(text: str, file: str, fixed: Position | None) -> None:
+    """Refuse a ``%YAML`` directive, which comes before all content, of a version that the parser does not know."""
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if words[:1] == ["%YAML"] and words[1:2] not in (["1.1"], ["1.2"]):
+            raise ConfigError(
+                f"the file says that it is YAML {' '.join(words[1:2])[:20]}, which can't be read",
+                where=fixed or Position(file, number, 1),
+                hint="remove the line, or write %YAML 1.2",
+            )
+        if words and not line.startswith(("%", "#")):
+            break
 
 
 def parsable(text: str) -> str:

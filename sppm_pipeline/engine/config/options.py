@@ -195,16 +195,15 @@ def parse_typed(option: Option, value: Any, folder: Path) -> Any:
         if types.NoneType in members:
             return None
         raise ValueError(f"expected {allowed_words(option)}, got nothing")
-    first: ValueError | None = None
+    meant = []  # what those members say that are lists as the value is one, or are none
     for member in members:
         if member is not types.NoneType:
             try:
                 return _parse(member, value, option, folder)
             except ValueError as error:
-                first = first or error
-    if first is None or len([m for m in members if m is not types.NoneType]) > 1:
-        raise ValueError(f"expected {allowed_words(option)}, got {shown(value)}")
-    raise first
+                if (typing.get_origin(member) is tuple) == isinstance(value, (list, tuple)):
+                    meant.append(error)
+    raise meant[0] if len(meant) == 1 else ValueError(f"expected {allowed_words(option)}, got {shown(value)}")
 
 
 def _parse(kind: Any, value: Any, option: Option, folder: Path) -> Any:

@@ -11,7 +11,6 @@ import re
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -22,7 +21,7 @@ import pluggy
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
-from sppm_pipeline.process.containment import contained
+from sppm_pipeline.process.containment import guarded
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -209,7 +208,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         return PluginError(f"{plugin} can't be loaded: its import {message}")
 
     try:
-        with nullcontext() if plugin.builtin else contained(fault):
+        with guarded(f"the import of {plugin}", fault, builtin=plugin.builtin):
             module = load()
     except PluginError as error:
         plugin.error = error
@@ -241,13 +240,8 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         for hook, found, is_valid, expected in _SUPPLIED:
             for implementation in getattr(manager.hook, hook).get_hookimpls():
                 if implementation.plugin_name == plugin.name:
-                    with (
-                        nullcontext()
-                        if plugin.builtin
-                        else contained(
-                            lambda message, hook=hook: BrokenContract(f"{plugin}: {hook} {message}")  # type: ignore[misc]
-                        )
-                    ):
+                    fault_of_hook = lambda message, hook=hook: BrokenContract(f"{plugin}: {hook} {message}")  # noqa: E731
+                    with guarded(f"{hook} of {plugin}", fault_of_hook, builtin=plugin.builtin):
                         supplied = implementation.function()
                     if not isinstance(supplied, Mapping) or not all(isinstance(name, str) for name in supplied):
                         raise BrokenContract(f"{plugin}: {hook} must return a map of names, got {supplied!r:.80}")
@@ -361,7 +355,7 @@ def imported(plugin: Plugin, what: str, target: Any) -> Any:
         return PluginError(f"{plugin}: {what} can't be imported: the import {message}")
 
     try:
-        with nullcontext() if plugin.builtin else contained(fault):
+        with guarded(f"the import of {what} of {plugin}", fault, builtin=plugin.builtin):
             return getattr(importlib.import_module(module), attribute)
     except PluginError:
         raise

@@ -111,7 +111,7 @@ def face_counts(total: int, colors: int) -> NDArray[np.int64]:
 
 
 @jit
-def _throw_in_turn(
+def throw_in_turn(
     cells: CellList,
     stream: NDArray[np.uint64],
     margin: float,
@@ -240,7 +240,7 @@ def _thrown(
     while throws < attempts:
         throws += 1
         cells = empty_cell_list(rows, spacing, corner, corner + 1.0, (True, True, True))
-        placed = int(_throw_in_turn(cells, stream, margin, wanted).sum())
+        placed = int(throw_in_turn(cells, stream, margin, wanted).sum())
         if placed == rows:
             return [
                 [

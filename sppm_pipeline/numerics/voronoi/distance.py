@@ -25,11 +25,9 @@ _SLACK = 1e-9
 # Planes whose normal has a smaller part along x run along the rows.
 _ALONG = 1e-9
 _SHIFT = np.uint64(4)
-_FAR, _ZERO = np.float32(1e30), np.float32(0.0)
-#: Rows of work space before those of the planes: minimum, shift of the soft minimum, its sum and slope.
-PLANES = 4
+_FAR, _ZERO, _ONE = np.float32(1e30), np.float32(0.0), np.float32(1.0)
 # Newton's steps of a soft minimum, and the share of the squared radius at which they end.
-_STEPS, _ENOUGH = 12, np.float32(1e-6)
+_STEPS, _ENOUGH = 12, np.float32(1e-5)
 
 
 def raise_to_distance(
@@ -63,10 +61,10 @@ def raise_to_distance(
 
     def fill(start: int, stop: int) -> None:
         block = out[start:stop]
-        rows = np.empty((most + PLANES) * (grid.shape[0] + LANES), np.float32)
-        planes = np.empty((most, 4)), np.empty(most), np.empty(most)
+        rows = [np.empty(grid.shape[0] + LANES, np.float32) for _ in range(4)]
+        planes = np.empty(2 * most, np.float32), np.empty((most, 4)), np.empty(most), np.empty(most)
         arguments = block.reshape(-1), block.shape, first_layer + start, origin, spacing
-        _raise_cells(*arguments, *cells, rounding, rows, *planes)
+        _raise_cells(*arguments, *cells, rounding, *rows, *planes)
 
     if threads == 1 or layers == 1:
         return fill(0, layers)
@@ -77,11 +75,10 @@ def raise_to_distance(
 
 
 @inline_jit
-def _fill(row: NDArray[np.float32], at: int, blocks: int, value: np.float32, step: np.float32) -> None:
-    """row[at + i] = value + i step for whole blocks, which the compiler turns into vector instructions."""
-    first = np.uint64(at)
+def _fill(row: NDArray[np.float32], blocks: int, value: np.float32) -> None:
+    """row[i] = value for whole blocks, which the compiler turns into vector instructions."""
     for i in range(np.uint64(blocks) << _SHIFT):
-        row[first + i] = value + step * np.float32(np.int32(i))
+        row[i] = value
 
 
 @inline_jit
@@ -141,14 +138,17 @@ def _raise_cells(
     lower: NDArray[np.float64],
     upper: NDArray[np.float64],
     rounding: float,
-    work: NDArray[np.float32],
+    least: NDArray[np.float32],
+    shift: NDArray[np.float32],
+    total: NDArray[np.float32],
+    slope: NDArray[np.float32],
+    lines: NDArray[np.float32],
     own: NDArray[np.float64],
     inverse: NDArray[np.float64],
     room: NDArray[np.float64],
 ) -> None:
-    """Visit every row of every cell. `work` holds rows of results, and one for each plane."""
+    """Visit every row of every cell; the arrays from `least` on are work space."""
     nz, ny, nx = shape
-    width = nx + LANES
     hx, hy, hz = spacing[0], spacing[1], spacing[2]
     radius = np.float32(rounding)
     for k in range(len(centers)):
@@ -183,63 +183,95 @@ def _raise_cells(
                 length = stop - start
                 blocks = (length + LANES - 1) // LANES
                 x = rest + start * hx
-                _fill(work, 0, blocks, _FAR, _ZERO)
+                _fill(least, blocks, _FAR)
                 for j in range(count):
                     value, step = np.float32(room[j] - own[j, 0] * x), np.float32(-own[j, 0] * hx)
-                    _least(work, blocks, value, step)
-                    if rounding > 0.0:
-                        _fill(work, (PLANES + j) * width, blocks, value, step)
+                    _least(least, blocks, value, step)
+                    lines[2 * j], lines[2 * j + 1] = value, step
                 if rounding > 0.0:
-                    _soften(work, width, count, blocks, radius)
-                _raise(out, ((z - first_layer) * ny + y) * nx + beside + start, work, length)
+                    _soften(least, shift, total, slope, lines, count, blocks, radius)
+                _raise(out, ((z - first_layer) * ny + y) * nx + beside + start, least, length)
 
 
 @inline_jit
-def _add_rests(work: NDArray[np.float32], width: int, plane: int, blocks: int, radius: np.float32) -> None:
-    """Add what a plane gives to the sum and its slope in the rows 2 and 3, at the shifts in row 1."""
-    shift, total, slope = np.uint64(width), np.uint64(2 * width), np.uint64(3 * width)
-    own = np.uint64(plane * width)
+def _near(
+    least: NDArray[np.float32], blocks: int, value: np.float32, step: np.float32, radius: np.float32
+) -> np.float32:
+    """In how many samples of a row a plane comes within the radius of the nearest one."""
+    found = _ZERO
     for i in range(np.uint64(blocks) << _SHIFT):
-        rest = max(radius + work[i] - work[own + i] - work[shift + i], _ZERO)
-        work[total + i] += rest * rest
-        work[slope + i] += rest
+        found += _ONE if value + step * np.float32(np.int32(i)) - least[i] < radius else _ZERO
+    return found
 
 
 @inline_jit
-def _step(work: NDArray[np.float32], width: int, blocks: int) -> np.float32:
-    """A step of Newton's method; returns the largest sum that is left."""
-    shift, total, slope = np.uint64(width), np.uint64(2 * width), np.uint64(3 * width)
-    most = _ZERO
+def _add_rests(
+    total: NDArray[np.float32],
+    slope: NDArray[np.float32],
+    least: NDArray[np.float32],
+    shift: NDArray[np.float32],
+    blocks: int,
+    value: np.float32,
+    step: np.float32,
+) -> None:
+    """Add what a plane gives to the sum and to its slope; `value` is that of the plane less the radius."""
     for i in range(np.uint64(blocks) << _SHIFT):
-        work[shift + i] += np.float32(0.5) * work[total + i] / work[slope + i]
-        most = max(most, work[total + i])
-    return most
+        rest = max(least[i] - shift[i] - value - step * np.float32(np.int32(i)), _ZERO)
+        total[i] += rest * rest
+        slope[i] += rest
 
 
 @inline_jit
-def _lower(work: NDArray[np.float32], width: int, blocks: int) -> None:
-    shift = np.uint64(width)
+def _step(
+    total: NDArray[np.float32], slope: NDArray[np.float32], shift: NDArray[np.float32], blocks: int
+) -> np.float32:
+    """A step of Newton's method; returns the sum over the row of what was left before it."""
+    left = _ZERO
     for i in range(np.uint64(blocks) << _SHIFT):
-        work[i] -= work[shift + i]
+        shift[i] += np.float32(0.5) * total[i] / slope[i]
+        left += total[i]
+    return left
 
 
-@jit
-def _soften(work: NDArray[np.float32], width: int, count: int, blocks: int, radius: np.float32) -> None:
-    """Lower the minima in row 0 to the soft ones of the rows from `PLANES` on, by Newton's method for all at once.
+@inline_jit
+def _lower(least: NDArray[np.float32], shift: NDArray[np.float32], blocks: int) -> None:
+    for i in range(np.uint64(blocks) << _SHIFT):
+        least[i] -= shift[i]
+
+
+@inline_jit
+def _soften(
+    least: NDArray[np.float32],
+    shift: NDArray[np.float32],
+    total: NDArray[np.float32],
+    slope: NDArray[np.float32],
+    lines: NDArray[np.float32],
+    count: int,
+    blocks: int,
+    radius: np.float32,
+) -> None:
+    """Lower the least of some lines to their soft minimum, by Newton's method for a whole row at once.
 
     The sum of ``max(radius - (v_j - least) - s, 0)^2`` falls with s and is convex, so the steps from s = 0 to where it
     is radius^2 never overshoot.
     """
-    square = radius * radius
-    _fill(work, width, blocks, _ZERO, _ZERO)
+    near = np.uint64(0)
+    for j in range(np.uint64(count)):
+        value, step = lines[2 * j], lines[2 * j + np.uint64(1)]
+        if _near(least, blocks, value, step, radius) > _ZERO:
+            lines[2 * near], lines[2 * near + np.uint64(1)] = value - radius, step
+            near += np.uint64(1)
+    if near < np.uint64(2):
+        return
+    _fill(shift, blocks, _ZERO)
     for _ in range(_STEPS):
-        _fill(work, 2 * width, blocks, -square, _ZERO)
-        _fill(work, 3 * width, blocks, _ZERO, _ZERO)
-        for j in range(count):
-            _add_rests(work, width, PLANES + j, blocks, radius)
-        if _step(work, width, blocks) <= _ENOUGH * square:
+        _fill(total, blocks, -radius * radius)
+        _fill(slope, blocks, _ZERO)
+        for j in range(near):
+            _add_rests(total, slope, least, shift, blocks, lines[2 * j], lines[2 * j + np.uint64(1)])
+        if _step(total, slope, shift, blocks) <= _ENOUGH * radius * radius:
             break
-    _lower(work, width, blocks)
+    _lower(least, shift, blocks)
 
 
 def soft_minimum(values: NDArray[np.float64], radius: float) -> NDArray[np.float64]:

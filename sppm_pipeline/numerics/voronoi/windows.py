@@ -45,7 +45,9 @@ def raise_to_depth(
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
 
     def fill(start: int, stop: int) -> None:
-        _raise_tunnels(out[start:stop], first_layer + start, origin, spacing, starts, ends, radii, margin)
+        block = out[start:stop]
+        arguments = block.reshape(-1), block.shape, first_layer + start, origin, spacing
+        _raise_tunnels(*arguments, starts, ends, radii, margin)
 
     if threads == 1 or layers == 1:
         return fill(0, layers)
@@ -57,31 +59,33 @@ def raise_to_depth(
 
 @inline_jit
 def _raise_row(
-    row: NDArray[np.float32],
-    along: np.float32,
-    step: np.float32,
+    out: NDArray[np.float32],
+    at: int,
+    count: int,
     x: np.float32,
-    step_x: np.float32,
-    aside2: np.float32,
-    unit_x: np.float32,
-    unit_aside: np.float32,
+    step: np.float32,
+    y: np.float32,
+    z: np.float32,
+    ux: np.float32,
+    uy: np.float32,
+    uz: np.float32,
     length: np.float32,
     radius: np.float32,
 ) -> None:
-    """row[i] = max(row[i], radius - distance from a segment); `along` is the coordinate of sample 0 on its axis."""
-    for i in range(np.uint64(len(row))):
-        t = np.float32(np.int32(i))
-        s = along + step * t
-        foot = min(max(s, np.float32(0.0)), length)
-        dx = x + step_x * t - foot * unit_x
-        # across the plane of x: the squared distance of the row from the foot
-        rest = aside2 - np.float32(2.0) * foot * unit_aside + foot * foot * (np.float32(1.0) - unit_x * unit_x)
-        row[i] = max(row[i], radius - np.float32(math.sqrt(dx * dx + max(rest, np.float32(0.0)))))
+    """Raise ``out[at + i]`` to the radius less the distance of ``(x + i step, y, z)`` from a segment at the origin."""
+    first = np.uint64(at)
+    aside = y * uy + z * uz
+    for i in range(np.uint64(count)):
+        dx = x + step * np.float32(np.int32(i))
+        foot = min(max(dx * ux + aside, np.float32(0.0)), length)
+        px, py, pz = dx - foot * ux, y - foot * uy, z - foot * uz
+        out[first + i] = max(out[first + i], radius - np.float32(math.sqrt(px * px + py * py + pz * pz)))
 
 
 @jit
 def _raise_tunnels(
     out: NDArray[np.float32],
+    shape: tuple[int, int, int],
     first_layer: int,
     origin: NDArray[np.float64],
     spacing: NDArray[np.float64],
@@ -91,7 +95,7 @@ def _raise_tunnels(
     margin: float,
 ) -> None:
     """Visit the rows of the box around every tunnel, each over the samples that its capsule can reach."""
-    nz, ny, nx = out.shape
+    nz, ny, nx = shape
     hx, hy, hz = spacing[0], spacing[1], spacing[2]
     for t in range(len(starts)):
         ax, ay, az = starts[t, 0], starts[t, 1], starts[t, 2]
@@ -131,9 +135,8 @@ def _raise_tunnels(
                 stop = min(math.floor((right - rest) / hx), nx - 1 - beside) + 1
                 if start >= stop:
                     continue
-                x = rest + start * hx
                 _raise_row(
-                    out[z - first_layer, y, beside + start : beside + stop],
-                    np.float32(x * ux + aside), np.float32(hx * ux), np.float32(x), np.float32(hx),
-                    np.float32(aside2), np.float32(ux), np.float32(aside), np.float32(length), np.float32(radii[t]),
+                    out, ((z - first_layer) * ny + y) * nx + beside + start, stop - start,
+                    np.float32(rest + start * hx), np.float32(hx), np.float32(dy), np.float32(dz),
+                    np.float32(ux), np.float32(uy), np.float32(uz), np.float32(length), np.float32(radii[t]),
                 )  # fmt: skip

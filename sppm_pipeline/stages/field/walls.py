@@ -78,7 +78,7 @@ class WallsField(Stage):
         )  # fmt: skip
         omega = np.full(len(pores.centers), length**-2)
         return WalledMicrostructure(
-            pores.cell, graph, pieces_from_graph(graph, omega, 1 / radii, "linear"), half, rounding
+            pores.cell, graph, pieces_from_graph(graph, omega, 1 / radii, "linear"), half, rounding=rounding
         )
 
     def _sizes(self, cell: Cell, pores: float) -> tuple[float, float, float, float]:

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import Size
@@ -17,28 +17,35 @@ from sppm_pipeline.families import design_of, options, start_of
 from sppm_pipeline.families.scattered import with_darts
 from sppm_pipeline.stage import Context, Stage, option
 
-MAX_TOGETHER = 16
-"""Colors thrown against each other; more patterns keep a margin that makes them independent."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class MirroredFaces(Stage):
     """Throw pores on the faces of the cell; opposite faces carry the same pattern (paper, "Boundary Periodicity").
 
     Each pattern keeps the spacing to itself, repeated in its plane, and to the patterns of the perpendicular faces of
-    every color. With several colors pores also keep a margin from the border of the face, so that four cells of any
-    colors may meet at an edge.
+    every color. Pores lie on the edges and corners of the cell, too, and faces get as many as make the solid share of
+    an assembly level. With ``faces_margin: paper`` edges and corners stay free: with several colors pores keep a margin
+    from the border of the face, so that four cells of any colors may meet at an edge, and solid bars show there.
     """
 
     name: ClassVar[str] = "sample.mirrored_faces"
 
-    count: int | None = options.count(None, note="on the faces of one cell, three faces counted once each")
-    total: int | None = options.total(None, note="the faces get their share at equal packing")
+    count: int | None = options.count(
+        None, note="on the faces, edges and corners of one cell, those that are shared counted once"
+    )
+    total: int | None = options.total(None, note="the faces get their share")
     spacing: Length | None = options.spacing(None)
     share: float | None = options.share(None)
+    faces_margin: str = option(
+        "homogeneous",
+        help="homogeneous: pores on edges and corners, and as many on the faces as make the solid share level; "
+        "paper: no pores near the edges, and as many on the faces as are packed as densely as the interior",
+        choices=("homogeneous", "paper"),
+    )
     margin: Length | None = option(
         None,
-        help="distance of face pores from the border of the face; with several colors at least half the spacing",
+        help="distance of face pores from the border of the face, with `faces_margin: paper`; with several colors at "
+        "least half the spacing",
         unit="cell size",
         minimum=0,
         maximum=1e6,
@@ -62,10 +69,21 @@ class MirroredFaces(Stage):
                 hint="for example `count: 18` and `spacing: 0.16`, or `total: 110` and `share: 0.5`",
             )
 
+        if self.margin is not None and self.faces_margin != "paper":
+            raise ConfigError(
+                "`margin` keeps the pores of the faces away from edges that carry none",
+                hint="give `faces_margin: paper` with it, or leave it out",
+            )
+
     def estimate(self, palette: Palette, pores: Size | None) -> Size:
         colors = palette.colors
         cell = pores.cell if pores else design_of(self.edge)
-        if self.total is None and self.count is None:
+        if self.faces_margin != "paper":
+            from sppm_pipeline.numerics.sampling.edges import homogeneous_counts
+
+            total, fraction = self._homogeneous(None if self.spacing is None else self.spacing.value / cell.edge)
+            on_faces = self.count if self.count is not None else sum(homogeneous_counts(total, fraction))
+        elif self.total is None and self.count is None:
             from sppm_pipeline.numerics.sampling.faces import split_between_faces_and_interior
 
             spacing = None if self.spacing is None else self.spacing.value / cell.edge
@@ -81,13 +99,34 @@ class MirroredFaces(Stage):
 
     def run(self, context: Context, pores: PoreSet | None) -> PoreSet:
         """Throw the patterns of all colors."""
-        from sppm_pipeline.numerics.sampling.faces import mirrored_faces, split_between_faces_and_interior
-
         cell, base = start_of(self.edge, pores, context.palette.interiors)
         if base.has_faces:
             raise ConfigError("the faces carry pores already", hint="use one face sampler a recipe")
         if context.palette.blocks is not None:
             return self._scattered(context, base, context.palette.blocks)
+        colors = context.palette.colors
+        if self.faces_margin == "paper":
+            patterns, spacing = self._packed(context, cell)
+        else:
+            from sppm_pipeline.numerics.sampling.edges import homogeneous_faces
+
+            total, spacing = self._homogeneous(None if self.spacing is None else cell.fraction(self.spacing))
+            patterns = homogeneous_faces(context.rng(), total, spacing, colors, face_count=self.count)
+        flat = [pattern for per_axis in patterns for pattern in per_axis]
+        piece = np.repeat(np.arange(len(flat)) + base.interiors, [len(p) for p in flat]).astype(np.int32)
+        return base.extended(np.concatenate(flat), piece, colors=colors, spacing=spacing)
+
+    def _homogeneous(self, spacing: float | None) -> tuple[float, float]:
+        """Number of pores of a cell and their spacing, cell sizes."""
+        from sppm_pipeline.numerics.sampling.edges import homogeneous_design
+
+        return homogeneous_design(total=self.total, face_count=self.count, spacing=spacing, share=self.share)
+
+    def _packed(self, context: Context, cell: Cell) -> tuple[list[list[NDArray[np.float64]]], float]:
+        """Patterns without edges, packed as densely as the interior, and their spacing."""
+        from sppm_pipeline.numerics.sampling.edges import MAX_TOGETHER
+        from sppm_pipeline.numerics.sampling.faces import mirrored_faces, split_between_faces_and_interior
+
         colors = context.palette.colors
         count, spacing = split_between_faces_and_interior(
             total=self.total,
@@ -104,12 +143,8 @@ class MirroredFaces(Stage):
                 hint="leave `margin` out for the least that works",
             )
         if max(colors) <= MAX_TOGETHER and len(set(colors)) == 1:
-            patterns = mirrored_faces(context.rng(), None, spacing, colors[0], margin=margin, total=count)
-        else:
-            patterns = self._apart(context, count, spacing, colors, margin)
-        flat = [pattern for per_axis in patterns for pattern in per_axis]
-        piece = np.repeat(np.arange(len(flat)) + base.interiors, [len(p) for p in flat]).astype(np.int32)
-        return base.extended(np.concatenate(flat), piece, colors=colors, spacing=spacing)
+            return mirrored_faces(context.rng(), None, spacing, colors[0], margin=margin, total=count), spacing
+        return self._apart(context, count, spacing, colors, margin), spacing
 
     def _scattered(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
         """Without faces: the interior sampler takes the total, and a count of face pores is thrown like any others."""
@@ -123,10 +158,15 @@ class MirroredFaces(Stage):
                 assert self.share is not None
                 spacing = spacing_at_share(self.total, self.share)
             return replace(base, spacing=spacing)
-        count, spacing = split_between_faces_and_interior(
-            total=None, face_count=self.count, spacing=spacing, share=self.share, colors=1
-        )
-        return with_darts(context, base, blocks, count, spacing)
+        if spacing is None:  # that of the cell
+            _, spacing = (
+                split_between_faces_and_interior(
+                    total=None, face_count=self.count, spacing=None, share=self.share, colors=1
+                )
+                if self.faces_margin == "paper"
+                else self._homogeneous(None)
+            )
+        return with_darts(context, base, blocks, self.count, spacing)
 
     def _apart(
         self, context: Context, count: int, spacing: float, colors: tuple[int, int, int], margin: float | None

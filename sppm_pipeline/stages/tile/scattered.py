@@ -72,5 +72,5 @@ class ScatteredTiling(Stage):
         none = [np.full(tuple(n + (a == axis) for a, n in enumerate(blocks.shape)), -1, np.int32) for axis in range(3)]
         arrays = TilingArrays(blocks.numbers, (none[0], none[1], none[2]), self.periodic, halo)
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
-        tiling = Tiling(TileSet(micro, "fresh", 0), arrays, edge, lattice.origin)
+        tiling = Tiling(TileSet(micro, "scattered", 0), arrays, edge, lattice.origin)
         return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)

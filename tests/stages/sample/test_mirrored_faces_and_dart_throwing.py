@@ -35,10 +35,13 @@ def unit(axis):
     return np.eye(3)[axis]
 
 
+@pytest.mark.parametrize("way", ["homogeneous", "paper"])
 @pytest.mark.parametrize("colors", [(1, 1, 1), (2, 2, 2), (3, 3, 3), (20, 20, 20), (2, 3, 1)])
-def test_no_cell_and_no_pair_of_neighbors_violates_the_spacing(colors):
+def test_no_cell_and_no_pair_of_neighbors_violates_the_spacing(colors, way):
     spacing = 0.17
-    pores = both(Palette(2, colors))
+    pores = both(Palette(2, colors), face={"count": 12, "spacing": Length(spacing), "faces_margin": way})
+    on_edges = len(pores.around_edges())
+    assert on_edges > 6 if way == "homogeneous" else on_edges == 0
     eps = 1e-12
     faces = {(a, k): pores.of_piece(pores.face_piece(a, k)) for a in range(3) for k in range(colors[a])}
     for (axis, _), own in faces.items():
@@ -57,12 +60,12 @@ def test_no_cell_and_no_pair_of_neighbors_violates_the_spacing(colors):
                 shift = u * unit((axis + 1) % 3) + v * unit((axis + 2) % 3)
                 if shift.any():
                     assert least_distance(own, faces[axis, k] + shift) >= spacing - eps
+    every_face = np.concatenate([f + s * unit(a) for (a, _), f in faces.items() for s in (0, 1)])
     for (a, k), (b, m) in itertools.combinations(faces, 2):
         if a != b:
             for shift in itertools.product((-1, 0, 1), repeat=3):
                 assert least_distance(faces[a, k], faces[b, m] + np.array(shift)) >= spacing - eps
     interiors = [pores.of_piece(t) for t in range(2)]
-    every_face = np.concatenate([f + s * unit(a) for (a, _), f in faces.items() for s in (0, 1)])
     for own in interiors:
         assert len(own) == 14
         assert least_distance(own) >= spacing - eps
@@ -96,7 +99,8 @@ def test_a_full_cell_keeps_clear_of_the_face_pores_beside_it():
     """The single pattern of an axis goes on beyond the edges of the cell, where no face of the cell itself lies."""
     for seed in range(4):
         interior = {"spacing": Length(0.17), "share": 1.0}
-        pores = both(seed=seed, face={"count": 40, "spacing": Length(0.17)}, interior=interior)
+        face = {"count": 40, "spacing": Length(0.17), "faces_margin": "paper"}
+        pores = both(seed=seed, face=face, interior=interior)
         faces = np.concatenate([pores.of_piece(1 + a) + s * unit(a) for a in range(3) for s in (0, 1)])
         for shift in itertools.product((-1, 0, 1), repeat=3):
             assert least_distance(pores.of_piece(0), faces + np.array(shift)) >= 0.17 - 1e-12
@@ -125,6 +129,7 @@ def test_without_face_pores_the_cell_is_a_torus():
     assert pores.spacing == 0.2
 
 
+@pytest.mark.parametrize("way", ["homogeneous", "paper"])
 @pytest.mark.parametrize(
     ("face", "interior", "total"),
     [
@@ -137,8 +142,8 @@ def test_without_face_pores_the_cell_is_a_torus():
         ({"total": 2, "spacing": Length(0.2)}, {"total": 2}, 2),
     ],
 )
-def test_counts_are_met(face, interior, total):
-    pores = both(face=face, interior=interior)
+def test_counts_are_met(face, interior, total, way):
+    pores = both(face={**face, "faces_margin": way}, interior=interior)
     assert pores.summary()["pores_per_cell"] == total
     assert len(pores.centers) == total
 
@@ -146,7 +151,7 @@ def test_counts_are_met(face, interior, total):
 def test_the_split_leaves_room_on_faces_and_inside():
     """At half the packing limit both are drawn at once, without a second attempt by luck."""
     for total in (40, 200):
-        faces = MirroredFaces(total=total, share=0.5).run(PlainContext(1), None)
+        faces = MirroredFaces(total=total, share=0.5, faces_margin="paper").run(PlainContext(1), None)
         on_faces = len(faces.centers)
         # a torus has as many pores in a slab of the thickness of one spacing as its three faces take
         assert 0.5 < on_faces / (total * (1 - (1 - faces.spacing) ** 3)) < 1.5
@@ -244,20 +249,27 @@ def test_what_cannot_be_is_said():
 
 @pytest.mark.parametrize("colors", [1, 2, 20])
 def test_margins(colors):
-    palette = Palette(1, (colors,) * 3)
-    pores = both(palette, face={"count": 6, "spacing": Length(0.15), "margin": Length(0.2)})
+    palette, paper = Palette(1, (colors,) * 3), {"faces_margin": "paper"}
+    pores = both(palette, face={"count": 6, "spacing": Length(0.15), **paper, "margin": Length(0.2)})
     for axis in range(3):
         pattern = pores.of_piece(pores.face_piece(axis, 0))
         others = np.delete(pattern, axis, axis=1)
         assert 0.2 <= others.min() <= others.max() <= 0.8
     for wrong in (0.5, 0.9) if colors == 1 else (0.0, 0.07, 0.5):
         with pytest.raises(ConfigError, match="margin"):
-            both(palette, face={"count": 6, "spacing": Length(0.15), "margin": Length(wrong)})
+            both(palette, face={"count": 6, "spacing": Length(0.15), **paper, "margin": Length(wrong)})
 
 
-def test_a_big_spacing_leaves_no_face():
+def test_a_margin_belongs_to_the_paper_s_way():
+    with pytest.raises(ConfigError, match="faces_margin: paper"):
+        MirroredFaces(count=6, spacing=Length(0.15), margin=Length(0.2)).check_options()
+
+
+@pytest.mark.parametrize("way", ["homogeneous", "paper"])
+def test_a_big_spacing_leaves_no_face(way):
+    face = {"count": 3, "spacing": Length(0.8), "faces_margin": way}
     with pytest.raises((DesignError, ConfigError)):
-        both(Palette(1, (20, 20, 20)), face={"count": 3, "spacing": Length(0.8)}, interior={"count": 0})
+        both(Palette(1, (20, 20, 20)), face=face, interior={"count": 0})
 
 
 def test_interiors_do_not_depend_on_how_many_there_are():
