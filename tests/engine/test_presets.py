@@ -102,7 +102,7 @@ def sppm_presets():
     file.write_text(
         f"sppm: 1\nplugins: [{plugin.name}]\nname: sparse\npipeline: [{json.dumps({**TUNED, 'recipe': 'sparse'})}]\n"
     )
-    assert main(["run", str(file), "-q", "-o", str(tmp_path / "run"), "--no-plugins"]) == 0
+    assert main(["run", str(file), "-q", "-o", str(tmp_path / "run")]) == 0
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert record["config"]["recipes"]["sparse"][0]["stage"] == "sample.elimination"
     assert record["stages"][0]["summary"]["pores"] == 12
