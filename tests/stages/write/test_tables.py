@@ -132,7 +132,7 @@ def test_charts_take_groups_error_bars_and_logarithmic_axes(tmp_path):
     seen = set()
     for options in (
         {}, {"group": "g"}, {"group": "k"}, {"group": "k", "group_label": "$k$"}, {"error": "x"}, {"kind": "means"},
-        {"log_y": True}, {"log_x": True, "group": "g"}, {"x_label": r"$\nu_{xy}$"}, {"bound": "e"},
+        {"log_y": True}, {"log_x": True, "group": "g"}, {"x_label": r"$\nu_{xy}$"}, {"bound": "x"},
     ):  # fmt: skip
         stage = WriteChart(x="x", y="y", **options)
         data = run(stage, table, tmp_path)[0]
