@@ -57,6 +57,8 @@ def main() -> None:
     args = parser.parse_args()
     with args.table.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row.get("elastic.isotropic.E")]
+    for row in rows:  # an axis that the command line fixed is no column
+        row.setdefault("porosity", f"{round(20 * number(row, 'elastic.porosity')) / 20:g}")
     rows.sort(key=lambda row: -number(row, "elastic.isotropic.E"))
     chosen = [row for row in rows if float(row["porosity"]) == float(args.porosity)]
     head = "E / E_s | of the bound | deviation | A^U | conductivity | permeability, 1e-4 L^2 | thinnest tenth / L"

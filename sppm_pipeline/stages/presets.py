@@ -32,14 +32,14 @@ PRESETS = {
         {**_PORES, "edge": None, "degree": [3, 5], "stealth": None, "tunnel_radius": None, "rounding": None},
     ),
     "permeable": Preset(
-        "wide open: hyperuniform pores joined by wide tunnels, many to each pore",
+        "wide open: the paper's pores, joined by wide tunnels",
         [
             *_THROWN,
-            {"stage": "sample.hyperuniform", "total": "${total}", "stealth": "${stealth}"},
+            {"stage": "sample.dart_throwing", "total": "${total}"},
             _JOINED,
             {"stage": "field.gaussian", "pore_radius": "${pore_radius}", "tunnel_radius": "${tunnel_radius}"},
         ],
-        {**_PORES, "edge": None, "degree": [5, 8], "stealth": None, "pore_radius": 0.1, "tunnel_radius": 0.08},
+        {**_PORES, "edge": None, "degree": [3, 5], "pore_radius": 0.1075, "tunnel_radius": 0.0658},
     ),
 }
 """Pores lie on the faces, too, so that all of them serve single cells, tile sets and scattered cells alike."""
