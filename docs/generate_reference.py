@@ -158,6 +158,8 @@ def bound_words(option: Option) -> str:
     spec = option.spec
     if spec.choices:
         return ", ".join(f"`{choice}`" for choice in spec.choices)
+    if spec.suffixes:
+        return ", ".join("a folder" if suffix == "/" else f"`{suffix}`" for suffix in spec.suffixes)
     bounds = ((spec.minimum, "≥"), (spec.above, ">"), (spec.maximum, "≤"), (spec.below, "<"))
     return ", ".join(f"{sign} {bound:g}" for bound, sign in bounds if bound is not None)
 

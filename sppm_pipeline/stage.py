@@ -63,6 +63,8 @@ class OptionSpec:
         Allowed words.
     output : bool
         Whether the value names a file or folder that the stage writes.
+    suffixes : tuple of str
+        How the name of an output may end, in lower case: with one of ``.stl``, ...; ``/`` for a folder.
     formerly : str or None
         An earlier name of the option, still accepted.
     """
@@ -75,6 +77,7 @@ class OptionSpec:
     below: float | None = None
     choices: tuple[str, ...] = ()
     output: bool = False
+    suffixes: tuple[str, ...] = ()
     formerly: str | None = None
 
 
@@ -87,7 +90,7 @@ class StageAlias:
     name : str
         The stage's current name.
     options : mapping, or function of the options written in the file that returns a mapping
-        Options that the former name implied; those written in the file win.
+        Options that the former name implied; those written in the file win. The function may raise `ConfigError`.
     """
 
     name: str
@@ -107,16 +110,18 @@ def option(
     below: float | None = None,
     choices: Iterable[str] = (),
     output: bool = False,
+    suffixes: Iterable[str] = (),
     formerly: str | None = None,
 ) -> Any:
     """Declare an option of a stage; without `default` the option is required.
 
     The type comes from the annotation: bool, int, float, str, `pathlib.Path` (an input file, taken relative to the
     configuration file), `Length`, ``tuple[int, int]``, ``tuple[float, ...]``, and any of these ``| None``.
-    A string with `output` names a file or folder below the run directory, which is checked before any work starts.
+    A string with `output` names a file or folder below the run directory, which is checked before any work starts;
+    `suffixes` are the endings that the stage can write, ``/`` if it writes a folder.
     An option that was renamed states its earlier name as `formerly`; configurations that use it run, with a warning.
     """
-    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices), output, formerly)
+    spec = OptionSpec(help, unit, minimum, maximum, above, below, tuple(choices), output, tuple(suffixes), formerly)
     return dataclasses.field(default=default, metadata={"option": spec})
 
 

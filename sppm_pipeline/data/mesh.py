@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.data.artifact import NOTEBOOK_SIZE, Artifact, frozen, optional_module, png_of
+from sppm_pipeline.errors import DesignError
+
+_MOST_VERTICES = 2**31 - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,12 +150,22 @@ class RepeatedMesh(Artifact):
             raise ValueError("the places of copies must be finite")
 
     def whole(self) -> SurfaceMesh:
-        """One mesh of all copies; surfaces at which copies touch stay within it."""
-        n, m = len(self.mesh.vertices), len(self.mesh.faces)
-        copies = len(self.offsets)
-        vertices = (self.offsets[:, None] + self.mesh.vertices[None]).reshape(copies * n, 3)
-        faces = (n * np.arange(copies, dtype=np.int64)[:, None, None] + self.mesh.faces).reshape(copies * m, 3)
-        return SurfaceMesh(vertices, faces.astype(np.int32), name=self.mesh.name)
+        """One mesh of all copies; surfaces at which copies touch stay within it.
+
+        Raises
+        ------
+        DesignError
+            If it would have more vertices than 32 bits count.
+        """
+        n, copies = len(self.mesh.vertices), len(self.offsets)
+        if n * copies > _MOST_VERTICES:
+            raise DesignError(
+                f"{copies} copies of {self.mesh.name!r} have {n * copies} vertices; one mesh counts {_MOST_VERTICES}",
+                hint="write a .glb file or `copies: components`, which place copies, or slice without a mesh",
+            )
+        vertices = (self.offsets[:, None] + self.mesh.vertices[None]).reshape(-1, 3)
+        faces = (np.arange(copies, dtype=np.int32)[:, None, None] * np.int32(n) + self.mesh.faces).reshape(-1, 3)
+        return SurfaceMesh(vertices, faces, name=self.mesh.name)
 
     def summary(self) -> dict[str, Any]:
         """The mesh's numbers and the number of copies."""

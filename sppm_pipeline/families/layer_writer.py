@@ -62,7 +62,7 @@ class LayerWriter(Stage):
             '''Write layers as PNG files in a ZIP archive.'''
 
             name: ClassVar[str] = "write.zip"
-            path: str = option("layers.zip", help="file to write", output=True)
+            path: str = option("layers.zip", help="file to write", output=True, suffixes=(".zip",))
 
             def encode(self, image, stack):
                 return png_of(image)

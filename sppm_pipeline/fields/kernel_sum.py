@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from sppm_pipeline.numerics.assembly.contents import TilingArrays
     from sppm_pipeline.numerics.assembly.patches import PatchBank
 
-PAYING_SHARE = 0.5
-"""Coarse samples for each fine one up to which interpolating is cheaper than summing."""
+PAYING_SHARE, PAYING_SHARE_OF_PATCHES = 0.3, 0.8
+"""Coarse samples for each fine one up to which interpolating pays, if kernels are summed there, and if patches are:
+short rows of kernels cost twice as much a sample as long ones."""
 
 
 class Patches(NamedTuple):
@@ -89,7 +90,7 @@ class KernelSum(ScalarField):
         def values(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
             if not self.additive:
                 return self.own_values(grid, start, stop, threads)
-            if (fine := self._fine(grid)) is not None:
+            if (fine := self._fine(grid, threads)) is not None:
                 out = np.empty((stop - start, *grid.shape[1::-1]), np.float32)
                 fine.sample(self, start, stop, threads, None, out, None)
                 return out
@@ -106,7 +107,7 @@ class KernelSum(ScalarField):
             if not self.additive:
                 return (self.own_values(grid, start, stop, threads) < 0).view(np.uint8)
             rows = None if self.periodic else wanted
-            if (fine := self._fine(grid)) is not None:
+            if (fine := self._fine(grid, threads)) is not None:
                 out = np.zeros((stop - start, *grid.shape[1::-1]), np.uint8)
                 fine.sample(self, start, stop, threads, rows, None, out)
                 return out
@@ -135,13 +136,14 @@ class KernelSum(ScalarField):
         (bank, arrays), (x, y, z) = placed
         return assemble(bank, arrays, z[0] + start, z[0] + stop, *x, *y, threads=threads)
 
-    def _fine(self, grid: Grid) -> FineSampler | None:
+    def _fine(self, grid: Grid, threads: int) -> FineSampler | None:
         """The sampler that interpolates on this grid, if that pays; the last one is kept for the next layers."""
         pitch = self.coarse_pitch
         if pitch is None or 0 in grid.shape:
             return None
         n = max(2, math.ceil(1.0 / pitch - 1e-9))
-        if math.prod(min(TAPS, spacing * n) for spacing in grid.spacing) > PAYING_SHARE:
+        share = math.prod(min(TAPS, spacing * n) for spacing in grid.spacing)
+        if share > PAYING_SHARE and (share > PAYING_SHARE_OF_PATCHES or self.patches(n, 0.0, threads) is None):
             return None
         sampler = _SAMPLERS.get(self)
         if sampler is None or sampler.of != (grid, n):

@@ -17,7 +17,7 @@ from sppm_pipeline.numerics.grid import Grid
 USES_OF_A_PATCH = 4
 """How many cells a tiling needs for each patch before sampling the patches is cheaper than summing kernels."""
 
-SMALL_BANK, LARGE_BANK = 96 * 2**20, 768 * 2**20
+SMALL_BANK, LARGE_BANK = 256 * 2**20, 768 * 2**20
 """Bytes that the patches of a small tiling, and of one ten times larger, may take; otherwise kernels are summed."""
 
 

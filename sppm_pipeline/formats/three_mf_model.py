@@ -55,6 +55,10 @@ _VERTICES, _VERTEX, _TRIANGLES, _TRIANGLE, _COMPONENTS, _COMPONENT = (
 _PATH = f"{PRODUCTION} path"
 _ROWS = {_VERTEX: _VERTICES, _TRIANGLE: _TRIANGLES}
 _COLUMNS = {_VERTEX: ("x", "y", "z"), _TRIANGLE: ("v1", "v2", "v3")}
+_REAL = re.compile(
+    r"\s*[+-]?(\d+\.?\d*([eE][+-]?\d+)?|\.\d+([eE][+-]?\d+)?|nan|inf)\s*", re.ASCII | re.IGNORECASE
+).fullmatch
+_INTEGER = re.compile(r"\s*[+-]?\d+\s*", re.ASCII).fullmatch
 _CHUNK = 2**20
 
 _ROWS_AT_ONCE = 2**16
@@ -225,8 +229,10 @@ class _ModelReader(XmlReader):
         around = self.path[-1] if self.path else None
         table = _ROWS.get(tag)
         if table is not None and around == table:
-            # a word too many in one value would make up for one that is missing in another
-            if any(len(attributes.get(column, "").split()) != 1 for column in _COLUMNS[tag]):
+            # a word too many in one value would make up for one that is missing in another, and what NumPy makes of
+            # half a number or of one with an underscore depends on its version
+            number = _REAL if tag == _VERTEX else _INTEGER
+            if not all(number(attributes.get(column, "")) for column in _COLUMNS[tag]):
                 vertex = "a vertex has three numbers x, y and z"
                 triangle = "a triangle has three vertex numbers v1, v2 and v3"
                 self.fail(f"{vertex if tag == _VERTEX else triangle}, not {_shown(attributes)}")

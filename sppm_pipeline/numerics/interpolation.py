@@ -2,8 +2,9 @@
 
 Between two samples of the coarse grid a line is taken from the polynomial of degree five through the three samples on
 either side (Lagrange). It passes through the coarse samples, and it is continuous. For sums of kernels, which are
-smooth but for the axes of tunnels, it is off by an eighth of what the four taps of Catmull and Rom are off by on the
-same coarse grid. Taken axis by axis (z, x, y) the 216 taps of a fine sample cost some six multiplications.
+smooth but for the axes of tunnels, it is off by a fifth to an eighth of what the four taps of Catmull and Rom are off
+by on the same coarse grid. Taken axis by axis (x, z, y) the 216 taps of a fine sample cost some eight multiplications:
+`stretch` makes the rows of coarse planes fine, once for all layers near them, and `interpolate_layer` does the rest.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.compiled import fused_jit, jit
 
 #: Coarse samples that enter along an axis, and how many of them lie before the sample or on it.
 TAPS, BEFORE = 6, 3
@@ -23,10 +24,13 @@ TAPS, BEFORE = 6, 3
 # differ in the last bits of a float64, because they are counted from another origin, are then equal.
 _GRAIN = 2.0**-20
 
-# Rows of coarse samples that are interpolated along x at a time, one a lane; the last two groups are kept.
-_LANES = 16
-_ROWS = np.uint64(_LANES)
+#: Rows that are stretched at a time, one a lane, and samples of a block of a row.
+LANES = 16
+_LANES = np.uint64(LANES)
 _SHIFT = np.uint64(4)
+
+# Coarse rows of a layer that are kept while the rows between them are computed: at least as many as there are taps.
+_KEPT = 8
 
 
 class Taps(NamedTuple):
@@ -57,37 +61,38 @@ def taps_at(positions: NDArray[np.float64]) -> Taps:
     return Taps(whole.astype(np.int64) - (BEFORE - 1), weights.astype(np.float32))
 
 
-class Axes(NamedTuple):
-    """Taps along x and y as the compiled loops take them, counted from the first coarse sample that is needed.
-
-    Attributes
-    ----------
-    x_first, x_weights : (nx',) uint64, (6 nx',) float32
-        nx' is the number of samples, raised to whole lanes.
-    y_first, y_weights : (ny,) int64, (ny, 6) float32
-    """
-
-    x_first: NDArray[np.uint64]
-    x_weights: NDArray[np.float32]
-    y_first: NDArray[np.int64]
-    y_weights: NDArray[np.float32]
-
-
-def axes_of(x: Taps, y: Taps) -> Axes:
-    """Taps along x and y for `interpolate_layer`."""
-    more = -len(x.first) % _LANES
-    return Axes(
-        np.pad(x.first - x.first[0], (0, more), mode="edge").astype(np.uint64),
-        np.pad(x.weights, ((0, more), (0, 0)), mode="edge").reshape(-1),
-        y.first - y.first[0],
-        y.weights,
+def whole_lanes(taps: Taps) -> Taps:
+    """Taps for `stretch`: counted from the first coarse sample, the last one repeated to fill the lanes."""
+    more = -len(taps.first) % LANES
+    return Taps(
+        np.pad(taps.first - taps.first[0], (0, more), mode="edge"),
+        np.pad(taps.weights, ((0, more), (0, 0)), mode="edge"),
     )
+
+
+def stretch(coarse: NDArray[np.float32], taps: Taps, rows: range, out: NDArray[np.float32]) -> None:
+    """Interpolate rows of coarse planes along x.
+
+    Parameters
+    ----------
+    coarse : (n, cy, cx) float32, C-contiguous
+        Planes; column 0 is the first coarse sample of the first tap.
+    taps : Taps
+        Of the fine samples along x, as `whole_lanes` makes them.
+    rows : range
+        Rows to stretch.
+    out : (n, cy, nx') float32, C-contiguous
+        Receives as many samples as there are taps.
+    """
+    lanes, tile = np.empty(coarse.shape[2] * LANES, np.float32), np.empty(LANES * LANES, np.float32)
+    first = taps.first.astype(np.uint64)
+    _stretch(coarse, first, taps.weights.reshape(-1), rows.start, rows.stop, lanes, tile, out)
 
 
 def interpolate_layer(
     planes: Sequence[NDArray[np.float32]],
     weights: NDArray[np.float32],
-    axes: Axes,
+    taps: Taps,
     level: float,
     rows: range,
     wanted: NDArray[np.int32],
@@ -101,12 +106,12 @@ def interpolate_layer(
 
     Parameters
     ----------
-    planes : sequence of 6 (cy, cx) float32, C-contiguous
-        The coarse samples of the taps along z.
+    planes : sequence of 6 (cy, nx') float32, C-contiguous
+        The coarse planes of the taps along z, stretched along x; row 0 is the first coarse sample of the first tap.
     weights : (6,) float32
-        Their weights.
-    axes : Axes
-        Taps along x and y.
+        Weights of the planes.
+    taps : Taps
+        Of the ny fine samples along y.
     level : float
     rows : range
         Rows to compute.
@@ -115,7 +120,6 @@ def interpolate_layer(
     field, solid : (ny, nx) float32 or uint8, C-contiguous
         One of them receives the result.
     """
-    width = planes[0].shape[1]
     p0, p1, p2, p3, p4, p5 = planes
     _interpolate_rows(
         p0,
@@ -125,26 +129,24 @@ def interpolate_layer(
         p4,
         p5,
         weights,
-        *axes,
+        taps.first - taps.first[0],
+        taps.weights,
         np.float32(level),
         rows.start,
         rows.stop,
         wanted,
-        np.empty(width, np.float32),
-        np.empty(width * _LANES, np.float32),
-        np.empty(_LANES * _LANES, np.float32),
-        np.empty((2 * _LANES, len(axes.x_first)), np.float32),
+        np.empty((_KEPT, p0.shape[1]), np.float32),
         np.empty((1, 1), np.float32) if field is None else field,
         np.empty((1, 1), np.uint8) if solid is None else solid,
         solid is not None,
     )
 
 
-# Strict arithmetic (no contraction) in what follows: a sample has to come out the same in a vector loop, in its
-# remainder, and whether its value is stored or compared. Unsigned indices let the compiler make vector loops.
+# In what follows every sum is a chain that begins with a number, so that it comes out the same wherever it is taken
+# (see `fused_jit`). Unsigned indices let the compiler make vector loops.
 
 
-@jit
+@fused_jit
 def _sum_rows(
     a: NDArray[np.float32],
     b: NDArray[np.float32],
@@ -153,19 +155,19 @@ def _sum_rows(
     e: NDArray[np.float32],
     f: NDArray[np.float32],
     w: NDArray[np.float32],
-    less: np.float32,
+    begin: np.float32,
     out: NDArray[np.float32],
     start: np.uint64,
     stop: np.uint64,
 ) -> None:
-    """Weighted sum of six rows less a number."""
+    """A number and the weighted sum of six rows."""
     w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
     for i in range(start, stop):
-        out[i] = ((w0 * a[i] + w1 * b[i]) + (w2 * c[i] + w3 * d[i])) + (w4 * e[i] + w5 * f[i]) - less
+        out[i] = begin + w0 * a[i] + w1 * b[i] + w2 * c[i] + w3 * d[i] + w4 * e[i] + w5 * f[i]
 
 
-@jit
-def _compare_rows(
+@fused_jit
+def _negative_rows(
     a: NDArray[np.float32],
     b: NDArray[np.float32],
     c: NDArray[np.float32],
@@ -173,15 +175,16 @@ def _compare_rows(
     e: NDArray[np.float32],
     f: NDArray[np.float32],
     w: NDArray[np.float32],
-    level: np.float32,
+    begin: np.float32,
     out: NDArray[np.uint8],
     start: np.uint64,
     stop: np.uint64,
 ) -> None:
-    """Whether the weighted sum of six rows lies below a number."""
+    """Whether a number and the weighted sum of six rows are negative."""
     w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
     for i in range(start, stop):
-        out[i] = np.uint8(((w0 * a[i] + w1 * b[i]) + (w2 * c[i] + w3 * d[i])) + (w4 * e[i] + w5 * f[i]) < level)
+        value = begin + w0 * a[i] + w1 * b[i] + w2 * c[i] + w3 * d[i] + w4 * e[i] + w5 * f[i]
+        out[i] = np.uint8(value < np.float32(0))
 
 
 @jit
@@ -192,7 +195,7 @@ def _into_lane(
         lanes[(i << _SHIFT) + lane] = row[i]
 
 
-@jit
+@fused_jit
 def _along_x(
     lanes: NDArray[np.float32],
     k: np.uint64,
@@ -204,19 +207,51 @@ def _along_x(
     """One fine sample of sixteen rows: the weighted sum of six columns of the lanes, from element k on."""
     w0, w1, w2 = w[i], w[i + np.uint64(1)], w[i + np.uint64(2)]
     w3, w4, w5 = w[i + np.uint64(3)], w[i + np.uint64(4)], w[i + np.uint64(5)]
-    for r in range(_ROWS):
+    for r in range(_LANES):
         tile[to + r] = (
-            (w0 * lanes[k + r] + w1 * lanes[k + r + np.uint64(16)])
-            + (w2 * lanes[k + r + np.uint64(32)] + w3 * lanes[k + r + np.uint64(48)])
-        ) + (w4 * lanes[k + r + np.uint64(64)] + w5 * lanes[k + r + np.uint64(80)])
+            np.float32(0)
+            + w0 * lanes[k + r]
+            + w1 * lanes[k + r + np.uint64(16)]
+            + w2 * lanes[k + r + np.uint64(32)]
+            + w3 * lanes[k + r + np.uint64(48)]
+            + w4 * lanes[k + r + np.uint64(64)]
+            + w5 * lanes[k + r + np.uint64(80)]
+        )
 
 
 @jit
-def _out_of_lanes(tile: NDArray[np.float32], rows: NDArray[np.float32], slot: np.uint64, x: np.uint64) -> None:
-    for r in range(_ROWS):
-        row = rows[slot + r]
-        for i in range(_ROWS):
-            row[x + i] = tile[(i << _SHIFT) + r]
+def _out_of_lanes(
+    tile: NDArray[np.float32], rows: NDArray[np.float32], row: np.uint64, count: np.uint64, x: np.uint64
+) -> None:
+    for r in range(count):
+        target = rows[row + r]
+        for i in range(_LANES):
+            target[x + i] = tile[(i << _SHIFT) + r]
+
+
+@jit
+def _stretch(
+    coarse: NDArray[np.float32],
+    x_first: NDArray[np.uint64],
+    x_weights: NDArray[np.float32],
+    row_start: int,
+    row_stop: int,
+    lanes: NDArray[np.float32],
+    tile: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Sixteen rows at a time: into lanes, along x, and back into rows."""
+    width, end = np.uint64(coarse.shape[2]), np.uint64(len(x_first))
+    for plane in range(coarse.shape[0]):
+        for row in range(row_start, row_stop, 16):
+            count = np.uint64(min(16, row_stop - row))
+            for r in range(count):
+                _into_lane(coarse[plane, np.uint64(row) + np.uint64(r)], lanes, np.uint64(r), np.uint64(0), width)
+            for x in range(np.uint64(0), end, _LANES):
+                for i in range(_LANES):
+                    sample = x + i
+                    _along_x(lanes, x_first[sample] << _SHIFT, x_weights, sample * np.uint64(6), tile, i << _SHIFT)
+                _out_of_lanes(tile, out[plane], np.uint64(row), count, np.uint64(x))
 
 
 @jit
@@ -228,57 +263,41 @@ def _interpolate_rows(
     p4: NDArray[np.float32],
     p5: NDArray[np.float32],
     weights: NDArray[np.float32],
-    x_first: NDArray[np.uint64],
-    x_weights: NDArray[np.float32],
     y_first: NDArray[np.int64],
     y_weights: NDArray[np.float32],
     level: np.float32,
     row_start: int,
     row_stop: int,
     wanted: NDArray[np.int32],
-    coarse: NDArray[np.float32],
-    lanes: NDArray[np.float32],
-    tile: NDArray[np.float32],
-    rows: NDArray[np.float32],
+    kept: NDArray[np.float32],
     field: NDArray[np.float32],
     solid: NDArray[np.uint8],
     threshold: bool,
 ) -> None:
-    """Row after row; coarse row j, interpolated along z and x, stands in ``rows[j % 32]``."""
-    held0, held1 = -1, -1
+    """Row after row; coarse row j, interpolated along z, stands in ``kept[j % 8]``, where it was wanted so far."""
+    held = np.full(8, -1, np.int64)
+    low = np.zeros(8, np.int64)
+    high = np.zeros(8, np.int64)
     for y in range(row_start, row_stop):
-        if wanted[y, 0] >= wanted[y, 1]:
+        start, stop = np.int64(wanted[y, 0]), np.int64(wanted[y, 1])
+        if start >= stop:
             continue
-        j = y_first[y]
-        for group in range(j // 16, (j + 5) // 16 + 1):
-            if (held0 if group % 2 == 0 else held1) == group:
-                continue
-            if group % 2 == 0:
-                held0 = group
-            else:
-                held1 = group
-            # what this and the following rows want of the group
-            start, stop = wanted[y, 0], wanted[y, 1]
-            later = y + 1
-            while later < row_stop and y_first[later] < 16 * (group + 1):
-                if wanted[later, 0] < wanted[later, 1]:
-                    start, stop = min(start, wanted[later, 0]), max(stop, wanted[later, 1])
-                later += 1
-            a, b = x_first[start // 16 * 16], x_first[(stop - 1) | 15] + np.uint64(6)
-            for r in range(min(16, p0.shape[0] - 16 * group)):
-                k = 16 * group + r
-                _sum_rows(p0[k], p1[k], p2[k], p3[k], p4[k], p5[k], weights, np.float32(0), coarse, a, b)
-                _into_lane(coarse, lanes, np.uint64(r), a, b)
-            slot = np.uint64(16 * (group % 2))
-            for x in range(np.uint64(start // 16 * 16), np.uint64(stop), _ROWS):
-                for i in range(_ROWS):
-                    sample = x + i
-                    _along_x(lanes, x_first[sample] << _SHIFT, x_weights, sample * np.uint64(6), tile, i << _SHIFT)
-                _out_of_lanes(tile, rows, slot, np.uint64(x))
-        six = (rows[j % 32], rows[(j + 1) % 32], rows[(j + 2) % 32])
-        more = (rows[(j + 3) % 32], rows[(j + 4) % 32], rows[(j + 5) % 32])
-        start, stop = wanted[y, 0], wanted[y, 1]
+        first = y_first[y]
+        for j in range(first, first + 6):
+            slot = j % 8
+            if held[slot] != j:
+                held[slot] = j
+                low[slot] = high[slot] = start
+            for side in range(2):
+                a = np.uint64(start if side == 0 else high[slot])
+                b = np.uint64(low[slot] if side == 0 else stop)
+                if a < b:
+                    six = (p0[j], p1[j], p2[j], p3[j], p4[j], p5[j])
+                    _sum_rows(*six, weights, np.float32(0), kept[slot], a, b)
+            low[slot], high[slot] = min(low[slot], start), max(high[slot], stop)
+        near = (kept[first % 8], kept[(first + 1) % 8], kept[(first + 2) % 8])
+        far = (kept[(first + 3) % 8], kept[(first + 4) % 8], kept[(first + 5) % 8])
         if threshold:
-            _compare_rows(*six, *more, y_weights[y], level, solid[y], np.uint64(start), np.uint64(stop))
+            _negative_rows(*near, *far, y_weights[y], -level, solid[y], np.uint64(start), np.uint64(stop))
         else:
-            _sum_rows(*six, *more, y_weights[y], level, field[y], np.uint64(start), np.uint64(stop))
+            _sum_rows(*near, *far, y_weights[y], -level, field[y], np.uint64(start), np.uint64(stop))

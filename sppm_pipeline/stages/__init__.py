@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.hookspecs import hookimpl
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from sppm_pipeline.hookspecs import Preset
     from sppm_pipeline.stage import StageAlias
 
@@ -101,13 +103,26 @@ def sppm_stages() -> dict[str, str]:
 @hookimpl
 def sppm_stage_aliases() -> dict[str, str | StageAlias]:
     """Former names of built-in stages; writers that were named after a format keep that format by default."""
+    from sppm_pipeline.errors import ConfigError
     from sppm_pipeline.stage import StageAlias
 
     def alias(former: str, name: str) -> str | StageAlias:
         if not former.startswith("write."):
             return name
-        stem = "voxels" if name == "write.voxels" else "mesh"
-        return StageAlias(name, {"path": f"{stem}.{former.removeprefix('write.')}"})
+        suffix = f".{former.removeprefix('write.')}"
+        allowed = {".tiff": (".tif", ".tiff"), ".vtu": (".vtu", ".vtk")}.get(suffix, (suffix,))
+        default = f"{'voxels' if name == 'write.voxels' else 'mesh'}{suffix}"
+
+        def implied(written: Mapping[str, Any]) -> dict[str, Any]:
+            path = written.get("path", default)
+            if isinstance(path, str) and not path.lower().endswith(allowed):
+                raise ConfigError(
+                    f"{former} writes {' or '.join(allowed)}, and `path` is {path!r}",
+                    hint=f"say `stage: {name}`: the ending of the file chooses the format",
+                )
+            return {"path": path}
+
+        return StageAlias(name, implied)
 
     return {former: alias(former, name) for former, name in STAGE_ALIASES.items()}
 

@@ -77,7 +77,7 @@ def test_rows_of_another_namespace_are_no_vertices() -> None:
         (text(VERTICES + "<vertices><vertex x='0' y='0' z='0'/></vertices>"), "one table <vertices>"),
         (text(VERTICES + "</vertices><vertices>" + VERTICES), "one table <vertices>"),
         (text(triangles=TRIANGLES + "</triangles></mesh><mesh><vertices/><triangles>" + TRIANGLES), "two meshes"),
-        (text(VERTICES.replace("2.5e0", "two")), "be read"),
+        (text(VERTICES.replace("2.5e0", "two")), "three numbers"),
         (text(VERTICES.replace("2.5e0", "2.5 1")), "three numbers"),
         (text(VERTICES.replace('x="1" y="0"', 'x="1 2" y=""')), "a vertex has three numbers"),
         (text(VERTICES + '\n<vertex x="0" y="0"/>'), "m, line 4: a vertex has three numbers x, y and z"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import PurePosixPath
 
 from sppm_pipeline.engine.config.limits import unprintable
@@ -57,6 +57,23 @@ def output_parts(name: str) -> tuple[str, ...]:
         if _DEVICE.fullmatch(part):
             raise ConfigError(f"{shown(part)} is the name of a device on Windows, not of a file")
     return parts
+
+
+_LIKE_A_FILE = re.compile(r"\.[a-z]\w{1,4}", re.IGNORECASE)
+
+
+def suffix_words(suffixes: Collection[str]) -> str:
+    """How an output may be named: "a name that ends in .md or .csv"."""
+    files = [suffix for suffix in suffixes if suffix != "/"]
+    listed = f"{', '.join(files[:-1])} or {files[-1]}" if len(files) > 1 else "".join(files)
+    words = [f"a name that ends in {listed}"] * bool(files) + ["the name of a folder"] * ("/" in suffixes)
+    return " or ".join(words)
+
+
+def fits_suffix(name: str, suffixes: Collection[str]) -> bool:
+    """Whether the name of an output ends as one of `suffixes` says; that of a folder ends like no file's."""
+    suffix = PurePosixPath(name.replace("\\", "/")).suffix.lower()
+    return not suffixes or suffix in suffixes or ("/" in suffixes and not _LIKE_A_FILE.fullmatch(suffix))
 
 
 def folded(parts: tuple[str, ...]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from typing import Any
 from sppm_pipeline.data.length import UNITS_IN_MM, Length, parse_length
 from sppm_pipeline.engine.config.configuration import RESERVED
 from sppm_pipeline.engine.config.document import Entry, Override, plain
-from sppm_pipeline.engine.config.names import output_parts
+from sppm_pipeline.engine.config.names import fits_suffix, output_parts, suffix_words
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, PluginError
 from sppm_pipeline.stage import OptionSpec, Stage
@@ -233,6 +233,8 @@ def _parse(kind: Any, value: Any, option: Option, folder: Path) -> Any:
             output_parts(value)
         except ConfigError as error:
             raise ValueError(error.message) from None
+        if not fits_suffix(value, option.spec.suffixes):
+            raise refused
     return value
 
 
@@ -334,6 +336,8 @@ def allowed_words(option: Option) -> str:
     if spec.choices:
         words = ", ".join(spec.choices)
         return f"one of {words}" if option.kind in (str, str | None) else f"{type_words(option.kind)} ({words})"
+    if spec.suffixes:
+        return suffix_words(spec.suffixes)
     parts = [type_words(option.kind) + (f" in {spec.unit}" if spec.unit else "")]
     for bound, word in (
         (spec.minimum, "at least"), (spec.above, "above"), (spec.maximum, "at most"), (spec.below, "below")

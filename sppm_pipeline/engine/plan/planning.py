@@ -268,7 +268,12 @@ def _with_current_names(
             f"{entry.stage.where}: stage {entry.name!r} is now {cls.name!r}; the old name works in this version",
         )
         written = {name: plain(one.node) for name, one in options.items()}
-        implied = alias.options(written) if callable(alias.options) else alias.options
+        try:
+            implied = alias.options(written) if callable(alias.options) else alias.options
+        except ConfigError as error:
+            error.where, error.stage = error.where or entry.where, error.stage or entry.address
+            problems.add(error)
+            implied = {}
         for name, value in implied.items():
             options.setdefault(name, Entry(entry.where, as_node(plain_option(value), entry.where)))
     return dataclasses.replace(entry, options=options, stage=dataclasses.replace(entry.stage, value=cls.name))

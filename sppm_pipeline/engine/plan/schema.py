@@ -157,7 +157,14 @@ def _kinds(kind: Any, spec: OptionSpec) -> list[dict[str, Any]]:
         return [{"type": "null"}]
     if kind is not Path and spec.choices:
         return [{"enum": list(spec.choices)}]
+    if spec.suffixes and "/" not in spec.suffixes:
+        return [{"type": "string", "pattern": f"({'|'.join(map(_any_case, spec.suffixes))})$"}]
     return [{"type": "string"}]
+
+
+def _any_case(suffix: str) -> str:
+    """A pattern of a suffix in any case; patterns of JSON Schema have no flags."""
+    return "".join(f"[{c}{c.upper()}]" if c.isalpha() else f"[{c}]" for c in suffix)
 
 
 def _element(kind: Any, spec: OptionSpec) -> dict[str, Any]:

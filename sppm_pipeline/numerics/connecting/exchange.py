@@ -9,7 +9,8 @@ Integers are kept in two tables with named columns, because the time to compile 
   ``conflict`` of the edges that may not be chosen beside it;
 * ``node`` (n + 1, 7 + slots): `DEGREE` and its bounds `LOWER`, `UPPER`; the range `FROM`, `TO` in ``near``, where the
   edges at each vertex stand by rising length; `SEEN`, `QUEUE`: scratch of the searches; from `SLOTS` on the chosen
-  edges at the vertex. The last row belongs to no vertex; its `SEEN` is the stamp of the latest search.
+  edges at the vertex. The last row belongs to no vertex; its `SEEN` is the stamp of the latest search, its `UPPER` the
+  number of vertices at which a search gives up.
 
 ``length`` (m,) is the cost of an edge. "No edge" is ``int(np.int64(-1))``: Numba would compile a call anew for each
 combination of literals.
@@ -59,16 +60,18 @@ def node_table(
     lower: int | NDArray[np.int64],
     upper: int | NDArray[np.int64],
     slots: int,
+    detour: int,
 ) -> NDArray[np.int64]:
     """The table ``node`` for the candidate edges (m, 2) and bounds of the degrees of n vertices, with no edge chosen.
 
-    There is room for `slots` chosen edges at each vertex.
+    There is room for `slots` chosen edges at each vertex; a way round is looked for among `detour` vertices.
     """
     node = np.zeros((n + 1, SLOTS + slots), np.int64)
     node[:n, TO] = np.cumsum(np.bincount(edges.ravel(), minlength=n))
     node[1:n, FROM] = node[: n - 1, TO]
     node[:n, LOWER] = lower
     node[:n, UPPER] = upper
+    node[n, UPPER] = detour
     return node
 
 
@@ -80,6 +83,13 @@ def insert(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
         v = edge[e, p]
         node[v, SLOTS + node[v, DEGREE]] = e
         node[v, DEGREE] += 1
+
+
+@jit
+def insert_all(edge: NDArray[np.int64], node: NDArray[np.int64], chosen: NDArray[np.int64]) -> None:
+    """Choose the edges."""
+    for e in chosen:
+        insert(edge, node, e)
 
 
 @jit
@@ -96,7 +106,7 @@ def _remove(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
 
 
 @jit
-def _apply(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: int, in1: int, in2: int) -> None:
+def apply_move(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: int, in1: int, in2: int) -> None:
     """Take the edges out and put the others in; -1 stands for none."""
     for e in (out1, out2):
         if e >= 0:
@@ -120,14 +130,17 @@ def _clear(edge: NDArray[np.int64], conflict: NDArray[np.int64], e: int, out1: i
 def _joined(
     edge: NDArray[np.int64], node: NDArray[np.int64], start: int, goal: int, out1: int, out2: int, in1: int, in2: int
 ) -> bool:
-    """Whether a path leads from start to goal once the move is made (breadth first; neighbors are met soon)."""
+    """Whether a path leads from start to goal once the move is made (breadth first; neighbors are met soon).
+
+    After the number of vertices in the last row's `UPPER` the search gives up, and the answer is no.
+    """
     n = node.shape[0] - 1
     node[n, SEEN] += 1
     stamp = node[n, SEEN]
     node[start, SEEN] = stamp
     node[0, QUEUE] = start
     head, tail = 0, 1
-    while head < tail:
+    while head < tail and head < node[n, UPPER]:
         v = node[head, QUEUE]
         head += 1
         degree = node[v, DEGREE]
@@ -166,9 +179,9 @@ def _allowed(
         if e >= 0 and not _clear(edge, conflict, e, out1, out2, beside):
             return False
     if loops:
-        _apply(edge, node, out1, out2, in1, in2)
+        apply_move(edge, node, out1, out2, in1, in2)
         bridges, connected = mark_bridges(edge, node, int(np.int64(SLOTS)), np.zeros(edge.shape[0], np.bool_))
-        _apply(edge, node, in1, in2, out1, out2)
+        apply_move(edge, node, in1, in2, out1, out2)
         return connected and bridges == 0
     for e in (out1, out2):
         if e >= 0 and not _joined(edge, node, edge[e, 0], edge[e, 1], out1, out2, in1, in2):
@@ -191,31 +204,39 @@ def connect_and_fill(
     n = node.shape[0] - 1
     parent = np.arange(n)
     parts = n
-    for stage in range(2):
-        for e in order:
-            u, v = edge[e, 0], edge[e, 1]
-            limit = UPPER if stage == 0 else LOWER
-            if edge[e, CHOSEN] or node[u, DEGREE] >= node[u, limit] or node[v, DEGREE] >= node[v, limit]:
-                continue
+    for e in order:
+        u, v = edge[e, 0], edge[e, 1]
+        if node[u, DEGREE] < node[u, UPPER] and node[v, DEGREE] < node[v, UPPER]:
             a, b = find_root(parent, u), find_root(parent, v)
-            if stage == 1 or a != b:
+            if a != b:
                 insert(edge, node, e)
-                if a != b:
-                    parent[max(a, b)] = min(a, b)
-                    parts -= 1
-    return parts == 1 and raise_degrees(edge, node, length, near)
+                parent[max(a, b)] = min(a, b)
+                parts -= 1
+    fill(edge, node, order)
+    return parts == 1 and raise_degrees(edge, node, length, near) == 0
+
+
+@jit
+def fill(edge: NDArray[np.int64], node: NDArray[np.int64], order: NDArray[np.int64]) -> None:
+    """Add edges, the shortest first, between vertices that are both below their lower bounds."""
+    for e in order:
+        u, v = edge[e, 0], edge[e, 1]
+        if not edge[e, CHOSEN] and node[u, DEGREE] < node[u, LOWER] and node[v, DEGREE] < node[v, LOWER]:
+            insert(edge, node, e)
 
 
 @jit
 def raise_degrees(
     edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64]
-) -> bool:
-    """Add edges until every degree is >= lower; False if there are not enough candidate edges for it."""
+) -> int:
+    """Add edges until every degree is >= lower; returns how many vertices find no candidate edges for it."""
+    left = int(np.int64(0))
     for u in range(node.shape[0] - 1):
         while node[u, DEGREE] < node[u, LOWER]:
             if not _raise_degree(edge, node, length, near, u):
-                return False
-    return True
+                left += 1
+                break
+    return left
 
 
 @jit
@@ -248,7 +269,7 @@ def lower_degrees(
             if out < 0:
                 left += 1
                 break
-            _apply(edge, node, out, none, put, none)
+            apply_move(edge, node, out, none, put, none)
     return left
 
 
@@ -295,81 +316,8 @@ def _raise_degree(
                     best, put1, out, put2 = total, e1, e2, e3
     if put1 < 0:
         return False
-    _apply(edge, node, out, none, put1, put2)
+    apply_move(edge, node, out, none, put1, put2)
     return True
-
-
-@jit
-def make_loops(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
-) -> bool:
-    """Remove all bridges: join the smallest block that has one bridge to another block, until one block is left.
-
-    Either one edge is added, or one edge of each block is replaced by two edges between the blocks; an edge of a loop
-    leaves its block connected, and the two new edges close a loop through both. Returns False if no edge does it.
-    """
-    n = node.shape[0] - 1
-    m = edge.shape[0]
-    none = int(np.int64(-1))
-    while True:
-        bridge = np.zeros(m, np.bool_)
-        count, _ = mark_bridges(edge, node, int(np.int64(SLOTS)), bridge)
-        if count == 0:
-            return True
-        block = np.arange(n)
-        for e in range(m):
-            if edge[e, CHOSEN] and not bridge[e]:
-                a, b = find_root(block, edge[e, 0]), find_root(block, edge[e, 1])
-                block[max(a, b)] = min(a, b)
-        size = np.zeros(n, np.int64)
-        bridges_of = np.zeros(n, np.int64)
-        for v in range(n):
-            block[v] = find_root(block, v)
-            size[block[v]] += 1
-        for e in range(m):
-            if bridge[e]:
-                bridges_of[block[edge[e, 0]]] += 1
-                bridges_of[block[edge[e, 1]]] += 1
-        leaf = -1
-        for v in range(n):
-            if bridges_of[v] == 1 and (leaf < 0 or size[v] < size[leaf]):
-                leaf = v
-        best = np.inf
-        out1 = out2 = in1 = in2 = none
-        for e in range(m):
-            if edge[e, CHOSEN] or (block[edge[e, 0]] == leaf) == (block[edge[e, 1]] == leaf):
-                continue
-            p = 0 if block[edge[e, 0]] == leaf else 1
-            x, y = edge[e, p], edge[e, 1 - p]
-            cost = length[e]
-            room = node[x, DEGREE] < node[x, UPPER] and node[y, DEGREE] < node[y, UPPER]
-            if cost < best and room:
-                best, out1, out2, in1, in2 = cost, none, none, e, none
-            for s in range(SLOTS, SLOTS + node[x, DEGREE]):
-                here = node[x, s]
-                if bridge[here]:
-                    continue
-                far = edge[here, 0] + edge[here, 1] - x
-                for r in range(SLOTS, SLOTS + node[y, DEGREE]):
-                    there = node[y, r]
-                    if bridge[there]:
-                        continue
-                    goal = edge[there, 0] + edge[there, 1] - y
-                    for q in range(node[far, FROM], node[far, TO]):
-                        f = near[q]
-                        total = cost - length[here] - length[there] + length[f]
-                        if total >= best:
-                            break
-                        if edge[f, 0] + edge[f, 1] - far != goal or edge[f, CHOSEN] or f == e:
-                            continue
-                        best, out1, out2, in1, in2 = total, here, there, e, f
-                        break
-        if in1 < 0:
-            return False
-        _apply(edge, node, out1, out2, in1, in2)
 
 
 @jit
@@ -391,12 +339,14 @@ def improve(
     """
     n = node.shape[0] - 1
     left = waiting.sum()
+    # what a conflict adds to the worth of taking an edge out: two edges put in can't outweigh it
+    penalty = 3.0 * length.max()
     v = int(np.int64(0))
     while left > 0:
         if waiting[v]:
-            move = _shorter(edge, node, conflict, length, near, v, loops)
+            move = _shorter(edge, node, conflict, length, near, v, loops, penalty)
             if move[0] >= 0:
-                _apply(edge, node, move[0], move[1], move[2], move[3])
+                apply_move(edge, node, move[0], move[1], move[2], move[3])
                 for e in move:
                     if e >= 0:
                         for p in range(2):
@@ -417,6 +367,7 @@ def _shorter(
     near: NDArray[np.int64],
     t0: int,
     loops: bool,
+    penalty: float,
 ) -> tuple[int, int, int, int]:
     """The first shortening move whose trail starts by taking out an edge at t0: (out, out, in, in), -1 for none.
 
@@ -424,8 +375,6 @@ def _shorter(
     positive (S. Lin, B. W. Kernighan, Operations Research 21, 1973).
     """
     tiny, none = 1e-12, int(np.int64(-1))
-    # two edges put in can't outweigh it
-    penalty = 3.0 * length.max()
     spare = node[t0, DEGREE] > node[t0, LOWER]
     for s1 in range(node[t0, DEGREE]):
         e1 = node[t0, SLOTS + s1]

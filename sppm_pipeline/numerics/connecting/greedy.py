@@ -14,10 +14,10 @@ from sppm_pipeline.numerics.connecting.exchange import (
     connect_and_fill,
     edge_table,
     improve,
-    insert,
-    make_loops,
+    insert_all,
     node_table,
 )
+from sppm_pipeline.numerics.connecting.loops import make_loops
 from sppm_pipeline.numerics.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree, nearest_turns
 
 Edges = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -55,7 +55,7 @@ def greedy_subgraph(
         conflicts = _conflicts(points, edges, shifts, period, clearance)
         length = edge_lengths(points, edges, shifts)
         edge, conflict, near, order = edge_table(edges, length, conflicts)
-        node = node_table(n, edges, lower, upper, upper)
+        node = node_table(n, edges, lower, upper, slots=upper, detour=n)
         last = k >= min(most, _WIDEST)
         complete = connect_and_fill(edge, node, length, near, order)
         if complete and loops:
@@ -66,9 +66,8 @@ def greedy_subgraph(
             conflicts = _conflicts(points, edges, shifts, period, clearance)
             length = edge_lengths(points, edges, shifts)
             edge, conflict, near, order = edge_table(edges, length, conflicts)
-            node = node_table(n, edges, lower, upper, upper)
-            for e in ring:
-                insert(edge, node, e)
+            node = node_table(n, edges, lower, upper, slots=upper, detour=n)
+            insert_all(edge, node, ring)
             complete = True
         if complete:
             improve(edge, node, conflict, length, near, np.ones(n, np.bool_), loops)

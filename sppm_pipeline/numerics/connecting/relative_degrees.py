@@ -22,8 +22,8 @@ REACH = 6.0
 _DETOUR = 1000
 """Pores that the search for a way round a tunnel looks at; in packings a loop is closed after some ten."""
 
-_WIDEST = 40
-"""Nearest pores among which one with too few tunnels looks for more, when the usual ten do not do."""
+_NEAREST, _WIDEST = 10, 40
+"""Nearest pores among which one with too few tunnels looks for more, at first and at last."""
 
 
 class Network(NamedTuple):
@@ -79,7 +79,8 @@ def relative_neighbor_graph(
         If a pore with too few tunnels finds no pore with room near by.
     """
     network = connected_neighbors(points, period, reach=reach, threads=threads)
-    network, over = bounded_degrees(points, period, network, *degree)
+    network, over = cut_degrees(points, period, network, *degree)
+    network = raise_degrees(points, period, network, *degree)
     return *as_tunnels(points, period, network), over
 
 
@@ -121,40 +122,43 @@ def connected_neighbors(
     return Network(edges, turns)
 
 
-def bounded_degrees(
+def cut_degrees(
     points: NDArray[np.float64], period: NDArray[np.float64], network: Network, lower: int, upper: int
 ) -> tuple[Network, int]:
-    """A connected network with degrees raised to `lower`, and cut to `upper` where a loop allows it.
+    """The network without the longest edges at pores that have more than `upper`, and how many still have.
 
-    From a pore with too many tunnels the longest go first, of those that lie on a loop of some length and whose other
-    end can spare one. Then the shortest edges among the ten nearest pores go to those with too few, if the other end
-    has room.
+    An edge goes if it lies on a loop, and if its other end keeps `lower` edges.
+    """
+    edges, turns = network
+    degree = np.bincount(edges.ravel(), minlength=len(points))
+    if degree.max(initial=0) <= upper:
+        return network, 0
+    inside, _ = wrapped(points, period)
+    crowded = np.flatnonzero((degree[edges] > upper).any(axis=1))
+    period_of = period.astype(np.int64)
+    length = edge_lengths(inside, edges[crowded], turns[crowded] * period_of)
+    order = crowded[np.lexsort((crowded, -length))]
+    around = np.argsort(edges.ravel(), kind="stable").astype(np.int32)
+    start = np.concatenate([[0], np.cumsum(degree)])
+    kept = _cut(edges, around, start, degree, order, lower, upper, _DETOUR)
+    return Network(edges[kept], turns[kept]), int((degree > upper).sum())
 
-    Returns
-    -------
-    network : Network
-    over : int
-        Pores that still have more than `upper` tunnels.
+
+def raise_degrees(
+    points: NDArray[np.float64], period: NDArray[np.float64], network: Network, lower: int, upper: int
+) -> Network:
+    """The network with the shortest edges from pores that have fewer than `lower` to pores near by that have room.
 
     Raises
     ------
     DesignError
-        If a pore finds no more pores with room near by.
+        If there are no more such pores.
     """
     n = len(points)
-    period_of = period.astype(np.int64)
     inside, _ = wrapped(points, period)
     edges, turns = network
     degree = np.bincount(edges.ravel(), minlength=n)
-    if degree.max(initial=0) > upper:
-        crowded = np.flatnonzero((degree[edges] > upper).any(axis=1))
-        length = edge_lengths(inside, edges[crowded], turns[crowded] * period_of)
-        order = crowded[np.lexsort((crowded, -length))]
-        around = np.argsort(edges.ravel(), kind="stable").astype(np.int32)
-        start = np.concatenate([[0], np.cumsum(degree)])
-        kept = _cut(edges, around, start, degree, order, lower, upper, _DETOUR)
-        edges, turns = edges[kept], turns[kept]
-    k = 10
+    k = _NEAREST
     while (poor := np.flatnonzero(degree < lower)).size:
         if k > _WIDEST:
             raise DesignError(
@@ -162,17 +166,20 @@ def bounded_degrees(
                 hint="widen the degree bounds, for example to [3, 5]",
             )
         keys = np.unique(nearest_keys(sorted_into_buckets(inside, period), poor, k).ravel())
-        taken = ((edges[:, 0].astype(np.int64) * n + edges[:, 1]) * 27) + (
-            9 * turns[:, 0].astype(np.int64) + 3 * turns[:, 1] + turns[:, 2] + 13
-        )
-        keys = np.setdiff1d(keys[keys >= 0], taken, assume_unique=True)
+        keys = np.setdiff1d(keys[keys >= 0], _keys(edges, turns, n), assume_unique=True)
         more, images = edges_of_keys(keys, n)
-        order = np.argsort(edge_lengths(inside, more, images * period_of), kind="stable")
+        order = np.argsort(edge_lengths(inside, more, images * period.astype(np.int64)), kind="stable")
         added = order[_raise(more, degree, order, lower, upper)]
         edges = np.concatenate([edges, more[added].astype(np.int32)])
         turns = np.concatenate([turns, images[added].astype(np.int8)])
         k *= 2
-    return Network(edges, turns), int((degree > upper).sum())
+    return Network(edges, turns)
+
+
+def _keys(edges: NDArray[np.int32], turns: NDArray[np.int8], n: int) -> NDArray[np.int64]:
+    """Keys of edges as those of `nearest_keys`, (m,)."""
+    code = 9 * turns[:, 0] + 3 * turns[:, 1] + turns[:, 2] + np.int8(13)
+    return (edges[:, 0].astype(np.int64) * n + edges[:, 1]) * 27 + code
 
 
 def as_tunnels(
@@ -180,11 +187,9 @@ def as_tunnels(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Edges (m, 2), sorted by (i, j, shift), and shifts (m, 3) in whole cells between the points as they were given."""
     n = len(points)
-    turns = network.turns.astype(np.int64)
-    key = (network.edges[:, 0].astype(np.int64) * n + network.edges[:, 1]) * 27 + turns @ [9, 3, 1]
-    order = np.argsort(key, kind="stable")
+    order = np.argsort(_keys(*network, n), kind="stable")
     edges = network.edges[order].astype(np.int64)
-    turns = turns[order]
+    turns = network.turns[order].astype(np.int64)
     turns *= period.astype(np.int64)
     cells = np.floor(points / np.where(period > 0, period, np.inf)) * period
     if cells.any():

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.wrapped import RepeatedField
@@ -30,12 +30,8 @@ class CheckResidualPeriodicity(Stage):
 
     resolution: int = options.resolution(16, minimum=4, maximum=128)
     path: str | None = options.write_path(
-        None, note="a .png file with three sections through the mean cell; none if omitted"
+        None, note="three sections through the mean cell; none if omitted", suffixes=(".png",)
     )
-
-    def check_options(self) -> None:
-        if self.path is not None and not self.path.lower().endswith(".png"):
-            raise ConfigError(f"{self.path!r} is not the name of a .png file", hint="give `path: folded.png`")
 
     def estimate(self, palette: Palette, tiling: Size) -> Size:
         return tiling.grid(self.resolution)

@@ -26,11 +26,12 @@ _HINT = "lay one cell with `tile.periodic`, or mesh the whole with `extract.marc
 
 @dataclass(frozen=True, kw_only=True)
 class UnitCell(Stage):
-    """Extract the surface of one cell of a periodic lattice, capped at the faces of the cell, to be written once.
+    """Extract the surface of one cell of a periodic lattice, capped at the faces of the cell, and where it is repeated.
 
-    The lattice is what `tile.periodic` lays. Formats that know copies (3MF, GLB) hold the mesh of one cell and place
-    it as often as there are cells: files are smaller by that number. Copies touch with their caps; slicing programs
-    unite solids that touch, a mesh of one piece is made by `extract.marching_cubes`.
+    The lattice is what `tile.periodic` lays. `write.mesh` makes one object of all copies, or, where the format knows
+    copies (GLB, 3MF on request), writes the mesh of one cell and places it as often as there are cells: files are
+    smaller by that number. Copies touch with their caps; slicing programs unite solids that touch, a surface without
+    walls inside is made by `extract.marching_cubes`.
     """
 
     name: ClassVar[str] = "extract.unit_cell"

@@ -29,7 +29,8 @@ class ScatteredTiling(Stage):
     """Scatter pores over the whole part: there are no faces, and nothing repeats.
 
     An extension of the paper. The lattice only says how many pores lie in each of its blocks: the recipe's number for a
-    cell, faces and interior together. Pores keep their spacing and are joined across blocks.
+    cell, faces and interior together. Pores keep their spacing and are joined across blocks. Samplers that need the
+    whole cell are refused.
     """
 
     name: ClassVar[str] = "tile.scattered"
@@ -43,9 +44,11 @@ class ScatteredTiling(Stage):
 
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
-        recipe(palette, made.cells)
+        x, y, z = (n + 2.0 * HALO * (not self.periodic) for n in made.body.box)
+        blocks = min(x * y * z, made.cells + HALO * made.body.envelope * (not self.periodic))
+        recipe(palette, blocks)
         trial = min(made.cells, 64) * float(self.resolution) ** 3 if self.porosity is not None else 0.0
-        counts = {"cells": made.cells, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
+        counts = {"cells": blocks, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
         return made.at_porosity(self.porosity, **counts)
 
     def check_options(self) -> None:

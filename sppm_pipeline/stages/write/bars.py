@@ -12,6 +12,8 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
+CHARTS = (".png", ".pdf", ".svg")
+
 MAX_ROWS = 200
 """Maximum number of rows of a chart of readable size."""
 
@@ -27,7 +29,7 @@ class WriteBars(Stage):
 
     name: ClassVar[str] = "write.bars"
 
-    path: str = options.write_path("bars.png", note=".pdf, .svg or .png")
+    path: str = options.write_path("bars.png", suffixes=CHARTS)
     label: str = options.label("run")
     columns: tuple[str, ...] = options.columns(note="that are drawn")
     headings: tuple[str, ...] = options.headings(())

@@ -14,6 +14,7 @@ from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stages.write.bars import CHARTS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +27,7 @@ class WriteChart(Stage):
 
     name: ClassVar[str] = "write.chart"
 
-    path: str = options.write_path("chart.png", note=".pdf, .svg or .png")
+    path: str = options.write_path("chart.png", suffixes=CHARTS)
     x: str = option(help="column along the horizontal axis")
     y: str = option(help="column along the vertical axis")
     kind: str = option(

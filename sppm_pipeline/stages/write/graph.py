@@ -9,8 +9,8 @@ from typing import ClassVar
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.tunnels import TunnelGraph
-from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.file_writer import extension_of
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.stage import Context, Stage
 
@@ -21,11 +21,7 @@ class WriteGraph(Stage):
 
     name: ClassVar[str] = "write.graph"
 
-    path: str = options.write_path("graph.graphml", note=".graphml or .json")
-
-    def check_options(self) -> None:
-        if not self.path.endswith((".graphml", ".json")):
-            raise ConfigError(f"option 'path': expected a name that ends in .graphml or .json, got {self.path!r}")
+    path: str = options.write_path("graph.graphml", suffixes=(".graphml", ".json"))
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         return Size(pores=source.cell.pores, tunnels=source.cell.tunnels)
@@ -42,7 +38,7 @@ class WriteGraph(Stage):
         region = ["interior" if a < 0 else f"face_{'xyz'[a]}" for a in axis]
         exported = networkx_graph(pores.centers, graph.edges, graph.shift, region)
         target = context.output(self.path)
-        if self.path.endswith(".json"):
+        if extension_of(self.path) == ".json":
             text = json.dumps(networkx.node_link_data(exported, edges="edges"), indent=1, sort_keys=True)
             target.write_text(text + "\n", encoding="utf-8")
         else:

@@ -18,22 +18,21 @@ from sppm_pipeline.stage import Context, Stage, option
 ENCODERS = {".stl": "stl", ".ply": "ply", ".obj": "obj", ".off": "off", ".3mf": "three_mf_encode", ".glb": "glb_encode"}
 """Extension -> module of `sppm_pipeline.formats`."""
 
-COPIES = (".3mf", ".glb")
-"""Formats that hold a mesh once and place copies of it."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class WriteMesh(Stage):
     """Write a triangle mesh; the extension chooses the format: binary STL or PLY, OBJ, OFF, 3MF or GLB.
 
-    Coordinates are millimeters; a GLB is in meters with y up, as its specification says. What `extract.unit_cell` makes
-    is written once, with a place for each copy, to a .3mf or .glb file; slicing programs unite solids that touch.
+    Coordinates are millimeters; a GLB is in meters with y up, as its specification says. The copies that
+    `extract.unit_cell` places become one object of touching solids, which slicing programs unite. A .glb file holds
+    their mesh once and places it, and so does a .3mf file with `copies: components`, which slicing programs may take
+    for many parts to be laid side by side.
     """
 
     name: ClassVar[str] = "write.mesh"
     advice: ClassVar[str] = ADVICE
 
-    path: str = options.write_path("mesh.stl", note=".stl, .ply, .obj, .off, .3mf or .glb")
+    path: str = options.write_path("mesh.stl", suffixes=ENCODERS)
     title: str | None = options.title(None, note="in a .3mf file; the name of the mesh if omitted")
     description: str | None = option(
         None, help="a sentence kept in a .3mf file, for instance the parameters of the design"
@@ -42,14 +41,24 @@ class WriteMesh(Stage):
         False, help="whether each vertex of a .glb file has a normal, so that viewers shade smoothly"
     )
 
+    copies: str = option(
+        "merged",
+        help="what becomes of the copies of a cell in a .3mf file: merged into one object, or components that place a "
+        "mesh that is stored once",
+        choices=("merged", "components"),
+    )
+
     def check_options(self) -> None:
-        require_format(self, self.path, ENCODERS, {"title": ".3mf", "description": ".3mf", "normals": ".glb"})
+        only_for = {"title": ".3mf", "description": ".3mf", "copies": ".3mf", "normals": ".glb"}
+        require_format(self, self.path, ENCODERS, only_for)
         for name, text in (("title", self.title), ("description", self.description)):
             if text is not None and not text.isprintable():
                 raise ConfigError(f"`{name}` has characters that cannot be printed: {text!r}")
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
-        return Size(triangles=mesh.triangles, copies=mesh.copies)
+        if self._placed:
+            return Size(triangles=mesh.triangles, copies=mesh.copies)
+        return Size(triangles=mesh.triangles * max(1.0, mesh.copies))
 
     @property
     def rated_as(self) -> str:
@@ -58,28 +67,32 @@ class WriteMesh(Stage):
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
         """Write the file."""
         extension = extension_of(self.path)
-        once = mesh.mesh if isinstance(mesh, RepeatedMesh) else mesh
         options: dict[str, Any] = {"threads": context.threads}
-        copies = 1
-        require_triangles(once, self.path)
+        placed = 1
         if isinstance(mesh, RepeatedMesh):
-            copies, options["offsets"] = len(mesh.offsets), mesh.offsets
-            if not copies:
-                raise DesignError(f"{once.name!r} has no copies: there is nothing to write to {self.path}")
-            if extension not in COPIES:
-                raise DesignError(
-                    f"a {extension} file holds no copies of a mesh, and {once.name!r} stands at {copies} places",
-                    hint="write a .3mf or .glb file, or extract the whole mesh by `extract.marching_cubes`",
-                )
+            require_triangles(mesh.mesh, self.path)
+            if not len(mesh.offsets):
+                raise DesignError(f"{mesh.mesh.name!r} has no copies: there is nothing to write to {self.path}")
+            context.report(copies=len(mesh.offsets))
+            if self._placed:
+                once, placed, options["offsets"] = mesh.mesh, len(mesh.offsets), mesh.offsets
+            else:
+                once = mesh.whole()
+        else:
+            require_triangles(mesh, self.path)
+            once = mesh
         if extension == ".3mf":
             options |= self._labels(once.name)
         elif extension == ".glb":
             options["normals"] = self.normals
         encode = importlib.import_module(f"sppm_pipeline.formats.{ENCODERS[extension]}").encode
         size = write_pieces(context, self.path, encode(once.vertices, once.faces, **options))
-        context.report(bytes=size, triangles=copies * len(once.faces))
-        if extension in COPIES:
-            context.report(copies=copies)
+        context.report(bytes=size, triangles=placed * len(once.faces))
+
+    @property
+    def _placed(self) -> bool:
+        """Whether the file holds the mesh of copies once."""
+        return extension_of(self.path) == ".glb" or self.copies == "components"
 
     def _labels(self, mesh_name: str) -> dict[str, Any]:
         """Name and metadata of a 3MF."""

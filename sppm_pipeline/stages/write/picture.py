@@ -22,7 +22,7 @@ class WritePicture(Stage):
     name: ClassVar[str] = "write.picture"
     advice: ClassVar[str] = "lower `resolution` or `image_size`"
 
-    path: str = options.write_path("picture.png", note="a .png file")
+    path: str = options.write_path("picture.png", suffixes=(".png",))
     resolution: int = options.resolution(32, note="fewer where the picture could not show them", minimum=4, maximum=512)
     image_size: tuple[int, int] = options.image_size((1200, 900), minimum=16, formerly="size")
     azimuth: float = option(-60.0, help="direction of view around z", unit="degrees", minimum=-360, maximum=360)

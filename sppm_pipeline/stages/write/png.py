@@ -26,7 +26,7 @@ class WritePng(LayerWriter):
     name: ClassVar[str] = "write.png"
     suffix: ClassVar[str] = ".png"
 
-    path: str = options.write_path("slices", note="a folder")
+    path: str = options.write_path("slices", suffixes=("/",))
     bits: int | None = option(
         None,
         help="bits of a pixel: 1 for black and white, 8 for gray; what the layers need if omitted",

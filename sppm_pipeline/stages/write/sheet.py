@@ -32,7 +32,7 @@ class WriteSheet(Stage):
     name: ClassVar[str] = "write.sheet"
     advice: ClassVar[str] = "lower `width`"
 
-    path: str = options.write_path("sheet.png", note="a .png file")
+    path: str = options.write_path("sheet.png", suffixes=(".png",))
     picture: str = option("picture.png", help="name of the picture in the folder of each run")
     label: str = options.label("run", note="its values stand beneath the pictures")
     per_row: int | None = option(

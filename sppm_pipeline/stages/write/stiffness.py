@@ -30,7 +30,7 @@ class WriteStiffness(Stage):
     name: ClassVar[str] = "write.stiffness"
     advice: ClassVar[str] = "give a smaller `image_size`"
 
-    path: str = options.write_path("stiffness", note="a folder")
+    path: str = options.write_path("stiffness", suffixes=("/",))
     material: str = option("SPPM", help="name of the material in the card")
     image_size: tuple[int, int] = options.image_size((900, 800), minimum=300, formerly="size")
 

@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.table import Table
-from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.file_writer import extension_of
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.stages.write.bars import check_columns
 
@@ -26,7 +26,7 @@ class WriteTable(Stage):
 
     name: ClassVar[str] = "write.table"
 
-    path: str = options.write_path("table.md", note=".md or .csv")
+    path: str = options.write_path("table.md", suffixes=(".md", ".csv"))
     columns: tuple[str, ...] = options.columns()
     headings: tuple[str, ...] = options.headings(())
     digits: int = option(3, help="significant digits of numbers", minimum=1, maximum=17)
@@ -34,10 +34,8 @@ class WriteTable(Stage):
     descending: bool = options.descending(False)
 
     def check_options(self) -> None:
-        """Columns, a heading for each, and a format."""
+        """Columns, and a heading for each."""
         check_columns(self.columns, self.headings)
-        if not self.path.lower().endswith((".md", ".csv")):
-            raise ConfigError(f"a table is written as .md or .csv, not as {self.path!r}")
 
     def estimate(self, palette: Palette, table: Size) -> Size:
         return Size()
@@ -48,7 +46,7 @@ class WriteTable(Stage):
         columns = [table.column(name) for name in self.columns]
         headings = list(self.headings or self.columns)
         body = [[self._text(column[row]) for column in columns] for row in rows]
-        if self.path.lower().endswith(".csv"):
+        if extension_of(self.path) == ".csv":
             text = io.StringIO()
             csv.writer(text, lineterminator="\n").writerows([headings, *body])
             written = text.getvalue()

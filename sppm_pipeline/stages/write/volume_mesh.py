@@ -14,6 +14,8 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.file_writer import extension_of, require_format, write_pieces
 from sppm_pipeline.stage import Context, Stage, option
 
+FORMATS = (".vtu", ".vtk", ".inp", ".msh")
+
 COMMENTS = (
     "coordinates in mm; with forces in N, stresses and moduli are in MPa, densities in t/mm^3",
     "element sets: SOLID, MATERIAL1, ...",
@@ -37,7 +39,7 @@ class WriteVolumeMesh(Stage):
     name: ClassVar[str] = "write.volume_mesh"
     advice: ClassVar[str] = "mesh with a lower `resolution`"
 
-    path: str = options.write_path("mesh.vtu", note=".vtu, .vtk, .inp or .msh")
+    path: str = options.write_path("mesh.vtu", suffixes=FORMATS)
     compress: bool = option(
         False, help="make a .vtu file smaller; its bytes then depend on the version of the library zlib"
     )
@@ -49,8 +51,7 @@ class WriteVolumeMesh(Stage):
     )
 
     def check_options(self) -> None:
-        known = (".vtu", ".vtk", ".inp", ".msh")
-        require_format(self, self.path, known, {"compress": ".vtu", "tie_faces": ".inp"})
+        require_format(self, self.path, FORMATS, {"compress": ".vtu", "tie_faces": ".inp"})
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
         return Size(tetrahedra=mesh.tetrahedra, nodes=mesh.nodes, mid_nodes=mesh.mid_nodes)

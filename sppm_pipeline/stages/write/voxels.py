@@ -13,6 +13,8 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.file_writer import extension_of, require_format, write_pieces
 from sppm_pipeline.stage import Context, Stage
 
+FORMATS = (".npy", ".tif", ".tiff", ".vti")
+
 
 @dataclass(frozen=True, kw_only=True)
 class WriteVoxels(Stage):
@@ -25,10 +27,10 @@ class WriteVoxels(Stage):
 
     name: ClassVar[str] = "write.voxels"
 
-    path: str = options.write_path("voxels.npy", note=".npy, .tif, .tiff or .vti")
+    path: str = options.write_path("voxels.npy", suffixes=FORMATS)
 
     def check_options(self) -> None:
-        require_format(self, self.path, (".npy", ".tif", ".tiff", ".vti"), {})
+        require_format(self, self.path, FORMATS, {})
 
     def estimate(self, palette: Palette, voxels: Size) -> Size:
         return Size(voxels=voxels.voxels, resident=voxels.resident, outline=voxels.outline, layers=voxels.layers)

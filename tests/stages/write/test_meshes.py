@@ -117,14 +117,6 @@ def test_the_extension_may_be_in_capitals(wedge, tmp_path):
     assert data == write(WriteMesh(path="a.ply"), wedge, tmp_path)[0]
 
 
-@pytest.mark.parametrize("name", ["stl", "ply", "obj", "off"])
-def test_formats_without_copies_refuse_them(name, repeated, tmp_path):
-    with pytest.raises(DesignError, match="holds no copies") as caught:
-        write(WriteMesh(path=f"a.{name}"), repeated, tmp_path)
-    assert "extract.marching_cubes" in caught.value.hint
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("name", FORMATS)
 def test_former_stages_write_their_format_under_their_former_id(name, run_yaml, summary):
     record, folder = run_yaml(f"""
@@ -181,25 +173,66 @@ def repeated(lattice) -> RepeatedMesh:
     return made
 
 
-@pytest.mark.parametrize("name", ["3mf", "glb"])
+PLACED = {"3mf": {"copies": "components"}, "glb": {}}
+
+
+@pytest.mark.parametrize("name", PLACED)
 def test_a_cell_is_written_once(name, repeated, tmp_path):
-    once, _ = write(WriteMesh(path=f"once.{name}"), repeated.mesh, tmp_path)
-    data, context = write(WriteMesh(path=f"many.{name}"), repeated, tmp_path)
+    options = PLACED[name]
+    once, _ = write(WriteMesh(path=f"once.{name}", **options), repeated.mesh, tmp_path)
+    data, context = write(WriteMesh(path=f"many.{name}", **options), repeated, tmp_path)
     assert len(data) < len(once) + 1500
     assert context.reported["copies"] == 6
     assert context.reported["triangles"] == 6 * len(repeated.mesh.faces)
     read_again, _ = read(tmp_path / f"many.{name}")
     whole = repeated.whole()
     assert np.allclose(read_again.vertices[read_again.faces], whole.vertices[whole.faces], atol=2e-6)
-    assert write(WriteMesh(path=f"again.{name}"), repeated, tmp_path, threads=2)[0] == data
+    assert write(WriteMesh(path=f"again.{name}", **options), repeated, tmp_path, threads=2)[0] == data
     if name == "glb":
         scene = trimesh.load(io.BytesIO(data), file_type="glb", process=False)
         assert len(scene.graph.nodes_geometry) == 6
         assert scene.to_mesh().volume * 1e9 == pytest.approx(volume(whole.vertices, whole.faces), rel=1e-4)
 
 
+@pytest.mark.parametrize("name", ["3mf", "stl", "ply", "obj", "off"])
+def test_copies_become_one_object_where_a_program_could_lay_them_side_by_side(name, repeated, tmp_path):
+    data, context = write(WriteMesh(path=f"many.{name}"), repeated, tmp_path)
+    assert context.reported["copies"] == 6
+    assert context.reported["triangles"] == 6 * len(repeated.mesh.faces)
+    read_again, _ = read(tmp_path / f"many.{name}")
+    whole = repeated.whole()
+    assert np.allclose(read_again.vertices[read_again.faces], whole.vertices[whole.faces], atol=2e-6)
+    if name == "3mf":
+        with zipfile.ZipFile(io.BytesIO(data)) as file:
+            model = ElementTree.fromstring(file.read("3D/3dmodel.model"))
+        assert len(model.findall(f"{CORE}resources/{CORE}object")) == len(list(model.iter(f"{CORE}mesh"))) == 1
+        assert not list(model.iter(f"{CORE}component"))
+
+
+def test_merged_copies_are_one_object_to_a_slicing_program(repeated, tmp_path):
+    slicer = shutil.which("prusa-slicer")
+    if slicer is None:
+        pytest.skip("PrusaSlicer is not installed")
+
+    def objects(path: Path) -> list[list[float]]:
+        told = subprocess.run([slicer, "--info", str(path)], capture_output=True, text=True, check=True).stdout
+        sizes = [float(line.split("=")[1]) for line in told.splitlines() if line.startswith("size_")]
+        return [sizes[start : start + 3] for start in range(0, len(sizes), 3)]
+
+    write(WriteMesh(path="merged.3mf"), repeated, tmp_path)
+    write(WriteMesh(path="placed.3mf", copies="components"), repeated, tmp_path)
+    assert objects(tmp_path / "merged.3mf") == [pytest.approx([8.0, 12.0, 4.0], abs=1e-3)]
+    assert len(objects(tmp_path / "placed.3mf")) == 6
+
+
+def test_more_vertices_than_a_mesh_counts_are_refused(repeated):
+    many = np.zeros((2**31 // len(repeated.mesh.vertices) + 1, 3))
+    with pytest.raises(DesignError, match=r"copies of .* vertices; one mesh counts 2147483647"):
+        RepeatedMesh(repeated.mesh, many).whole()
+
+
 def test_components_are_of_the_core_specification(repeated, tmp_path):
-    data, _ = write(WriteMesh(path="mesh.3mf"), repeated, tmp_path)
+    data, _ = write(WriteMesh(path="mesh.3mf", copies="components"), repeated, tmp_path)
     with zipfile.ZipFile(io.BytesIO(data)) as file:
         model = ElementTree.fromstring(file.read("3D/3dmodel.model"))
     mesh, assembly = model.findall(f"{CORE}resources/{CORE}object")
