@@ -74,6 +74,14 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         SIZES,
     ),
+    "hyperuniform": (
+        """pipeline:
+  - {stage: sample.hyperuniform, count: $n, stealth: 0.5, spacing: 0.1}
+  - {stage: connect.mst}
+  - {stage: field.gaussian, pore_radius: 0.1, tunnel_radius: 0.03}
+""",
+        SIZES,
+    ),
     "checks": (
         "pipeline:" + CELL + """
   - {stage: check.porosity, resolution: $r}

@@ -123,6 +123,7 @@ class StiffnessReport(Artifact):
                 "within_voigt_and_reuss": bound.within,
                 "hashin_shtrikman_bulk": list(bound.bulk),
                 "hashin_shtrikman_shear": list(bound.shear),
+                "hashin_shtrikman_young": list(bound.young),
                 "bulk_within": bound.bulk_holds,
                 "shear_within": bound.shear_holds,
             },

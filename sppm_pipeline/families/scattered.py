@@ -82,7 +82,8 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
                 place %= blocks.shape
             if (place >= 0).all() and (place < blocks.shape).all() and numbers[tuple(place)] >= 0:
                 around.append(thrown[numbers[tuple(place)]] + shift)
-        box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, face_pores=0)
+        own = np.column_stack([thrown[t], np.ones(len(thrown[t]))])
+        box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, 0, folded=own)
         new[t] = sampler.thrown(context, int(t), box)
         thrown[t] = np.concatenate([thrown[t], new[t]])
         context.progress(done + 1, base.interiors, "blocks")

@@ -66,6 +66,7 @@ class Plugin:
     aliases : dict of former stage name to current name or StageAlias
     executors : dict of name to function of the number of workers
     commands : dict of verb to Command
+    presets : dict of name to Preset
     """
 
     name: str
@@ -79,6 +80,7 @@ class Plugin:
     aliases: dict[str, str | StageAlias] = field(default_factory=dict)
     executors: dict[str, Callable[[int], Executor]] = field(default_factory=dict)
     commands: dict[str, hookspecs.Command] = field(default_factory=dict)
+    presets: dict[str, hookspecs.Preset] = field(default_factory=dict)
 
     def __str__(self) -> str:
         if self.builtin:
@@ -272,6 +274,7 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
     ("sppm_stage_aliases", "aliases", _is_alias, "stages or a StageAlias"),
     ("sppm_executors", "executors", callable, "functions"),
     ("sppm_commands", "commands", lambda value: isinstance(value, hookspecs.Command), "a Command"),
+    ("sppm_presets", "presets", lambda value: isinstance(value, hookspecs.Preset), "a Preset"),
 )
 """Hooks that return a map of names: where the map goes in `Plugin`, what its values may be, and that in words."""
 
@@ -388,7 +391,12 @@ def ready_command(
 def _refuse_duplicates(plugins: list[Plugin]) -> None:
     """Two plugins that supply the same name: the later one is at fault, both are named."""
     # former names of stages are of one kind with names, as they must not hide stages
-    for words, *kinds in (("stage", "stages", "aliases"), ("executor", "executors"), ("verb", "commands")):
+    for words, *kinds in (
+        ("stage", "stages", "aliases"),
+        ("executor", "executors"),
+        ("verb", "commands"),
+        ("preset", "presets"),
+    ):
         owners: dict[str, Plugin] = {}
         for kind, plugin in ((kind, plugin) for kind in kinds for plugin in plugins):
             for name in list(getattr(plugin, kind)):

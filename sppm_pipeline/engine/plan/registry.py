@@ -32,6 +32,8 @@ class Registry:
             for former, alias in plugin.aliases.items()
         }
         """Former stage names and what they stand for now."""
+        self.presets = {name: preset for plugin in plugins.plugins for name, preset in plugin.presets.items()}
+        """Recipes by name."""
 
     def __contains__(self, name: str) -> bool:
         return self.current(name) in self._owners
