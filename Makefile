@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: quickstart test clean
+.PHONY: quickstart test test-oldest clean
 
 quickstart: $(VENV)/.installed  ## set up and run the main job; results are in runs/quickstart
 	$(BIN)/sppm run configs/quickstart.yaml
@@ -14,6 +14,11 @@ test: $(VENV)/.installed-tests  ## set up and pass all checks and tests
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+test-oldest:  ## the tests with the oldest libraries that pyproject.toml allows; in an environment of its own
+	$(PYTHON) -m venv $(VENV)-oldest
+	$(VENV)-oldest/bin/pip install --quiet --constraint tests/oldest.txt --editable ".[test,images,volume]"
+	$(VENV)-oldest/bin/python -m pytest -n auto --dist loadfile tests
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -59,9 +59,24 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
         )
         for mode in ("greedy", "lp_fix", "exact")
     },
+    "neighbors": (
+        """pipeline:
+  - {stage: sample.dart_throwing, total: $n}
+  - {stage: connect.relative_neighbors}
+""",
+        {"n": (100, 100, 1000, 3000)},
+    ),
     "samplers": (
         """pipeline:
   - {stage: sample.elimination, count: $n}
+  - {stage: connect.mst}
+  - {stage: field.gaussian, pore_radius: 0.1, tunnel_radius: 0.03}
+""",
+        SIZES,
+    ),
+    "hyperuniform": (
+        """pipeline:
+  - {stage: sample.hyperuniform, count: $n, stealth: 0.5, spacing: 0.1}
   - {stage: connect.mst}
   - {stage: field.gaussian, pore_radius: 0.1, tunnel_radius: 0.03}
 """,
@@ -163,6 +178,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: tileset.corner_colors, recipe: cell, colors: 2, porosity: 0.6, resolution: $r, tolerance: 0.05}
   - {stage: tile.corner_colors, cells: [$k, $k, $k], cell: 5 mm}
   - {stage: tile.fresh, recipe: cell, cells: [$c, $c, $c], cell: 5 mm, porosity: 0.6, resolution: 16}
+  - {stage: tile.scattered, recipe: cell, cells: [$c, $c, $c], cell: 5 mm, porosity: 0.6, resolution: 16}
 """,
         {
             "n": (42, 42, 60, 72),

@@ -104,7 +104,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.fields.tileset import TileSet
     from sppm_pipeline.fields.tiling import Tiling
     from sppm_pipeline.fields.wrapped import WrappedField
-    from sppm_pipeline.hookspecs import hookimpl
+    from sppm_pipeline.hookspecs import Preset, hookimpl
     from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
     from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
     from sppm_pipeline.numerics.compiled import inline_jit, jit
@@ -154,7 +154,7 @@ _PLACES = {
     "fields.tileset": "TileSet",
     "fields.tiling": "Tiling",
     "fields.wrapped": "WrappedField",
-    "hookspecs": "hookimpl",
+    "hookspecs": "Preset hookimpl",
     "numerics.assembly.contents": "Pieces TilingArrays",
     "numerics.assembly.gather": "make_catalog sample_exact",
     "numerics.compiled": "inline_jit jit",
@@ -216,6 +216,7 @@ __all__ = [
     "PlacedField",
     "PluginError",
     "PoreSet",
+    "Preset",
     "Recipe",
     "Rejected",
     "RepeatedMesh",

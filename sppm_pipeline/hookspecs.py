@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import pluggy
@@ -87,6 +87,40 @@ def sppm_commands() -> Mapping[str, Command]:  # type: ignore[empty-body]
         @hookimpl
         def sppm_commands():
             return {"view": Command("show a run in a window", "sppm_view.cli:configure", "sppm_view.cli:execute")}
+    """
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A recipe with a name, which configurations use without writing it down.
+
+    Attributes
+    ----------
+    help : str
+        What it is good for, in a sentence.
+    stages : sequence of mappings
+        Its entries as in a configuration; ``"${name}"`` stands for the value of a parameter.
+    params : mapping of name to value
+        Parameters and their defaults; `None` leaves the option that it stands for to the stage.
+    """
+
+    help: str
+    stages: Sequence[Mapping[str, Any]]
+    params: Mapping[str, Any] = field(default_factory=dict)
+
+
+@hookspec
+def sppm_presets() -> Mapping[str, Preset]:  # type: ignore[empty-body]
+    """Supply recipes by name.
+
+    Called once, together with `sppm_stages`. Returns a mapping from the name to a `Preset`. A configuration uses it by
+    ``recipe: NAME``, or sets its parameters under a name of its own: ``recipes: {cell: {preset: NAME, total: 80}}``. A
+    recipe of the configuration hides a preset of the same name. An empty mapping means: no presets. Example::
+
+        @hookimpl
+        def sppm_presets():
+            stages = [{"stage": "sample.fcc", "count": "${count}"}, {"stage": "connect.mst"}, {"stage": "field.walls"}]
+            return {"crystal": Preset("pores on a lattice", stages, {"count": 32})}
     """
 
 

@@ -95,6 +95,34 @@ def test_bunny(run_yaml, summary, tmp_path):
     assert manifest["width_px"] * 0.75 == pytest.approx(size[0], abs=1.5)
 
 
+def test_scattered(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "scattered.yaml",
+        s=["tile.scattered.cells=[2, 2, 1]", "tile.scattered.resolution=12", "check.connectivity.resolution=20",
+           "slice.field.pixel=0.5 mm", "extract.marching_cubes.resolution=10", "write.picture.resolution=8",
+           "write.picture.image_size=[200, 150]"],
+    )  # fmt: skip
+    assert summary(record, "tile.scattered")["filled_cells"] == 4
+    assert summary(record, "check.connectivity")["porosity"] == pytest.approx(0.7, abs=0.03)
+    assert summary(record, "check.connectivity")["void_wraps"] == [True, True, True]
+    manifest = check_layers(folder / "slices")
+    assert (manifest["width_px"], manifest["layers"]) == (20, 10)
+    assert {"box.stl", "box.png"} <= outputs(folder)
+
+
+def test_scattered_part(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "scattered_part.yaml",
+        p=["cell=10 mm"],
+        s=["tile.scattered.resolution=12", "slice.field.pixel=[0.6 mm, 0.8 mm]", "slice.field.layer=0.5 mm",
+           "write.picture.resolution=8", "write.picture.image_size=[200, 150]"],
+    )  # fmt: skip
+    manifest = check_layers(folder / "slices")
+    assert manifest["layers"] == 24
+    assert summary(record, "tile.scattered")["filled_cells"] > 4
+    assert "part.png" in outputs(folder)
+
+
 def test_tileset_27(run_yaml, summary):
     record, folder = run_yaml(
         CONFIGS / "tileset_27.yaml",
@@ -192,6 +220,22 @@ def test_representative_volume(run_yaml, summary):
         assert found["E_x"]["count"] == 2
         assert found["porosity"]["mean"] == pytest.approx(0.55, abs=0.02)
         assert 0 < found["E_x"]["mean"] < 0.45  # less than the share of solid
+
+
+def test_walls(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "walls.yaml",
+        p=["pores=40"],
+        s=["walls.resolution=32", "walls.tolerance=0.005", "phases.resolution=40", "check.sizes.resolution=24",
+           "elastic.resolution=20", "write.picture.resolution=16", "write.picture.image_size=[200, 150]",
+           "extract.marching_cubes.resolution=32"],
+    )  # fmt: skip
+    assert summary(record, "walls")["porosity"] == pytest.approx(0.7, abs=0.005)
+    assert summary(record, "phases")["void_removed_share"] < 1e-4
+    assert all(summary(record, "phases")["solid_wraps"])
+    assert summary(record, "check.sizes")["thinnest_wall"] < summary(record, "check.sizes")["narrowest_tunnel"]
+    assert summary(record, "elastic")["isotropic"]["E"] > 0.1
+    assert {"walls.png", "walls.ply"} <= outputs(folder)
 
 
 def test_no_configuration_is_forgotten():

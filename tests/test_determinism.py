@@ -38,6 +38,9 @@ pipeline:
   - {stage: tile.fresh, recipe: cell, cells: [2, 2, 1], cell: 3 mm, porosity: 0.6, resolution: 12}
   - {stage: slice.field, id: fresh_layers, resolution: 10}
   - {stage: write.png, id: fresh_png, path: fresh}
+  - {stage: tile.scattered, recipe: cell, cells: [3, 2, 1], cell: 3 mm, porosity: 0.6, resolution: 12}
+  - {stage: slice.field, id: scattered_layers, resolution: 10}
+  - {stage: write.png, id: scattered_png, path: scattered}
 """
 
 RUN = """
@@ -64,7 +67,7 @@ def test_threads_and_processes_change_no_byte(run_yaml, tmp_path):
     _, one = run_yaml(YAML, threads=1, to="one")
     expected = digests(one)
     assert {"graph.json", "cell.obj", "sheet.png", "gray/00000.png", "binary/manifest.json", "part.png", "part.stl",
-            "part.ply", "fresh/00009.png"} <= set(expected)  # fmt: skip
+            "part.ply", "fresh/00009.png", "scattered/00009.png"} <= set(expected)  # fmt: skip
     _, two = run_yaml(YAML, threads=2, to="two")
     assert digests(two) == expected
     (tmp_path / "elsewhere").mkdir()

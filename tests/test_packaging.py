@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+import re
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -100,3 +103,16 @@ def test_the_archives_are_complete(built):
     tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True).stdout.split("\n")
     missing = {name for name in tracked if name and (ROOT / name).exists()} - names
     assert missing == set()
+
+
+def test_lower_bounds_are_those_that_are_tested():
+    """`make test-oldest` installs what the project promises to work with."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = [*project["dependencies"], *itertools.chain(*project["optional-dependencies"].values())]
+    bounds = dict(re.fullmatch(r"([\w.-]+)>=([\d.]+)", one).groups() for one in needed)
+    lines = (line.partition("#")[0].strip() for line in (ROOT / "tests" / "oldest.txt").read_text().splitlines())
+    tested = dict(line.split("==") for line in lines if line)
+    assert {name: bounds.get(name) for name in tested if name != "pyparsing"} == {
+        name: version for name, version in tested.items() if name != "pyparsing"
+    }
+    assert {re.match(r"[\w.-]+", one)[0] for one in project["dependencies"]} <= set(tested)

@@ -45,7 +45,7 @@ class Pipeline:
     ----------
     stages : sequence of stages
         Entries made with `step`, calls of stages without artifacts, names, or mappings as in YAML.
-    recipes : mapping of name to sequence of stages, optional
+    recipes : mapping of name to sequence of stages, or to ``{"preset": NAME, ...}``, optional
         Lists of stages that others repeat.
     params : mapping of name to value, optional
         Values that stand in for ``"${name}"``.
@@ -60,7 +60,7 @@ class Pipeline:
         self,
         stages: Sequence[Any],
         *,
-        recipes: Mapping[str, Sequence[Any]] | None = None,
+        recipes: Mapping[str, Sequence[Any] | Mapping[str, Any]] | None = None,
         params: Mapping[str, Any] | None = None,
         name: str = "pipeline",
         seed: int = 0,
@@ -72,7 +72,10 @@ class Pipeline:
         if plugins:
             document["plugins"] = [str(path) for path in plugins]
         if recipes:
-            document["recipes"] = {key: [entry_of(stage) for stage in group] for key, group in recipes.items()}
+            document["recipes"] = {
+                key: dict(group) if isinstance(group, Mapping) else [entry_of(stage) for stage in group]
+                for key, group in recipes.items()
+            }
         document["pipeline"] = [entry_of(stage) for stage in stages]
         self._request = RunRequest(name, document=document, folder=os.getcwd(), allowed=allowed_plugins())
 

@@ -22,14 +22,16 @@ if TYPE_CHECKING:
 
 def configure_stages(parser: ArgumentParser) -> None:
     """Arguments of ``sppm stages``."""
-    parser.add_argument("name", nargs="?", metavar="NAME", help="a stage, or a family to list only its stages")
+    parser.add_argument(
+        "name", nargs="?", metavar="NAME", help="a stage or preset, or a family to list only its stages"
+    )
     add_plugins(parser)
     parser.add_argument("--json", action="store_true", help="print as JSON")
 
 
 def execute_stages(args: Namespace) -> int:
     """List, or describe."""
-    from sppm_pipeline.engine.plan.describe import stage_data, stage_list, stage_text
+    from sppm_pipeline.engine.plan.describe import preset_list, preset_text, stage_data, stage_list, stage_text
     from sppm_pipeline.engine.plan.registry import Registry
 
     registry = Registry(plugins_from(args))
@@ -38,7 +40,10 @@ def execute_stages(args: Namespace) -> int:
         if args.json:
             print(json.dumps([_stage_or_error(name, registry) for name in names], indent=1))
         else:
-            print(stage_list(registry, names), end="")
+            print(stage_list(registry, names) + (preset_list(registry) if args.name is None else ""), end="")
+        return 0
+    if args.name in registry.presets and not args.json:
+        print(preset_text(args.name, registry), end="")
         return 0
     cls = registry.get(args.name)
     print(json.dumps(stage_data(cls, registry), indent=1) if args.json else stage_text(cls, registry).rstrip("\n"))

@@ -17,7 +17,7 @@ def add_limits(parser: ArgumentParser) -> None:
     """Time of a stage, memory, and the contract mode."""
     parser.add_argument(
         "--stage-time",
-        type=_seconds,
+        type=seconds,
         metavar="TIME",
         help="end the run if a stage takes longer, for instance 90, 10min or 2h; no limit if omitted",
     )
@@ -43,7 +43,8 @@ def size(text: str) -> int:
     return int(float(found[1]) * _UNITS[unit])
 
 
-def _seconds(text: str) -> float:
+def seconds(text: str) -> float:
+    """Seconds from ``90``, ``10min``, ``2h``."""
     found = _NUMBER.fullmatch(text.strip())
     if found is None or found[2] not in _SECONDS or not 0 < (value := float(found[1]) * _SECONDS[found[2]]) <= 1e8:
         raise ArgumentTypeError(f"expected a time such as 90, 10min or 2h, got {text[:40]!r}")

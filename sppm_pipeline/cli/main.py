@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
+    from sppm_pipeline.errors import SppmError
+
 VERBS = {
     "run": "run a pipeline, or every row of its sweep",
     "check": "check a configuration and print its wiring, without running it",
@@ -69,7 +71,7 @@ def leave() -> None:
     """
     # Imports make a hundred thousand objects that live to the end; looking through them again and again costs 50 ms.
     gc.set_threshold(200_000, 50, 100)
-    if sys.argv[1:2] == ["run"]:
+    if sys.argv[1:] and sys.argv[1] not in _ALONE:
         try:
             from sppm_pipeline.process.supervision import supervised
 
@@ -78,6 +80,10 @@ def leave() -> None:
             code = _reported(error, "--debug" in sys.argv)
         os._exit(code)
     os._exit(_whole())
+
+
+_ALONE = ("-h", "--help", "help", "-V", "--version", "new", "cache", "verify")
+"""First words of command lines that run no code of plugins, which may hang or crash, and need no supervisor."""
 
 
 def _whole() -> int:
@@ -243,7 +249,7 @@ def _say_exit_message(words: list[str]) -> None:
         _say(_exit_message(words))
 
 
-def _mark_ended(folder: Path, status: str, error: str | None) -> None:
+def _mark_ended(folder: Path, status: str, error: SppmError | None) -> None:
     """Put a run directory in order whose process was ended."""
     from sppm_pipeline.engine.run.record import mark_ended
 
@@ -251,9 +257,13 @@ def _mark_ended(folder: Path, status: str, error: str | None) -> None:
 
 
 def _say(message: str) -> None:
-    """Write to stderr, even if somebody closed it."""
-    with contextlib.suppress(OSError, ValueError):
+    """Write to stderr; if somebody closed it, have the supervisor do so."""
+    try:
         print(f"sppm: {message}", file=sys.stderr)
+    except (OSError, ValueError):
+        from sppm_pipeline.process.activity import leave_message
+
+        leave_message(message)
 
 
 def _close_stdout() -> None:

@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.cli.arguments import add_cache, add_configuration, cache_of, open_from
-from sppm_pipeline.cli.limits import add_limits, limits_of
+from sppm_pipeline.cli.limits import add_limits, limits_of, seconds
 
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     add_configuration(parser)
     add_limits(parser)
+    parser.add_argument(
+        "--time-limit", type=seconds, metavar="TIME", help="end the run, whatever it is doing, after this time"
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="run directory; runs/<name> if omitted")
     parser.add_argument("--until", metavar="ID", help="stop after this stage")
     parser.add_argument("-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep at the same time")
@@ -38,6 +41,10 @@ def _count(text: str) -> int:
 
 def execute(args: Namespace) -> int:
     """Run."""
+    if args.time_limit is not None:
+        from sppm_pipeline.process.activity import limit_run
+
+        limit_run(args.time_limit)
     with limits_of(args):
         return _execute(args)
 

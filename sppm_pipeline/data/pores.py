@@ -137,19 +137,21 @@ class PoreSet(Artifact):
             centers=np.concatenate([self.centers, centers]), piece=np.concatenate([self.piece, piece]), **values
         )
 
+    @property
+    def per_cell(self) -> float:
+        """Mean number of pores of one cell, each face counted once."""
+        axis_of_pore = self.axis_of_piece()[self.piece]
+        faces = sum(float((axis_of_pore == axis).sum()) / self.colors[axis] for axis in range(3) if self.colors[axis])
+        return faces + float((axis_of_pore < 0).sum()) / self.interiors
+
     def summary(self) -> dict[str, Any]:
         """Counts; `pores_per_cell` is the mean number of pores of one cell, each face counted once."""
         on_face = self.piece >= self.interiors
-        faces = sum(
-            float((self.axis_of_piece()[self.piece] == axis).sum()) / self.colors[axis]
-            for axis in range(3)
-            if self.colors[axis]
-        )
         return {
             "pores": len(self.centers),
             "face_pores": int(on_face.sum()),
             "interiors": self.interiors,
             "colors": list(self.colors),
-            "pores_per_cell": faces + float((~on_face).sum()) / self.interiors,
+            "pores_per_cell": self.per_cell,
             "spacing": self.spacing,
         }

@@ -12,7 +12,7 @@ TRIANGLES = 2.6
 """Triangles of marching cubes per squared voxel edge of a surface of random orientation; measured on the paper's cells.
 A face of the box parallel to the grid has two."""
 
-USES_OF_A_PATCH, BANK = 4, 96 * 2**20
+USES_OF_A_PATCH, BANK = 4, 256 * 2**20
 """A tiling is sampled by cached patches if each is used as often, and if all take at most so many bytes; see
 `fields.tiling`."""
 
@@ -128,7 +128,7 @@ class Geometry:
     def sums(self, samples: float, resolution: float, *, commensurate: bool = True) -> float:
         """Kernels that are evaluated for so many samples: those of patches if they are used often enough."""
         patch = (resolution * (1 + 2 * self.reach)) ** 3
-        room = BANK * (8 if self.volume > 10 * USES_OF_A_PATCH * self.patches else 1)
+        room = BANK * (3 if self.volume > 10 * USES_OF_A_PATCH * self.patches else 1)
         if commensurate and self.volume >= USES_OF_A_PATCH * self.patches and 4 * self.patches * patch <= room:
             return self.kernels * self.patches * resolution**3
         return self.kernels * samples

@@ -40,7 +40,7 @@ class StiffnessReport(Artifact):
     method: str
     unit: str | None = None
     error: NDArray[np.float64] | None = None
-    solver: dict[str, Any] = field(default_factory=dict, compare=False)
+    solver: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stiffness", frozen(np.asarray(self.stiffness, np.float64)))
@@ -123,6 +123,7 @@ class StiffnessReport(Artifact):
                 "within_voigt_and_reuss": bound.within,
                 "hashin_shtrikman_bulk": list(bound.bulk),
                 "hashin_shtrikman_shear": list(bound.shear),
+                "hashin_shtrikman_young": list(bound.young),
                 "bulk_within": bound.bulk_holds,
                 "shear_within": bound.shear_holds,
             },

@@ -78,14 +78,16 @@ class TunnelGraph(Artifact):
 
     def segments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Start and end points of all tunnels, each (m, 3), cell sizes."""
-        start = self.pores.centers[self.edges[:, 0]]
-        return start, self.pores.centers[self.edges[:, 1]] + self.shift
+        start, end = (self.pores.centers[self.edges[:, k]] for k in range(2))
+        end += self.shift
+        return start, end
 
     def summary(self) -> dict[str, Any]:
         """Counts and lengths; the samplers' connectivity statistics are reported by the connecting stage."""
         start, end = self.segments()
-        length = np.sqrt(((end - start) ** 2).sum(1))
-        a, b = self.pores.piece[self.edges].T
+        end -= start
+        length = np.sqrt(np.einsum("ij,ij->i", end, end))
+        a, b = (self.pores.piece[self.edges[:, k]] for k in range(2))
         return {
             "tunnels": len(self.edges),
             "connectors": 0 if self.pores.blocks is not None else int((a != b).sum()),

@@ -13,6 +13,8 @@ from types import ModuleType
 
 from sppm_pipeline.errors import ResourceError
 
+DISK = "make room on the disk, or choose another place with -o; the same command again goes on"
+
 
 def files_in(path: Path) -> list[str]:
     """Names of all files below a folder, in order, relative to it."""
@@ -94,7 +96,7 @@ def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
         os.replace(temporary, path)
     except OSError as error:
         temporary.unlink(missing_ok=True)
-        raise ResourceError(f"can't write {str(path)!r}: {error.strerror}") from error
+        raise ResourceError(f"can't write {str(path)!r}: {error.strerror}", hint=DISK) from error
 
 
 fcntl: ModuleType | None

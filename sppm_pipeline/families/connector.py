@@ -66,6 +66,11 @@ class Cloud(NamedTuple):
         """Whole cells after which each axis repeats, (3,) float64; 0 for never."""
         return np.where(self.periodic, self.lattice, 0).astype(np.float64)
 
+    @property
+    def spacing(self) -> float:
+        """Cube root of the mean room of a pore, over the blocks that have any."""
+        return float((np.count_nonzero(np.diff(self.first)) / max(len(self.points), 1)) ** (1 / 3))
+
 
 WINDOW_PORES = 3000
 """Most pores, about, that `Connector.join_cloud` hands to `join` at a time, margin included."""
@@ -145,8 +150,8 @@ class Connector(Stage):
             )
             return [(edges, shifts * scale)]
         lattice = Lattice(cloud.points, cloud.first, cloud.lattice, cloud.period)
-        margin = WINDOW_MARGIN * lattice.spacing
-        boxes = list(window_corners(cloud.lattice, window_edge(lattice, WINDOW_PORES, margin)))
+        margin = WINDOW_MARGIN * cloud.spacing
+        boxes = list(window_corners(cloud.lattice, window_edge(cloud.spacing, WINDOW_PORES, margin)))
         found = []
         for number, corners in enumerate(boxes):
             view = window(lattice, corners, margin)

@@ -36,6 +36,7 @@ periodic = _shared("opposite sides are neighbors, as homogenization needs it")
 resolution = _shared("voxels along an edge of the cell", unit="voxels", minimum=2, maximum=1024)
 voxel = _shared("edge of a voxel", unit="mm", above=0, maximum=1e6)
 islands = _shared("what becomes of disconnected solid", choices=("remove", "keep"))
+exact = _shared("sum the kernels at every sample of fine grids, too, instead of interpolating between coarser sums")
 
 # pores
 count = _shared("number of pores that the stage places", minimum=0, maximum=100_000)
@@ -44,6 +45,7 @@ share = _shared("pores as a fraction of the maximum that the spacing allows", ab
 spacing = _shared("smallest distance between pores", unit="cell size", above=0, maximum=1e6)
 pore_radius = _shared("radius of an isolated pore", unit="cell size", minimum=1e-9, maximum=1e6)
 tunnel_radius = _shared("radius of an isolated tunnel", unit="cell size", minimum=1e-9, maximum=1e6)
+tunnel_spread = _shared("standard deviation of the logarithm of the tunnel radii", minimum=0, maximum=1)
 level = _shared("level C at which the sum of the kernels is cut", minimum=0.001, maximum=0.999)
 
 # porosity, tile sets and tuning

@@ -37,6 +37,9 @@ class InteriorBox(NamedTuple):
         Spacing of the pores thrown before, cell sizes.
     face_pores : int
         Pores on the faces of one cell, opposite faces counted once; the mean where colors differ.
+    folded : (m, 4) float64
+        The pores that are there already, images and opposite faces left out: positions in cell sizes, and in which
+        share of the cells of this interior they stand.
     """
 
     lower: NDArray[np.float64]
@@ -46,6 +49,7 @@ class InteriorBox(NamedTuple):
     cell: Cell
     spacing: float | None
     face_pores: int
+    folded: NDArray[np.float64] = np.zeros((0, 4))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +135,7 @@ class Sampler(Stage):
                 f"the gap of {gap:g} cell sizes leaves no interior; it must be below 0.5",
                 hint="give a smaller `gap` or a smaller spacing",
             )
-        meetings = _Meetings(base, context.palette)
+        meetings = Meetings(base, context.palette)
         on_axis = np.bincount(base.axis_of_piece()[base.piece] + 1, minlength=4)[1:]
         face_pores = round(sum(n / c for n, c in zip(on_axis, base.colors, strict=True) if c))
         centers, piece = [], []
@@ -145,6 +149,7 @@ class Sampler(Stage):
                 cell=cell,
                 spacing=spacing,
                 face_pores=face_pores,
+                folded=meetings.folded(t),
             )
             thrown = self.thrown(context, t, box)
             centers.append(thrown)
@@ -189,7 +194,7 @@ def start_of(edge: Length | None, pores: PoreSet | None, interiors: int) -> tupl
     return pores.cell, pores
 
 
-class _Meetings:
+class Meetings:
     """Pores that an interior may meet: on faces with an open palette all, else those of its own; on edges all."""
 
     def __init__(self, pores: PoreSet, palette: Palette) -> None:
@@ -209,11 +214,35 @@ class _Meetings:
             everywhere = np.where(normal > 0, shifts >= 0, True).all(-1)
             self._all = (low + shifts)[everywhere]
 
+    def folded(self, interior: int) -> NDArray[np.float64]:
+        """Pores of one cell, each once, with the share of the interior's cells that they stand in, (m, 4).
+
+        Each side of an axis counts half, and all face patterns that an interior may meet there count alike.
+        """
+        pores = self._pores
+        own = pores.of_piece(interior)
+        parts = [np.column_stack([own, np.ones(len(own))])]
+        if self._rows is None:
+            axis = pores.axis_of_piece()[pores.piece]
+            share = 1 / np.maximum(pores.colors, 1)[axis[axis >= 0]]
+            parts.append(np.column_stack([pores.centers[axis >= 0], share]))
+        else:
+            rows = self._rows_of(interior)
+            met = np.bincount(rows[:, 1], minlength=3)
+            for _, axis, _, color in rows:
+                pattern = pores.of_piece(pores.face_piece(axis, color))
+                parts.append(np.column_stack([pattern, np.full(len(pattern), 1 / met[axis])]))
+        return np.concatenate(parts)
+
+    def _rows_of(self, interior: int) -> NDArray[np.int64]:
+        assert self._rows is not None
+        return self._rows[self._first[interior] : self._first[interior + 1]]
+
     def pores_around(self, interior: int) -> NDArray[np.float64]:
         """Face pores around one interior, in the coordinates of its cell, (k, 3)."""
         if self._rows is None:
             return self._all
         around = [self._edges]
-        for _, axis, side, color in self._rows[self._first[interior] : self._first[interior + 1]]:
+        for _, axis, side, color in self._rows_of(interior):
             around.append(self._pores.of_piece(self._pores.face_piece(axis, color)) + side * np.eye(3)[axis])
         return np.concatenate(around)

@@ -47,8 +47,7 @@ def with_darts(
     centers, first = throw_blocks(
         seed, quotas, spacing, periodic=blocks.periodic, before=before, threads=context.threads
     )
-    number = np.repeat(blocks.numbers.ravel(), np.diff(first))
-    return _extended(base, blocks, centers, number, spacing)
+    return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], spacing)
 
 
 def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Blocks) -> PoreSet:
@@ -83,24 +82,25 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
                 place %= blocks.shape
             if (place >= 0).all() and (place < blocks.shape).all() and numbers[tuple(place)] >= 0:
                 around.append(thrown[numbers[tuple(place)]] + shift)
-        box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, face_pores=0)
+        own = np.column_stack([thrown[t], np.ones(len(thrown[t]))])
+        box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, 0, folded=own)
         new[t] = sampler.thrown(context, int(t), box)
         thrown[t] = np.concatenate([thrown[t], new[t]])
         context.progress(done + 1, base.interiors, "blocks")
-    number = np.repeat(np.arange(base.interiors), [len(points) for points in new])
-    return _extended(base, blocks, np.concatenate(new), number, sampler.kept_spacing(base.cell, base))
+    counts = np.array([len(points) for points in new])
+    return _extended(base, blocks, np.concatenate(new), counts, sampler.kept_spacing(base.cell, base))
 
 
 def _extended(
-    base: PoreSet, blocks: Blocks, centers: NDArray[np.float64], number: NDArray[np.integer], spacing: float | None
+    base: PoreSet, blocks: Blocks, centers: NDArray[np.float64], counts: NDArray[np.int64], spacing: float | None
 ) -> PoreSet:
-    """The pores of before and the new ones, sorted by block."""
-    changes = {"spacing": spacing, "blocks": blocks, "colors": (0, 0, 0)}
-    if not len(base.centers):
-        return replace(base, centers=centers, piece=number.astype(np.int32), **changes)
-    both = base.extended(centers, number.astype(np.int32), **changes)
-    order = np.argsort(both.piece, kind="stable")
-    return replace(both, centers=both.centers[order], piece=both.piece[order])
+    """The pores of before and the new ones, `counts` in each interior, sorted by block."""
+    piece = np.repeat(np.arange(base.interiors, dtype=np.int32), counts)
+    if len(base.centers):
+        centers, piece = np.concatenate([base.centers, centers]), np.concatenate([base.piece, piece])
+        order = np.argsort(piece, kind="stable")
+        centers, piece = centers[order], piece[order]
+    return replace(base, centers=centers, piece=piece, spacing=spacing, colors=(0, 0, 0), blocks=blocks)
 
 
 def _first_of_blocks(piece: NDArray[np.int32], blocks: Blocks) -> NDArray[np.int64]:
@@ -126,11 +126,16 @@ def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGrap
             "a sampler of this recipe throws cells that know nothing of their neighbors, which can't be scattered",
             hint="use `sample.dart_throwing`, or lay cells by `tile.fresh`",
         )
-    sites = blocks.sites
-    points = pores.centers + sites[pores.piece]
+    # an axis at a time: there may be millions of pores
+    corners, points = blocks.sites.astype(np.int32).T, np.array(pores.centers)
+    for axis in range(3):
+        points[:, axis] += corners[axis][pores.piece]
     periodic = (blocks.periodic,) * 3
     cloud = Cloud(points, _first_of_blocks(pores.piece, blocks), blocks.shape, periodic, pores.cell)
-    edges, shift = connector.join_cloud(context, cloud)
-    shift = shift + sites[pores.piece[edges[:, 1]]]
-    shift -= sites[pores.piece[edges[:, 0]]]
+    edges, turns = connector.join_cloud(context, cloud)
+    first, second = (pores.piece[edges[:, end]] for end in range(2))
+    shift = np.array(turns, np.int64)
+    for axis in range(3):
+        shift[:, axis] += corners[axis][second]
+        shift[:, axis] -= corners[axis][first]
     return TunnelGraph(pores, edges, shift)

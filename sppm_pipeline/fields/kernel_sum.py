@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.fields.fine_sampler import FineSampler
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid, sample_one_period
+from sppm_pipeline.numerics.interpolation import TAPS
 
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.assembly.contents import TilingArrays
     from sppm_pipeline.numerics.assembly.patches import PatchBank
+
+PAYING_SHARE, PAYING_SHARE_OF_PATCHES = 0.3, 0.8
+"""Coarse samples for each fine one up to which interpolating pays, if kernels are summed there, and if patches are:
+short rows of kernels cost twice as much a sample as long ones."""
 
 
 class Patches(NamedTuple):
@@ -26,9 +35,10 @@ class Patches(NamedTuple):
 class KernelSum(ScalarField):
     """Base of fields that are a sum G of kernels less a level C: solid where G < C (paper, eq. 3-5).
 
-    A subclass gives the level, the sum itself (`kernel_sums`), and sampled pieces if it has such (`patches`). On a grid
-    whose spacing divides the cell edge patches are added up where they pay; on any other the kernels are summed. Both
-    agree within the stated cut-off.
+    A subclass gives the level, the sum itself (`kernel_sums`), and sampled pieces if it has such (`patches`). A grid
+    finer than `coarse_pitch`, if there is one, is interpolated from a coarse one (`FineSampler`). Otherwise patches are
+    added up where they pay and the grid fits the cells, or the kernels are summed; both agree within the stated
+    cut-off. The choice belongs to the field and the spacings of the grid.
     """
 
     @property
@@ -45,6 +55,22 @@ class KernelSum(ScalarField):
         A layer's values depend neither on start and stop nor on the number of threads; `wanted` as for `solid_layers`.
         """
 
+    @property
+    def additive(self) -> bool:
+        """Whether G is the sum of those of its parts, and continuous; else `own_values` is what is sampled."""
+        return True
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """A continuous field with the sign of G - C in the layers start <= k < stop of any grid."""
+        values = self.kernel_sums(grid, start, stop, threads)
+        values -= np.float32(self.solid_below)
+        return values
+
+    @property
+    def coarse_pitch(self) -> float | None:
+        """Spacing of samples, cell sizes, from which finer ones may be interpolated; None to sum them all."""
+        return None
+
     def patches(self, n: int, offset: float, threads: int = 1) -> Patches | None:
         """Sampled pieces, n samples a cell edge, sample i at (i + offset) / n; None if they do not pay.
 
@@ -53,39 +79,76 @@ class KernelSum(ScalarField):
         return None
 
     def sums(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        """G at the points of a grid, (nz, ny, nx) float32; `sample` is this less the level."""
-        return self._sums(grid, 0, grid.shape[2], threads)
+        """G at the points of a grid, (nz, ny, nx) float32; `sample` is this less the level, but may be interpolated."""
+
+        def sums(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+            return self._summed(grid, start, stop, threads, None)
+
+        return self._each_once(grid, 0, grid.shape[2], sums)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        values = self._sums(grid, start, stop, threads)
-        values -= np.float32(self.solid_below)
-        return values
+        def values(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
+            if not self.additive:
+                return self.own_values(grid, start, stop, threads)
+            if (fine := self._fine(grid, threads)) is not None:
+                out = np.empty((stop - start, *grid.shape[1::-1]), np.float32)
+                fine.sample(self, start, stop, threads, None, out, None)
+                return out
+            sums = self._summed(grid, start, stop, threads, None)
+            sums -= np.float32(self.solid_below)
+            return sums
+
+        return self._each_once(grid, start, stop, values)
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint8]:
         def solid(grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+            if not self.additive:
+                return (self.own_values(grid, start, stop, threads) < 0).view(np.uint8)
+            rows = None if self.periodic else wanted
+            if (fine := self._fine(grid, threads)) is not None:
+                out = np.zeros((stop - start, *grid.shape[1::-1]), np.uint8)
+                fine.sample(self, start, stop, threads, rows, None, out)
+                return out
             if (placed := self._placed(grid, threads)) is not None:
                 from sppm_pipeline.numerics.assembly.overlap_add import assemble_solid
 
                 (bank, arrays), (x, y, z) = placed
                 box = (z[0] + start, z[0] + stop, *x, *y)
                 return assemble_solid(bank, arrays, self.solid_below, *box, threads=threads)
-            rows = None if self.periodic else wanted
             return (self.kernel_sums(grid, start, stop, threads, rows) < np.float32(self.solid_below)).view(np.uint8)
 
-        return sample_one_period(grid, self.cells, start, stop, solid) if self.periodic else solid(grid, start, stop)
+        return self._each_once(grid, start, stop, solid)
 
-    def _sums(self, grid: Grid, start: int, stop: int, threads: int) -> NDArray[np.float32]:
-        def sums(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
-            if (placed := self._placed(grid, threads)) is not None:
-                from sppm_pipeline.numerics.assembly.overlap_add import assemble
+    def _each_once(
+        self, grid: Grid, start: int, stop: int, sample: Callable[[Grid, int, int], NDArray[Any]]
+    ) -> NDArray[Any]:
+        return sample_one_period(grid, self.cells, start, stop, sample) if self.periodic else sample(grid, start, stop)
 
-                (bank, arrays), (x, y, z) = placed
-                return assemble(bank, arrays, z[0] + start, z[0] + stop, *x, *y, threads=threads)
-            return self.kernel_sums(grid, start, stop, threads)
+    def _summed(
+        self, grid: Grid, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None
+    ) -> NDArray[np.float32]:
+        if (placed := self._placed(grid, threads)) is None:
+            return self.kernel_sums(grid, start, stop, threads, wanted)
+        from sppm_pipeline.numerics.assembly.overlap_add import assemble
 
-        return sample_one_period(grid, self.cells, start, stop, sums) if self.periodic else sums(grid, start, stop)
+        (bank, arrays), (x, y, z) = placed
+        return assemble(bank, arrays, z[0] + start, z[0] + stop, *x, *y, threads=threads)
+
+    def _fine(self, grid: Grid, threads: int) -> FineSampler | None:
+        """The sampler that interpolates on this grid, if that pays; the last one is kept for the next layers."""
+        pitch = self.coarse_pitch
+        if pitch is None or 0 in grid.shape:
+            return None
+        n = max(2, math.ceil(1.0 / pitch - 1e-9))
+        share = math.prod(min(TAPS, spacing * n) for spacing in grid.spacing)
+        if share > PAYING_SHARE and (share > PAYING_SHARE_OF_PATCHES or self.patches(n, 0.0, threads) is None):
+            return None
+        sampler = _SAMPLERS.get(self)
+        if sampler is None or sampler.of != (grid, n):
+            sampler = _SAMPLERS[self] = FineSampler(self, grid, n)
+        return sampler
 
     def _placed(self, grid: Grid, threads: int) -> tuple[Patches, list[tuple[int, int]]] | None:
         """The patches and, for x, y, z, the range of their samples that a grid stands for; None if there are none."""
@@ -110,3 +173,6 @@ def _lattice_of(grid: Grid) -> tuple[int, float, list[tuple[int, int]]] | None:
         ranges.append((first, first + samples))
         found.add((n, half))
     return (*found.pop(), ranges) if len(found) == 1 else None
+
+
+_SAMPLERS: WeakKeyDictionary[KernelSum, FineSampler] = WeakKeyDictionary()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -13,16 +14,22 @@ from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.fields.kernel_sum import KernelSum
-from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.wrapped import WrappedField
 from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, connector_code, lone_periodic_cell
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels
-from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
+from sppm_pipeline.numerics.kernels.kernels import Kernels, kernel_reaches
+from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
 
+
+COARSE_PITCH = 0.5
+"""Samples this many radii of the thinnest tunnel apart are fine enough for finer ones to be interpolated from them: 3
+in 100 000 change sides, about as many as by the cut-off."""
+
+USUAL_LEVEL, LOWEST_LEVEL = 0.25, 1e-3
+"""The level of the paper, and one below which the cut-off of the kernels is too near for an interpolation."""
 
 _TABLES: WeakKeyDictionary[Pieces, dict[Any, Any]] = WeakKeyDictionary()
 
@@ -36,7 +43,7 @@ def sampling_tables(pieces: Pieces) -> dict[Any, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Microstructure(ScalarField):
+class Microstructure(KernelSum):
     """Kernels of K interiors and of colored faces, cut at one level (paper, eq. 3-5).
 
     With one interior and at most one color it is a periodic cell and can be sampled; with more it is the material
@@ -51,12 +58,15 @@ class Microstructure(ScalarField):
         Kernels by interior, face and connector; cell sizes.
     level : float
         The level C: solid where the sum is smaller.
+    exact : bool
+        Whether fine grids are summed, too, not interpolated from coarse ones.
     """
 
     cell: Cell
     graph: TunnelGraph
     pieces: Pieces
     level: float
+    exact: bool = False
 
     def check(self) -> None:
         """The level is a positive number."""
@@ -70,6 +80,11 @@ class Microstructure(ScalarField):
     @property
     def periodic(self) -> bool:
         return True
+
+    @property
+    def reach(self) -> float:
+        """How far, in cell sizes, a pore or tunnel is felt."""
+        return max(float(reaches.max(initial=0)) for reaches in kernel_reaches(self.pieces.kernels, CUTOFF))
 
     @property
     def finest_radius(self) -> float | None:
@@ -103,6 +118,9 @@ class Microstructure(ScalarField):
         """The same kernels, with `value` added to the level."""
         return self.with_level(self.level + value)
 
+    def exactly(self) -> Microstructure:
+        return replace(self, exact=True)
+
     def alone(self, interior: int, colors: tuple[int, int, int]) -> PeriodicTile:
         """Interior t with faces of the given colors on both opposite sides, repeated for ever."""
         return PeriodicTile(self, interior, colors)
@@ -125,10 +143,35 @@ class Microstructure(ScalarField):
         catalog = tables["catalog"]
         return sample_exact(self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog)
 
-    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+    @property
+    def solid_below(self) -> float:
+        return self.level
+
+    @property
+    def coarse_pitch(self) -> float | None:
+        if self.exact or not LOWEST_LEVEL <= self.level < 1:
+            return None
+        # lower levels make tunnels wider, but not their kernels smoother
+        level = max(self.level, USUAL_LEVEL)
+        kernels = self.pieces.kernels
+        sizes = ((TUNNEL_PROFILES[kernels.profile], kernels.mu), (PORE_PROFILE, kernels.omega))
+        radii = [profile.radius(float(steepness.max()), level) for profile, steepness in sizes if len(steepness)]
+        return COARSE_PITCH * min(radii, default=math.inf)
+
+    def kernel_sums(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.float32]:
         if self.interiors > 1 or max(self.colors) > 1:
             raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
-        return self.alone(0, (0, 0, 0)).sample_layers(grid, start, stop, threads)
+        return self.alone(0, (0, 0, 0)).kernel_sums(grid, start, stop, threads, wanted)
+
+    def laid_values(
+        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1
+    ) -> NDArray[np.float32]:
+        """What is sampled of a layout whose field is not `additive`: a continuous field with the sign of G - C."""
+        values = self.laid_sums(arrays, grid, start, stop, threads)
+        values -= np.float32(self.level)
+        return values
 
     def summary(self) -> dict[str, Any]:
         """Numbers of pores and tunnels and the level."""
@@ -147,10 +190,21 @@ class PeriodicTile(WrappedField, KernelSum):
     def solid_below(self) -> float:
         return self.base.level
 
+    @property
+    def coarse_pitch(self) -> float | None:
+        return self.base.coarse_pitch
+
     def kernel_sums(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.float32]:
         return self.base.laid_sums(self.arrays(), grid, start, stop, threads, wanted)
+
+    @property
+    def additive(self) -> bool:
+        return self.base.additive
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.base.laid_values(self.arrays(), grid, start, stop, threads)
 
     def summary(self) -> dict[str, Any]:
         """Which interior and which faces."""
@@ -179,10 +233,11 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     most = max(pores.colors)  # every axis is given as many colors, the missing ones without content
     first_of_axis = np.array([pores.face_piece(axis, 0) for axis in range(3)])
     of_face = np.arange(pores.interiors, len(axis_of_piece)) - first_of_axis[axis_of_piece[pores.interiors :]]
-    number = np.arange(len(axis_of_piece))
+    number = np.arange(len(axis_of_piece), dtype=np.int32)
     number[pores.interiors :] = pores.interiors + axis_of_piece[pores.interiors :] * most + of_face
     first, second = (pores.piece[graph.edges[:, end]] for end in range(2))
-    crossing = np.flatnonzero(axis_of_piece[first] != axis_of_piece[second])
+    on_face = axis_of_piece >= 0
+    crossing = np.flatnonzero(on_face[second] & ~on_face[first])
     face = second[crossing]
     axis, side = axis_of_piece[face], graph.shift[crossing].sum(1)
     codes, which = np.unique(
@@ -194,14 +249,18 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     own, first_pore = _sorted_by(number[pores.piece], count)
     tunnels, first_tunnel = _sorted_by(of_tunnel, count)
     starts, ends = graph.segments()
+
+    def taken(array: NDArray[np.float64], order: NDArray[np.int64] | None) -> NDArray[np.float64]:
+        return frozen(array if order is None else array[order])
+
     kernels = Kernels(
-        frozen(pores.centers[own]), frozen(omega[own]),
-        frozen(starts[tunnels]), frozen(ends[tunnels]), frozen(mu[tunnels]), profile,
+        taken(pores.centers, own), taken(omega, own),
+        taken(starts, tunnels), taken(ends, tunnels), taken(mu, tunnels), profile,
     )  # fmt: skip
     return Pieces(kernels, frozen(first_pore), frozen(first_tunnel), pores.interiors, most, frozen(codes))
 
 
-def _sorted_by(piece: NDArray[np.int64], pieces: int) -> tuple[NDArray[np.int64] | slice, NDArray[np.int64]]:
-    """The order that sorts by piece (nothing is moved if all is sorted), and where each piece begins."""
+def _sorted_by(piece: NDArray[np.int32], pieces: int) -> tuple[NDArray[np.int64] | None, NDArray[np.int64]]:
+    """The order that sorts by piece, None if all is sorted, and where each piece begins."""
     first = np.concatenate([[0], np.cumsum(np.bincount(piece, minlength=pieces))])
-    return slice(None) if (piece[1:] >= piece[:-1]).all() else np.argsort(piece, kind="stable"), first
+    return None if (piece[1:] >= piece[:-1]).all() else np.argsort(piece, kind="stable"), first

@@ -15,6 +15,9 @@ from sppm_pipeline.numerics.grid import Grid, cell_centers
 RESOLVED = 1.2
 """Voxels up to this many tunnel radii keep the void in one piece, as measured on cells of the paper."""
 
+RESOLVED_WALL = 1 / math.sqrt(3)
+"""Voxels up to this share of its thickness keep a wall of any direction in one piece across their faces."""
+
 
 class ScalarField(Artifact, ABC):
     """A field ``G - C`` over a lattice of unit cells: negative inside the solid, positive in pores and tunnels.
@@ -85,6 +88,10 @@ class ScalarField(Artifact, ABC):
         """
         return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
 
+    def exactly(self) -> ScalarField:
+        """The same field without the short cuts of fine grids; itself if its class takes none."""
+        return self
+
     def cut_at(self, value: float) -> ScalarField:
         """The structure whose solid is where this field is smaller than `value`; what tuning the porosity asks for.
 
@@ -99,22 +106,33 @@ class ScalarField(Artifact, ABC):
         """Radius of the thinnest tunnel, cell sizes; None if it is unknown."""
         return None
 
+    @property
+    def thinnest_wall(self) -> float | None:
+        """Thickness of the thinnest wall of the design, cell sizes; None if there are no walls of a known thickness."""
+        return None
+
     def coarseness(self, spacing: float) -> str | None:
-        """Warning for samples too far apart to resolve the thinnest tunnels; None if they are not.
+        """Warning for samples too far apart to resolve the thinnest tunnels or walls; None if they are not.
 
         Parameters
         ----------
         spacing : float
             Distance of samples, cell sizes.
         """
-        radius = self.finest_radius
-        if radius is None or spacing <= RESOLVED * radius:
+        radius, wall = self.finest_radius, self.thinnest_wall
+        needed = []
+        if radius is not None and spacing > RESOLVED * radius:
+            needed.append((RESOLVED * radius, f"tunnels, of radius {radius:.3g} cell sizes: some void may look closed"))
+        if wall is not None and spacing > RESOLVED_WALL * wall:
+            needed.append((RESOLVED_WALL * wall, f"walls, {wall:.3g} cell sizes thick: they may look broken"))
+        if not needed:
             return None
-        wanted = math.ceil(1 / (RESOLVED * radius))
+        finest, what = min(needed)
+        wanted = math.ceil(1 / finest)
         edge = f" ({self.edge_mm / wanted:.3g} mm)" if self.edge_mm else ""
         return (
-            f"{1 / spacing:.4g} voxels along an edge of the cell are too few for the thinnest tunnels, of radius "
-            f"{radius:.3g} cell sizes: some void may look closed; {wanted} or more{edge} show them"
+            f"{1 / spacing:.4g} voxels along an edge of the cell are too few for the thinnest {what}; "
+            f"{wanted} or more{edge} show them"
         )
 
     def _repr_png_(self) -> bytes | None:

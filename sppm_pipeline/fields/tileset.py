@@ -19,10 +19,11 @@ class TileSet(Artifact):
     Attributes
     ----------
     micro : Microstructure
-    kind : {"wang", "free", "corner"}
+    kind : {"wang", "free", "corner", "fresh", "scattered"}
         "wang": interior t belongs to the tile with colors (cx, cy, cz), t = (cx c + cy) c + cz, equal on opposite
         faces (paper, section 2.2). "free": any interior meets any color on any side. "corner": face colors stand
-        for the colors of the four corners of the face.
+        for the colors of the four corners of the face. "fresh": the content of one tiling, nothing twice; "scattered":
+        that of one without faces.
     palette_colors : int
         c: face colors, or corner colors for "corner".
     porosity : tuple of float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from sppm_pipeline.numerics.grid import Grid
 USES_OF_A_PATCH = 4
 """How many cells a tiling needs for each patch before sampling the patches is cheaper than summing kernels."""
 
-SMALL_BANK, LARGE_BANK = 96 * 2**20, 768 * 2**20
+SMALL_BANK, LARGE_BANK = 256 * 2**20, 768 * 2**20
 """Bytes that the patches of a small tiling, and of one ten times larger, may take; otherwise kernels are summed."""
 
 
@@ -34,12 +34,15 @@ class Tiling(KernelSum):
         Cell edge, mm.
     origin : tuple of 3 floats
         World position of the low corner of cell (0, 0, 0), mm.
+    exact : bool
+        Whether fine grids are summed, too, not interpolated from coarse ones.
     """
 
     tileset: TileSet
     arrays: TilingArrays
     edge: float | None
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    exact: bool = False
 
     def check(self) -> None:
         """Faces fit the cells, and every interior and color exists."""
@@ -58,6 +61,10 @@ class Tiling(KernelSum):
         return self.tileset.micro.finest_radius
 
     @property
+    def thinnest_wall(self) -> float | None:
+        return self.tileset.micro.thinnest_wall
+
+    @property
     def edge_mm(self) -> float | None:
         return self.edge
 
@@ -69,10 +76,24 @@ class Tiling(KernelSum):
     def solid_below(self) -> float:
         return self.tileset.micro.level
 
+    @property
+    def coarse_pitch(self) -> float | None:
+        return None if self.exact else self.tileset.micro.coarse_pitch
+
+    def exactly(self) -> Tiling:
+        return replace(self, exact=True)
+
     def kernel_sums(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.float32]:
         return self.tileset.micro.laid_sums(self.arrays, grid, start, stop, threads, wanted)
+
+    @property
+    def additive(self) -> bool:
+        return self.tileset.micro.additive
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.tileset.micro.laid_values(self.arrays, grid, start, stop, threads)
 
     def patches(self, n: int, offset: float, threads: int = 1) -> Patches | None:
         from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes
@@ -82,7 +103,7 @@ class Tiling(KernelSum):
         count = len(combinations) if combinations is not None else pieces.interiors
         cells = int(np.count_nonzero(self.arrays.box >= 0))
         # a patch is somewhat larger than a cell and is worth sampling if it is used a few times
-        if tileset.kind == "fresh" or cells < USES_OF_A_PATCH * count:
+        if not self.additive or tileset.kind in ("fresh", "scattered") or cells < USES_OF_A_PATCH * count:
             return None
         tables, key = sampling_tables(pieces), (tileset.kind, tileset.palette_colors, n, offset)
         made = {"offset": offset, "cutoff": CUTOFF}

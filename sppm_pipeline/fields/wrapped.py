@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +37,19 @@ class WrappedField(ScalarField):
         return self.base.finest_radius
 
     @property
+    def thinnest_wall(self) -> float | None:
+        return self.base.thinnest_wall
+
+    @property
     def edge_mm(self) -> float | None:
         return self.base.edge_mm
 
     @property
     def origin_mm(self) -> tuple[float, float, float]:
         return self.base.origin_mm
+
+    def exactly(self) -> Self:
+        return replace(self, base=self.base.exactly())
 
     def summary(self) -> dict[str, Any]:
         """The summary of the field it was made from."""
@@ -66,6 +73,10 @@ class CutField(WrappedField):
 
     @property
     def finest_radius(self) -> float | None:
+        return None
+
+    @property
+    def thinnest_wall(self) -> float | None:
         return None
 
     def check(self) -> None:

@@ -106,6 +106,13 @@ class MeshFile(NamedTuple):
 def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     """Read a mesh in the format that the extension of `name` stands for.
 
+    Parameters
+    ----------
+    data : bytes-like
+        The content of the file.
+    name : str
+        How to call the file in messages.
+
     Returns
     -------
     vertices : (n, 3) float64
@@ -115,7 +122,8 @@ def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     Raises
     ------
     InputError
-        If the extension is unknown, the content is of another format, or it is broken.
+        If the extension is unknown, the content is of another format, or it is broken, with the line, byte or part of
+        what is wrong.
     """
     mesh = decode_mesh_file(data, name)
     with np.errstate(over="ignore"):

@@ -1,7 +1,7 @@
 """GLB, the binary form of glTF 2.0: one mesh of all that its scene shows, in meters, y up, as the specification says.
 
 Materials, textures and animations are skipped. Compressed meshes and data outside of the file are refused. What is
-placed where is found out here, with the checks that trimesh leaves out; trimesh reads the tables of numbers.
+placed where is found out here, with the checks that libraries leave out.
 """
 
 from __future__ import annotations
@@ -33,22 +33,7 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     Vertices are split in such files where a texture or an edge needs it; those of equal position are merged in a mesh
     that is not closed as it is, the first one being kept.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The content of the file.
-    name : str
-        How to call the file in messages.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int64
-
-    Raises
-    ------
-    InputError
-        With the place of what is wrong.
+    See `detect.decode_mesh` for what all readers take, return and raise.
     """
     require_content(data, name)
     text, binary = _chunks(memoryview(data).cast("B"), name)

@@ -1,15 +1,10 @@
-"""The document of a glTF file, and its tables: every value and bound is checked here, trimesh reads the numbers.
-
-trimesh is given a file of its own, with one mesh for each surface and nothing but positions and vertex numbers. What it
-passes over or takes as it stands (sparse changes, normalized integers, fans) is written out before.
-"""
+"""The document of a glTF file, and its tables: every value and bound is checked before numpy sees it."""
 
 from __future__ import annotations
 
 import json
 import math
-import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -17,7 +12,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.mesh_arrays import MAX_TRIANGLES, DecodedMesh, merge_equal, require_sound
-from sppm_pipeline.formats.trimesh_reader import tables_by_trimesh
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -176,17 +170,12 @@ def read_meshes(document: Entry, binary: memoryview, meshes: Sequence[Entry], na
         If values leave their view, are not finite, or name a vertex that does not exist.
     """
     tables = _Tables(document, binary)
-    surfaces = [tables.surfaces(mesh) for mesh in meshes]
-    read = tables_by_trimesh(tables.file(), "glb", name) if any(surfaces) else {}
     made = []
-    for mesh, parts in zip(meshes, surfaces, strict=True):
+    for mesh in meshes:
         points: list[NDArray[np.float64]] = [np.empty((0, 3))]
         faces: list[NDArray[np.int64]] = [np.empty((0, 3), np.int64)]
-        for key, is_strip in parts:
-            vertices, triangles = require_sound(name, mesh.where, *read[key])
-            if is_strip:  # strips are joined by triangles without area
-                a, b, c = triangles.T
-                triangles = triangles[(a != b) & (b != c) & (c != a)]
+        for surface in tables.surfaces(mesh):
+            vertices, triangles = require_sound(name, mesh.where, *surface)
             faces.append(triangles + sum(map(len, points)))
             points.append(vertices)
         vertices, triangles = np.concatenate(points), np.concatenate(faces)
@@ -199,7 +188,7 @@ def read_meshes(document: Entry, binary: memoryview, meshes: Sequence[Entry], na
 
 
 class _Tables:
-    """The accessors of a document, and the file that trimesh is given.
+    """The accessors of a document.
 
     Parameters
     ----------
@@ -212,32 +201,12 @@ class _Tables:
         self._views = document.entries("bufferViews")
         self._buffers = document.entries("buffers")
         self._binary = binary
-        self._pieces: list[bytes] = []
-        self._size = self._rows = 0
-        self._own: dict[str, list[dict[str, Any]]] = {"meshes": [], "accessors": [], "bufferViews": []}
+        self._rows = 0
 
-    def file(self) -> bytes:
-        """A GLB of the surfaces that were asked for."""
-        count = len(self._own["meshes"])
-        binary = b"".join(self._pieces)
-        document = {
-            "asset": {"version": "2.0"},
-            "scene": 0,
-            "scenes": [{"nodes": list(range(count))}],
-            "nodes": [{"mesh": k} for k in range(count)],
-            "buffers": [{"byteLength": len(binary)}],
-            **self._own,
-        }
-        text = json.dumps(document).encode()
-        text += b" " * (-len(text) % 4)
-        head = struct.pack("<4s4I", b"glTF", 2, 28 + len(text) + len(binary), len(text), 0x4E4F534A)
-        return head + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-
-    def surfaces(self, mesh: Entry) -> list[tuple[str, bool]]:
-        """The names that the surfaces of a mesh have in the file for trimesh, and whether each is a strip."""
+    def surfaces(self, mesh: Entry) -> Iterator[DecodedMesh]:
+        """Positions and triangles of each surface of a mesh, as they are stored."""
         if any(mesh.numbers("weights", None) or []):
             mesh.fail("it is deformed by morph targets", hint="apply the shape and export a plain mesh")
-        found = []
         for primitive in mesh.entries("primitives"):
             mode = primitive.integer("mode", _TRIANGLES)
             if mode in _NO_SURFACE:
@@ -263,28 +232,16 @@ class _Tables:
             self._rows += max(len(positions), len(corners) // (3 if mode == _TRIANGLES else 1))
             if self._rows > MAX_TRIANGLES:
                 primitive.fail(f"with it the file has more than {MAX_TRIANGLES} vertices or triangles")
-            if mode == _FAN:
-                corners = np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], 1).reshape(-1)
-            attributes = {"POSITION": self._put(positions, "VEC3")}
-            surface = {"attributes": attributes, "indices": self._put(corners, "SCALAR")}
-            surface["mode"] = _STRIP if mode == _STRIP else _TRIANGLES
-            found.append((f"{len(self._own['meshes'])}", mode == _STRIP))
-            self._own["meshes"].append({"name": found[-1][0], "primitives": [surface]})
-        return found
-
-    def _put(self, values: NDArray[Any], shape: str) -> int:
-        """Take values into the file for trimesh; returns the number of their accessor."""
-        code = next(code for code, kind in _KINDS.items() if np.dtype(kind) == values.dtype)
-        data = values.tobytes()
-        begin = self._size
-        self._pieces.append(data + b"\0" * (-len(data) % 4))
-        self._size += len(self._pieces[-1])
-        number = len(self._own["accessors"])
-        self._own["bufferViews"].append({"buffer": 0, "byteOffset": begin, "byteLength": len(data)})
-        self._own["accessors"].append(
-            {"bufferView": number, "componentType": code, "count": len(values), "type": shape}
-        )
-        return number
+            if mode == _TRIANGLES:
+                triangles = corners.reshape(-1, 3)
+            elif mode == _FAN:
+                triangles = np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], 1)
+            else:
+                triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], 1)
+                triangles[1::2] = triangles[1::2, ::-1]  # every other one is turned over
+                a, b, c = triangles.T  # strips are joined by triangles without area
+                triangles = triangles[(a != b) & (b != c) & (c != a)]
+            yield positions, triangles
 
     def _values(self, user: Entry, number: int, shape: str) -> NDArray[Any]:
         """The bytes of an accessor as (count, width) values, its sparse changes made, normalized ones as float32."""

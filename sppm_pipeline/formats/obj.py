@@ -22,23 +22,7 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     Polygons are cut into fans; relative (negative) vertex numbers, ``a/b/c`` corners, colors behind the coordinates,
     comments and continued lines are understood. Every face of the file is taken, whatever object or group it is in.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The content of the file.
-    name : str
-        How to call the file in messages.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-        In the order of the file, correctly rounded.
-    faces : (m, 3) int64
-
-    Raises
-    ------
-    InputError
-        With the line and byte of what is wrong.
+    See `detect.decode_mesh` for what all readers take, return and raise. Vertices keep the order of the file.
     """
     require_content(data, name)
     lines = Lines(data, name, continued=True)

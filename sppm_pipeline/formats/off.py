@@ -21,25 +21,7 @@ _VERTEX, _FACE = Words.of(b"", b" ", b" ", b"\n"), Words.of(b"3 ", b" ", b" ", b
 
 
 def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
-    """Read a mesh; polygons are cut into fans.
-
-    Parameters
-    ----------
-    data : bytes-like
-        The content of the file.
-    name : str
-        How to call the file in messages.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int64
-
-    Raises
-    ------
-    InputError
-        With the line and byte of what is wrong.
-    """
+    """Read a mesh; polygons are cut into fans. See `detect.decode_mesh` for what all readers take, return and raise."""
     require_content(data, name)
     lines = Lines(data, name)
     rows = iter(lines)

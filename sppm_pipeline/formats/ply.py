@@ -65,22 +65,7 @@ class _Element(NamedTuple):
 def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     """Read a mesh; polygons are cut into fans. Elements and properties other than positions and faces are skipped.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The content of the file.
-    name : str
-        How to call the file in messages.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-    faces : (m, 3) int64
-
-    Raises
-    ------
-    InputError
-        With the line or byte of what is wrong.
+    See `detect.decode_mesh` for what all readers take, return and raise.
     """
     require_content(data, name)
     order, elements, position = _header(data, name)

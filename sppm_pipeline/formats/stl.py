@@ -40,26 +40,9 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
 
     A file that begins with ``solid`` is binary all the same if its size fits the number of triangles in its header.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The content of the file.
-    name : str
-        How to call the file in messages.
-
-    Returns
-    -------
-    vertices : (n, 3) float64
-        Values of float32 precision from a binary file, full values from an ASCII file. Corners are merged if they are
-        equal as float32; if that leaves the surface open, and merging those that are equal to 2^-24 of the largest
-        coordinate closes it, then those. Of the corners merged the first one is kept.
-    faces : (m, 3) int64
-        Normals and attributes are ignored.
-
-    Raises
-    ------
-    InputError
-        With the line or byte of what is wrong.
+    Corners are merged if they are equal as float32; if that leaves the surface open, and merging those that are equal
+    to 2^-24 of the largest coordinate closes it, then those. Of the corners merged the first one is kept. Normals and
+    attributes are ignored. See `detect.decode_mesh` for what all readers take, return and raise.
     """
     require_content(data, name)
     if not is_binary(data) and is_ascii(data):

@@ -1,7 +1,7 @@
 """3MF, the format of 3D printing programs: meshes as XML in a ZIP archive, with a unit, components and items to build.
 
 Read are the core specification and the parts of the production extension that say where an object lies. What is placed
-where is found out here, as trimesh knows neither units nor supports, and takes what several components share apart.
+where is found out here, the tables of the meshes in `three_mf_model`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import posixpath
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.archive import LARGEST_PART, Archive
+from sppm_pipeline.formats.archive import Archive
 from sppm_pipeline.formats.mesh_arrays import (
     DecodedMesh,
     Matrix,
@@ -42,12 +42,7 @@ def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[D
 
     Objects that are supports are left out.
 
-    Parameters
-    ----------
-    data : bytes-like
-        The content of the file.
-    name : str
-        How to call the file in messages.
+    See `detect.decode_mesh` for what all readers take and raise.
 
     Returns
     -------
@@ -56,11 +51,6 @@ def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[D
         ``millimeter``, ``inch``...
     mm : float
         The unit in millimeters.
-
-    Raises
-    ------
-    InputError
-        With the part and line of what is wrong.
     """
     require_content(data, name)
     package = _Package(Archive(data, name), name)
@@ -118,7 +108,7 @@ class _Package:
         if part not in self._models:
             if len(self._models) >= _MAX_PARTS:
                 raise InputError(f"{self._name}: it is spread over more than {_MAX_PARTS} parts")
-            model = read_model(self._archive.read(part, LARGEST_PART), self._name, part)
+            model = read_model(self._archive.chunks(part), self._name, part)
             first = next(iter(self._models.values()), model)
             if model.unit != first.unit:
                 raise InputError(f"{self._name}: {part}: its unit is {model.unit}, that of the file {first.unit}")

@@ -1,26 +1,20 @@
 """The model part of a 3MF file: objects that are meshes or made of components, and what is to be built.
 
-XML is read within bounds: no document type (and so no entities), no nesting without end, no gigabytes of nothing. The
-structure is read here; the tables of vertices and triangles are counted here and read by trimesh.
+XML is read within bounds: no document type (and so no entities), no nesting without end, no gigabytes of nothing.
 """
 
 from __future__ import annotations
 
-import codecs
-import io
 import re
-import zipfile
+from array import array
 from collections.abc import Iterable, Iterator
-from itertools import pairwise, zip_longest
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.mesh_arrays import IDENTITY, MAX_PLACED, MAX_TRIANGLES, DecodedMesh, Matrix, require_sound
-from sppm_pipeline.formats.trimesh_reader import tables_by_trimesh
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
@@ -54,14 +48,8 @@ _VERTICES, _VERTEX, _TRIANGLES, _TRIANGLE, _COMPONENTS, _COMPONENT = (
 )
 _PATH = f"{PRODUCTION} path"
 _ROWS = {_VERTEX: _VERTICES, _TRIANGLE: _TRIANGLES}
-_COLUMNS = {_VERTEX: ("x", "y", "z"), _TRIANGLE: ("v1", "v2", "v3")}
-_CHUNK = 2**20
-
-_ROWS_AT_ONCE = 2**16
-"""Rows of a table that trimesh reads at a time; it takes a kilobyte of memory for each."""
-
-_POINT, _CORNERS = b'<vertex x="0" y="0" z="0"/>', b'<triangle v1="0" v2="0" v3="0"/>'
-"""Stand in for an empty piece, which trimesh does not read."""
+_DECIMAL = re.compile(r"\s*[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\s*", re.ASCII)
+_INTEGER = re.compile(r"\s*\d{1,18}\s*", re.ASCII)
 
 
 class Use(NamedTuple):
@@ -177,7 +165,7 @@ class XmlReader:
         self.fail("a document type declaration (DTD) is not allowed in 3MF", hint="remove the line <!DOCTYPE ...>")
 
 
-def read_model(content: bytes, name: str, part: str) -> Model:
+def read_model(chunks: Iterable[bytes], name: str, part: str) -> Model:
     """Read a model part.
 
     Raises
@@ -185,20 +173,14 @@ def read_model(content: bytes, name: str, part: str) -> Model:
     InputError
         With the part and the line of what is wrong.
     """
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        try:  # slices of the text are handed on, which must know their encoding
-            content = re.sub(r"^<\?xml[^>]*\?>", "", content.decode("utf-16")).encode()
-        except UnicodeDecodeError as error:
-            raise InputError(f"{name}: {part}: this is no XML in UTF-8 or UTF-16") from error
-    reader = _ModelReader(content, name, part)
-    reader.feed(content[start : start + _CHUNK] for start in range(0, len(content), _CHUNK))
+    reader = _ModelReader(name, part)
+    reader.feed(chunks)
     return reader.model()
 
 
 class _ModelReader(XmlReader):
-    def __init__(self, content: bytes, name: str, part: str) -> None:
+    def __init__(self, name: str, part: str) -> None:
         super().__init__(name, part)
-        self._content = content
         self._unit: str | None = None
         self._objects: dict[int, Object] = {}
         self._items: list[Use] = []
@@ -207,8 +189,7 @@ class _ModelReader(XmlReader):
         self._mesh: DecodedMesh | None = None
         self._components: list[Use] = []
         self._uses = 0
-        self._cuts: dict[str, list[int]] = {}  # where pieces of the tables of the mesh begin, and where each ends
-        self._counts: dict[str, int] = {}
+        self._tables: dict[str, array[Any]] = {}  # of the mesh that is being read
         self._prefixes: dict[str, str] = {}
         self._parser.StartNamespaceDeclHandler = self._declare
 
@@ -223,16 +204,18 @@ class _ModelReader(XmlReader):
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         around = self.path[-1] if self.path else None
-        table = _ROWS.get(tag)
-        if table is not None and around == table:
-            # a word too many in one value would make up for one that is missing in another
-            if any(len(attributes.get(column, "").split()) != 1 for column in _COLUMNS[tag]):
-                vertex = "a vertex has three numbers x, y and z"
-                triangle = "a triangle has three vertex numbers v1, v2 and v3"
-                self.fail(f"{vertex if tag == _VERTEX else triangle}, not {_shown(attributes)}")
-            if self._counts[table] % _ROWS_AT_ONCE == 0:
-                self._cuts[table].append(self._parser.CurrentByteIndex)
-            self._counts[table] += 1
+        if (table := _ROWS.get(tag)) is not None and around != table:
+            self.fail(f"a <{tag.partition(' ')[2]}> stands in a table of its kind, not elsewhere")
+        if tag == _VERTEX:
+            words = [attributes.get(axis, "") for axis in "xyz"]
+            if not all(map(_DECIMAL.fullmatch, words)):
+                self.fail(f"a vertex has three numbers x, y and z, not {_shown(attributes)}")
+            self._tables[_VERTICES].extend(map(float, words))
+        elif tag == _TRIANGLE:
+            words = [attributes.get(corner, "") for corner in ("v1", "v2", "v3")]
+            if not all(map(_INTEGER.fullmatch, words)):
+                self.fail(f"a triangle has three vertex numbers v1, v2 and v3, not {_shown(attributes)}")
+            self._tables[_TRIANGLES].extend(map(int, words))
         elif around is None:
             self._start_model(tag, attributes)
         elif tag == _OBJECT and around == _RESOURCES:
@@ -242,9 +225,11 @@ class _ModelReader(XmlReader):
             self._kind = attributes.get("type", "model")
             self._mesh, self._components = None, []
         elif tag == _MESH and around == _OBJECT:
-            self._cuts = {_VERTICES: [], _TRIANGLES: []}
-            self._counts = {_VERTICES: 0, _TRIANGLES: 0}
-        elif tag in _ROWS.values() and (around != _MESH or self._cuts[tag]):
+            self._tables = {}
+        elif tag in (_VERTICES, _TRIANGLES):
+            if around == _MESH and tag not in self._tables:
+                self._tables[tag] = array("d" if tag == _VERTICES else "q")
+                return
             self.fail(f"a mesh has one table <{tag.partition(' ')[2]}>, inside <mesh>")
         elif tag == _COMPONENT and around == _COMPONENTS:
             self._components.append(self._use(attributes))
@@ -252,12 +237,10 @@ class _ModelReader(XmlReader):
             self._items.append(self._use(attributes))
 
     def end(self, tag: str) -> None:
-        if tag in _ROWS.values():
-            self._cuts[tag].append(self._parser.CurrentByteIndex)
-        elif tag == _MESH and self.path[-1] == _OBJECT:
+        if tag == _MESH and self.path[-1] == _OBJECT:
             if self._mesh is not None:
                 self.fail(f"object {self._identifier} has two meshes")
-            self._mesh = self._tables()
+            self._mesh = self._sound()
         if tag == _OBJECT and self._identifier is not None and self.path[-1] == _RESOURCES:
             self._objects[self._identifier] = Object(self._kind, self._mesh, self._components)
             self._identifier = None
@@ -276,30 +259,15 @@ class _ModelReader(XmlReader):
                 what = _KNOWN.get(uri, f"the extension {uri[:100]}")
                 self.fail(f"the file requires {what}, which is not read", hint="save it as plain meshes")
 
-    def _tables(self) -> DecodedMesh:
-        """The tables of the mesh that has ended, which trimesh reads piece by piece: its memory grows with the text."""
-        if not self._counts[_TRIANGLES]:
+    def _sound(self) -> DecodedMesh:
+        """The mesh that has ended."""
+        vertices, faces = (np.array(self._tables.get(table, ())).reshape(-1, 3) for table in (_VERTICES, _TRIANGLES))
+        if not len(faces):
             return np.empty((0, 3)), np.empty((0, 3), np.int64)
-        if max(self._counts.values()) > MAX_TRIANGLES:
+        if max(len(vertices), len(faces)) > MAX_TRIANGLES:
             self.fail(f"a mesh has more than {MAX_TRIANGLES} vertices or triangles")
         where = f"{self._name}: {self._part}, object {self._identifier}"
-        names = {(f"xmlns:{prefix}" if prefix else "xmlns"): uri for prefix, uri in self._prefixes.items()}
-        declared = " ".join(f"{key}={quoteattr(uri)}" for key, uri in names.items()).encode()
-        points, corners = [np.empty((0, 3))], [np.empty((0, 3), np.int64)]
-        pieces = (pairwise(self._cuts[table]) for table in (_VERTICES, _TRIANGLES))
-        for cut in zip_longest(*pieces, fillvalue=(0, 0)):
-            rows, triangles = (self._content[begin:end] for begin, end in cut)
-            vertices, faces = _read_by_trimesh(rows or _POINT, triangles or _CORNERS, declared, where)
-            points.append(vertices if rows else vertices[:0])
-            corners.append(faces if triangles else faces[:0])
-        made = np.concatenate(points), np.concatenate(corners)
-        counts = tuple(self._counts.values())
-        if (len(made[0]), len(made[1])) != counts:
-            raise InputError(
-                f"{where} has {counts[0]} vertices and {counts[1]} triangles, of which {len(made[0])} and "
-                f"{len(made[1])} can be read as numbers"
-            )
-        return require_sound(where, "its mesh", *made)
+        return require_sound(where, "its mesh", vertices, faces)
 
     def _use(self, attributes: dict[str, str]) -> Use:
         self._uses += 1
@@ -324,20 +292,6 @@ class _ModelReader(XmlReader):
         except ValueError:
             self.fail(f"a transform has twelve finite numbers, not {text[:60]!r}")
         return np.ascontiguousarray(numbers.reshape(4, 3).T)  # 3MF multiplies rows by it
-
-
-def _read_by_trimesh(vertices: bytes, triangles: bytes, declared: bytes, where: str) -> DecodedMesh:
-    """The numbers of rows of XML, as a 3MF of their own."""
-    package = io.BytesIO()
-    with zipfile.ZipFile(package, "w") as file:
-        file.writestr(
-            "3D/3dmodel.model",
-            b"<model " + declared + b'><resources><object id="1"><mesh><vertices>' + vertices
-            + b"</vertices><triangles>" + triangles
-            + b'</triangles></mesh></object></resources><build><item objectid="1"/></build></model>',
-        )  # fmt: skip
-    ((points, faces),) = tables_by_trimesh(package.getvalue(), "3mf", where).values()
-    return points, faces
 
 
 def _shown(attributes: dict[str, str]) -> str:

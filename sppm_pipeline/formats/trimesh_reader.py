@@ -1,8 +1,8 @@
-"""Meshes that the library trimesh reads: what comes out of it is checked, and it is given nothing unchecked.
+"""Meshes in formats that only the library trimesh reads: their size is bounded, and what comes out of it is checked.
 
-trimesh takes what it is given on trust: it counts on the lengths that a file states, passes over what it does not know
-(sparse values and triangle fans of glTF, supports and units of 3MF), and stops at a word that is no number. The readers
-of GLB and 3MF therefore check a file themselves, hand on nothing but its tables of numbers, and count what comes back.
+The formats with a reader of their own are not left to it: it counts on the lengths that a file states, and passes over
+what it does not know (sparse values and triangle fans of glTF, supports and units of 3MF). To check a file first and
+have trimesh read its tables afterwards takes more code, time and memory than to read them.
 """
 
 from __future__ import annotations
@@ -23,30 +23,6 @@ _NOT_READ = {
     "gltf", "xdmf", "xmf", "dato", "post", "med", "cgns", "exo", "e", "ex2", "h5m", "hmf",  # name or need other files
     "dxf", "svg", "wkt", "xyz", "stl_ascii", "node", "ele", "dat", "xml",  # no surfaces, or no names of a format
 }  # fmt: skip
-
-
-def tables_by_trimesh(data: bytes, kind: str, name: str) -> dict[str, DecodedMesh]:
-    """The vertices and faces of each mesh of a checked file, as they are stored, by the names of the meshes.
-
-    Nothing is said about the values: see `mesh_arrays.require_sound`.
-
-    Parameters
-    ----------
-    data : bytes
-    kind : {"glb", "3mf"}
-    name : str
-        How to call the file in messages.
-
-    Raises
-    ------
-    InputError
-        If trimesh fails.
-    """
-    with third_party_reader("trimesh", name, "the file is damaged: write or download it again"):
-        import trimesh
-
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
-        return {key: (np.asarray(mesh.vertices), np.asarray(mesh.faces)) for key, mesh in scene.geometry.items()}
 
 
 def others() -> set[str]:

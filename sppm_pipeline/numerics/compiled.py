@@ -51,6 +51,14 @@ def inline_jit(function: F) -> F:
     return _compiled(function, {"reassoc", "contract", "arcp", "nsz"})
 
 
+def fused_jit(function: F) -> F:
+    """Compile `function` with products and sums contracted, but in the order in which they are written.
+
+    A sum of which only one term is a product comes out the same in a vector loop and in its remainder.
+    """
+    return _compiled(function, {"contract"})
+
+
 def _compiled(function: F, fastmath: set[str] | bool) -> F:
     # Numba asks for the folder when it wraps a function, and declares its settings at run time
     setattr(config, "CACHE_DIR", str(kernel_cache_folder(function.__code__.co_filename)))  # noqa: B010

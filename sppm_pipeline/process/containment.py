@@ -16,12 +16,17 @@ from typing import Any
 
 from sppm_pipeline.errors import PluginError, Position, ResourceError, SppmError
 from sppm_pipeline.process import interruption
+from sppm_pipeline.process.activity import Activity, doing, leave
 
 STAGE_TIME = "SPPM_STAGE_TIME"
 """Environment variable with the seconds that one stage may take; worker processes of a sweep inherit it."""
 
 GRACE = 10.0
 """Seconds that a stage has to end after its time is up, before the whole process is ended."""
+
+
+LAST = 2.0
+"""Seconds after those in which the supervising process ends a stage whose own process can't."""
 
 
 class _TimeUp(BaseException):
@@ -37,11 +42,13 @@ def contained(fault: Callable[[str], SppmError]) -> Iterator[None]:
     fault : callable
         Makes the error that names the plugin, from a description of what it did.
     """
-    folder = _working_folder()
+    folder, streams = _working_folder(), _open_streams()
     interrupts = _Interrupts()
     with _REDIRECTION, interrupts:
         try:
             yield
+            if lost := streams - _open_streams():
+                raise fault(f"closed the standard {' and the standard '.join(sorted(lost))}")
         except (Exception, _TimeUp):
             raise
         except KeyboardInterrupt:
@@ -62,6 +69,28 @@ def _working_folder() -> str | None:
         return os.getcwd()
     except OSError:  # removed while we are in it
         return None
+
+
+def _open_streams() -> set[str]:
+    """Which of the standard streams can be written to; the redirection has put one in the other's place."""
+    found = set()
+    for name, number, stream in (("output", 1, sys.__stdout__), ("error", 2, sys.stderr)):
+        with contextlib.suppress(OSError):
+            os.fstat(number)
+            if stream is not None and not stream.closed:
+                found.add(name)
+    return found
+
+
+@contextlib.contextmanager
+def guarded(what: str, fault: Callable[[str], SppmError], *, builtin: bool) -> Iterator[None]:
+    """Run code of a plugin as `contained`, built-in code as it is; what is done is noted for the supervisor."""
+    with doing(Activity(what, builtin)):
+        if builtin:
+            yield
+            return
+        with contained(fault):
+            yield
 
 
 class _Interrupts:
@@ -141,8 +170,10 @@ def limited(what: str, *, builtin: bool, where: Position | None = None, stage: s
         Of a plugin and of a built-in stage.
     """
     seconds = stage_seconds()
+    activity = Activity(what, builtin, str(where or ""), stage or "")
     if seconds is None:
-        yield
+        with doing(activity):
+            yield
         return
     kind = ResourceError if builtin else PluginError
     error = kind(
@@ -153,7 +184,8 @@ def limited(what: str, *, builtin: bool, where: Position | None = None, stage: s
     )
     watchdog = _Watchdog(seconds, error)
     try:
-        with watchdog:
+        # compiled code that keeps Python's lock stops the watchdog as well; the supervisor is the last to look
+        with doing(activity, seconds + GRACE + LAST), watchdog:
             yield
     except _TimeUp:
         if not watchdog.fired:  # that of a stage around this one
@@ -208,4 +240,4 @@ class _Watchdog:
             interruption.cancel_all(self._error, self._thread)
             with contextlib.suppress(OSError, ValueError):
                 os.write(2, f"\nsppm: {self._error}\n  it could not be interrupted; the process is ended\n".encode())
-            os._exit(self._error.exit_code)
+            leave(self._error.exit_code)

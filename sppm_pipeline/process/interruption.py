@@ -21,6 +21,7 @@ from types import FrameType
 from typing import Protocol
 
 from sppm_pipeline.errors import SppmError
+from sppm_pipeline.process.activity import leave
 from sppm_pipeline.process.tree import signal_below
 
 PATIENCE = 0.6
@@ -200,7 +201,7 @@ def _end(
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
-    os._exit(128 + signals[0])
+    leave(128 + signals[0])
 
 
 def raise_in(thread: int, kind: type[BaseException] | None) -> None:

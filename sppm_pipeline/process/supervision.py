@@ -17,13 +17,20 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
-from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.process import interruption
-from sppm_pipeline.process.tree import die_with_parent, signal_below
+from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError, SppmError
+from sppm_pipeline.process import activity, interruption
+from sppm_pipeline.process.tree import adopt_orphans, die_with_parent, signal_below
 
 PATIENCE = 1.1
 """Seconds that the child is given to end by itself; within `interruption.PATIENCE` it puts everything in order."""
+
+LOOK = 0.5
+"""Seconds after which the parent looks whether the child has used up its time."""
+
+ORPHANS = 1.0
+"""Seconds that processes which the child has left behind are given to end by themselves."""
 
 INTERRUPTED = (129, 130, 143)
 """Exit codes of a child that was interrupted."""
@@ -32,7 +39,7 @@ CRASHES = tuple(getattr(signal, n) for n in ("SIGSEGV", "SIGBUS", "SIGABRT", "SI
 """Signals by which a native library takes a process down."""
 
 
-MarkEnded = Callable[[Path, str, str | None], None]
+MarkEnded = Callable[[Path, str, SppmError | None], None]
 """Puts a run directory in order: its path, the status ("interrupted" or "failed"), and what ended the process."""
 
 
@@ -57,6 +64,7 @@ def supervised(work: Callable[[], int], notify: Callable[[str], None], exit_mess
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
     parent = os.getpid()
+    activity.share()
     child = os.fork()
     if child == 0:
         for unused in (wake, alarm, reader):
@@ -71,7 +79,7 @@ def supervised(work: Callable[[], int], notify: Callable[[str], None], exit_mess
         try:
             code = work()
         finally:
-            os._exit(code)
+            activity.leave(code)
     os.close(writer)
     return _Watch(child, (wake, alarm), reader, notify, exit_message, mark_ended).exit_code()
 
@@ -117,6 +125,7 @@ class _Watch:
         self._mark_ended = mark_ended
         self._signals: list[int] = []
         self._reported = b""
+        self._listening = [waking[0], reader]
         self._wake, alarm = waking
         os.set_blocking(alarm, False)
         os.set_blocking(self._wake, False)
@@ -131,23 +140,56 @@ class _Watch:
         self._signals.append(number)
 
     def exit_code(self) -> int:
-        """Wait for the child, and end it when a signal comes."""
-        status = self._wait(None)
-        if status is None:
+        """Wait for the child, and end it when a signal comes or its time is up; then end what it has left behind."""
+        adopt_orphans()
+        try:
+            status = self._wait(None)
+            code = self._ended(status) if status is not None else self._stop()
+            if words := activity.last_message():
+                self._notify(words)
+            return code
+        finally:
+            self._end_orphans()
+
+    def _stop(self) -> int:
+        """End the child because of a signal, or of its time."""
+        status = None
+        if self._signals:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._child, signal.SIGTERM)
             status = self._wait(time.monotonic() + PATIENCE)
+        error = None if self._signals else self._overdue()
         if status is None:
             signal_below(self._child, signal.SIGKILL)
             os.kill(self._child, signal.SIGKILL)
             os.waitpid(self._child, 0)
-            self._tidy_up("interrupted", None)
-        if self._signals:
-            self._notify(self._exit_message)
-            return 128 + self._signals[0]
-        assert status is not None
+            self._read()
+            self._tidy_up("interrupted" if error is None else "failed", error)
+        if error is not None:
+            self._notify(str(error))
+            return error.exit_code
+        self._notify(self._exit_message)
+        return 128 + self._signals[0]
+
+    def _overdue(self) -> SppmError:
+        """That the child has used up its time, by what it was doing."""
+        now, doing, place = _doing()
+        if time.monotonic() >= activity.deadlines()[0]:
+            hint = "allow more with --time-limit; the same command again goes on with the stages that had ended"
+            return ResourceError(f"the run took longer than --time-limit allows{doing}", hint=hint, **place)
+        kind = ResourceError if now is None or now.builtin else PluginError
+        hint = "allow more with --stage-time; it could not be interrupted, so the process was ended"
+        return kind(f"a stage took longer than --stage-time allows{doing}", hint=hint, **place)
+
+    def _ended(self, status: int) -> int:
+        """The exit code, of a child that has ended by itself."""
+        now, doing, place = _doing()
         if not os.WIFSIGNALED(status):
             code = os.WEXITSTATUS(status)
+            if not activity.was_left():  # by whatever, but not by the program
+                kind = SppmError if now is None or now.builtin else PluginError
+                who = now.what if now is not None else "something"
+                return self._failed(kind(f"{who} ended the process (exit code {code})", **place), kind.exit_code)
             if code in INTERRUPTED:
                 self._notify(self._exit_message)
             if code == ResourceError.exit_code:  # what its last record would have taken is free now
@@ -156,17 +198,39 @@ class _Watch:
         number = os.WTERMSIG(status)
         name = signal.Signals(number).name
         if number in CRASHES:
-            message = f"a native library crashed ({name})"
-            self._tidy_up("failed", message)
-            self._notify(f"{message}\n  hint: run again with --debug, and leave out the stage that was running")
-            return 6
+            hint = "run again with --debug, and leave out the stage that was running"
+            message = f"a native library crashed ({name}){doing}"
+            return self._failed(NativeCrash(message, hint=hint, **place), NativeCrash.exit_code)
         self._tidy_up("interrupted", None)
         cause = ", perhaps because memory ran out" if number == signal.SIGKILL else ""
-        self._notify(f"the process was ended by {name}{cause}; the same command again goes on where it was")
+        self._notify(f"the process was ended by {name}{cause}{doing}; the same command again goes on where it was")
         return 128 + number
 
+    def _failed(self, error: SppmError, code: int) -> int:
+        self._tidy_up("failed", error)
+        self._notify(str(error))
+        return code
+
+    def _end_orphans(self) -> None:
+        """End what the child has left behind, which is ours now where the system lets us adopt it."""
+        until, left = time.monotonic() + ORPHANS, False
+        while True:
+            try:
+                while os.waitpid(-1, os.WNOHANG)[0]:
+                    pass
+            except ChildProcessError:
+                break
+            if time.monotonic() > until + ORPHANS:
+                break  # it waits for a device
+            if time.monotonic() > until or self._signals:
+                left = True
+                signal_below(os.getpid(), signal.SIGKILL)
+            time.sleep(0.01)
+        if left and not self._signals:
+            self._notify("a process that was left behind was ended")
+
     def _wait(self, deadline: float | None) -> int | None:
-        """The child's status when it has ended; None at the deadline, or if a (further) signal came."""
+        """The child's status when it has ended; None at a deadline, or if a (further) signal came."""
         before = len(self._signals)
         while True:
             pid, status = os.waitpid(self._child, os.WNOHANG)
@@ -175,10 +239,10 @@ class _Watch:
                 return status
             if len(self._signals) > before:
                 return None
-            left = None if deadline is None else deadline - time.monotonic()
-            if left is not None and left <= 0:
+            left = (min(activity.deadlines()) if deadline is None else deadline) - time.monotonic()
+            if left <= 0:
                 return None
-            select.select([self._wake], [], [], left)
+            select.select(self._listening, [], [], min(left, LOOK))
             with contextlib.suppress(BlockingIOError):
                 os.read(self._wake, 4096)
 
@@ -187,12 +251,21 @@ class _Watch:
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._reader, 4096):
                 self._reported += data
+            self._listening = [self._wake]  # the child has closed its end
 
-    def _tidy_up(self, status: str, error: str | None) -> None:
+    def _tidy_up(self, status: str, error: SppmError | None) -> None:
         """Put the run directories in order that the child can't any more."""
         for name in self._reported.split(b"\0"):
             if name:
                 self._mark_ended(Path(os.fsdecode(name)), status, error)
+
+
+def _doing() -> tuple[activity.Activity | None, str, dict[str, Any]]:
+    """What the child is doing, as the end of a message, and where in the configuration."""
+    now = activity.current()
+    if now is None:
+        return None, "", {}
+    return now, f", while this was running: {now.what}", {"where": now.place, "stage": now.stage or None}
 
 
 def _announce_runs(writer: int) -> None:

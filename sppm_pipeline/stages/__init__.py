@@ -9,9 +9,10 @@ from sppm_pipeline.hookspecs import hookimpl
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from sppm_pipeline.hookspecs import Preset
     from sppm_pipeline.stage import StageAlias
 
-__all__ = ["BUILT_IN", "STAGE_ALIASES", "sppm_stage_aliases", "sppm_stages"]
+__all__ = ["BUILT_IN", "STAGE_ALIASES", "sppm_presets", "sppm_stage_aliases", "sppm_stages"]
 
 BUILT_IN = {
     "read.mesh": "ReadMesh",
@@ -21,9 +22,12 @@ BUILT_IN = {
     "sample.mirrored_faces": "MirroredFaces",
     "sample.dart_throwing": "DartThrowing",
     "sample.elimination": "Elimination",
+    "sample.hyperuniform": "Hyperuniform",
     "connect.mst": "MinimumSpanningTree",
     "connect.mbdst": "BoundedDegreeSubgraph",
+    "connect.relative_neighbors": "RelativeNeighbors",
     "field.gaussian": "GaussianField",
+    "field.walls": "WallsField",
     "tune.porosity": "TunePorosity",
     "tune.stiffness": "TuneStiffness",
     "tune.retry": "Retry",
@@ -121,3 +125,11 @@ def sppm_stage_aliases() -> dict[str, str | StageAlias]:
         return StageAlias(name, implied)
 
     return {former: alias(former, name) for former, name in STAGE_ALIASES.items()}
+
+
+@hookimpl
+def sppm_presets() -> dict[str, Preset]:
+    """Recipes for what users ask most."""
+    from sppm_pipeline.stages.presets import PRESETS
+
+    return PRESETS

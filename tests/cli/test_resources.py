@@ -148,8 +148,22 @@ def test_a_full_disk(here, small_disk, name):
     (small_disk / "filler").write_bytes(b"x" * 200_000)
     words = ["run", f"{name}.yaml", "-q", "-o", str(small_disk / "out"), "--no-plugins"]
     done = subprocess.run([sys.executable, "-c", code, *words], cwd=here, capture_output=True, text=True, check=False)
-    one_line(done, "No space left on device")
+    one_line(done, "stage 'write.", "No space left on device", "hint: make room on the disk")
     assert left(small_disk / "out") == []
+
+
+def test_a_full_disk_of_the_cache(here, small_disk, monkeypatch):
+    """The result is what was asked for, and it is there."""
+    (small_disk / "filler").write_bytes(b"x" * 300_000)
+    monkeypatch.setenv("SPPM_CACHE", str(small_disk / "cache"))
+    done = sppm("run", "part.yaml", "-o", "out", cwd=here)
+    assert done.returncode == 0, done.stderr
+    assert "part.stl" in left(here / "out")
+    from sppm_pipeline.engine.cache.store import Store
+    from sppm_pipeline.engine.plan.rates import learn_speed
+
+    learn_speed(Store(small_disk / "cache"), {"write.mesh": (2.0, 1.0)})  # which is not worth an error
+    assert not (small_disk / "cache").exists() or not any((small_disk / "cache").glob("*.json"))
 
 
 def test_a_full_disk_is_estimated(here, small_disk):

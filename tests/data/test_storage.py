@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as arrays
 
 from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Cell, Length
+from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.storage import DamagedError, NotStorable, load_value, save_value, stored_bytes
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.data.volume_mesh import VolumeMesh
@@ -51,6 +52,16 @@ def test_nouns_of_the_program(tmp_path, wang, ball):
         again.check()
     assert there_and_back(voxels, tmp_path / "v").values.flags.f_contiguous
     assert not there_and_back(ball, tmp_path / "b").vertices.flags.writeable
+
+
+def test_a_report_keeps_what_its_method_has_to_say(tmp_path):
+    """It is written to files by later stages, which must not depend on whether the report comes from the cache."""
+    solver = {"grid": [16, 16, 16], "residuals": [0.1, 1e-7], "converged": True, "precision": "float32"}
+    report = StiffnessReport(np.eye(6), ((1.0, 1.0, 0.3),), "a method", solver=solver)
+    again = there_and_back(report, tmp_path / "report")
+    assert again.solver == solver
+    assert repr(again.summary()) == repr(report.summary())
+    assert again.digest() == report.digest() != StiffnessReport(np.eye(6), ((1.0, 1.0, 0.3),), "a method").digest()
 
 
 def test_a_loaded_tile_set_is_sampled_as_the_one_that_was_kept(tmp_path, wang):

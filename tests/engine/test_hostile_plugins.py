@@ -115,7 +115,7 @@ def test_a_plugin_that_cannot_be_imported_is_named_and_breaks_nothing(here, inst
     assert "sppm_pipeline.stages (built in)\n" in out
     assert main(["stages"]) == 0
     assert main(["doctor"]) == 1
-    assert main(["check", "strange.yaml"]) == 2
+    assert main(["check", "strange.yaml"]) == 4
     assert f"{NAMED} could not be loaded and may supply it" in capsys.readouterr().err
 
 

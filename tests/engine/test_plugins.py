@@ -128,8 +128,11 @@ def test_a_distribution_that_fails_to_import_is_listed_and_breaks_nothing(work, 
 
 def test_an_unknown_stage_hints_at_plugins_that_failed(work, monkeypatch):
     pretend_installed(monkeypatch, ("bad", ImportError("libGL.so.1")))
-    error = work.error("pipeline: [scan.laser]\n", distributions=True)
-    assert "sppm-foreign 1.2.3 (plugin 'bad') could not be loaded and may supply it" in str(error)
+    with pytest.raises(PluginError) as caught:
+        work.plan("pipeline: [scan.laser]\n", distributions=True)
+    assert "sppm-foreign 1.2.3 (plugin 'bad') could not be loaded and may supply it" in str(caught.value)
+    # a slip of the pen is no fault of the plugin
+    assert "did you mean" in str(work.error("pipeline: [read.varyed]\n", distributions=True))
 
 
 def test_without_plugins_nothing_is_looked_for(work, monkeypatch):

@@ -18,7 +18,7 @@ from sppm_pipeline.engine.plan.plugins import load_plugins
 
 PLUGINS = sorted(path.parent for path in (Path(__file__).resolve().parents[2] / "plugins").glob("*/pyproject.toml"))
 STAGES = {
-    "lattice_points": {"sample.hyperuniform", "sample.lattice_points"},
+    "lattice_points": {"sample.lattice_points"},
     "even_tiles": {"tile.even_interiors"},
     "structures": {
         "field.elastic_texture",
@@ -106,13 +106,6 @@ def test_lattice_points_in_a_pipeline(tmp_path: Path, root: Path) -> None:
     assert summary(record, "connect.mst")["tunnels"] == 63
     assert summary(record, "check.connectivity")["void_components"] == 1
     assert "sppm-lattice-points" in json.dumps(record["plugins"])
-
-
-def test_hyperuniform_pores_in_a_pipeline(tmp_path: Path, root: Path) -> None:
-    file = root / "plugins" / "sppm-lattice-points" / "hyperuniform.yaml"
-    record = run(tmp_path, file, "--until", "check.connectivity", "-s", "check.connectivity.resolution=24")
-    assert summary(record, "sample.hyperuniform")["largest_structure_factor"] < 1e-7
-    assert 0.2 < summary(record, "check.connectivity")["porosity"] < 0.9
 
 
 def test_samplers_serve_tile_sets_with_pores_on_faces(tmp_path: Path) -> None:

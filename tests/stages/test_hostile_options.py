@@ -68,6 +68,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "tile.wang_3color": ([SET], "cells: [2, 1, 1], cell: 2 mm", []),
     "tile.free_faces": ([FREE], "cells: [2, 1, 1], cell: 2 mm", []),
     "tile.corner_colors": ([CORNER], "cells: [2, 1, 1], cell: 2 mm", []),
+    "tile.scattered": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
     "tile.fresh": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
     "fill.implicit": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "", LAYERS),
     "extract.marching_cubes": (TILED, "resolution: 8", []),

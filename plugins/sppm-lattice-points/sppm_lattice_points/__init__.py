@@ -1,4 +1,4 @@
-"""Samplers for sppm_pipeline: jittered cubic lattices and hyperuniform pores."""
+"""A sampler for sppm_pipeline: jittered cubic lattices of pores."""
 
 from __future__ import annotations
 
@@ -12,5 +12,4 @@ def sppm_stages() -> dict[str, str]:
     """Our stages, by the place of their class, which is imported only when it is used."""
     return {
         "sample.lattice_points": "sppm_lattice_points.lattice_points:LatticePoints",
-        "sample.hyperuniform": "sppm_lattice_points.hyperuniform:Hyperuniform",
     }

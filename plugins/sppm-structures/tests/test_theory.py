@@ -155,6 +155,17 @@ def test_compare_structures(tmp_path):
             assert min(image.size) > 200
 
 
+def test_walls_are_as_stiff_as_the_gyroid(tmp_path):
+    """Beside the paper's field of the same pores and tunnels; one draw on a coarse grid."""
+    rows = run(
+        "walls_stiffness.yaml", tmp_path, "{structure: [paper, walls, gyroid]}", "-p", "resolution=32",
+        "-s", "tuned.resolution=40", "-s", "tuned.tolerance=0.01",
+    )  # fmt: skip
+    young = {name: row["elastic.isotropic.E"] for name, row in rows.items()}
+    assert young["walls"] > 0.95 * young["gyroid"] > 2 * young["paper"]
+    assert rows["walls"]["elastic.deviation_invariant"] < 0.06 < rows["paper"]["elastic.deviation_invariant"]
+
+
 def test_all_structures_are_compared():
     session = open_session(RunRequest(str(ROOT / "configs" / "compare_structures.yaml"), ("sppm_pipeline.stages",), ()))
     listed = [node.value for node in session.configuration.sweep.value["structure"].node.value]

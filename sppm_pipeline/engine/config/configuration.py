@@ -27,7 +27,7 @@ KEYS = {
     "seed": "integer from which all random numbers are drawn",
     "params": "values that stand in for ${name}",
     "plugins": "Python files with further stages, relative to this file",
-    "recipes": "named lists of stages that other stages repeat",
+    "recipes": "named lists of stages that other stages repeat, or presets with their parameters",
     "pipeline": "list of stages",
     "sweep": "lists of values for params and seed (a grid), or a list of maps (a table)",
     "after": "list of stages that run once after a sweep and may use its table",
@@ -146,7 +146,7 @@ def parse_configuration(root: Node, path: Path, base: str | Path) -> Configurati
     for key, entry in params.items():
         if not key.isidentifier():
             problems.report(f"the parameter name {shown(key)} must consist of letters, digits and _", entry.where)
-    recipes = _value(top, "recipes", dict, "a map of recipe names to lists of stages", problems, default={})
+    recipes = _value(top, "recipes", dict, "a map of recipe names to lists of stages or presets", problems, default={})
     for key, entry in recipes.items():
         if not key.isidentifier():
             problems.report(f"the recipe name {shown(key)} must consist of letters, digits and _", entry.where)

@@ -100,6 +100,30 @@ def stage_list(registry: Registry, names: Sequence[str]) -> str:
     return "\n".join(lines[1:]) + "\n"
 
 
+def preset_list(registry: Registry) -> str:
+    """Presets, one line each."""
+    width = max((len(name) for name in registry.presets), default=0)
+    lines = [f"  {name:{width}s}  {preset.help}" for name, preset in sorted(registry.presets.items())]
+    return "\n".join(["", "presets, for `recipe: NAME` or `recipes: {cell: {preset: NAME, ...}}`:", *lines, ""])
+
+
+def preset_text(name: str, registry: Registry) -> str:
+    """A preset with its parameters and stages, as a configuration would have them."""
+    preset = registry.presets[name]
+    lines = [name, "=" * len(name), "", preset.help, "", "Parameters" if preset.params else "No parameters"]
+    lines += [f"  {key}: default {'none' if value is None else value}" for key, value in preset.params.items()]
+    return "\n".join([*lines, "", "Stages", *(f"  - {_flow(entry)}" for entry in preset.stages), ""])
+
+
+def _flow(value: Any) -> str:
+    """A value in YAML's flow style."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {_flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    return f'"{value}"' if isinstance(value, str) and "$" in value else str(value)
+
+
 def explain_plan(plan: Plan, reasons: Mapping[str, tuple[bool, str]] | None = None) -> str:
     """What each stage of a plan does, with its options, inputs and the path of its random numbers.
 

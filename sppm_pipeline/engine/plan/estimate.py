@@ -222,7 +222,8 @@ def refuse_what_cannot_fit(
     if free is not None and needed > TRUST * free:
         largest = max(estimate.stages, key=lambda stage: stage.cost.disk if stage.cost else 0.0)
         raise ResourceError(
-            f"about {format_bytes(needed)} would be written; free where {str(folder)!r} lies are {format_bytes(free)}",
+            f"not enough disk: about {format_bytes(needed)} would be written; "
+            f"free where {str(folder)!r} lies are {format_bytes(free)}",
             hint=f"choose another place with -o; {largest.advice or 'use a coarser resolution'}",
             where=largest.step.where,
             stage=largest.step.address,

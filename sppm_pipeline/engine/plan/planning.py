@@ -21,11 +21,13 @@ from sppm_pipeline.engine.config.options import (
     with_current_names,
 )
 from sppm_pipeline.engine.config.parameters import Overrides, Substitution, override_options, override_params
+from sppm_pipeline.engine.config.presets import expanded, stages_of
 from sppm_pipeline.engine.config.problems import Problems
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.registry import Registry
-from sppm_pipeline.engine.plan.wiring import Draft, Step, recipe_order, wire
+from sppm_pipeline.engine.plan.wiring import Draft, Step, recipe_names, recipe_order, wire
 from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError
+from sppm_pipeline.hookspecs import Preset
 from sppm_pipeline.process.containment import contained
 from sppm_pipeline.stage import Stage
 
@@ -105,10 +107,11 @@ def make_plan(
     if row is not None:
         params |= {name: entry for name, entry in row.items() if name != "seed"}
         seed = row["seed"].node.value if "seed" in row else seed
-    entries, unused = _entries(configuration, params, overrides, problems)
+    entries, unused = _entries(configuration, params, overrides, registry.presets, problems)
+    names = [name for name in entries if name not in (_PIPELINE, _AFTER)]
     renamed: dict[tuple[str, str], str] = {}
     drafts = {name: _drafts(group, configuration, registry, problems, renamed) for name, group in entries.items()}
-    recipes: dict[str, tuple[type, ...] | None] = dict.fromkeys(configuration.recipes)
+    recipes: dict[str, tuple[type, ...] | None] = dict.fromkeys(names)
     wired: dict[str, list[Step]] = {}
     for name in recipe_order({name: drafts[name] for name in recipes}, problems):
         wired[name], recipes[name] = wire(drafts[name], recipes, problems)
@@ -118,7 +121,7 @@ def make_plan(
     after: list[Step] = []
     if configuration.after is not None:
         after, _ = wire(drafts[_AFTER], recipes, problems, given={SWEEP_ID: (_table(),)})
-    for group in ([*steps, *(step for name in configuration.recipes for step in wired.get(name, ()))], after):
+    for group in ([*steps, *(step for name in names for step in wired.get(name, ()))], after):
         refuse_clashes(_claims(group), problems)
     problems.raise_any()
     used = {name for group in (steps, after, *wired.values()) for step in group for name in step.recipes.values()}
@@ -134,10 +137,12 @@ def make_plan(
         seed=seed,
         params={name: plain(entry.node) for name, entry in params.items()},
         steps=tuple(steps),
-        recipes={name: tuple(wired[name]) for name in configuration.recipes},
+        recipes={name: tuple(wired[name]) for name in names},
         after=tuple(after),
         warnings=(*renamed.values(), *unused),
-        document=_document(configuration, seed, params, steps, wired, after, single=row is not None),
+        document=_document(
+            configuration, seed, params, steps, {name: wired[name] for name in names}, after, single=row is not None
+        ),
         plugins=tuple(registry.plugins.plugins),
     )
 
@@ -168,15 +173,33 @@ def _table() -> type:
 
 
 def _entries(
-    configuration: Configuration, params: Mapping[str, Entry], overrides: Overrides, problems: Problems
+    configuration: Configuration,
+    params: Mapping[str, Entry],
+    overrides: Overrides,
+    presets: Mapping[str, Preset],
+    problems: Problems,
 ) -> tuple[dict[str, list[StageEntry]], list[str]]:
-    """Stage entries of the recipes, the pipeline and `after`, parameters and overrides put in; and warnings."""
+    """Stage entries of the recipes, the pipeline and `after`, parameters and overrides put in; and warnings.
+
+    Presets that are named without being written down become recipes.
+    """
     substitution = Substitution(params, problems)
-    groups = {name: (name, entry.node) for name, entry in configuration.recipes.items()}
-    groups[_PIPELINE] = (None, configuration.pipeline)  # type: ignore[assignment]
+    groups: dict[str, Node] = {name: entry.node for name, entry in configuration.recipes.items()}
+    groups[_PIPELINE] = configuration.pipeline
     if configuration.after is not None:
-        groups[_AFTER] = (None, configuration.after)  # type: ignore[assignment]
-    entries = {key: stage_entries(substitution.apply(node), recipe, problems) for key, (recipe, node) in groups.items()}
+        groups[_AFTER] = configuration.after
+    entries = {
+        key: stage_entries(
+            expanded(substitution.apply(node), presets, problems),
+            None if key in (_PIPELINE, _AFTER) else key,
+            problems,
+        )
+        for key, node in groups.items()
+    }
+    named = [entry.recipes for group in entries.values() for entry in group if entry.recipes is not None]
+    for name, where in (found for node in named for found in recipe_names(node)):
+        if name not in entries and name in presets:
+            entries[name] = stage_entries(stages_of(presets[name], where), name, problems)
     flat = override_options([entry for group in entries.values() for entry in group], overrides.options, problems)
     changed = iter(flat)
     entries = {key: [next(changed) for _ in group] for key, group in entries.items()}
@@ -302,7 +325,7 @@ def _document(
     if configuration.plugins:
         document["plugins"] = [str(path.absolute()) for path in configuration.plugins]
     if recipes:
-        document["recipes"] = {name: [_entry(step) for step in recipes[name]] for name in configuration.recipes}
+        document["recipes"] = {name: [_entry(step) for step in steps] for name, steps in recipes.items()}
     document["pipeline"] = [_entry(step) for step in steps]
     if configuration.sweep is not None and not single:
         document["sweep"] = _sweep(configuration.sweep, param_value)

@@ -11,7 +11,6 @@ import re
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -22,7 +21,7 @@ import pluggy
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
-from sppm_pipeline.process.containment import contained
+from sppm_pipeline.process.containment import guarded
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -67,6 +66,7 @@ class Plugin:
     aliases : dict of former stage name to current name or StageAlias
     executors : dict of name to function of the number of workers
     commands : dict of verb to Command
+    presets : dict of name to Preset
     """
 
     name: str
@@ -80,6 +80,7 @@ class Plugin:
     aliases: dict[str, str | StageAlias] = field(default_factory=dict)
     executors: dict[str, Callable[[int], Executor]] = field(default_factory=dict)
     commands: dict[str, hookspecs.Command] = field(default_factory=dict)
+    presets: dict[str, hookspecs.Preset] = field(default_factory=dict)
 
     def __str__(self) -> str:
         if self.builtin:
@@ -207,7 +208,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         return PluginError(f"{plugin} can't be loaded: its import {message}")
 
     try:
-        with nullcontext() if plugin.builtin else contained(fault):
+        with guarded(f"the import of {plugin}", fault, builtin=plugin.builtin):
             module = load()
     except PluginError as error:
         plugin.error = error
@@ -239,13 +240,8 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         for hook, found, is_valid, expected in _SUPPLIED:
             for implementation in getattr(manager.hook, hook).get_hookimpls():
                 if implementation.plugin_name == plugin.name:
-                    with (
-                        nullcontext()
-                        if plugin.builtin
-                        else contained(
-                            lambda message, hook=hook: BrokenContract(f"{plugin}: {hook} {message}")  # type: ignore[misc]
-                        )
-                    ):
+                    fault_of_hook = lambda message, hook=hook: BrokenContract(f"{plugin}: {hook} {message}")  # noqa: E731
+                    with guarded(f"{hook} of {plugin}", fault_of_hook, builtin=plugin.builtin):
                         supplied = implementation.function()
                     if not isinstance(supplied, Mapping) or not all(isinstance(name, str) for name in supplied):
                         raise BrokenContract(f"{plugin}: {hook} must return a map of names, got {supplied!r:.80}")
@@ -278,6 +274,7 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
     ("sppm_stage_aliases", "aliases", _is_alias, "stages or a StageAlias"),
     ("sppm_executors", "executors", callable, "functions"),
     ("sppm_commands", "commands", lambda value: isinstance(value, hookspecs.Command), "a Command"),
+    ("sppm_presets", "presets", lambda value: isinstance(value, hookspecs.Preset), "a Preset"),
 )
 """Hooks that return a map of names: where the map goes in `Plugin`, what its values may be, and that in words."""
 
@@ -358,7 +355,7 @@ def imported(plugin: Plugin, what: str, target: Any) -> Any:
         return PluginError(f"{plugin}: {what} can't be imported: the import {message}")
 
     try:
-        with nullcontext() if plugin.builtin else contained(fault):
+        with guarded(f"the import of {what} of {plugin}", fault, builtin=plugin.builtin):
             return getattr(importlib.import_module(module), attribute)
     except PluginError:
         raise
@@ -394,7 +391,12 @@ def ready_command(
 def _refuse_duplicates(plugins: list[Plugin]) -> None:
     """Two plugins that supply the same name: the later one is at fault, both are named."""
     # former names of stages are of one kind with names, as they must not hide stages
-    for words, *kinds in (("stage", "stages", "aliases"), ("executor", "executors"), ("verb", "commands")):
+    for words, *kinds in (
+        ("stage", "stages", "aliases"),
+        ("executor", "executors"),
+        ("verb", "commands"),
+        ("preset", "presets"),
+    ):
         owners: dict[str, Plugin] = {}
         for kind, plugin in ((kind, plugin) for kind in kinds for plugin in plugins):
             for name in list(getattr(plugin, kind)):

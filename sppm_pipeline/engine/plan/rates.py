@@ -6,6 +6,7 @@ runs, bytes that its result keeps, and bytes on disk; each for a run (unit ``1``
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 from collections.abc import Mapping
@@ -78,4 +79,5 @@ def learn_speed(store: Store, took: Mapping[str, tuple[float, float]]) -> None:
     for name, (seconds, expected) in took.items():
         factor = min(max(seconds / max(expected, 1e-9), 1 / BOUND), BOUND)
         speed[name] = speed.get(name, factor) ** MEMORY * factor ** (1 - MEMORY)
-    store.write_text(MEASURED, {"stages": speed})
+    with contextlib.suppress(OSError):  # a full disk: the next estimate is as good as this one
+        store.write_text(MEASURED, {"stages": speed})

@@ -32,6 +32,8 @@ class Registry:
             for former, alias in plugin.aliases.items()
         }
         """Former stage names and what they stand for now."""
+        self.presets = {name: preset for plugin in plugins.plugins for name, preset in plugin.presets.items()}
+        """Recipes by name."""
 
     def __contains__(self, name: str) -> bool:
         return self.current(name) in self._owners
@@ -70,16 +72,21 @@ class Registry:
         ConfigError
             If nothing supplies a stage of this name.
         PluginError
-            If its module can't be imported, or the class breaks the contract.
+            If a plugin that could not be loaded may supply it, its module can't be imported, or the class breaks the
+            contract.
         """
         name = self.current(name)
         if name not in self._owners:
-            raise ConfigError(f"there is no stage {shown(name)}", where=where, hint=self._hint(name))
+            hint, near = self._hint(name)
+            # a name that resembles none is that of a stage which a plugin supplies, if one that failed may do so
+            kind = PluginError if self.plugins.failed() and not near else ConfigError
+            raise kind(f"there is no stage {shown(name)}", where=where, hint=hint)
         if name not in self._classes:
             self._classes[name] = self._load(name)
         return self._classes[name]
 
-    def _hint(self, name: str) -> str:
+    def _hint(self, name: str) -> tuple[str, bool]:
+        """What to do about a name that is not known, and whether it resembles one that is."""
         family, _, word = name.partition(".")
         siblings = [known for known in self if known.startswith(f"{family}.")]
         near = [f"{family}.{found}" for found in nearest(word, [known.partition(".")[2] for known in siblings])]
@@ -95,7 +102,7 @@ class Registry:
             hints.append("installed plugins are switched off by --no-plugins")
         elif not near:
             hints.append("a plugin that supplies it may not be installed; `sppm plugins` lists those that are")
-        return "; ".join(hints)
+        return "; ".join(hints), bool(near)
 
     def _load(self, name: str) -> type[Stage]:
         owner = self._owners[name]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import types
 import typing
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.length import UNITS_IN_MM, Length
 from sppm_pipeline.engine.config.configuration import FORMAT, KEYS
 from sppm_pipeline.engine.config.options import Option, options_of, plain_option
+from sppm_pipeline.engine.config.presets import KEY
 from sppm_pipeline.engine.plan.describe import purpose_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
@@ -36,7 +38,7 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
         "seed": {"type": "integer", "minimum": 0},
         "params": {"type": ["object", "null"]},
         "plugins": {"type": ["array", "null"], "items": {"type": "string"}},
-        "recipes": {"type": ["object", "null"], "additionalProperties": stages},
+        "recipes": {"type": ["object", "null"], "additionalProperties": {"anyOf": [stages, *_presets(registry)]}},
         "pipeline": stages,
         "sweep": {
             "anyOf": [
@@ -70,6 +72,15 @@ def configuration_schema(registry: Registry) -> dict[str, Any]:
         "properties": {key: {"description": KEYS[key], **top[key]} for key in KEYS},
         "$defs": {"stage": {"anyOf": [*choices, named]}} | definitions,
     }
+
+
+def _presets(registry: Registry) -> Iterator[dict[str, Any]]:
+    """Recipes of the form ``{preset: NAME, ...}``."""
+    for name, preset in sorted(registry.presets.items()):
+        properties = {KEY: {"const": name, "description": preset.help}} | {
+            param: {"default": default} for param, default in preset.params.items()
+        }
+        yield {"type": "object", "required": [KEY], "additionalProperties": False, "properties": properties}
 
 
 def _stage_schema(cls: type[Stage]) -> dict[str, Any]:

@@ -94,7 +94,7 @@ def recipe_order(drafts: Mapping[str, Sequence[Draft | None]], problems: Problem
     def visit(name: str) -> None:
         path.append(name)
         for draft in drafts[name]:
-            for used, where in _recipe_names(draft):
+            for used, where in recipe_names(draft.entry.recipes if draft else None):
                 if used in path:
                     circle = " -> ".join([*path[path.index(used) :], used])
                     problems.add(
@@ -111,9 +111,8 @@ def recipe_order(drafts: Mapping[str, Sequence[Draft | None]], problems: Problem
     return order
 
 
-def _recipe_names(draft: Draft | None) -> list[tuple[str, Position]]:
+def recipe_names(node: Node | None) -> list[tuple[str, Position]]:
     """Names that the key `recipe` of an entry mentions."""
-    node = draft.entry.recipes if draft else None
     if node is None:
         return []
     nodes = [entry.node for entry in node.value.values()] if isinstance(node.value, dict) else [node]
@@ -322,6 +321,7 @@ def _handed_recipes(
             refuse(f"`recipe` takes the name of a recipe, got {shown(plain(one))}", None, one.where)
         elif one.value not in recipes:
             near = did_you_mean(one.value, recipes) if recipes else "the file has no `recipes`"
+            near = f"{near}; `sppm stages` lists presets"
             refuse(f"there is no recipe {shown(one.value)}", near, one.where)
         else:
             handed[name] = one.value

@@ -15,6 +15,7 @@ from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.config.names import STAGING as _STAGING
 from sppm_pipeline.engine.config.names import collide, folded, output_parts
 from sppm_pipeline.engine.files import (
+    DISK,
     FolderLock,
     clear,
     digest_of,
@@ -100,7 +101,9 @@ class RunFolder:
             self.earlier = set(_recorded_outputs(self.path))
         except OSError as error:
             self._folder_lock.release()
-            raise ResourceError(f"can't use the run directory {str(self.path)!r}: {error.strerror}") from error
+            raise ResourceError(
+                f"can't use the run directory {str(self.path)!r}: {error.strerror}", hint="choose another with -o"
+            ) from error
         except ConfigError:
             self._folder_lock.release()
             raise
@@ -164,7 +167,7 @@ class RunFolder:
                 files = [final / inside for inside in files_in(final)] if final.is_dir() else [final]
                 self._syncing += [self._workers().submit(sync, file) for file in files[:MAX_SYNCED]]
         except OSError as error:
-            raise ResourceError(f"can't put the output {name!r} into place: {error.strerror}") from error
+            raise ResourceError(f"can't put the output {name!r} into place: {error.strerror}", hint=DISK) from error
         self.earlier -= set(pending)
         return outputs
 

@@ -22,7 +22,7 @@ from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, RunFolder
 from sppm_pipeline.engine.strict_json import json_text, sealed
-from sppm_pipeline.errors import NativeCrash, SppmError
+from sppm_pipeline.errors import ResourceError, SppmError
 from sppm_pipeline.hookspecs import StageEvent, hookimpl
 from sppm_pipeline.process.interruption import register, requested, unregister
 
@@ -174,7 +174,8 @@ class Recorder:
                 self.folder.settle()
                 self._write(self.status, None)
             elif isinstance(error, SppmError):
-                self._write("failed", error)
+                with contextlib.suppress(ResourceError):  # a full disk; what the stage says of it is the better message
+                    self._write("failed", error)
                 error.record = self.record  # type: ignore[attr-defined]
             else:
                 self._write("interrupted" if isinstance(error, KeyboardInterrupt) else "failed", None)
@@ -219,7 +220,7 @@ class Recorder:
         write_whole(self.folder.path / RECORD, json_text(self.record), durable=finished)
 
 
-def mark_ended(path: Path, status: str = "interrupted", error: str | None = None) -> None:
+def mark_ended(path: Path, status: str = "interrupted", error: SppmError | None = None) -> None:
     """Put the directory of a run into order whose process was ended, and those of its rows if it is a sweep.
 
     Nothing is done to runs that had ended by themselves, or that somebody goes on with.
@@ -229,7 +230,7 @@ def mark_ended(path: Path, status: str = "interrupted", error: str | None = None
     path : Path
         The run directory.
     status : {"interrupted", "failed"}
-    error : str, optional
+    error : SppmError, optional
         What took the process down.
     """
     runs = path / SWEEP_RUNS
@@ -244,7 +245,7 @@ def mark_ended(path: Path, status: str = "interrupted", error: str | None = None
     except (OSError, ValueError, KeyError, TypeError, SppmError):
         return
     if error is not None:
-        record["error"] = error_entry(NativeCrash(error))
+        record["error"] = error_entry(error)
     with contextlib.suppress(SppmError):
         write_whole(path / RECORD, json_text(sealed(record | {"status": status})))
     folder.discard()

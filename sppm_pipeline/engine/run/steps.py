@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import math
 import os
 import time
@@ -16,6 +17,7 @@ from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.config.options import current_name, options_of, parse_typed
 from sppm_pipeline.engine.config.problems import did_you_mean, listed
+from sppm_pipeline.engine.files import DISK
 from sppm_pipeline.engine.plan.ports import artifact_words
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.run.context import RunContext
@@ -41,6 +43,7 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
     handed = {port: StepRecipe(name, recipes) for port, name in step.recipes.items()}
     optional = {port.name: None for port in step.signature.ports if port.optional}
     before = digests(inputs) if is_strict() else {}
+    writable = set() if step.owner.builtin else writable_ports(inputs)
     try:
         what = f"{step.owner}: the stage {step.stage.name!r}"
         with limited(what, builtin=step.owner.builtin, where=step.where, stage=step.address):
@@ -50,7 +53,10 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
                 with contained(lambda message: _fault_of(step, message)):
                     made = stage.run(context, **{**optional, **inputs, **handed})
         _check_result(step, made)
-        if ports := changed(inputs, before):
+        ports = changed(inputs, before)
+        if not step.owner.builtin:
+            ports = ports or sorted(writable_ports(inputs) - writable)
+        if ports:
             raise _fault_of(step, f"changed its input {listed(ports)}, which other stages share")
         return made
     except SppmError as error:
@@ -59,7 +65,7 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
         raise
     except MemoryError as error:
         raise ResourceError(
-            "not enough memory",
+            "not enough memory" if step.owner.builtin else f"{step.owner}: not enough memory",
             hint="use a coarser resolution, or a stage that streams",
             where=step.where,
             stage=step.address,
@@ -75,7 +81,8 @@ def _system_error(step: Step, error: Exception) -> SppmError:
         return InputError(f"{error.strerror or error}{place}", where=step.where, stage=step.address)
     missing = exhausted_resource(error)
     if missing is not None and (step.owner.builtin or not isinstance(error, ModuleNotFoundError)):
-        return ResourceError(missing, where=step.where, stage=step.address)
+        full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+        return ResourceError(missing, hint=DISK if full else None, where=step.where, stage=step.address)
     return _fault_of(step, f"raised {type(error).__name__}: {error}")
 
 
@@ -101,8 +108,8 @@ def _check_result(step: Step, made: Any) -> None:
         except Exception as error:
             words = f"made a {type(made).__name__} that can't be checked: {type(error).__name__}: {error}"
             raise _fault_of(step, words) from error
-    if (not step.owner.builtin or is_strict()) and (place := not_finite(made)) is not None:
-        raise _fault_of(step, f"made a {type(made).__name__} with numbers that are not finite: {place}")
+    if (not step.owner.builtin or is_strict()) and (place := no_numbers(made)) is not None:
+        raise _fault_of(step, f"made a {type(made).__name__} with {place}")
 
 
 def summary_of(made: Any, reported: Mapping[str, Any], step: Step) -> dict[str, Any]:
@@ -226,18 +233,21 @@ def is_strict() -> bool:
     return os.environ.get(CONTRACT, "") not in ("", "0")
 
 
-def not_finite(made: Any) -> str | None:
-    """The place of a NaN or infinity in the arrays and numbers of an artifact; None if there is none.
+def no_numbers(made: Any) -> str | None:
+    """A NaN, an infinity or an object in the arrays and numbers of an artifact, with its place; None if there is none.
 
     Infinities in private fields, and in fields that no comparison looks at, are the artifact's own business.
     """
     for place, value in _parts(made, type(made).__name__):
         if isinstance(value, np.ndarray):
+            if value.dtype.hasobject:
+                return f"an array of objects, which nobody can keep: {place}"
             if value.dtype.kind in "fc" and not np.isfinite(value).all():
                 bad = np.argwhere(~np.isfinite(value))
-                return f"{place}{bad[0].tolist()} is {value[tuple(bad[0])]} ({len(bad)} of {value.size} are not finite)"
+                first = f"{place}{bad[0].tolist()} is {value[tuple(bad[0])]}"
+                return f"numbers that are not finite: {first} ({len(bad)} of {value.size} are not finite)"
         elif isinstance(value, float) and not math.isfinite(value):
-            return f"{place} is {value}"
+            return f"numbers that are not finite: {place} is {value}"
     return None
 
 
@@ -270,3 +280,13 @@ def digests(inputs: Mapping[str, Any]) -> dict[str, str]:
 def changed(inputs: Mapping[str, Any], before: Mapping[str, str]) -> list[str]:
     """The ports whose artifacts are not what they were."""
     return [port for port, digest in digests({name: inputs[name] for name in before}).items() if digest != before[port]]
+
+
+def writable_ports(inputs: Mapping[str, Any]) -> set[str]:
+    """The ports whose artifacts have an array that can be written to; to unlock one is the way to change it."""
+    return {
+        port
+        for port, artifact in inputs.items()
+        if isinstance(artifact, Artifact)
+        and any(isinstance(value, np.ndarray) and value.flags.writeable for _, value in _parts(artifact, port))
+    }

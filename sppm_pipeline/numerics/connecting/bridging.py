@@ -14,12 +14,12 @@ from sppm_pipeline.numerics.connecting.buckets import (
     sorted_into_buckets,
     wrapped_bucket,
 )
-from sppm_pipeline.numerics.connecting.trees import canonical_edges, component_labels, wrapped
+from sppm_pipeline.numerics.connecting.trees import Indices, canonical_edges, component_labels, wrapped
 
 
 def bridging_edges(
     points: NDArray[np.float64],
-    edges: NDArray[np.int64],
+    edges: Indices,
     period: NDArray[np.float64],
     skipped: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -32,7 +32,7 @@ def bridging_edges(
     Parameters
     ----------
     points : (n, 3) float64
-    edges : (m, 2) int64
+    edges : (m, 2) int64 or int32
     period : (3,) float64
         Whole cells after which each axis repeats, 0 for never.
     skipped : (n,) bool, optional

@@ -62,11 +62,10 @@ def candidate_graph(
     inside, cells = wrapped(points, period)
     # at most 27 images of each other pore can be a neighbor; more slots would only stay empty
     slots = min(k, (n - 1) * 27)
-    keys = np.unique(_nearest(sorted_into_buckets(inside, period), slots).ravel())
+    keys = np.unique(nearest_keys(sorted_into_buckets(inside, period), np.arange(n), slots).ravel())
     keys = keys[keys >= 0]
-    pairs, image = np.divmod(keys, 27)
-    edges = np.stack(np.divmod(pairs, n), axis=1)
-    shifts = np.stack([image // 9 - 1, image // 3 % 3 - 1, image % 3 - 1], axis=1) * period.astype(np.int64)
+    edges, turns = edges_of_keys(keys, n)
+    shifts = turns * period.astype(np.int64)
     shifts += cells[edges[:, 0]] - cells[edges[:, 1]]
     first, first_shifts = bridging_edges(points, edges, period)
     if not len(first):
@@ -81,17 +80,28 @@ def candidate_graph(
     )
 
 
+def edges_of_keys(keys: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs i < j, (m, 2), and the periods by which the image of j is moved, (m, 3), of keys of edges."""
+    pairs, image = np.divmod(keys, 27)
+    edges = np.stack(np.divmod(pairs, n), axis=1)
+    return edges, np.stack([image // 9 - 1, image // 3 % 3 - 1, image % 3 - 1], axis=1)
+
+
 @jit
-def _nearest(cells: Buckets, k: int) -> NDArray[np.int64]:
-    """``(min(i, j) n + max(i, j)) 27 + image code`` of the k nearest images of each pore, (n, k); -1 in empty slots."""
+def nearest_keys(cells: Buckets, pores: NDArray[np.int64], k: int) -> NDArray[np.int64]:
+    """The k nearest images around each of the pores as edges (p, k): ``(i n + j) 27 + image code`` with i < j.
+
+    Empty slots hold -1. The keys are sorted as the edges are: by i, j and the image of j.
+    """
     n = cells.points.shape[0]
-    keys = np.full((n, k), -1, np.int64)
+    keys = np.full((len(pores), k), -1, np.int64)
     best = np.empty(k)
     who = np.empty(k, np.int64)
     how = np.empty(k, np.int64)
     here = np.zeros(3, np.int64)
     turn = np.zeros(3, np.int64)
-    for i in range(n):
+    for row in range(len(pores)):
+        i = pores[row]
         bucket_of(cells, i, here)
         count = int(np.int64(0))
         for ring in range(last_ring(cells, here) + 1):
@@ -106,7 +116,7 @@ def _nearest(cells: Buckets, k: int) -> NDArray[np.int64]:
                             count = _insert_bucket(cells, i, bucket, turn, best, who, how, count)
         for s in range(count):
             # seen from the other end the image lies the other way
-            keys[i, s] = (i * n + who[s]) * 27 + how[s] if i < who[s] else (who[s] * n + i) * 27 + 26 - how[s]
+            keys[row, s] = (i * n + who[s]) * 27 + how[s] if i < who[s] else (who[s] * n + i) * 27 + 26 - how[s]
     return keys
 
 

@@ -77,13 +77,55 @@ def exact_subgraph(
             edges, shifts, positions = merged_edges(edges, shifts, *greedy)
             incumbent = np.zeros(len(edges), np.bool_)
             incumbent[positions] = True
-        program = _Program(points, edges, shifts, lower, upper, period, loops, clearance)
+        program = _Program(
+            points,
+            edges,
+            shifts,
+            lower,
+            upper,
+            tree=lower <= 1 and not loops,
+            connected=np.zeros(n, np.int64),
+            loops=loops,
+            period=period,
+            clearance=clearance,
+        )
         chosen = program.solution(incumbent, fix)
         if chosen is not None:
             return edges[chosen], shifts[chosen]
         if k == widest:
             raise failure
         k = min(2 * k, widest)
+
+
+def exactly_improved(
+    points: NDArray[np.float64],
+    edges: NDArray[np.int64],
+    lower: NDArray[np.int64],
+    upper: NDArray[np.int64],
+    tree: bool,
+    k: int,
+    fix: bool,
+) -> NDArray[np.int64]:
+    """The shortest edges (m, 2) with degrees within the bounds of each pore that connect what the given ones connect.
+
+    With `tree` no more edges than are given may be used.
+    """
+    from sppm_pipeline.numerics.connecting.regional import candidates_of_region
+
+    both, chosen = candidates_of_region(points, edges, k)
+    incumbent = np.zeros(len(both), np.bool_)
+    incumbent[chosen] = True
+    program = _Program(
+        points,
+        both,
+        np.zeros((len(both), 3), np.int64),
+        lower,
+        upper,
+        tree=tree,
+        connected=component_labels(len(points), edges),
+    )
+    found = program.solution(incumbent, fix)
+    return edges if found is None else both[found]
 
 
 class _Program:
@@ -94,21 +136,27 @@ class _Program:
         points: NDArray[np.float64],
         edges: NDArray[np.int64],
         shifts: NDArray[np.int64],
-        lower: int,
-        upper: int,
-        period: NDArray[np.float64],
-        loops: bool,
-        clearance: float | None,
+        lower: int | NDArray[np.int64],
+        upper: int | NDArray[np.int64],
+        *,
+        tree: bool,
+        connected: NDArray[np.int64],
+        loops: bool = False,
+        period: NDArray[np.float64] | None = None,
+        clearance: float | None = None,
     ) -> None:
+        """`connected` are labels (n,): pores of one label are connected in every solution, others need not be."""
         n, m = len(points), len(edges)
+        parts = int(connected.max()) + 1
         self.n = n
         self.edges = edges
         self.cost = edge_lengths(points, edges, shifts)
         self.loops = loops
-        self.tree = lower <= 1 and not loops
+        self.tree = tree
+        self.connected = connected
         self.allowed = np.ones(m)
         self.conflicts = np.zeros((0, 2), np.int64)
-        if clearance is not None:
+        if clearance is not None and period is not None:
             pairs, _ = close_pairs(points, edges, shifts, clearance, periodic=period.tolist())
             own = pairs[:, 0] == pairs[:, 1]
             self.allowed[pairs[own, 0]] = 0.0
@@ -117,11 +165,11 @@ class _Program:
         # degrees: row v holds the edges at v
         self.columns = [np.argsort(edges.ravel(), kind="stable") // 2]
         self.counts = [np.bincount(edges.ravel(), minlength=n)]
-        self.low = [np.full(n, float(lower))]
-        self.high = [np.full(n, float(upper))]
+        self.low = [np.broadcast_to(np.asarray(lower, np.float64), n)]
+        self.high = [np.broadcast_to(np.asarray(upper, np.float64), n)]
         # with odd n * lower the sum of the degrees is odd nowhere: half an edge that the relaxation would miss
-        minimum = max(-(-lower * n // 2), n if loops else n - 1)
-        self._add(np.arange(m), minimum, n - 1 if self.tree else np.inf)
+        minimum = max(-(-int(self.low[0].sum()) // 2), n if loops else n - parts)
+        self._add(np.arange(m), minimum, n - parts if self.tree else np.inf)
         if self.tree:
             self._add_clusters()
 
@@ -217,8 +265,11 @@ class _Program:
         picked = self.edges[chosen]
         labels = component_labels(self.n, picked)
         parts = int(labels.max()) + 1
+        # parts that hold some, but not all, of what is to be connected
+        pieces = np.unique(np.stack([self.connected, labels], axis=1), axis=0)
+        torn = np.unique(pieces[np.bincount(pieces[:, 0])[pieces[:, 0]] > 1, 1])
         # two parts have one and the same border
-        for part in range(parts if parts > 2 else parts - 1):
+        for part in torn if parts > 2 else torn[:1]:
             inside = labels == part
             self._add_cut(inside)
             if self.tree:
@@ -226,7 +277,7 @@ class _Program:
         if self.loops and parts == 1:
             found = self._cut_bridges(picked)
         else:
-            found = parts > 1
+            found = len(torn) > 0
         hit = chosen[self.conflicts].all(axis=1)
         if hit.any():
             # all that excludes a tunnel in such a pair: its next best neighbor would often conflict as well

@@ -7,9 +7,10 @@ Integers are kept in two tables with named columns, because the time to compile 
 
 * ``edge`` (m, 5): the two vertices, `CHOSEN` (0 or 1), and the range `CONFLICT_FROM`, `CONFLICT_TO` in
   ``conflict`` of the edges that may not be chosen beside it;
-* ``node`` (n + 1, 5 + upper): `DEGREE`; the range `FROM`, `TO` in ``near``, where the edges at each vertex stand by
-  rising length; `SEEN`, `QUEUE`: scratch of the searches; from `SLOTS` on the chosen edges at the vertex. The last row
-  belongs to no vertex; its `SEEN` is the stamp of the latest search.
+* ``node`` (n + 1, 7 + slots): `DEGREE` and its bounds `LOWER`, `UPPER`; the range `FROM`, `TO` in ``near``, where the
+  edges at each vertex stand by rising length; `SEEN`, `QUEUE`: scratch of the searches; from `SLOTS` on the chosen
+  edges at the vertex. The last row belongs to no vertex; its `SEEN` is the stamp of the latest search, its `UPPER` the
+  number of vertices at which a search gives up.
 
 ``length`` (m,) is the cost of an edge. "No edge" is ``int(np.int64(-1))``: Numba would compile a call anew for each
 combination of literals.
@@ -24,7 +25,7 @@ from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connecting.trees import find_root, mark_bridges
 
 CHOSEN, CONFLICT_FROM, CONFLICT_TO = 2, 3, 4
-DEGREE, FROM, TO, SEEN, QUEUE, SLOTS = 0, 1, 2, 3, 4, 5
+DEGREE, FROM, TO, SEEN, QUEUE, LOWER, UPPER, SLOTS = 0, 1, 2, 3, 4, 5, 6, 7
 
 
 def edge_table(
@@ -53,11 +54,24 @@ def edge_table(
     return edge, conflict, near, order
 
 
-def node_table(n: int, edges: NDArray[np.int64], upper: int) -> NDArray[np.int64]:
-    """The table ``node`` for the candidate edges (m, 2), with room for `upper` chosen edges at each of n vertices."""
-    node = np.zeros((n + 1, SLOTS + upper), np.int64)
+def node_table(
+    n: int,
+    edges: NDArray[np.int64],
+    lower: int | NDArray[np.int64],
+    upper: int | NDArray[np.int64],
+    slots: int,
+    detour: int,
+) -> NDArray[np.int64]:
+    """The table ``node`` for the candidate edges (m, 2) and bounds of the degrees of n vertices, with no edge chosen.
+
+    There is room for `slots` chosen edges at each vertex; a way round is looked for among `detour` vertices.
+    """
+    node = np.zeros((n + 1, SLOTS + slots), np.int64)
     node[:n, TO] = np.cumsum(np.bincount(edges.ravel(), minlength=n))
     node[1:n, FROM] = node[: n - 1, TO]
+    node[:n, LOWER] = lower
+    node[:n, UPPER] = upper
+    node[n, UPPER] = detour
     return node
 
 
@@ -69,6 +83,13 @@ def insert(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
         v = edge[e, p]
         node[v, SLOTS + node[v, DEGREE]] = e
         node[v, DEGREE] += 1
+
+
+@jit
+def insert_all(edge: NDArray[np.int64], node: NDArray[np.int64], chosen: NDArray[np.int64]) -> None:
+    """Choose the edges."""
+    for e in chosen:
+        insert(edge, node, e)
 
 
 @jit
@@ -85,7 +106,7 @@ def _remove(edge: NDArray[np.int64], node: NDArray[np.int64], e: int) -> None:
 
 
 @jit
-def _apply(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: int, in1: int, in2: int) -> None:
+def apply_move(edge: NDArray[np.int64], node: NDArray[np.int64], out1: int, out2: int, in1: int, in2: int) -> None:
     """Take the edges out and put the others in; -1 stands for none."""
     for e in (out1, out2):
         if e >= 0:
@@ -109,14 +130,17 @@ def _clear(edge: NDArray[np.int64], conflict: NDArray[np.int64], e: int, out1: i
 def _joined(
     edge: NDArray[np.int64], node: NDArray[np.int64], start: int, goal: int, out1: int, out2: int, in1: int, in2: int
 ) -> bool:
-    """Whether a path leads from start to goal once the move is made (breadth first; neighbors are met soon)."""
+    """Whether a path leads from start to goal once the move is made (breadth first; neighbors are met soon).
+
+    After the number of vertices in the last row's `UPPER` the search gives up, and the answer is no.
+    """
     n = node.shape[0] - 1
     node[n, SEEN] += 1
     stamp = node[n, SEEN]
     node[start, SEEN] = stamp
     node[0, QUEUE] = start
     head, tail = 0, 1
-    while head < tail:
+    while head < tail and head < node[n, UPPER]:
         v = node[head, QUEUE]
         head += 1
         degree = node[v, DEGREE]
@@ -155,9 +179,9 @@ def _allowed(
         if e >= 0 and not _clear(edge, conflict, e, out1, out2, beside):
             return False
     if loops:
-        _apply(edge, node, out1, out2, in1, in2)
+        apply_move(edge, node, out1, out2, in1, in2)
         bridges, connected = mark_bridges(edge, node, int(np.int64(SLOTS)), np.zeros(edge.shape[0], np.bool_))
-        _apply(edge, node, in1, in2, out1, out2)
+        apply_move(edge, node, in1, in2, out1, out2)
         return connected and bridges == 0
     for e in (out1, out2):
         if e >= 0 and not _joined(edge, node, edge[e, 0], edge[e, 1], out1, out2, in1, in2):
@@ -172,8 +196,6 @@ def connect_and_fill(
     length: NDArray[np.float64],
     near: NDArray[np.int64],
     order: NDArray[np.int64],
-    lower: int,
-    upper: int,
 ) -> bool:
     """Choose a spanning tree with degrees <= upper, then edges until every degree is >= lower.
 
@@ -182,25 +204,73 @@ def connect_and_fill(
     n = node.shape[0] - 1
     parent = np.arange(n)
     parts = n
-    for stage in range(2):
-        for e in order:
-            u, v = edge[e, 0], edge[e, 1]
-            limit = upper if stage == 0 else lower
-            if edge[e, CHOSEN] or node[u, DEGREE] >= limit or node[v, DEGREE] >= limit:
-                continue
+    for e in order:
+        u, v = edge[e, 0], edge[e, 1]
+        if node[u, DEGREE] < node[u, UPPER] and node[v, DEGREE] < node[v, UPPER]:
             a, b = find_root(parent, u), find_root(parent, v)
-            if stage == 1 or a != b:
+            if a != b:
                 insert(edge, node, e)
-                if a != b:
-                    parent[max(a, b)] = min(a, b)
-                    parts -= 1
-    if parts > 1:
-        return False
-    for u in range(n):
-        while node[u, DEGREE] < lower:
-            if not _raise_degree(edge, node, length, near, u, lower, upper):
-                return False
-    return True
+                parent[max(a, b)] = min(a, b)
+                parts -= 1
+    fill(edge, node, order)
+    return parts == 1 and raise_degrees(edge, node, length, near) == 0
+
+
+@jit
+def fill(edge: NDArray[np.int64], node: NDArray[np.int64], order: NDArray[np.int64]) -> None:
+    """Add edges, the shortest first, between vertices that are both below their lower bounds."""
+    for e in order:
+        u, v = edge[e, 0], edge[e, 1]
+        if not edge[e, CHOSEN] and node[u, DEGREE] < node[u, LOWER] and node[v, DEGREE] < node[v, LOWER]:
+            insert(edge, node, e)
+
+
+@jit
+def raise_degrees(
+    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64]
+) -> int:
+    """Add edges until every degree is >= lower; returns how many vertices find no candidate edges for it."""
+    left = int(np.int64(0))
+    for u in range(node.shape[0] - 1):
+        while node[u, DEGREE] < node[u, LOWER]:
+            if not _raise_degree(edge, node, length, near, u):
+                left += 1
+                break
+    return left
+
+
+@jit
+def lower_degrees(
+    edge: NDArray[np.int64], node: NDArray[np.int64], length: NDArray[np.float64], near: NDArray[np.int64]
+) -> int:
+    """Turn edges at vertices above their upper bound to other vertices near by; returns how many stay above it."""
+    none = int(np.int64(-1))
+    left = int(np.int64(0))
+    for u in range(node.shape[0] - 1):
+        while node[u, DEGREE] > node[u, UPPER]:
+            best = np.inf
+            out = put = none
+            for s in range(SLOTS, SLOTS + node[u, DEGREE]):
+                e1 = node[u, s]
+                t = edge[e1, 0] + edge[e1, 1] - u
+                spare = -length[e1] < best and node[t, DEGREE] > node[t, LOWER]
+                if spare and _joined(edge, node, u, t, e1, none, none, none):
+                    best, out, put = -length[e1], e1, none
+                for q in range(node[t, FROM], node[t, TO]):
+                    e2 = near[q]
+                    cost = length[e2] - length[e1]
+                    if cost >= best:
+                        break
+                    w = edge[e2, 0] + edge[e2, 1] - t
+                    if w == u or edge[e2, CHOSEN] or node[w, DEGREE] >= node[w, UPPER]:
+                        continue
+                    if _joined(edge, node, u, t, e1, none, e2, none):
+                        best, out, put = cost, e1, e2
+            if out < 0:
+                left += 1
+                break
+            apply_move(edge, node, out, none, put, none)
+    return left
 
 
 @jit
@@ -210,8 +280,6 @@ def _raise_degree(
     length: NDArray[np.float64],
     near: NDArray[np.int64],
     u: int,
-    lower: int,
-    upper: int,
 ) -> bool:
     """One more edge at u along the cheapest trail: in; in, out; or in, out, in."""
     none = int(np.int64(-1))
@@ -233,12 +301,12 @@ def _raise_degree(
             for q in range(node[t2, FROM] - 1, node[t2, TO] if r >= 0 else node[t2, FROM]):
                 if q < node[t2, FROM]:
                     e3, total = none, cost
-                    ends_well = node[t2, DEGREE] > lower if r >= 0 else node[t1, DEGREE] < upper
+                    ends_well = node[t2, DEGREE] > node[t2, LOWER] if r >= 0 else node[t1, DEGREE] < node[t1, UPPER]
                 else:
                     e3 = near[q]
                     total = cost + length[e3]
                     t3 = edge[e3, 0] + edge[e3, 1] - t2
-                    ends_well = node[t3, DEGREE] < (upper - 1 if t3 == u else upper)
+                    ends_well = node[t3, DEGREE] + (t3 == u) < node[t3, UPPER]
                     ends_well = ends_well and e3 != e1 and not edge[e3, CHOSEN]
                     if total >= best:
                         break
@@ -248,82 +316,8 @@ def _raise_degree(
                     best, put1, out, put2 = total, e1, e2, e3
     if put1 < 0:
         return False
-    _apply(edge, node, out, none, put1, put2)
+    apply_move(edge, node, out, none, put1, put2)
     return True
-
-
-@jit
-def make_loops(
-    edge: NDArray[np.int64],
-    node: NDArray[np.int64],
-    length: NDArray[np.float64],
-    near: NDArray[np.int64],
-    upper: int,
-) -> bool:
-    """Remove all bridges: join the smallest block that has one bridge to another block, until one block is left.
-
-    Either one edge is added, or one edge of each block is replaced by two edges between the blocks; an edge of a loop
-    leaves its block connected, and the two new edges close a loop through both. Returns False if no edge does it.
-    """
-    n = node.shape[0] - 1
-    m = edge.shape[0]
-    none = int(np.int64(-1))
-    while True:
-        bridge = np.zeros(m, np.bool_)
-        count, _ = mark_bridges(edge, node, int(np.int64(SLOTS)), bridge)
-        if count == 0:
-            return True
-        block = np.arange(n)
-        for e in range(m):
-            if edge[e, CHOSEN] and not bridge[e]:
-                a, b = find_root(block, edge[e, 0]), find_root(block, edge[e, 1])
-                block[max(a, b)] = min(a, b)
-        size = np.zeros(n, np.int64)
-        bridges_of = np.zeros(n, np.int64)
-        for v in range(n):
-            block[v] = find_root(block, v)
-            size[block[v]] += 1
-        for e in range(m):
-            if bridge[e]:
-                bridges_of[block[edge[e, 0]]] += 1
-                bridges_of[block[edge[e, 1]]] += 1
-        leaf = -1
-        for v in range(n):
-            if bridges_of[v] == 1 and (leaf < 0 or size[v] < size[leaf]):
-                leaf = v
-        best = np.inf
-        out1 = out2 = in1 = in2 = none
-        for e in range(m):
-            if edge[e, CHOSEN] or (block[edge[e, 0]] == leaf) == (block[edge[e, 1]] == leaf):
-                continue
-            p = 0 if block[edge[e, 0]] == leaf else 1
-            x, y = edge[e, p], edge[e, 1 - p]
-            cost = length[e]
-            room = node[x, DEGREE] < upper and node[y, DEGREE] < upper
-            if cost < best and room:
-                best, out1, out2, in1, in2 = cost, none, none, e, none
-            for s in range(SLOTS, SLOTS + node[x, DEGREE]):
-                here = node[x, s]
-                if bridge[here]:
-                    continue
-                far = edge[here, 0] + edge[here, 1] - x
-                for r in range(SLOTS, SLOTS + node[y, DEGREE]):
-                    there = node[y, r]
-                    if bridge[there]:
-                        continue
-                    goal = edge[there, 0] + edge[there, 1] - y
-                    for q in range(node[far, FROM], node[far, TO]):
-                        f = near[q]
-                        total = cost - length[here] - length[there] + length[f]
-                        if total >= best:
-                            break
-                        if edge[f, 0] + edge[f, 1] - far != goal or edge[f, CHOSEN] or f == e:
-                            continue
-                        best, out1, out2, in1, in2 = total, here, there, e, f
-                        break
-        if in1 < 0:
-            return False
-        _apply(edge, node, out1, out2, in1, in2)
 
 
 @jit
@@ -333,24 +327,26 @@ def improve(
     conflict: NDArray[np.int64],
     length: NDArray[np.float64],
     near: NDArray[np.int64],
-    lower: int,
-    upper: int,
+    waiting: NDArray[np.bool_],
     loops: bool,
 ) -> None:
-    """Make moves that shorten the graph until none is left; every vertex is tried again after a move near it.
+    """Make moves that shorten the graph until none is left; a vertex is tried again after a move near it.
+
+    Only the vertices `waiting` are tried at first; none is when this returns.
 
     A conflict weighs more than any length: a chosen edge in conflict is taken out at any cost, if a move allows it, and
     no edge that would conflict is put in. So the number of conflicts falls, but need not reach 0.
     """
     n = node.shape[0] - 1
-    waiting = np.ones(n, np.bool_)
-    left = n
+    left = waiting.sum()
+    # what a conflict adds to the worth of taking an edge out: two edges put in can't outweigh it
+    penalty = 3.0 * length.max()
     v = int(np.int64(0))
     while left > 0:
         if waiting[v]:
-            move = _shorter(edge, node, conflict, length, near, v, lower, upper, loops)
+            move = _shorter(edge, node, conflict, length, near, v, loops, penalty)
             if move[0] >= 0:
-                _apply(edge, node, move[0], move[1], move[2], move[3])
+                apply_move(edge, node, move[0], move[1], move[2], move[3])
                 for e in move:
                     if e >= 0:
                         for p in range(2):
@@ -370,9 +366,8 @@ def _shorter(
     length: NDArray[np.float64],
     near: NDArray[np.int64],
     t0: int,
-    lower: int,
-    upper: int,
     loops: bool,
+    penalty: float,
 ) -> tuple[int, int, int, int]:
     """The first shortening move whose trail starts by taking out an edge at t0: (out, out, in, in), -1 for none.
 
@@ -380,14 +375,12 @@ def _shorter(
     positive (S. Lin, B. W. Kernighan, Operations Research 21, 1973).
     """
     tiny, none = 1e-12, int(np.int64(-1))
-    # two edges put in can't outweigh it
-    penalty = 3.0 * length.max()
-    spare = node[t0, DEGREE] > lower
+    spare = node[t0, DEGREE] > node[t0, LOWER]
     for s1 in range(node[t0, DEGREE]):
         e1 = node[t0, SLOTS + s1]
         t1 = edge[e1, 0] + edge[e1, 1] - t0
         worth = length[e1] if _clear(edge, conflict, e1, none, none, none) else length[e1] + penalty
-        if spare and node[t1, DEGREE] > lower and _allowed(edge, node, conflict, e1, none, none, none, loops):
+        if spare and node[t1, DEGREE] > node[t1, LOWER] and _allowed(edge, node, conflict, e1, none, none, none, loops):
             return e1, none, none, none
         for s2 in range(node[t1, FROM], node[t1, TO]):
             e2 = near[s2]
@@ -397,7 +390,7 @@ def _shorter(
             if edge[e2, CHOSEN]:
                 continue
             t2 = edge[e2, 0] + edge[e2, 1] - t1
-            ends_well = t2 == t0 or (spare and node[t2, DEGREE] < upper)
+            ends_well = t2 == t0 or (spare and node[t2, DEGREE] < node[t2, UPPER])
             if ends_well and _allowed(edge, node, conflict, e1, none, e2, none, loops):
                 return e1, none, e2, none
             if t2 == t0:
@@ -408,7 +401,7 @@ def _shorter(
                 gain3 = gain2 + length[e3]
                 if e3 == e1 or t3 == t1:
                     continue
-                ends_well = node[t0, DEGREE] > lower + 1 if t3 == t0 else spare and node[t3, DEGREE] > lower
+                ends_well = spare and node[t3, DEGREE] - (t3 == t0) > node[t3, LOWER]
                 if ends_well and _allowed(edge, node, conflict, e1, e3, e2, none, loops):
                     return e1, e3, e2, none
                 for s4 in range(node[t3, FROM], node[t3, TO]):
@@ -418,7 +411,7 @@ def _shorter(
                     if edge[e4, CHOSEN] or e4 == e2:
                         continue
                     t4 = edge[e4, 0] + edge[e4, 1] - t3
-                    ends_well = t4 == t0 or (spare and node[t4, DEGREE] < upper)
+                    ends_well = t4 == t0 or (spare and node[t4, DEGREE] < node[t4, UPPER])
                     if ends_well and _allowed(edge, node, conflict, e1, e3, e2, e4, loops):
                         return e1, e3, e2, e4
     return none, none, none, none

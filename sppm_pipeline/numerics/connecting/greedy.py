@@ -14,10 +14,10 @@ from sppm_pipeline.numerics.connecting.exchange import (
     connect_and_fill,
     edge_table,
     improve,
-    insert,
-    make_loops,
+    insert_all,
     node_table,
 )
+from sppm_pipeline.numerics.connecting.loops import make_loops
 from sppm_pipeline.numerics.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree, nearest_turns
 
 Edges = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -55,23 +55,22 @@ def greedy_subgraph(
         conflicts = _conflicts(points, edges, shifts, period, clearance)
         length = edge_lengths(points, edges, shifts)
         edge, conflict, near, order = edge_table(edges, length, conflicts)
-        node = node_table(n, edges, upper)
+        node = node_table(n, edges, lower, upper, slots=upper, detour=n)
         last = k >= min(most, _WIDEST)
-        complete = connect_and_fill(edge, node, length, near, order, lower, upper)
+        complete = connect_and_fill(edge, node, length, near, order)
         if complete and loops:
-            complete = make_loops(edge, node, length, near, upper)
+            complete = make_loops(edge, node, length, near)
         if not complete and last:
             ring_edges, ring_shifts = _ring_graph(points, period, max(lower, 2) if n > 2 else lower)
             edges, shifts, ring = merged_edges(edges, shifts, ring_edges, ring_shifts)
             conflicts = _conflicts(points, edges, shifts, period, clearance)
             length = edge_lengths(points, edges, shifts)
             edge, conflict, near, order = edge_table(edges, length, conflicts)
-            node = node_table(n, edges, upper)
-            for e in ring:
-                insert(edge, node, e)
+            node = node_table(n, edges, lower, upper, slots=upper, detour=n)
+            insert_all(edge, node, ring)
             complete = True
         if complete:
-            improve(edge, node, conflict, length, near, lower, upper, loops)
+            improve(edge, node, conflict, length, near, np.ones(n, np.bool_), loops)
             chosen = edge[:, CHOSEN] == 1
             if not chosen[conflicts].all(axis=1).any():
                 return edges[chosen], shifts[chosen]

@@ -30,6 +30,9 @@ def as_points(points: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
+Indices = NDArray[np.int64] | NDArray[np.int32]
+"""Edges (m, 2) as pairs of pore indices; large graphs hold them in 32 bits."""
+
 Periodic = bool | Sequence[float]
 """Whether all axes repeat with period 1, or after how many whole cells each does, 0 for never."""
 
@@ -79,15 +82,13 @@ def canonical_edges(edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> tupl
 
 
 def segments(
-    points: NDArray[np.float64], edges: NDArray[np.int64], shifts: NDArray[np.int64]
+    points: NDArray[np.float64], edges: Indices, shifts: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Start ``points[i]`` and end ``points[j] + shift`` of every edge, each (m, 3)."""
     return points[edges[:, 0]], points[edges[:, 1]] + shifts
 
 
-def edge_lengths(
-    points: NDArray[np.float64], edges: NDArray[np.int64], shifts: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def edge_lengths(points: NDArray[np.float64], edges: Indices, shifts: NDArray[np.int64]) -> NDArray[np.float64]:
     """Length of every tunnel, (m,)."""
     starts, ends = segments(points, edges, shifts)
     steps = ends - starts
@@ -187,7 +188,7 @@ def find_root(parent: NDArray[np.int64], i: int) -> int:
 
 
 @jit
-def kruskal(n: int, edges: NDArray[np.int64], order: NDArray[np.int64]) -> NDArray[np.int64]:
+def kruskal(n: int, edges: Indices, order: NDArray[np.int64]) -> NDArray[np.int64]:
     """Indices of the edges that join two components when the edges are taken in the given order, in that order."""
     parent = np.arange(n)
     taken = np.empty(max(n - 1, 0), np.int64)
@@ -203,7 +204,7 @@ def kruskal(n: int, edges: NDArray[np.int64], order: NDArray[np.int64]) -> NDArr
 
 
 @jit
-def component_labels(n: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
+def component_labels(n: int, edges: Indices) -> NDArray[np.int64]:
     """Component of every vertex, (n,) int64, numbered 0, 1, ... in the order of their lowest vertex."""
     parent = np.arange(n)
     for e in range(edges.shape[0]):

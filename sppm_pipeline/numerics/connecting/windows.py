@@ -33,11 +33,6 @@ class Lattice(NamedTuple):
     shape: tuple[int, int, int]
     period: NDArray[np.float64]
 
-    @property
-    def spacing(self) -> float:
-        """Cube root of the mean room of a pore, over the blocks that have any."""
-        return float((np.count_nonzero(np.diff(self.first)) / max(len(self.points), 1)) ** (1 / 3))
-
 
 class Window(NamedTuple):
     """Pores of a window and of its margin.
@@ -57,22 +52,24 @@ class Window(NamedTuple):
     own: NDArray[np.bool_]
 
 
-def window_edge(lattice: Lattice, most: int, margin: float = 0.0) -> int:
-    """Blocks along the edge of the largest cubic window that holds, margin included, about `most` pores."""
-    room = (most ** (1 / 3)) * lattice.spacing - 2 * margin
-    return max(1, int(room))
+def window_edge(spacing: float, most: int, margin: float) -> int:
+    """Blocks along the edge of the largest cubic window that holds, margin included, about `most` pores.
+
+    `spacing` is the mean distance of pores in blocks.
+    """
+    return max(1, int(most ** (1 / 3) * spacing - 2 * margin))
 
 
-def window_corners(shape: tuple[int, int, int], edge: int, offset: int = 0) -> Iterator[NDArray[np.int64]]:
-    """Low and high block (2, 3) of each window, in C order; by `offset` all windows are moved down, and those cut."""
-    cuts = [np.unique(np.clip(np.arange(-offset, size + edge, edge), 0, size)) for size in shape]
+def window_corners(shape: tuple[int, int, int], edge: int) -> Iterator[NDArray[np.int64]]:
+    """Low and high block (2, 3) of each window, in C order."""
+    cuts = [np.minimum(np.arange(0, size + edge, edge), size) for size in shape]
     for i in range(len(cuts[0]) - 1):
         for j in range(len(cuts[1]) - 1):
             for k in range(len(cuts[2]) - 1):
                 yield np.array([[c[m], c[m + 1]] for c, m in zip(cuts, (i, j, k), strict=True)]).T
 
 
-def window(lattice: Lattice, corners: NDArray[np.int64], margin: float = 0.0) -> Window:
+def window(lattice: Lattice, corners: NDArray[np.int64], margin: float) -> Window:
     """The pores of the blocks between two corners, and those at most `margin` away from that box along any axis."""
     shape = np.array(lattice.shape)
     period = lattice.period.astype(np.int64)

@@ -96,3 +96,10 @@ def reach_boxes(
         np.minimum(kernels.starts, kernels.ends) - tunnels,
         np.maximum(kernels.starts, kernels.ends) + tunnels,
     )
+
+
+def log_normal_factors(rng: np.random.Generator, spread: float, n: int) -> NDArray[np.float64]:
+    """Factors of radii (n,): log-normal, median 1, cut at two deviations so that no pore swallows a cell."""
+    if not spread:
+        return np.ones(n)
+    return np.exp(spread * np.clip(rng.standard_normal(n), -2, 2))

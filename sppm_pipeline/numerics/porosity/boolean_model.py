@@ -48,3 +48,14 @@ def kernels_at_a_point(pores: float, tunnels: float, pore_reach: float, tunnel_r
     tube = math.pi * tunnel_reach**2 * tunnel_length(pores) + ball * tunnel_reach**3
     total: float = pores * ball * pore_reach**3 + tunnels * tube
     return total
+
+
+def expected_walls(length: float, half: float, radius: float, tunnels: float) -> tuple[float, float]:
+    """Porosity of a cell of pierced walls and area of their sides, for lengths in cell sizes.
+
+    Voronoi cells of pores with the mean distance `length` have ``2.9 / length`` of faces per volume (random pores:
+    Okabe et al., "Spatial Tessellations", ch. 5); tunnels open some.
+    """
+    pierced = min(0.9, tunnels * math.pi * radius**2 * length / 2.9)
+    area = 2.9 / length * (1 - pierced)
+    return math.exp(-2 * half * area), 2 * area * math.exp(-2 * half * area)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
@@ -15,7 +16,7 @@ from sppm_pipeline.errors import ConfigError, ResourceError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.stage import Context, Stage
+from sppm_pipeline.stage import Context, Stage, option
 
 LARGEST = 512**3
 """Most voxels; each takes 20 bytes while the balls are painted."""
@@ -30,6 +31,9 @@ class CheckSizes(Stage):
     on voxel centers, sizes come out too small, by three voxels at most. They are millimeters where the cell has a
     physical size, else cell sizes.
 
+    Where a design has walls and tunnels of known sizes, such as that of `field.walls`, the thinnest wall and the width
+    of the narrowest tunnel are reported as they were designed, and compared with what is `printable`.
+
     The specific surface is the area of the isosurface, per volume of the cell; that of an image of voxels, which has
     only stairs, is not given.
     """
@@ -37,6 +41,12 @@ class CheckSizes(Stage):
     name: ClassVar[str] = "check.sizes"
 
     resolution: int = options.resolution(64, note="of a field", minimum=8, maximum=512)
+    printable: Length | None = option(
+        None,
+        help="smallest wall and opening that the printer makes; thinner ones of the design are warned about",
+        unit="mm",
+        above=0,
+    )
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         grid = source if source.voxels else source.grid(self.resolution)
@@ -64,10 +74,34 @@ class CheckSizes(Stage):
             spacing, physical = (source.edge_mm or 1.0) / self.resolution, source.edge_mm is not None
             periodic = (source.periodic,) * 3
             context.report(specific_surface=area / (source.edge_mm or 1.0))
+            self._compare(context, source)
         context.report(unit="mm" if physical else "cell size", voxel=spacing)
         for number, (name, phase) in enumerate({"solid": solid, "void": 1 - solid}.items()):
             context.report(**{name: _described(phase, periodic, spacing)})
             context.progress(number + 1, 2, "phases")
+
+    def _compare(self, context: Context, field: ScalarField) -> None:
+        """Report the thinnest wall and the narrowest tunnel of the design, and warn of those that can't be printed."""
+        scale, unit = field.edge_mm or 1.0, "mm" if field.edge_mm else "cell size"
+        radius = field.finest_radius
+        designed = {"thinnest_wall": field.thinnest_wall, "narrowest_tunnel": radius and 2 * radius}
+        found = {name: scale * size for name, size in designed.items() if size is not None}
+        context.report(**found)
+        if self.printable is None:
+            return
+        if field.edge_mm is None:
+            raise ConfigError(
+                "what is `printable` is a length in mm, but the cell has no physical size",
+                hint="give the first sampling stage `edge: 7.5 mm`, or lay the cell with a `tile` stage and its `cell`",
+            )
+        if not found:
+            context.warn("the design does not say how thin its walls and tunnels are; see the measured sizes")
+        for name, size in found.items():
+            if size < self.printable.mm():
+                context.warn(
+                    f"the {name.replace('_', ' ')} measures {size:.3g} {unit}, less than what is printable "
+                    f"({self.printable.mm():g} mm)"
+                )
 
 
 def _described(phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool], spacing: float) -> dict[str, Any] | None:

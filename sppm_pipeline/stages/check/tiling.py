@@ -40,6 +40,11 @@ class CheckTiling(Stage):
         from sppm_pipeline.numerics.tiling.wang import tile_colors
 
         tileset, arrays, periodic = tiling.tileset, tiling.arrays, tiling.periodic
+        if tileset.kind == "scattered":
+            raise DesignError(
+                "scattered pores are no tiles: there are no faces, so no rule to check",
+                hint="leave out `check.tiling`; `check.residual_periodicity` tells that nothing repeats",
+            )
         interior = arrays.interior
         wang = tileset.kind == "wang"
         table = tile_colors(tileset.palette_colors) if wang else None

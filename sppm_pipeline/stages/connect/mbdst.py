@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families import Connector, Piece
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import Cloud, Connector, Piece
 from sppm_pipeline.stage import Context, option
 
 
@@ -76,6 +76,40 @@ class BoundedDegreeSubgraph(Connector):
             k=self.neighbors,
             two_edge_connected=self.two_edge_connected,
             clearance=None if self.clearance is None else piece.cell.fraction(self.clearance),
+        )
+
+    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        from sppm_pipeline.numerics.connecting import regional
+        from sppm_pipeline.numerics.connecting.bounded import spanning_subgraph
+        from sppm_pipeline.numerics.connecting.degrees import feasible_degrees
+
+        n = len(cloud.points)
+        if n <= regional.WHOLE:
+            return spanning_subgraph(
+                cloud.points,
+                self.degree,
+                mode=self.mode,
+                periodic=cloud.period.tolist(),
+                k=self.neighbors,
+                two_edge_connected=self.two_edge_connected,
+                clearance=None if self.clearance is None else cloud.cell.fraction(self.clearance),
+            )
+        for option_name, given in (("two_edge_connected", self.two_edge_connected), ("clearance", self.clearance)):
+            if given:
+                raise DesignError(
+                    f"`{option_name}` can't be promised for {n} pores without cells, only for {regional.WHOLE}",
+                    hint=f"leave `{option_name}` out, or use tiles, whose cells are joined one by one",
+                )
+        feasible_degrees(n, *self.degree)
+        return regional.regional_subgraph(
+            cloud.points,
+            cloud.period,
+            self.degree,
+            spacing=cloud.spacing,
+            mode=self.mode,
+            k=self.neighbors,
+            threads=context.threads,
+            progress=lambda done, total: context.progress(done, total, "passes over the regions"),
         )
 
     def connect(

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.families import Connector, Piece
+from sppm_pipeline.families import Cloud, Connector, Piece
+from sppm_pipeline.stage import Context
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,3 +22,8 @@ class MinimumSpanningTree(Connector):
         from sppm_pipeline.numerics.connecting.trees import minimum_spanning_tree
 
         return minimum_spanning_tree(piece.points, periodic=piece.periodic)
+
+    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        from sppm_pipeline.numerics.connecting.relative_degrees import REACH, shortest_tree
+
+        return shortest_tree(cloud.points, cloud.period, reach=REACH * cloud.spacing, threads=context.threads)

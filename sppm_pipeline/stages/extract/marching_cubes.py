@@ -53,6 +53,7 @@ class MarchingCubes(Stage):
         True, help="close the surface at the border of a cell or tiling; without, it ends there in open boundaries"
     )
     islands: str = options.islands("remove")
+    exact: bool = options.exact(False)
     backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
 
     def check_options(self) -> None:
@@ -72,7 +73,7 @@ class MarchingCubes(Stage):
         n = voxels_along_edge(field, self.resolution, self.voxel)
         if (coarse := field.coarseness(1 / n)) is not None:
             context.warn(coarse)
-        surface = FieldSurface(field, node_grid(field, n), self.islands, self.caps)
+        surface = FieldSurface(field.exactly() if self.exact else field, node_grid(field, n), self.islands, self.caps)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         if self.backend == "reference":
             vertices, faces, findings = _by_reference(surface, context)

@@ -26,6 +26,7 @@ class ExtractVoxels(Stage):
     name: ClassVar[str] = "extract.voxels"
 
     resolution: int = options.resolution(32)
+    exact: bool = options.exact(False)
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         n, body = self.resolution, field.body
@@ -44,9 +45,10 @@ class ExtractVoxels(Stage):
             )
         if coarse := field.coarseness(1 / n):
             context.warn(coarse)
+        source = field.exactly() if self.exact else field
         solid = np.empty(grid.shape[::-1], np.uint8)
         for layer in range(cells[2]):
-            solid[layer * n : (layer + 1) * n] = field.solid_layers(grid, layer * n, (layer + 1) * n, context.threads)
+            solid[layer * n : (layer + 1) * n] = source.solid_layers(grid, layer * n, (layer + 1) * n, context.threads)
             context.progress(layer + 1, cells[2], "layers of cells")
         edge = field.edge_mm
         # the first axis of the samples is z, so that their transpose is x, y, z with x contiguous, without a copy

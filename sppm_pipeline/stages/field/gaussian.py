@@ -15,6 +15,7 @@ from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph
+from sppm_pipeline.numerics.kernels.kernels import log_normal_factors
 from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -46,9 +47,7 @@ class GaussianField(Stage):
     level: float = options.level(0.25)
     tunnel: str = option("linear", help="how the distance enters the tunnel kernel", choices=tuple(TUNNEL_PROFILES))
     pore_spread: float = option(0.0, help="standard deviation of the logarithm of the pore radii", minimum=0, maximum=1)
-    tunnel_spread: float = option(
-        0.0, help="standard deviation of the logarithm of the tunnel radii", minimum=0, maximum=1
-    )
+    tunnel_spread: float = options.tunnel_spread(0.0)
 
     def check_options(self) -> None:
         if (self.pore_radius is None) == (self.omega is None):
@@ -78,10 +77,10 @@ class GaussianField(Stage):
 
         cell, profile = graph.pores.cell, TUNNEL_PROFILES[self.tunnel]
         omega, mu = self._parameters(cell)
-        pore_factors = _factors(context, 0, self.pore_spread, len(graph.pores.centers))
-        tunnel_factors = _factors(context, 1, self.tunnel_spread, len(graph.edges))
-        all_omega = omega * PORE_PROFILE.scaled_radius(pore_factors)
-        all_mu = mu * profile.scaled_radius(tunnel_factors)
+        all_omega = omega * PORE_PROFILE.scaled_radius(
+            log_normal_factors(context.rng(0), self.pore_spread, len(graph.pores.centers))
+        )
+        all_mu = mu * profile.scaled_radius(log_normal_factors(context.rng(1), self.tunnel_spread, len(graph.edges)))
         self._check_reach("pore_radius" if self.omega is None else "omega", PORE_PROFILE.reach(all_omega, CUTOFF))
         self._check_reach("tunnel_radius" if self.mu is None else "mu", profile.reach(all_mu, CUTOFF))
         context.report(
@@ -115,10 +114,3 @@ class GaussianField(Stage):
                 f"{reach.max():.3g} cell sizes; allowed are {NARROWEST:g} to {WIDEST:g}",
                 hint="lengths are fractions of the cell size unless the first sampling stage gives another `edge`",
             )
-
-
-def _factors(context: Context, key: int, spread: float, n: int) -> NDArray[np.float64]:
-    """Factors of the radii: log-normal, median 1, cut at two deviations so that no pore swallows a cell."""
-    if not spread:
-        return np.ones(n)
-    return np.exp(spread * np.clip(context.rng(key).standard_normal(n), -2, 2))

@@ -81,8 +81,9 @@ class MirroredFaces(Stage):
         if self.faces_margin != "paper":
             from sppm_pipeline.numerics.sampling.edges import homogeneous_counts
 
-            total, fraction = self._homogeneous(None if self.spacing is None else self.spacing.value / cell.edge)
-            on_faces = self.count if self.count is not None else sum(homogeneous_counts(total, fraction))
+            met = _met(palette)
+            total, fraction = self._homogeneous(None if self.spacing is None else self.spacing.value / cell.edge, met)
+            on_faces = self.count if self.count is not None else sum(homogeneous_counts(total, fraction, met))
         elif self.total is None and self.count is None:
             from sppm_pipeline.numerics.sampling.faces import split_between_faces_and_interior
 
@@ -110,17 +111,18 @@ class MirroredFaces(Stage):
         else:
             from sppm_pipeline.numerics.sampling.edges import homogeneous_faces
 
-            total, spacing = self._homogeneous(None if self.spacing is None else cell.fraction(self.spacing))
-            patterns = homogeneous_faces(context.rng(), total, spacing, colors, face_count=self.count)
+            met = _met(context.palette)
+            total, spacing = self._homogeneous(None if self.spacing is None else cell.fraction(self.spacing), met)
+            patterns = homogeneous_faces(context.rng(), total, spacing, colors, face_count=self.count, met=met)
         flat = [pattern for per_axis in patterns for pattern in per_axis]
         piece = np.repeat(np.arange(len(flat)) + base.interiors, [len(p) for p in flat]).astype(np.int32)
         return base.extended(np.concatenate(flat), piece, colors=colors, spacing=spacing)
 
-    def _homogeneous(self, spacing: float | None) -> tuple[float, float]:
+    def _homogeneous(self, spacing: float | None, met: int = 1) -> tuple[float, float]:
         """Number of pores of a cell and their spacing, cell sizes."""
         from sppm_pipeline.numerics.sampling.edges import homogeneous_design
 
-        return homogeneous_design(total=self.total, face_count=self.count, spacing=spacing, share=self.share)
+        return homogeneous_design(total=self.total, face_count=self.count, spacing=spacing, share=self.share, met=met)
 
     def _packed(self, context: Context, cell: Cell) -> tuple[list[list[NDArray[np.float64]]], float]:
         """Patterns without edges, packed as densely as the interior, and their spacing."""
@@ -158,10 +160,15 @@ class MirroredFaces(Stage):
                 assert self.share is not None
                 spacing = spacing_at_share(self.total, self.share)
             return replace(base, spacing=spacing)
-        count, spacing = split_between_faces_and_interior(
-            total=None, face_count=self.count, spacing=spacing, share=self.share, colors=1
-        )
-        return with_darts(context, base, blocks, count, spacing)
+        if spacing is None:  # that of the cell
+            _, spacing = (
+                split_between_faces_and_interior(
+                    total=None, face_count=self.count, spacing=None, share=self.share, colors=1
+                )
+                if self.faces_margin == "paper"
+                else self._homogeneous(None)
+            )
+        return with_darts(context, base, blocks, self.count, spacing)
 
     def _apart(
         self, context: Context, count: int, spacing: float, colors: tuple[int, int, int], margin: float | None
@@ -190,3 +197,8 @@ class MirroredFaces(Stage):
                 [throw(context.rng(axis, k), int(counts[k]), spacing, low, high) for k in range(colors[axis])]
             )
         return patterns
+
+
+def _met(palette: Palette) -> int:
+    """Face patterns that an interior may meet on one side."""
+    return max(palette.colors) if palette.meetings is None else 1

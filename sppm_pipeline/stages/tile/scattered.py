@@ -14,7 +14,7 @@ from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
 from sppm_pipeline.families.tiler import at_porosity, check_repeats
-from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure
+from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
@@ -29,7 +29,8 @@ class ScatteredTiling(Stage):
     """Scatter pores over the whole part: there are no faces, and nothing repeats.
 
     An extension of the paper. The lattice only says how many pores lie in each of its blocks: the recipe's number for a
-    cell, faces and interior together. Pores keep their spacing and are joined across blocks.
+    cell, faces and interior together. Pores keep their spacing and are joined across blocks. Samplers that need the
+    whole cell are refused.
     """
 
     name: ClassVar[str] = "tile.scattered"
@@ -43,9 +44,11 @@ class ScatteredTiling(Stage):
 
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
-        recipe(palette, made.cells)
+        x, y, z = (n + 2.0 * HALO * (not self.periodic) for n in made.body.box)
+        blocks = min(x * y * z, made.cells + HALO * made.body.envelope * (not self.periodic))
+        recipe(palette, blocks)
         trial = min(made.cells, 64) * float(self.resolution) ** 3 if self.porosity is not None else 0.0
-        counts = {"cells": made.cells, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
+        counts = {"cells": blocks, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
         return made.at_porosity(self.porosity, **counts)
 
     def check_options(self) -> None:
@@ -53,7 +56,6 @@ class ScatteredTiling(Stage):
 
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Throw and join the pores of all blocks of the part, and of those around it."""
-        from sppm_pipeline.numerics.kernels.kernels import kernel_reaches
         from sppm_pipeline.numerics.sampling.blocks import dilated
 
         lattice = lattice_for(self.cell, self.cells, cover, None)
@@ -65,14 +67,13 @@ class ScatteredTiling(Stage):
                 f"the recipe {recipe.name!r} makes a {type(micro).__name__}; scattered cells need a Microstructure",
                 hint="end the recipe with `field.gaussian`",
             )
-        reach = max(float(reaches.max(initial=0)) for reaches in kernel_reaches(micro.pieces.kernels, CUTOFF))
-        if reach > HALO:
+        if micro.reach > HALO:
             raise DesignError(
-                f"the kernels reach {reach:.3g} cell sizes, but only the next cell is looked at",
+                f"the kernels reach {micro.reach:.3g} cell sizes, but only the next cell is looked at",
                 hint="give larger cells with more pores, or smaller radii",
             )
         none = [np.full(tuple(n + (a == axis) for a, n in enumerate(blocks.shape)), -1, np.int32) for axis in range(3)]
         arrays = TilingArrays(blocks.numbers, (none[0], none[1], none[2]), self.periodic, halo)
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
-        tiling = Tiling(TileSet(micro, "fresh", 0), arrays, edge, lattice.origin)
+        tiling = Tiling(TileSet(micro, "scattered", 0), arrays, edge, lattice.origin)
         return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)

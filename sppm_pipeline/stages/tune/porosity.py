@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Palette
@@ -144,7 +143,7 @@ class TunePorosity(Stage):
         n = self.resolution
         error = np.inf
         for _ in range(3):  # the porosity of a coarse grid is off by its voxels at the surface
-            field = self._cut(field, field.sample(_points(field, n), context.threads))
+            field = self._cut(context, field, n)
             finer = n + n // 2 + 1
             reached = self._porosity(context, field, finer)
             error = reached - self.target
@@ -159,12 +158,13 @@ class TunePorosity(Stage):
             hint=f"measure on a finer grid, for example `resolution: {2 * self.resolution}`",
         )
 
-    def _cut(self, field: ScalarField, values: NDArray[np.float32]) -> ScalarField:
+    def _cut(self, context: Context, field: ScalarField, n: int) -> ScalarField:
         from sppm_pipeline.numerics.porosity.level import cut_for_porosity, level_for_porosity
 
+        points = _points(field, n)
         if isinstance(field, Microstructure):  # its kernels reach only so far: below level 0 there is nothing
-            return field.with_level(level_for_porosity(values + np.float32(field.level), self.target).level)
-        return field.cut_at(cut_for_porosity(values, self.target).level)
+            return field.with_level(level_for_porosity(field.sums(points, context.threads), self.target).level)
+        return field.cut_at(cut_for_porosity(field.sample(points, context.threads), self.target).level)
 
     def _by_gap(self, context: Context, recipe: Recipe, options: Options) -> Microstructure:
         from sppm_pipeline.numerics.porosity.level import search_monotone

@@ -37,6 +37,10 @@ class WriteChart(Stage):
     )
     error: str = option("", help="column with half lengths of the error bars of points; none if empty", column=True)
     group: str = option("", help="column by whose values the rows are told apart by color; none if empty", column=True)
+    family: str = option("", help="text at which a value of `group` ends; the whole value if empty")
+    bound: str = option(
+        "", help="column that is drawn as a dashed line, a bound for instance; none if empty", column=True
+    )
     line: bool = option(False, help="draw the least-squares line through all points and report it")
     log_x: bool = option(False, help="logarithmic horizontal axis; values that are not positive are left out")
     log_y: bool = option(False, help="logarithmic vertical axis; values that are not positive are left out")
@@ -64,6 +68,8 @@ class WriteChart(Stage):
         x, y = table.numbers(self.x), table.numbers(self.y)
         error = table.numbers(self.error) if self.error else np.full(len(x), np.nan)
         groups = table.column(self.group) if self.group else ("",) * len(x)
+        if self.family:
+            groups = tuple(group.split(self.family)[0] if isinstance(group, str) else group for group in groups)
         shown = np.isfinite(x) & np.isfinite(y) & ((x > 0) | (not self.log_x)) & ((y > 0) | (not self.log_y))
         if shown.sum() < 2:
             raise ConfigError(
@@ -75,6 +81,10 @@ class WriteChart(Stage):
             own = shown & np.array([value == group for value in groups])
             label = plain_text(group) if isinstance(group, str) else f"{group:g}"
             series.append(Series(x[own], y[own], label, self.kind, error[own]))  # type: ignore[arg-type]  # a choice
+        if self.bound:
+            values = table.numbers(self.bound)
+            order = np.argsort(x[shown], kind="stable")
+            series.append(Series(x[shown][order], values[shown][order], "bound", "dashed", color="#000000"))
         if self.line:
             slope, intercept, r_squared = _fitted(x[shown], y[shown])
             context.report(slope=slope, intercept=intercept, r_squared=r_squared)

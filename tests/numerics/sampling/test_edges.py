@@ -52,11 +52,10 @@ def test_choices_are_unbiased():
 
 def lattice_pores(patterns, colors_at):
     """All face, edge and corner pores of a periodic lattice of 2 x 2 x 2 cells."""
-    found = []
-    for axis in range(3):
-        for site in itertools.product(range(2), repeat=3):
-            found.append(patterns[axis][colors_at[axis][site]] + np.array(site))
-    return np.concatenate(found)
+    sites = list(itertools.product(range(2), repeat=3))
+    return np.concatenate(
+        [patterns[axis][colors_at[axis][site]] + np.array(site) for axis in range(3) for site in sites]
+    )
 
 
 @pytest.mark.parametrize("colors", [(1, 1, 1), (3, 3, 3), (2, 3, 1), (20, 20, 20)])

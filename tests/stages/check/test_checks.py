@@ -19,9 +19,9 @@ from sppm_pipeline.testing.plain_context import PlainContext
 
 
 @pytest.fixture(scope="module")
-def loose(cell):
+def loose(recipe):
     """A cell with islands: so much void that the solid falls apart."""
-    return cell.with_level(0.03)
+    return recipe().run(PlainContext(5)).with_level(0.02)
 
 
 def floating_share(field, n):

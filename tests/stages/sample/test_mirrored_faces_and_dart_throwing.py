@@ -260,6 +260,17 @@ def test_margins(colors):
             both(palette, face={"count": 6, "spacing": Length(0.15), **paper, "margin": Length(wrong)})
 
 
+@pytest.mark.parametrize("way", ["homogeneous", "paper"])
+def test_a_count_of_face_pores_is_scattered_where_there_are_no_faces(way):
+    from sppm_pipeline.data.palette import Blocks
+
+    blocks = Blocks(np.ones((2, 2, 2), bool), periodic=True)
+    palette = Palette(8, (0, 0, 0), blocks=blocks)
+    faces = MirroredFaces(count=12, share=0.4, faces_margin=way)
+    pores = faces.run(PlainContext(1, palette=palette), None)
+    assert len(pores.centers) == 12 * 8
+
+
 def test_a_margin_belongs_to_the_paper_s_way():
     with pytest.raises(ConfigError, match="faces_margin: paper"):
         MirroredFaces(count=6, spacing=Length(0.15), margin=Length(0.2)).check_options()

@@ -95,7 +95,7 @@ def test_every_rule_on_boxes_and_masks(sets, kind, shape, ball):
     tileset, rule = sets[kind], RULES[kind]
     stage = rule(cells=shape) if shape else rule(cell=Length(1.7, "mm"))
     tiling = stage.run(PlainContext(2), tileset, ball)
-    interior, faces, periodic = tiling.arrays
+    interior, faces, periodic, _ = tiling.arrays
     check_tiling(tiling.arrays, tileset.micro.pieces)
     assert not periodic
     filled = interior >= 0
@@ -174,7 +174,7 @@ def laid_once(cell):
 def test_fresh_cells_meet_at_their_faces_and_nothing_is_used_twice(recipe, cells, ball):
     stage = FreshTiling(cells=cells, cell=Length(3.4, "mm"), porosity=0.5, resolution=16)
     tiling = stage.run(PlainContext(3), recipe(), ball)
-    interior, faces, _ = tiling.arrays
+    interior, faces, *_ = tiling.arrays
     check_tiling(tiling.arrays, tiling.tileset.micro.pieces)
     for numbers in (interior, *faces):
         used = numbers[numbers >= 0]
@@ -211,6 +211,73 @@ def test_less_and_less_repeats(sets, recipe):
     assert repeated == pytest.approx(1, abs=1e-3)
     assert repeated > wang > max(free, corner)
     assert min(free, corner) > fresh
+
+
+def test_the_27_tiles_show_no_bars_along_the_edges_of_cells():
+    """At porosity .70 corners and edges are solid as often as anything else; with the paper's faces almost always."""
+    from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+    from sppm_pipeline.stages.field.gaussian import GaussianField
+    from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+    from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+
+    def folded(seed, way):
+        cell = recipe_of(
+            MirroredFaces(total=68, share=0.6, faces_margin=way),
+            DartThrowing(total=68),
+            BoundedDegreeSubgraph(mode="greedy"),
+            GaussianField(pore_radius=Length(0.11), tunnel_radius=Length(0.03)),
+        )
+        made = WangTileSet(porosity=0.7, resolution=16, tolerance=0.02).run(PlainContext(seed), cell)
+        context = PlainContext()
+        tiling = WangTiling(cells=(6, 6, 6), periodic=True).run(PlainContext(seed), made, None)
+        CheckResidualPeriodicity(resolution=16).run(context, tiling)
+        return [context.reported[f"folded_{place}"] for place in ("corner", "edge", "face", "center")]
+
+    paper = folded(1, "paper")
+    assert min(paper[:2]) > 0.5
+    level = np.mean([folded(seed, "homogeneous") for seed in range(5)], axis=0)
+    assert np.abs(level - 0.3).max() < 0.1
+
+
+def assembled_graph(tiling):
+    """Pores of a periodic tiling as (site, pore), and its tunnels: those of every cell, and of every face once."""
+    graph, arrays = tiling.tileset.micro.graph, tiling.arrays
+    pores, (shape, n) = graph.pores, (arrays.shape, len(graph.pores.centers))
+    first, second = graph.edges.T
+    a, b = pores.piece[first], pores.piece[second]
+    axis_of, present, tunnels = pores.axis_of_piece(), [], []
+    for site in np.ndindex(*shape):
+        here = np.ravel_multi_index(site, shape) * n
+        pieces = [arrays.interior[site]] + [pores.face_piece(x, arrays.faces[x][site]) for x in range(3)]
+        present.append(here + np.flatnonzero(np.isin(pores.piece, pieces)))
+        own = (a == b) & np.isin(a, pieces)
+        tunnels.append(here + graph.edges[own])
+        for axis, side in np.ndindex(3, 2):
+            beside = tuple(c + side * (axis == x) for x, c in enumerate(site))
+            face = pores.face_piece(axis, arrays.faces[axis][beside])
+            there = np.ravel_multi_index(beside, shape, mode="wrap") * n
+            crossing = (a == pieces[0]) & (b == face) & (graph.shift[:, axis] == side) & (axis_of[b] == axis) & (a != b)
+            assert crossing.any()
+            tunnels.append(np.stack([here + first[crossing], there + second[crossing]], 1))
+    return np.concatenate(present), np.concatenate(tunnels)
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_all_pores_of_an_assembly_are_joined(rule, sets):
+    """Those of edges and corners, too, whose owner is one of the faces that meet there."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    assert len(sets[rule].micro.graph.pores.around_edges())
+    for seed in range(3):
+        tiling = RULES[rule](cells=(3, 2, 3), periodic=True).run(PlainContext(seed), sets[rule], None)
+        present, tunnels = assembled_graph(tiling)
+        assert len(set(present.tolist())) == len(present)
+        assert set(tunnels.ravel().tolist()) == set(present.tolist())
+        size = int(present.max()) + 1
+        links = coo_array((np.ones(len(tunnels), np.int8), tuple(tunnels.T)), (size, size))
+        labels = connected_components(links, directed=False)[1]
+        assert len(np.unique(labels[present])) == 1
 
 
 @pytest.mark.parametrize("rule", RULES)

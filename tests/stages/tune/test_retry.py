@@ -16,7 +16,7 @@ def checked(recipe, *checks, **field):
 
 def test_the_first_accepted_draw_is_taken(recipe):
     """Drawn by hand, every draw before the accepted one is rejected, and that one is the result."""
-    steps = checked(recipe, CheckConnectivity(resolution=16, islands="reject"), level=0.17)
+    steps = checked(recipe, CheckConnectivity(resolution=16, islands="reject"), level=0.08)
     context = PlainContext(2)
     made = Retry(attempts=60).run(context, steps)
     attempts = context.reported["attempts"]

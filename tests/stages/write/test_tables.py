@@ -132,16 +132,25 @@ def test_charts_take_groups_error_bars_and_logarithmic_axes(tmp_path):
     seen = set()
     for options in (
         {}, {"group": "g"}, {"group": "k"}, {"group": "k", "group_label": "$k$"}, {"error": "x"}, {"kind": "means"},
-        {"log_y": True}, {"log_x": True, "group": "g"}, {"x_label": r"$\nu_{xy}$"},
+        {"log_y": True}, {"log_x": True, "group": "g"}, {"x_label": r"$\nu_{xy}$"}, {"bound": "x"},
     ):  # fmt: skip
         stage = WriteChart(x="x", y="y", **options)
         data = run(stage, table, tmp_path)[0]
         assert run(stage, table, tmp_path)[0] == data
         seen.add(data)
-    assert len(seen) == 9
+    assert len(seen) == 10
     for extension, start in (("pdf", b"%PDF"), ("svg", b"<?xml")):
         assert run(WriteChart(x="x", y="y", path=f"a.{extension}"), table, tmp_path)[0].startswith(start)
         assert run(WriteBars(columns=("y",), label="g", path=f"b.{extension}"), table, tmp_path)[0].startswith(start)
+
+
+def test_a_family_is_what_a_name_begins_with(tmp_path):
+    names, families = ("walls_a", "walls_b", "gyroid"), ("walls", "walls", "gyroid")
+    values = {"x": (1, 2, 3), "y": (3.0, 2.0, 1.0)}
+    grouped = run(WriteChart(x="x", y="y", group="g", family="_"), Table({**values, "g": names}), tmp_path)[0]
+    plain = Table({**values, "g": families})
+    assert grouped == run(WriteChart(x="x", y="y", group="g", family="_"), plain, tmp_path)[0]
+    assert grouped == run(WriteChart(x="x", y="y", group="g"), plain, tmp_path)[0]
 
 
 def test_lines_may_fall_and_need_two_values_of_x(tmp_path):

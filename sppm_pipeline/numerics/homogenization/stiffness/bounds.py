@@ -46,6 +46,15 @@ class Bounds(NamedTuple):
     bulk_holds: bool
     shear_holds: bool
 
+    @property
+    def young(self) -> Interval:
+        """Young's modulus of isotropic composites: it grows with both moduli, so that their bounds bound it."""
+        low, high = (
+            9 * bulk * shear / (3 * bulk + shear) if shear > 0 else 0.0
+            for bulk, shear in zip(self.bulk, self.shear, strict=True)
+        )
+        return Interval(low, high)
+
 
 def voigt(phases: list[tuple[float, float, float]]) -> NDArray[np.float64]:
     """Mean of the stiffnesses, (6, 6): the upper bound.

@@ -1,0 +1,164 @@
+"""What a supervised process is doing and how long it may, in memory that it shares with its supervisor.
+
+A process that crashes, hangs with Python's lock held or is left by ``os._exit`` can't say whose code it was running;
+its supervisor reads it here. Only light modules are imported, as the supervisor is forked before anything else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import mmap
+import os
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from sppm_pipeline.errors import ConfigError, Position
+
+_AREA = 4096
+"""Bytes of the texts."""
+
+_HEAD = struct.Struct("<Bdd")
+"""Whether the process means to end; when the run and when the current stage has to have ended."""
+
+_TEXT, _WORDS = _HEAD.size, _HEAD.size + _AREA
+"""Where what is being done and the last message begin; each is its length and UTF-8."""
+
+
+class Activity(NamedTuple):
+    """What is being done.
+
+    Attributes
+    ----------
+    what : str
+        Who does what, as the subject of a sentence.
+    builtin : bool
+        Whether it is code of this program.
+    where : str
+        Place in the configuration, or nothing.
+    stage : str
+        Id of the stage, or nothing.
+    """
+
+    what: str
+    builtin: bool
+    where: str = ""
+    stage: str = ""
+
+    @property
+    def place(self) -> Position | None:
+        """Place in the configuration as errors hold it."""
+        return Position(self.where, 0, 0) if self.where else None
+
+
+_shared: mmap.mmap | None = None
+_lock = threading.Lock()
+_active: list[tuple[Activity, float]] = []
+
+
+def share() -> None:
+    """Share what is noted from now on with children forked from this process."""
+    global _shared
+    _shared = mmap.mmap(-1, _HEAD.size + 2 * _AREA)
+    _HEAD.pack_into(_shared, 0, 0, math.inf, math.inf)
+
+
+@contextlib.contextmanager
+def doing(activity: Activity, seconds: float = math.inf) -> Iterator[None]:
+    """Note what is being done; what was being done before is noted again at the end.
+
+    Parameters
+    ----------
+    activity : Activity
+    seconds : float
+        After which the supervisor ends the process.
+    """
+    if _shared is None:
+        yield
+        return
+    entry = (activity, time.monotonic() + seconds)
+    with _lock:
+        _active.append(entry)
+        _note()
+    try:
+        yield
+    finally:
+        with _lock:
+            _active[:] = [other for other in _active if other is not entry]
+            _note()
+
+
+def _note() -> None:
+    """Note the last of what is being done; a recipe's stages come after the stage that runs it."""
+    assert _shared is not None
+    activity = _active[-1][0] if _active else Activity("", True)
+    _write(_TEXT, "\0".join([activity.what, "1" if activity.builtin else "", activity.where, activity.stage]))
+    until = min((deadline for _, deadline in _active), default=math.inf)
+    _HEAD.pack_into(_shared, 0, *_HEAD.unpack_from(_shared)[:2], until)
+
+
+def _write(at: int, text: str) -> None:
+    assert _shared is not None
+    data = text.encode("utf-8", "replace")[: _AREA - 2]
+    _shared[at : at + 2 + len(data)] = struct.pack("<H", len(data)) + data
+
+
+def _read(at: int) -> str:
+    if _shared is None:
+        return ""
+    (length,) = struct.unpack_from("<H", _shared, at)
+    return _shared[at + 2 : at + 2 + length].decode("utf-8", "replace")
+
+
+def current() -> Activity | None:
+    """What is being done, of several things what was begun last; None if nothing was noted."""
+    what, _, rest = _read(_TEXT).partition("\0")
+    builtin, where, stage = rest.split("\0") if rest.count("\0") == 2 else ("", "", "")
+    return Activity(what, bool(builtin), where, stage) if what else None
+
+
+def limit_run(seconds: float) -> None:
+    """Have the supervisor end this process after so many seconds.
+
+    Raises
+    ------
+    ConfigError
+        If there is no supervisor: where the system can't fork processes, or the program is used from Python.
+    """
+    if _shared is None:
+        raise ConfigError("--time-limit needs a supervising process, which only the command on Linux and macOS has")
+    _HEAD.pack_into(_shared, 0, 0, time.monotonic() + seconds, _HEAD.unpack_from(_shared)[2])
+
+
+def deadlines() -> tuple[float, float]:
+    """When the run and when the stage has to have ended, on the clock of `time.monotonic`."""
+    if _shared is None:
+        return math.inf, math.inf
+    _, run, stage = _HEAD.unpack_from(_shared)
+    return run, stage
+
+
+def leave(code: int) -> None:
+    """End this process at once, with an exit code that it means; whatever else ends it has failed."""
+    if _shared is not None:
+        _shared[0] = 1
+    os._exit(code)
+
+
+def was_left() -> bool:
+    """Whether the process has ended by `leave`."""
+    return _shared is not None and _shared[0] == 1
+
+
+def leave_message(text: str) -> None:
+    """Have the supervisor print what this process can't, as its standard error is closed."""
+    if _shared is not None:
+        _write(_WORDS, text)
+
+
+def last_message() -> str:
+    """What the process could not print."""
+    return _read(_WORDS)

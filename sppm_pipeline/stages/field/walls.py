@@ -1,0 +1,122 @@
+"""``field.walls``: walls between pores, pierced by the tunnels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.data.length import Cell, Length
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Geometry, Size
+from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
+from sppm_pipeline.fields.microstructure import pieces_from_graph
+from sppm_pipeline.fields.walls import WalledMicrostructure
+from sppm_pipeline.numerics.kernels.kernels import log_normal_factors
+from sppm_pipeline.numerics.porosity.boolean_model import expected_walls
+from sppm_pipeline.stage import Context, Stage, option
+
+TUNNEL_SHARE, THICKNESS_SHARE = 0.2, 0.1
+"""Radius of tunnels and thickness of walls, in mean distances of pores, where the user gives none."""
+
+
+WIDEST = 4.0
+"""Cell sizes that no length of a wall exceeds."""
+
+FACES = 20.0
+"""Work for a sample, in kernels: a Voronoi cell has some 15 faces, and there are the tunnels."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallsField(Stage):
+    """Put walls between neighboring pores, and let the tunnels pierce them: stiff, isotropic and open.
+
+    Solid is what lies within half a thickness of the faces of the pores' Voronoi cells and in no tunnel. A target
+    porosity (`tune.porosity`, a tile set's or an assembly's `porosity`) is reached by the thickness. An extension of
+    the paper, for any of its pores and tunnels.
+    """
+
+    name: ClassVar[str] = "field.walls"
+
+    thickness: Length | None = option(
+        None, help="thickness of the walls; a tenth of the mean distance of pores if omitted", unit="cell size",
+        minimum=1e-6, maximum=4,
+    )  # fmt: skip
+    tunnel_radius: Length | None = options.tunnel_radius(None, note="a fifth of the mean distance of pores if omitted")
+    tunnel_spread: float = options.tunnel_spread(0.0)
+    rounding: Length | None = option(
+        None, help="radius of the fillets where walls meet and of the rims of their openings; sharp if omitted",
+        unit="cell size", minimum=0, maximum=1,
+    )  # fmt: skip
+
+    def estimate(self, palette: Palette, graph: Size) -> Size:
+        cell = graph.cell
+        length, half, radius, _ = self._sizes(Cell(cell.edge, cell.edge_mm is not None), cell.pores)
+        porosity, surface = expected_walls(length, half, radius, cell.tunnels)
+        # every sample is compared with the faces of a Voronoi cell; no patches are shared, whatever repeats
+        made = Geometry(edge_mm=cell.edge_mm, porosity=porosity, surface=surface, kernels=FACES, reach=math.inf)
+        return Size(
+            pores=cell.interiors * cell.pores, tunnels=cell.interiors * cell.tunnels,
+            design=replace(cell, radii=(length / 2, radius)), geometry=made,
+        )  # fmt: skip
+
+    def run(self, context: Context, graph: TunnelGraph) -> WalledMicrostructure:
+        """Give the walls a thickness and every tunnel a radius."""
+        graph, missed = joined_to_nearest(graph)
+        pores = graph.pores
+        if not len(pores.centers):
+            raise DesignError("there are no pores to put walls between", hint="sample some, for example `total: 70`")
+        length, half, radius, rounding = self._sizes(pores.cell, pores.per_cell)
+        radii = radius * log_normal_factors(context.rng(1), self.tunnel_spread, len(graph.edges))
+        context.report(
+            thickness=2 * half, tunnel_radius=radius, thinnest_tunnel=float(radii.min(initial=radius)),
+            rounding=rounding, mean_pore_distance=length, missed=missed,
+        )  # fmt: skip
+        omega = np.full(len(pores.centers), length**-2)
+        return WalledMicrostructure(
+            pores.cell, graph, pieces_from_graph(graph, omega, 1 / radii, "linear"), half, rounding=rounding
+        )
+
+    def _sizes(self, cell: Cell, pores: float) -> tuple[float, float, float, float]:
+        """Mean distance of pores, half a thickness, radius of the tunnels, rounding; cell sizes."""
+        length = max(pores, 1e-9) ** (-1 / 3)
+
+        def given(name: str, share: float) -> float:
+            value: Length | None = getattr(self, name)
+            found = share * length if value is None else cell.fraction(value)
+            if value is not None and not found <= WIDEST:
+                raise ConfigError(f"option {name!r} is {value}, that is {found:.3g} cell sizes; allowed are {WIDEST:g}")
+            return found
+
+        half, radius = given("thickness", THICKNESS_SHARE) / 2, given("tunnel_radius", TUNNEL_SHARE)
+        return length, half, radius, given("rounding", 0.0)
+
+
+def joined_to_nearest(graph: TunnelGraph) -> tuple[TunnelGraph, int]:
+    """The graph with a tunnel from each pore that has none to the nearest of its piece, and how many those are.
+
+    The only pore of a periodic cell is joined to its image; the only one of another piece stays closed.
+    """
+    pores = graph.pores
+    lone = pores.interiors == 1 and pores.blocks is None
+    edges, shifts = [], []
+    for i in np.flatnonzero(np.bincount(graph.edges.ravel(), minlength=len(pores.centers)) == 0):
+        others = pores.indices(int(pores.piece[i]))
+        step = pores.centers[others] - pores.centers[i]
+        image = -np.round(step) if lone and pores.piece[i] == 0 else np.zeros_like(step)
+        if lone and len(pores.centers) == 1:
+            image[0, 0] = 1.0
+        squared = ((step + image) ** 2).sum(1)
+        squared[squared == 0] = np.inf
+        nearest = int(squared.argmin())
+        if np.isfinite(squared[nearest]):
+            edges.append((i, others[nearest]))
+            shifts.append(image[nearest])
+    if not edges:
+        return graph, 0
+    joined = TunnelGraph(pores, np.concatenate([graph.edges, edges]), np.concatenate([graph.shift, shifts]))
+    return joined, len(edges)

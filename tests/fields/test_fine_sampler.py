@@ -1,0 +1,106 @@
+"""Fine grids interpolated from coarse sums: near the direct sum, and a sample depends on its position alone."""
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.fields import fine_sampler
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
+from sppm_pipeline.stages.tile.fresh import FreshTiling
+from sppm_pipeline.stages.tile.periodic import PeriodicTiling
+from sppm_pipeline.testing.plain_context import PlainContext
+from tests.conftest import small_recipe
+
+FINE = Grid((0.203, -0.05, 0.4), (0.0131, 0.0153, 0.0177), (90, 75, 61))
+"""Neither fits the cells nor has cubes for voxels; reaches beyond the lattice."""
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    """2 x 2 x 2 cells, each of its own."""
+    return FreshTiling(cells=(2, 2, 2), cell=Length(4, "mm")).run(PlainContext(8), small_recipe(), None)
+
+
+@pytest.fixture(scope="module")
+def fields(cell, wang_tiling, free_tiling, fresh):
+    periodic = PeriodicTiling(cells=(2, 1, 1)).run(PlainContext(), cell, None)
+    return {"cell": cell, "wang": wang_tiling, "free": free_tiling, "fresh": fresh, "periodic": periodic}
+
+
+def interpolates(field, grid):
+    return field._fine(grid, 1) is not None
+
+
+@pytest.mark.parametrize("name", ["cell", "wang", "free", "fresh", "periodic"])
+def test_few_samples_change_sides_and_none_far_from_the_surface(fields, name):
+    field = fields[name]
+    assert interpolates(field, FINE)
+    assert not interpolates(field.exactly(), FINE)
+    exact = field.exactly().sample(FINE)
+    values = field.sample(FINE)
+    changed = (values < 0) != (exact < 0)
+    assert changed.mean() < 2e-4  # thick tunnels beside small pores are the hardest case
+    assert abs((values < 0).mean() - (exact < 0).mean()) < 5e-5
+    assert np.abs(exact[changed]).max(initial=0) < 5e-3
+    near = np.abs(exact) < 0.1
+    assert np.abs(values - exact)[near].max() < 0.02
+
+
+@pytest.mark.parametrize("name", ["cell", "wang", "free", "fresh", "periodic"])
+def test_slabs_threads_and_windows_change_no_bit(fields, name, monkeypatch):
+    field = fields[name]
+    values, solid = field.sample(FINE), field.solid(FINE)
+    assert np.array_equal(solid, values < 0)
+    assert field.sample(FINE, threads=2).tobytes() == values.tobytes()
+    nz = FINE.shape[2]
+    for height in (1, 7, 64):
+        parts = [field.solid_layers(FINE, k, min(k + height, nz)) for k in range(0, nz, height)]
+        assert np.concatenate(parts).tobytes() == solid.tobytes()
+    (x, y, z), (hx, hy, hz), _ = FINE
+    window = Grid((x + 17 * hx, y + 11 * hy, z + 9 * hz), FINE.spacing, (40, 33, 20))
+    assert field.sample(window).tobytes() == values[9:29, 11:44, 17:57].tobytes()
+    monkeypatch.setattr(fine_sampler, "CHUNK_SAMPLES", 1)
+    monkeypatch.setattr(fine_sampler, "BAND_ROWS", 13)
+    other = Grid(FINE.origin, FINE.spacing, (90, 75, 60))  # another grid, or what is kept would serve it
+    assert field.sample(other).tobytes() == values[:60].tobytes()
+
+
+def test_a_part_asks_for_some_cells_of_a_layer_only(fresh, wedge, monkeypatch):
+    part = Part(fresh, wedge)
+    grid = Grid((0.01, 0.02, 0.01), (0.016, 0.016, 0.018), (120, 112, 90))
+    whole = part.solid(grid)
+    sliced = np.concatenate([part.solid_layers(grid, k, k + 1) for k in range(90)])
+    assert whole.tobytes() == sliced.tobytes()
+    field, inside = fresh.solid(grid), part._in_domain(grid).inside(0, 90)
+    assert 0.05 < inside.mean() < 0.5
+    assert np.array_equal(whole, field & inside)
+    asked = []
+    sums = type(fresh).kernel_sums
+    monkeypatch.setattr(
+        type(fresh), "kernel_sums", lambda self, g, *rest: asked.append(g.origin) or sums(self, g, *rest)
+    )
+    part.solid_layers(grid, 87, 88)
+    assert {(x > 0.9, y > 0.9) for x, y, _ in asked} == {(False, False)}
+
+
+def test_coarse_grids_are_summed_as_they_are(cell, free_tiling):
+    for field in (cell, free_tiling):
+        grid = cell_centers(24, field.cells)
+        assert not interpolates(field, grid)
+        assert field.sample(grid).tobytes() == field.exactly().sample(grid).tobytes()
+
+
+def test_opposite_faces_of_a_fine_periodic_cell_are_equal_to_the_last_bit(cell):
+    grid = cell_nodes(64)
+    assert interpolates(cell, grid)
+    values = cell.sample(grid)
+    for axis in range(3):
+        assert np.array_equal(np.take(values, 0, axis), np.take(values, -1, axis))
+
+
+def test_a_level_too_near_the_cut_off_or_above_every_tunnel_is_summed(cell):
+    assert cell.with_level(5e-4).coarse_pitch is None
+    assert cell.with_level(1.5).coarse_pitch is None
+    assert cell.with_level(0.05).coarse_pitch == cell.coarse_pitch  # lower levels make kernels no smoother
+    assert cell.with_level(0.5).coarse_pitch < cell.coarse_pitch

@@ -1,0 +1,269 @@
+"""Scattered pores: quotas, spacing and one graph across blocks, one field, one void, the same bytes on any way."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from scipy.ndimage import label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.palette import Blocks, Palette
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import Sampler, start_of
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.numerics.connectivity.components import phase_report
+from sppm_pipeline.numerics.grid import Grid, cell_centers
+from sppm_pipeline.numerics.kernels.kernels import concatenated
+from sppm_pipeline.stage import option
+from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity
+from sppm_pipeline.stages.check.tiling import CheckTiling
+from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
+from sppm_pipeline.stages.extract.unit_cell import UnitCell
+from sppm_pipeline.stages.field.gaussian import GaussianField
+from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+from sppm_pipeline.stages.sample.elimination import Elimination
+from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+from sppm_pipeline.stages.tile.scattered import ScatteredTiling
+from sppm_pipeline.testing.exact_sum import exact_sum
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+FIELD = GaussianField(pore_radius=Length(0.14), tunnel_radius=Length(0.07))
+TREE = MinimumSpanningTree()
+
+
+def scattered(*stages, threads=1, seed=1, cover=None, context=None, **options):
+    context = context or PlainContext(seed, threads=threads)
+    tiling = ScatteredTiling(**options).run(context, recipe_of(*stages), cover)
+    tiling.check()
+    tiling.tileset.micro.graph.pores.check()
+    tiling.tileset.micro.graph.check()
+    return tiling
+
+
+def in_lattice(tiling):
+    """Pores in cell sizes from the low corner of the lattice, the halo included."""
+    pores = tiling.tileset.micro.graph.pores
+    return pores.centers + pores.blocks.sites[pores.piece]
+
+
+def smallest_distance(tiling):
+    period = np.array(tiling.cells, float) if tiling.periodic else None
+    points = in_lattice(tiling) % period if tiling.periodic else in_lattice(tiling)
+    return cKDTree(points, boxsize=period).query(points, k=2)[0][:, 1].min()
+
+
+def parts(tiling):
+    graph = tiling.tileset.micro.graph
+    n, (a, b) = len(graph.pores.centers), graph.edges.T
+    return connected_components(coo_array((np.ones(len(a)), (a, b)), (n, n)), directed=False)[0]
+
+
+@pytest.fixture(scope="module")
+def torus(recipe):
+    return ScatteredTiling(cells=(3, 2, 4), periodic=True, porosity=0.55, resolution=16).run(
+        PlainContext(2), recipe(tunnel_radius=Length(0.07)), None
+    )
+
+
+@pytest.fixture(scope="module")
+def box(recipe):
+    return ScatteredTiling(cells=(2, 3, 1), cell=Length(4, "mm"), porosity=0.6, resolution=16).run(
+        PlainContext(2), recipe(tunnel_radius=Length(0.07)), None
+    )
+
+
+@pytest.fixture(scope="module")
+def in_ball(recipe, ball):
+    return ScatteredTiling(cell=Length(3.1, "mm")).run(PlainContext(2), recipe(tunnel_radius=Length(0.07)), ball)
+
+
+@pytest.mark.parametrize("name", ["torus", "box", "in_ball"])
+def test_every_block_has_the_pores_of_a_cell_and_all_keep_their_spacing(request, name):
+    tiling = request.getfixturevalue(name)
+    pores = tiling.tileset.micro.graph.pores
+    assert (np.bincount(pores.piece) == 9 + 12).all()  # faces and interior of the recipe
+    assert pores.spacing == 0.2
+    assert smallest_distance(tiling) >= 0.2
+
+
+@pytest.mark.parametrize("name", ["torus", "box", "in_ball"])
+def test_all_pores_hang_together_by_few_tunnels_each(request, name):
+    tiling = request.getfixturevalue(name)
+    graph = tiling.tileset.micro.graph
+    assert parts(tiling) == 1
+    degrees = np.bincount(graph.edges.ravel(), minlength=len(graph.pores.centers))
+    assert degrees.min() >= 1
+    assert degrees.mean() == pytest.approx(2.2, abs=0.3)
+    first, second = graph.pores.piece[graph.edges].T
+    across = first != second
+    assert 0.2 < across.mean() < 0.8
+    start, end = graph.segments()
+    assert np.linalg.norm(end - start, axis=1).max() < 1.0
+
+
+def test_totals_and_fractions():
+    """`mirrored_faces` leaves its share of a total to the interior; a share of the capacity may give a fraction."""
+    for sampler in ({"total": 31}, {"count": 31}, {}):
+        faces = [MirroredFaces(total=31, share=0.5)] if sampler else []
+        darts = DartThrowing(**sampler) if sampler else DartThrowing(spacing=Length(0.24), share=0.5)
+        tiling = scattered(*faces, darts, TREE, FIELD, cells=(3, 3, 3), periodic=True)
+        counts = np.bincount(tiling.tileset.micro.graph.pores.piece)
+        mean = 31 if sampler else 0.5 * 0.7336 / 0.24**3
+        assert set(counts.tolist()) == {int(np.floor(mean)), int(np.ceil(mean))}
+        assert counts.mean() == pytest.approx(mean, abs=1 / 27)
+        if sampler:
+            assert smallest_distance(tiling) >= (0.5 * 0.7336 / 31) ** (1 / 3) - 1e-9
+
+
+def test_the_field_is_the_sum_of_all_kernels_wherever_they_come_from(torus, box):
+    for tiling in (torus, box):
+        micro, halo = tiling.tileset.micro, tiling.arrays.halo
+        every = concatenated(
+            micro.pieces[t].shifted(site - float(halo)) for t, site in enumerate(micro.graph.pores.blocks.sites)
+        )
+        images = (-1, 0, 1) if tiling.periodic else (0,)
+        size = np.array(tiling.cells)
+        every = concatenated(every.shifted(size * np.array([x, y, z])) for x in images for y in images for z in images)
+        grid = Grid((0.03, 0.02, 0.01), (0.19, 0.23, 0.17), (9, 8, 5))
+        z, y, x = np.meshgrid(grid.axis(2), grid.axis(1), grid.axis(0), indexing="ij")
+        exact = exact_sum(every, np.stack([x, y, z], -1).reshape(-1, 3)) - micro.level
+        assert np.abs(tiling.sample(grid).ravel() - exact).max() < 1e-3
+
+
+def test_the_border_of_a_box_is_like_its_middle(recipe):
+    """Pores around the box reach into it: the porosity at its sides is that within, but for noise."""
+    tiling = ScatteredTiling(cells=(4, 4, 4), porosity=0.6, resolution=16).run(
+        PlainContext(0), recipe(tunnel_radius=Length(0.07)), None
+    )
+    solid = tiling.solid(cell_centers(12, tiling.cells)).astype(float)
+    assert 1 - solid.mean() == pytest.approx(0.6, abs=0.01)
+    sides = [solid.take(places, axis).mean() for axis in range(3) for places in ([0, 1], [-2, -1])]
+    assert np.mean(sides) == pytest.approx(0.4, abs=0.035)
+
+
+def test_one_void(torus, box, in_ball, ball):
+    """No closed pore: on the torus the void is one component, in a box or part together with the air around it."""
+    report = phase_report(torus.solid(cell_centers(24, torus.cells)), (True,) * 3, 6, zeros=True)
+    assert report.components == 1
+    assert all(report.wraps)
+    for field in (box, Part(in_ball, ball)):
+        void = field.solid(cell_centers(24, field.cells)) == 0
+        assert label(np.pad(void, 1, constant_values=True))[1] == 1
+
+
+@pytest.mark.parametrize("name", ["torus", "box"])
+def test_slabs_and_threads_change_no_byte(request, name):
+    tiling = request.getfixturevalue(name)
+    grid = Grid((-0.2, 0.1, -0.1), (0.071, 0.083, 0.019), (30, 30, 66))
+    whole = tiling.solid_layers(grid, 0, 66)
+    for height, threads in ((1, 1), (7, 2), (64, 3)):
+        slabs = [tiling.solid_layers(grid, z, min(z + height, 66), threads) for z in range(0, 66, height)]
+        assert np.concatenate(slabs).tobytes() == whole.tobytes()
+
+
+def test_threads_that_throw_and_join_change_no_byte(recipe, box):
+    again = ScatteredTiling(cells=(2, 3, 1), cell=Length(4, "mm"), porosity=0.6, resolution=16).run(
+        PlainContext(2, threads=3), recipe(tunnel_radius=Length(0.07)), None
+    )
+    assert again.digest() == box.digest()
+
+
+def test_no_lattice_shows(recipe):
+    """The folded solid share, as `check.residual_periodicity` measures it, is flat but for noise."""
+    tiling = ScatteredTiling(cells=(5, 5, 5), periodic=True, porosity=0.6, resolution=16).run(
+        PlainContext(3), recipe(), None
+    )
+    context = PlainContext()
+    CheckResidualPeriodicity(resolution=12).run(context, tiling)
+    told = context.reported
+    for place in ("corner", "edge", "face", "center"):
+        assert told[f"folded_{place}"] == pytest.approx(0.4, abs=0.12), place
+    assert told["folded_deviation"] <= 1.3 * told["folded_expected"]
+    assert abs(told["bragg_share"]) < 0.01
+
+
+def test_other_stages_take_it(torus, box):
+    with pytest.raises(DesignError, match="no rule to check"):
+        CheckTiling().run(PlainContext(), box)
+    with pytest.raises(DesignError, match="copies of one"):
+        UnitCell(resolution=8).run(PlainContext(), torus)
+    lone = scattered(DartThrowing(total=20), TREE, FIELD, cells=(1, 1, 1), periodic=True)
+    assert len(UnitCell(resolution=8).run(PlainContext(), lone).offsets) == 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Careful(Sampler):
+    """A sampler as somebody else would write it: plain darts that keep away from the obstacles."""
+
+    name: ClassVar[str] = "sample.careful"
+    count: int = option(12, help="number of pores")
+    reach: float = option(0.3, help="spacing")
+
+    def throw(self, rng, box):
+        found = box.obstacles
+        if box.periodic:
+            raise AssertionError("a lone periodic cell is not asked for here")
+        new = []
+        while len(new) < self.count:
+            dart = rng.random(3)
+            if (((found - dart) ** 2).sum(1) >= self.reach**2).all():
+                new.append(dart)
+                found = np.concatenate([found, dart[None]])
+        return np.array(new)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_anybody_s_sampler_is_called_block_by_block_with_its_neighbors(periodic):
+    tiling = scattered(Careful(), TREE, FIELD, cells=(2, 3, 2), periodic=periodic)
+    assert (np.bincount(tiling.tileset.micro.graph.pores.piece) == 12).all()
+    assert smallest_distance(tiling) >= 0.3
+    assert parts(tiling) == 1
+    after_faces = scattered(MirroredFaces(count=6, spacing=Length(0.3)), Careful(), TREE, FIELD, cells=(2, 2, 2))
+    assert (np.bincount(after_faces.tileset.micro.graph.pores.piece) == 18).all()
+    assert smallest_distance(after_faces) >= 0.3
+
+
+def test_the_compiled_way_throws_what_the_plain_one_throws():
+    """Equal spacing, equal quotas: pairs at less than one and a half spacings are equally frequent."""
+
+    def pairs(sampler, seed):
+        tiling = scattered(sampler, TREE, FIELD, cells=(3, 3, 3), periodic=True, seed=seed)
+        points = in_lattice(tiling)
+        return len(cKDTree(points % 3.0, boxsize=3.0).query_pairs(0.42)) / len(points)
+
+    fast = [pairs(DartThrowing(count=14, spacing=Length(0.28)), seed) for seed in range(6)]
+    plain = [pairs(Careful(count=14, reach=0.28), seed) for seed in range(6)]
+    error = np.hypot(np.std(fast), np.std(plain)) / np.sqrt(5)
+    assert abs(np.mean(fast) - np.mean(plain)) < 4 * error + 0.02
+
+
+def test_what_can_not_be_scattered_is_refused():
+    with pytest.raises(ConfigError, match=r"sample\.elimination can't scatter"):
+        scattered(Elimination(count=9), TREE, FIELD, cells=(2, 2, 2))
+    with pytest.raises(ConfigError, match="Microstructure"):
+        scattered(DartThrowing(total=9), cells=(2, 2, 2))
+    with pytest.raises(DesignError, match=r"kernels reach 1\.\d+ cell sizes"):
+        scattered(DartThrowing(total=3), TREE, replace(FIELD, pore_radius=Length(0.4)), cells=(2, 2, 2))
+    with pytest.raises(DesignError, match="block: it holds about"):
+        scattered(DartThrowing(total=60, spacing=Length(0.3)), TREE, FIELD, cells=(2, 2, 2))
+    with pytest.raises(DesignError, match="at least 2 cells"):
+        scattered(Careful(), TREE, FIELD, cells=(1, 2, 2), periodic=True)
+    with pytest.raises(ConfigError, match="spacing is missing"):
+        scattered(DartThrowing(share=0.5), TREE, FIELD, cells=(2, 2, 2))
+    with pytest.raises(ConfigError, match="only a box of cells repeats"):
+        ScatteredTiling(periodic=True).check_options()
+    palette = Palette(8, (0, 0, 0), blocks=Blocks(np.ones((2, 2, 2), bool), True))
+    _, base = start_of(None, None, 8)
+    one_each = base.extended(np.full((8, 3), 0.5), np.arange(8, dtype=np.int32))  # by a stage that ignores the blocks
+    with pytest.raises(ConfigError, match="know nothing of their neighbors"):
+        TREE.run(PlainContext(palette=palette), one_each)
+
+
+def test_a_gap_without_faces_is_told():
+    context = PlainContext(1)
+    scattered(DartThrowing(total=20, gap=Length(0.1)), TREE, FIELD, cells=(2, 1, 1), context=context)
+    assert any("no faces" in message for message in context.warnings)
