@@ -12,7 +12,7 @@ from sppm_pipeline.stages.tile.periodic import PeriodicTiling
 from sppm_pipeline.testing.plain_context import PlainContext
 from tests.conftest import small_recipe
 
-FINE = Grid((0.203, -0.05, 0.4), (0.0131, 0.0153, 0.0177), (90, 75, 61))
+FINE = Grid((0.203, -0.05, 0.4), (0.0115, 0.0135, 0.0155), (95, 80, 65))
 """Neither fits the cells nor has cubes for voxels; reaches beyond the lattice."""
 
 
