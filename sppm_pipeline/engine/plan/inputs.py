@@ -40,7 +40,9 @@ def missing_inputs(plan: Plan, until: str | None = None) -> Iterator[ConfigError
                     step,
                     option,
                     f"there is no file or folder {str(value)!r}",
-                    did_you_mean(value.name, [path.name for path in value.parent.iterdir()])
+                    did_you_mean(
+                        value.name, [path.name for path in value.parent.iterdir() if path.suffix == value.suffix]
+                    )
                     if value.parent.is_dir()
                     else f"there is no folder {str(value.parent)!r} either; paths start from the folder of the file",
                 )
