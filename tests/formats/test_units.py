@@ -10,6 +10,6 @@ def test_units_of_3mf_in_millimeters():
         "millimeter": 1,
         "centimeter": 10,
         "inch": 25.4,
-        "foot": 12 * 25.4,
+        "foot": 304.8,
         "meter": 1e3,
     }
