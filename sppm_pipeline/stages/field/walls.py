@@ -71,7 +71,7 @@ class WallsField(Stage):
         if not len(pores.centers):
             raise DesignError("there are no pores to put walls between", hint="sample some, for example `total: 70`")
         length, half, radius, rounding = self._sizes(pores.cell, pores.per_cell)
-        radii = radius * log_normal_factors(context.rng(1), self.tunnel_spread, len(graph.edges))
+        radii = radius * log_normal_factors(lambda: context.rng(1), self.tunnel_spread, len(graph.edges))
         context.report(
             thickness=2 * half, tunnel_radius=radius, thinnest_tunnel=float(radii.min(initial=radius)),
             rounding=rounding, mean_pore_distance=length, missed=missed,
