@@ -238,6 +238,20 @@ def test_walls(run_yaml, summary):
     assert {"walls.png", "walls.ply"} <= outputs(folder)
 
 
+def test_walls_tetrahedra(run_yaml, tmp_path):
+    """Straight tetrahedra are too stiff, the less the finer; their limit lies in the error bar of voxels."""
+    path = reduced("walls_tetrahedra.yaml", tmp_path, sweep=("lattice: [24, 32, 48]", "lattice: [16, 20]"))
+    _, folder = run_yaml(path, s=["walls.resolution=32", "voxels.resolution=36"])
+    rows = json.loads((folder / "sweep.json").read_text())
+    coarse, fine = (row["tetrahedra.isotropic.E"] for row in rows)
+    limit = fine - (coarse - fine) / ((20 / 16) ** 2 - 1)
+    voxels, error = rows[0]["voxels.isotropic.E"], rows[0]["voxels.error_relative"]
+    assert coarse > fine > limit
+    assert error < 0.15
+    assert abs(limit / voxels - 1) < error
+    assert "agreement.md" in outputs(folder)
+
+
 def test_no_configuration_is_forgotten():
     tested = {name[5:] for name in globals() if name.startswith("test_")}
     # those that need a plugin are run by its tests
