@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from importlib import import_module
@@ -119,11 +120,9 @@ def cli_page() -> str:
     split = [code.strip() for code in codes]
     rows = []
     for code in split:
-        numbers, _, meaning = code.rpartition(", ") if code.startswith("130") else code.partition(" ")
-        if code.startswith("130"):
-            last, _, meaning = meaning.partition(" ")
-            numbers = f"{numbers}, {last}"
-        rows.append((numbers, meaning))
+        numbers = re.match(r"[\d, ]+", code)  # "129, 130, 143 interrupted" is one meaning of three numbers
+        assert numbers is not None
+        rows.append((numbers[0].strip(), code[numbers.end() :]))
     lines += table(("code", "meaning"), rows)
     return "\n".join(lines) + "\n"
 

@@ -123,7 +123,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.numerics.tiling.hashed import tile_hashed
     from sppm_pipeline.numerics.tiling.lattice import hash_places
     from sppm_pipeline.process import ArraySpec, NativeResult, notify, run_native
-    from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
+    from sppm_pipeline.stage import Context, Headline, Recipe, Rejected, Stage, option
 
 _PLACES = {
     "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize mesh read sample "
@@ -170,7 +170,7 @@ _PLACES = {
     "numerics.tiling.hashed": "tile_hashed",
     "numerics.tiling.lattice": "hash_places",
     "process": "ArraySpec NativeResult notify run_native",
-    "stage": "Context Recipe Rejected Stage option",
+    "stage": "Context Headline Recipe Rejected Stage option",
 }
 """Modules below this package, and what the public face takes from each: ``name``, or ``public name=name there``."""
 
@@ -196,6 +196,7 @@ __all__ = [
     "FieldMaker",
     "FormulaField",
     "Grid",
+    "Headline",
     "Homogenizer",
     "InputError",
     "InteriorBox",

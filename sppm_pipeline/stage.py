@@ -15,7 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -214,6 +214,28 @@ class Recipe(ABC):
         """Options of each stage of the recipe by stage id, defaults included."""
 
 
+class Headline(NamedTuple):
+    """A number that a stage is run for; the terminal shows it after the run.
+
+    Attributes
+    ----------
+    number : str
+        Place in the stage's summary, as columns of sweeps are named: ``"porosity"``, ``"C.1.1"`` (counted from 1). A
+        list of numbers is shown as a whole.
+    label : str
+        How it is called; `number` if empty.
+    unit : str
+        Its unit; ``"{unit}"`` stands for the entry `unit` of the summary.
+    error : str
+        Place of the half length of its error bar; empty if it has none. The largest is shown for a list.
+    """
+
+    number: str
+    label: str = ""
+    unit: str = ""
+    error: str = ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Stage(ABC):
     """Base of all stages; see the module's docstring for how one is written.
@@ -227,6 +249,8 @@ class Stage(ABC):
     cacheable : bool
         False for a stage whose result depends on more than its options, input files, inputs and random numbers, for
         instance on a clock or a network; it then runs every time, and so does what depends on it.
+    headline : tuple of Headline
+        The numbers of its summary that the terminal shows after a run; the first five if empty.
     advice : str
         What makes the work smaller, said when a run is refused because it can't fit; empty for a default.
     """
@@ -234,6 +258,7 @@ class Stage(ABC):
     name: ClassVar[str]
     version: ClassVar[int] = 1
     cacheable: ClassVar[bool] = True
+    headline: ClassVar[tuple[Headline, ...]] = ()
     advice: ClassVar[str] = ""
 
     @abstractmethod

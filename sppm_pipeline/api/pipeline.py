@@ -178,7 +178,7 @@ class Pipeline:
         """
         from ruamel.yaml import YAML
 
-        plan = checked(self._session)[0]
+        plan = checked(self._session, inputs=False)[0]
         document = dict(plan.document)
         if document["folder"] == os.getcwd():
             del document["folder"]

@@ -63,15 +63,23 @@ def _stage_or_error(name: str, registry: Registry) -> dict[str, Any]:
 
 def configure_schema(parser: ArgumentParser) -> None:
     """Arguments of ``sppm schema``."""
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write; printed if omitted")
     add_plugins(parser)
 
 
 def execute_schema(args: Namespace) -> int:
-    """Print the schema."""
+    """Print or write the schema."""
+    from sppm_pipeline.engine.files import write_whole
     from sppm_pipeline.engine.plan.registry import Registry
     from sppm_pipeline.engine.plan.schema import configuration_schema
 
-    print(json.dumps(configuration_schema(Registry(plugins_from(args))), indent=1, ensure_ascii=False))
+    text = json.dumps(configuration_schema(Registry(plugins_from(args))), indent=1, ensure_ascii=False)
+    if args.output is None:
+        print(text)
+    else:
+        write_whole(args.output, f"{text}\n")
+        line = f"# yaml-language-server: $schema={args.output.name}"
+        print(f"{args.output}\nnext: begin configurations beside it with\n{line}")
     return 0
 
 

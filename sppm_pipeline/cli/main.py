@@ -25,7 +25,7 @@ VERBS = {
     "estimate": "estimate memory, disk and time of a run, without running it",
     "stages": "list the stages there are, or describe one",
     "graph": "draw the wiring as text, DOT or Mermaid",
-    "schema": "print the JSON Schema of configurations, for editors",
+    "schema": "print or write the JSON Schema of configurations, for editors",
     "plugins": "list plugins, and with --check why some cannot be loaded",
     "verify": "check that a run directory still holds what was written, to the byte",
     "cache": "show, check or shrink what is kept between runs",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import keyword
 import re
 from argparse import ArgumentParser, Namespace
@@ -10,6 +11,9 @@ from pathlib import Path
 from sppm_pipeline.errors import ConfigError
 
 _PLACE = "jittered_grid"
+
+SCHEMA = "sppm.schema.json"
+"""Name of the schema beside new pipelines, by which editors check and complete them."""
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -27,9 +31,23 @@ def execute(args: Namespace) -> int:
 
 
 def _pipeline(name: str, folder: Path) -> int:
-    path = folder / f"{name}.yaml"
-    _write(path, _PIPELINE.replace("@name@", name))
-    print(f"{path}\nnext: sppm check {path}, then sppm run {path}")
+    from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins
+    from sppm_pipeline.engine.plan.registry import Registry
+    from sppm_pipeline.engine.plan.schema import configuration_schema
+
+    path, schema = folder / f"{name}.yaml", folder / SCHEMA
+    _write(path, _PIPELINE.replace("@name@", name).replace("@schema@", SCHEMA))
+    if not schema.exists():
+        _write(
+            schema,
+            json.dumps(
+                configuration_schema(Registry(load_plugins(allowed=allowed_plugins(None)))),
+                indent=1,
+                ensure_ascii=False,
+            )
+            + "\n",
+        )
+    print(f"{path}\nnext: sppm check {path}, then sppm run {path}; editors complete options by {schema}")
     return 0
 
 
@@ -65,6 +83,7 @@ def _write(path: Path, text: str) -> None:
 
 
 _PIPELINE = """\
+# yaml-language-server: $schema=@schema@
 # One periodic cell: pores on mirrored faces and inside, tunnels between them, a field, its surface.
 # Try: sppm explain @name@.yaml, sppm run @name@.yaml -p porosity=0.6
 sppm: 1

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.cli.arguments import add_cache, add_configuration, cache_of, open_from
 from sppm_pipeline.cli.limits import add_limits, limits_of, seconds
+
+if TYPE_CHECKING:
+    from sppm_pipeline.stage import Headline
+
+
+LINE = 100
+"""Characters of a line of numbers, beside the stage and its time; a choice."""
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -106,7 +113,7 @@ def _execute(args: Namespace) -> int:
     if args.json:
         _print_json(record)
     else:
-        _print_summary(record, path)
+        _print_summary(record, path, {step.address: step.stage.headline for step in (*plan.steps, *plan.after)})
     failed = [run for run in record.get("runs", ()) if run["status"] != "done"]
     if failed and not args.keep_going:
         codes = {run["error"]["exit_code"] for run in failed}
@@ -120,17 +127,28 @@ def _print_json(record: Mapping[str, Any]) -> None:
     print(json_text(dict(record)), end="")
 
 
-def _print_summary(record: Mapping[str, Any], path: Path) -> None:
-    """A line a stage with its first numbers, a line for each failed run of a sweep, and where the files are."""
+def _print_summary(
+    record: Mapping[str, Any], path: Path, headlines: Mapping[str, Sequence[Headline]] | None = None
+) -> None:
+    """A line a stage with its numbers, a line for each failed run of a sweep, and where the files are.
+
+    Stages that name their headline numbers show these, others the first five.
+    """
     width = max((len(stage["id"]) for stage in record["stages"]), default=0)
     for stage in record["stages"]:
-        numbers = [
-            f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
-            for name, value in stage["summary"].items()
-            if isinstance(value, (int, float)) and not isinstance(value, bool)
+        shown = [
+            text for one in (headlines or {}).get(stage["id"], ()) if (text := headline_text(one, stage["summary"]))
         ]
+        numbers = (
+            shown
+            or [
+                f"{name} {_number(value)}"
+                for name, value in stage["summary"].items()
+                if isinstance(value, (int, float)) and not isinstance(value, bool)
+            ][:5]
+        )
         time = "    kept  " if stage.get("cached") else f"{stage['seconds']:8.3f} s"
-        print(f"{stage['id']:{width}s} {time}  {', '.join(numbers[:5])}".rstrip())
+        print(f"{stage['id']:{width}s} {time}  {_wrapped(numbers, width + 13)}".rstrip())
     runs = record.get("runs", [])
     for run in runs:
         if run["error"]:
@@ -139,3 +157,50 @@ def _print_summary(record: Mapping[str, Any], path: Path) -> None:
     peak = f", peak memory {record['peak_memory_mb']:.0f} MB" if record["peak_memory_mb"] else ""
     done = f", {sum(run['status'] == 'done' for run in runs)} of {len(runs)} runs" if runs else ""
     print(f"{record['status']} in {record['seconds']:.2f} s{done}{peak}: {path}")
+
+
+def _wrapped(texts: Sequence[str], indent: int) -> str:
+    """Texts one after the other, on as many lines as they need."""
+    lines: list[str] = []
+    for text in texts:
+        if lines and len(lines[-1]) + len(text) < LINE:
+            lines[-1] += f", {text}"
+        else:
+            lines.append(text)
+    return f",\n{' ' * indent}".join(lines)
+
+
+def headline_text(headline: Headline, summary: Mapping[str, Any]) -> str:
+    """A headline number as ``E 371 369 370 +- 4 MPa``; empty if the summary has it not.
+
+    Lists, and numbers with an error bar, are shown to four digits, others to six.
+    """
+    value, error = _at(summary, headline.number), _at(summary, headline.error) if headline.error else None
+    if value is None:
+        return ""
+    bars = [bar for bar in (error if isinstance(error, list) else [error]) if isinstance(bar, (int, float))]
+    digits = 6 if isinstance(value, (int, float)) and not bars else 4
+    if isinstance(value, Mapping):
+        text = " ".join(f"{name} {_number(one, digits)}" for name, one in value.items())
+    else:
+        text = " ".join(_number(one, digits) for one in (value if isinstance(value, list) else [value]))
+    bar = f" +- {max(bars):.2g}" if bars else ""
+    unit = headline.unit.replace("{unit}", str(summary.get("unit") or ""))
+    return f"{headline.label or headline.number} {text}{bar} {unit}".rstrip()
+
+
+def _at(summary: Any, place: str) -> Any:
+    """The entry of a summary at a place such as ``C.1.1``; None if there is none."""
+    for part in place.split("."):
+        if isinstance(summary, Mapping):
+            summary = summary.get(part)
+        elif isinstance(summary, list) and part.isdigit() and 0 < int(part) <= len(summary):
+            summary = summary[int(part) - 1]
+        else:
+            return None
+    return summary
+
+
+def _number(value: Any, digits: int = 6) -> str:
+    """A number to some digits; what is not defined as a dash."""
+    return f"{value:.{digits}g}" if isinstance(value, float) else "-" if value is None else str(value)

@@ -26,6 +26,68 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
+def in_rows(array: NDArray[Any], width: int, what: str) -> NDArray[Any]:
+    """`array` if it has the shape (n, width); an empty one as (0, width).
+
+    Raises
+    ------
+    ValueError
+        If it has another shape; a transposed array would otherwise be taken apart in the wrong places.
+    """
+    if array.ndim == 2 and array.shape[1] == width:
+        return array
+    if array.size == 0:
+        return np.zeros((0, width), array.dtype)
+    raise ValueError(f"{what} have the shape {array.shape}, expected (n, {width}), a row for each")
+
+
+def whole_numbers(values: Any, dtype: Any, what: str) -> NDArray[Any]:
+    """`values` as integers of a type.
+
+    Raises
+    ------
+    ValueError
+        If they are no whole numbers, which would be cut off without a word, or too large for the type.
+    """
+    array = np.asarray(values)
+    if array.size == 0:
+        return array.astype(dtype)
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"{what} are whole numbers, got {array.dtype}")
+    if array.dtype.kind == "f" and (odd := array != np.floor(array)).any():
+        raise ValueError(f"{what} are whole numbers, got {array[odd][0]}")
+    if not np.can_cast(array.dtype, dtype):
+        bounds = np.iinfo(dtype)
+        if int(array.min()) < bounds.min or int(array.max()) > bounds.max:
+            raise ValueError(f"{what} are {np.dtype(dtype)}, got {array.min()} to {array.max()}")
+    return array.astype(dtype, copy=False)
+
+
+def twin_rows(*columns: NDArray[Any]) -> tuple[int, int] | None:
+    """Two rows that are equal in all columns, one number of 8 bytes each; None if all rows differ.
+
+    Rows are sorted by a hash of theirs, which takes a tenth of the time of sorting rows, and only if two hashes are
+    equal the rows are compared.
+    """
+    mixed = np.zeros(len(columns[0]), np.uint64)
+    for column in columns:
+        mixed ^= np.ascontiguousarray(column).view(np.uint64)
+        mixed *= np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio, as Fibonacci hashing has it
+        mixed ^= mixed >> np.uint64(29)
+    order = np.sort(mixed)
+    if not (order[1:] == order[:-1]).any():
+        return None
+    by_row = np.lexsort(columns)
+    same = np.ones(max(len(by_row) - 1, 0), bool)
+    for column in columns:
+        same &= column[by_row][1:] == column[by_row][:-1]
+    if not same.any():
+        return None
+    at = int(np.argmax(same))
+    first, second = sorted((int(by_row[at]), int(by_row[at + 1])))
+    return first, second
+
+
 class Artifact:
     """Base of everything a stage may make. Subclasses are frozen dataclasses."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import NOTEBOOK_SIZE, Artifact, frozen, optional_module, png_of
+from sppm_pipeline.data.artifact import NOTEBOOK_SIZE, Artifact, frozen, in_rows, optional_module, png_of, whole_numbers
 from sppm_pipeline.errors import DesignError
 
 _MOST_VERTICES = 2**31 - 1
@@ -32,8 +32,9 @@ class SurfaceMesh(Artifact):
     name: str = "mesh"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", frozen(_rows_of_three(np.asarray(self.vertices, np.float64))))
-        object.__setattr__(self, "faces", frozen(_rows_of_three(np.asarray(self.faces, np.int32))))
+        object.__setattr__(self, "vertices", frozen(in_rows(np.asarray(self.vertices, np.float64), 3, "vertices")))
+        corners = whole_numbers(self.faces, np.int32, "the corners of triangles")
+        object.__setattr__(self, "faces", frozen(in_rows(corners, 3, "the corners of triangles")))
 
     @classmethod
     def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike, name: str = "mesh") -> SurfaceMesh:
@@ -44,7 +45,7 @@ class SurfaceMesh(Artifact):
         ValueError
             If a vertex is not finite, or a triangle names one that does not exist.
         """
-        mesh = cls(np.array(vertices, np.float64), np.array(faces, np.int32), name)
+        mesh = cls(np.array(vertices, np.float64), np.array(faces), name)
         mesh.check()
         return mesh
 
@@ -170,8 +171,3 @@ class RepeatedMesh(Artifact):
     def summary(self) -> dict[str, Any]:
         """The mesh's numbers and the number of copies."""
         return {"copies": len(self.offsets), "mesh": self.mesh.summary()}
-
-
-def _rows_of_three(array: NDArray[Any]) -> NDArray[Any]:
-    """(n, 3); an array that has the shape already stays the same object, so that a large one is not copied."""
-    return array if array.ndim == 2 and array.shape[1] == 3 else array.reshape(-1, 3)

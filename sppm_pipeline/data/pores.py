@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import Artifact, frozen
+from sppm_pipeline.data.artifact import Artifact, frozen, in_rows, twin_rows, whole_numbers
 from sppm_pipeline.data.length import Cell, parse_length
 from sppm_pipeline.data.palette import Blocks
+
+_ROUNDING = 1e-9
+"""How far, in cell sizes, a pore may lie outside of its cell by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +50,10 @@ class PoreSet(Artifact):
     blocks: Blocks | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centers", frozen(np.asarray(self.centers, np.float64).reshape(-1, 3)))
-        object.__setattr__(self, "piece", frozen(np.asarray(self.piece, np.int32)))
+        centers = in_rows(np.asarray(self.centers, np.float64), 3, "pore centers")
+        # of a view a copy is made, so that the array of whoever calls stays theirs
+        object.__setattr__(self, "centers", frozen(centers.reshape(-1, 3)))
+        object.__setattr__(self, "piece", frozen(whole_numbers(self.piece, np.int32, "the pieces of pores")))
 
     @classmethod
     def from_array(
@@ -68,20 +73,29 @@ class PoreSet(Artifact):
         Raises
         ------
         ValueError
-            If a center is not finite.
+            If a center is not finite or outside of the cell, or two are equal.
         """
-        points = np.array(centers, np.float64).reshape(-1, 3)
+        points = in_rows(np.array(centers, np.float64), 3, "pore centers")
         cell = Cell() if edge is None else Cell(parse_length(edge).mm(), physical=True)
         pores = cls(cell, points, np.zeros(len(points), np.int32), spacing=spacing)
         pores.check()
         return pores
 
     def check(self) -> None:
-        """Shapes, finiteness, range of the pieces, faces lying in their planes."""
+        """Shapes, range of the pieces, centers inside the cell and all different, faces lying in their planes."""
+        if self.interiors < 1 or len(self.colors) != 3 or min(self.colors) < 0:
+            raise ValueError(
+                f"a cell has an interior and face colors of 3 axes, got {self.interiors} and {self.colors}"
+            )
         if self.piece.shape != (len(self.centers),):
             raise ValueError(f"{len(self.centers)} pores but {self.piece.shape} piece numbers")
         if not np.isfinite(self.centers).all():
             raise ValueError("pore centers must be finite")
+        if len(self.centers) and not -_ROUNDING <= self.centers.min() <= self.centers.max() <= 1 + _ROUNDING:
+            raise ValueError(
+                f"pore centers lie in the cell, from 0 to 1 (cell sizes), got {self.centers.min():g} to "
+                f"{self.centers.max():g}"
+            )
         if len(self.piece) and not 0 <= self.piece.min() <= self.piece.max() < self.interiors + sum(self.colors):
             raise ValueError("a pore belongs to a piece that does not exist")
         if self.blocks is not None and (self.has_faces or (np.diff(self.piece) < 0).any()):
@@ -90,6 +104,14 @@ class PoreSet(Artifact):
             on_face = self.axis_of_piece()[self.piece] == axis
             if on_face.any() and np.abs(self.centers[on_face, axis]).max() > 0:
                 raise ValueError(f"face pores perpendicular to axis {axis} must have coordinate 0 there")
+        # 0.0 is added as -0.0 has other bytes than 0.0
+        twins = twin_rows(*(self.centers + 0.0).T, self.piece.astype(np.int64)) if len(self.centers) else None
+        if twins is not None:
+            first, second = twins
+            x, y, z = self.centers[first]
+            raise ValueError(
+                f"pores {first} and {second} of piece {self.piece[first]} are one: both lie at ({x:g}, {y:g}, {z:g})"
+            )
 
     @property
     def has_faces(self) -> bool:

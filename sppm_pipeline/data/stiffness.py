@@ -134,4 +134,8 @@ class StiffnessReport(Artifact):
             summary["error"] = self.error
             size = float(np.linalg.norm(c))
             summary["error_relative"] = float(np.linalg.norm(self.error)) / size if size else 0.0
+            # as if all entries erred to one side, as those of voxels do: too stiff
+            softer = engineering_constants(c - self.error)
+            for name in ("E", "G"):
+                summary[f"{name}_error"] = np.abs(constants[name] - softer[name])
         return summary

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import Artifact, frozen
+from sppm_pipeline.data.artifact import Artifact, frozen, in_rows, twin_rows, whole_numbers
 from sppm_pipeline.data.pores import PoreSet
 
 
@@ -34,8 +34,10 @@ class TunnelGraph(Artifact):
     shift: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "edges", frozen(np.asarray(self.edges, np.int64).reshape(-1, 2)))
-        object.__setattr__(self, "shift", frozen(np.asarray(self.shift, np.int64).reshape(-1, 3)))
+        edges = whole_numbers(self.edges, np.int64, "the ends of tunnels")
+        shift = whole_numbers(self.shift, np.int64, "the shifts of tunnels")
+        object.__setattr__(self, "edges", frozen(in_rows(edges, 2, "the ends of tunnels").reshape(-1, 2)))
+        object.__setattr__(self, "shift", frozen(in_rows(shift, 3, "the shifts of tunnels").reshape(-1, 3)))
 
     @classmethod
     def from_arrays(cls, pores: PoreSet, edges: ArrayLike, shift: ArrayLike | None = None) -> TunnelGraph:
@@ -53,9 +55,9 @@ class TunnelGraph(Artifact):
         Raises
         ------
         ValueError
-            If an index is out of range.
+            If an index is no whole number or out of range, a tunnel leads from a pore to itself, or two are equal.
         """
-        ends = np.array(edges, np.int64).reshape(-1, 2)
+        ends = in_rows(whole_numbers(np.array(edges), np.int64, "the ends of tunnels"), 2, "the ends of tunnels")
         if len(ends) and not 0 <= ends.min() <= ends.max() < len(pores.centers):
             raise ValueError("a tunnel names a pore that does not exist")
         nearest = -np.round(pores.centers[ends[:, 1]] - pores.centers[ends[:, 0]])
@@ -64,17 +66,33 @@ class TunnelGraph(Artifact):
         return graph
 
     def check(self) -> None:
-        """Indices in range, one shift an edge, connectors pointing from interior to face."""
+        """Indices in range, one shift an edge, no tunnel twice, connectors pointing from interior to face."""
         if self.shift.shape != (len(self.edges), 3):
             raise ValueError(f"{len(self.edges)} tunnels but shifts of shape {self.shift.shape}")
         if len(self.edges) and not 0 <= self.edges.min() <= self.edges.max() < len(self.pores.centers):
             raise ValueError("a tunnel names a pore that does not exist")
+        self._check_distinct()
         if self.pores.blocks is not None:
             return
         a, b = self.pores.piece[self.edges].T
         wrong = (a != b) & ~((a < self.pores.interiors) & (b >= self.pores.interiors))
         if wrong.any():
             raise ValueError("a tunnel between two pieces must lead from an interior pore to a face pore")
+
+    def _check_distinct(self) -> None:
+        """No tunnel without length, and none given twice, be it from the other end."""
+        a, b = self.edges.T
+        s = self.shift
+        loops = np.flatnonzero((a == b) & ~s.any(1))
+        if len(loops):
+            raise ValueError(f"tunnel {loops[0]} leads from pore {a[loops[0]]} to itself")
+        leading = np.where(s[:, 0] != 0, s[:, 0], np.where(s[:, 1] != 0, s[:, 1], s[:, 2]))
+        backward = (a > b) | ((a == b) & (leading < 0))
+        sign = np.where(backward, -1, 1)
+        twins = twin_rows(np.where(backward, b, a), np.where(backward, a, b), *(s * sign[:, None]).T)
+        if twins is not None:
+            first, second = twins
+            raise ValueError(f"tunnels {first} and {second} are one: both join the pores {a[first]} and {b[first]}")
 
     def segments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Start and end points of all tunnels, each (m, 3), cell sizes."""

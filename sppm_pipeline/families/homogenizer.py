@@ -16,10 +16,22 @@ from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.process.budget import require_memory
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Headline, Stage, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved
+
+
+ELASTIC_HEADLINE = (
+    Headline("E", unit="{unit}", error="E_error"),
+    Headline("G", unit="{unit}", error="G_error"),
+    Headline("nu"),
+    Headline("C.1.1", "C11", "{unit}", "error.1.1"),
+    Headline("C.1.2", "C12", "{unit}", "error.1.2"),
+    Headline("C.4.4", "C44", "{unit}", "error.4.4"),
+    Headline("porosity"),
+)
+"""What is shown of an effective stiffness: E along x, y, z, G for yz, xz, xy, nu by pair of axes."""
 
 
 class Cell(NamedTuple):

@@ -16,7 +16,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.fields.slice_stack import Slabs, SliceStack
 from sppm_pipeline.numerics.threads import ordered_map
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Headline, Stage, option
 
 
 class EncodedLayers:
@@ -74,6 +74,9 @@ class LayerWriter(Stage):
     """
 
     advice: ClassVar[str] = "slice with a larger `pixel` or `layer`"
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("layers"), Headline("solid_volume_mm3", "solid volume", "mm^3"), Headline("bytes"),
+    )  # fmt: skip
     suffix: ClassVar[str] = ""  # ends the names of the files that `store` makes in its folder
 
     path: str

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.artifact import whole_numbers
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
@@ -89,6 +90,10 @@ def tiling_size(
     return content.in_box(box, filled, edge_mm=edge, **patches)
 
 
+Laid = tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]
+"""What a tile rule returns: the interiors, and the face colors of each axis; see `Tiler.lay`."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Tiler(Stage):
     """Base of tile rules: implement `lay`; `run` finds the cells that are needed."""
@@ -103,9 +108,7 @@ class Tiler(Stage):
         check_repeats(self.periodic, self.cells)
 
     @abstractmethod
-    def lay(
-        self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
-    ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
+    def lay(self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
         """Choose the content of all cells in `mask`; if `periodic`, so that opposite ends of the box fit together.
 
         Parameters
@@ -136,10 +139,41 @@ class Tiler(Stage):
                 hint=f"use `tile.{KIND_TO_RULE[tileset.kind]}`, or draw the set with another `tileset` stage",
             )
         lattice = lattice_for(self.cell, self.cells, cover, tileset.micro.edge_mm)
-        interior, faces = self.lay(context.rng(), lattice.mask, tileset)
+        interior, faces = checked_lay(self.name, self.lay(context.rng(), lattice.mask, tileset), lattice.mask, tileset)
         if self.periodic and any((np.take(f, 0, axis) != np.take(f, -1, axis)).any() for axis, f in enumerate(faces)):
             raise ConfigError(f"{self.name} does not lay boxes that repeat", hint="use `tile.wang_3color`")
         return Tiling(tileset, TilingArrays(interior, faces, self.periodic), lattice.edge, lattice.origin)
+
+
+def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
+    """What `lay` returned, if it is what it should be.
+
+    Raises
+    ------
+    ValueError
+        If shapes, types or numbers are not those that `Tiler.lay` names; `name` is that of the stage.
+    """
+    from sppm_pipeline.numerics.assembly.contents import TilingArrays, check_tiling
+
+    if not (isinstance(laid, tuple) and len(laid) == 2 and isinstance(laid[1], (tuple, list)) and len(laid[1]) == 3):
+        raise ValueError(f"{name}.lay must return (interior, (faces of x, of y, of z)), got {type(laid).__name__}")
+    interior, *faces = (whole_numbers(part, np.int32, f"what {name}.lay returns") for part in (laid[0], *laid[1]))
+    if interior.shape != mask.shape:
+        raise ValueError(
+            f"{name}.lay must return interiors of the shape of `mask`, {mask.shape}, in the order x, y, z; got "
+            f"{interior.shape}"
+        )
+    try:
+        check_tiling(TilingArrays(interior, (faces[0], faces[1], faces[2]), False), tileset.micro.pieces)
+    except ValueError as error:
+        raise ValueError(f"{name}.lay: {error}") from None
+    if ((interior >= 0) != mask).any():
+        cell = tuple(np.argwhere((interior >= 0) != mask)[0].tolist())
+        raise ValueError(
+            f"{name}.lay must fill the cells of `mask` and no others (-1); cell {cell} is {interior[cell]}, and "
+            f"mask{list(cell)} is {mask[cell]}"
+        )
+    return interior, (faces[0], faces[1], faces[2])
 
 
 def at_porosity(context: Context, tiling: Tiling, porosity: float, resolution: int) -> Tiling:

@@ -90,11 +90,24 @@ class FormulaField(PlacedField):
         def fill(at: tuple[int, int]) -> None:
             k, j = at
             own = values[k : k + layers, j : j + rows]
-            own[...] = self.evaluate(x, y[j : j + rows, None], z[start + k : start + k + own.shape[0], None, None])
+            made: Any = self.evaluate(x, y[j : j + rows, None], z[start + k : start + k + own.shape[0], None, None])
+            own[...] = _checked(made, own.shape)
 
         blocks = [(k, j) for k in range(0, stop - start, layers) for j in range(0, len(y), rows)]
         deque(ordered_map(fill, blocks, threads), maxlen=0)
         return values
+
+
+def _checked(made: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """What `evaluate` returned, which may be as small as what it depends on: (nz, 1, 1) for a function of z."""
+    array = np.asarray(made)
+    fits = array.ndim <= len(shape) and all(a in (1, b) for a, b in zip(array.shape[::-1], shape[::-1], strict=False))
+    if array.dtype.kind not in "if" or not fits:
+        raise ValueError(
+            f"`evaluate` must return numbers of the shape (z, y, x) = {shape}, or one that broadcasts to it; got "
+            f"{array.dtype} {array.shape}"
+        )
+    return array
 
 
 class CellCache:

@@ -69,9 +69,24 @@ class Microstructure(KernelSum):
     exact: bool = False
 
     def check(self) -> None:
-        """The level is a positive number."""
+        """The level is a positive number, and there are kernels of the right shapes for every piece."""
         if not 0 < self.level < np.inf:
             raise ValueError(f"the level must be positive and finite, got {self.level}")
+        pieces, k = self.pieces, self.pieces.kernels
+        if pieces.interiors != self.interiors or pieces.colors < max(self.colors):
+            raise ValueError(
+                f"the kernels are of {pieces.interiors} interiors and {pieces.colors} colors, the pores of "
+                f"{self.interiors} and {max(self.colors)}"
+            )
+        for what, array, shape in (
+            ("pore kernels", k.centers, (len(k.omega), 3)), ("tunnel starts", k.starts, (len(k.mu), 3)),
+            ("tunnel ends", k.ends, (len(k.mu), 3)), ("pore widths", k.omega, (pieces.first_pore[-1],)),
+            ("tunnel widths", k.mu, (pieces.first_tunnel[-1],)),
+        ):  # fmt: skip
+            if array.shape != shape or array.dtype != np.float64:
+                raise ValueError(f"the {what} are {array.dtype} {array.shape}, expected float64 {shape}")
+        if min(k.omega.min(initial=1), k.mu.min(initial=1)) <= 0:
+            raise ValueError("the parameters omega and mu of kernels are positive")
 
     @property
     def cells(self) -> tuple[int, int, int]:

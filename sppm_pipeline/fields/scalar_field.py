@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,26 @@ class ScalarField(Artifact, ABC):
     @property
     @abstractmethod
     def periodic(self) -> bool: ...
+
+    def check(self) -> None:
+        """Cells there are, and a few samples are numbers of the right shape.
+
+        Classes that are known to sample rightly check what they are made of instead.
+        """
+        cells = tuple(self.cells)
+        if len(cells) != 3 or not all(isinstance(n, (int, np.integer)) and n > 0 for n in cells):
+            raise ValueError(f"`cells` of a field are 3 whole numbers above 0, got {cells}")
+        edge: Any = self.edge_mm  # whatever a subclass returns
+        if edge is not None and not 0 < edge < math.inf:
+            raise ValueError(f"`edge_mm` of a field is a length above 0, or None, got {edge}")
+        # no two sides are equal, so that axes in another order show
+        probe = Grid((0.17, 0.23, 0.31), (0.21, 0.13, 0.27), (2, 4, 3))
+        values: Any = self.sample_layers(probe, 0, 3)
+        if not isinstance(values, np.ndarray) or values.shape != (3, 4, 2) or values.dtype != np.float32:
+            got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
+            raise ValueError(f"samples of 2 x 4 x 3 points (x, y, z) are float32 of the shape (3, 4, 2), got {got}")
+        if not np.isfinite(values).all():
+            raise ValueError(f"samples of a field are finite numbers, got {values[~np.isfinite(values)][0]}")
 
     @property
     def edge_mm(self) -> float | None:

@@ -35,6 +35,19 @@ class TileSet(Artifact):
     palette_colors: int
     porosity: tuple[float, ...] = ()
 
+    def check(self) -> None:
+        """Interiors for all combinations of colors where there must be, and porosities between 0 and 1."""
+        self.micro.check()
+        if self.kind == "wang" and self.micro.interiors != self.palette_colors**3:
+            raise ValueError(
+                f"a tile set of {self.palette_colors} colors has {self.palette_colors**3} interiors, one for each "
+                f"combination; got {self.micro.interiors}"
+            )
+        if self.porosity and len(self.porosity) != self.micro.interiors:
+            raise ValueError(f"{self.micro.interiors} interiors, but {len(self.porosity)} porosities")
+        if not all(0 <= porosity <= 1 for porosity in self.porosity):
+            raise ValueError(f"the porosity of an interior is between 0 and 1, got {self.porosity}")
+
     def combinations(self) -> NDArray[np.int32] | None:
         """Rows (interior, six face colors) that may occur, or None if any interior meets any colors.
 

@@ -45,8 +45,32 @@ class Tiling(KernelSum):
     exact: bool = False
 
     def check(self) -> None:
-        """Faces fit the cells, and every interior and color exists."""
+        """Faces fit the cells, every interior and color exists, and interiors only meet colors they were drawn for."""
         check_tiling(self.arrays, self.tileset.micro.pieces)
+        if not (self.edge is None or 0 < self.edge < np.inf) or not np.isfinite(self.origin).all():
+            raise ValueError(f"the edge of a cell is a positive length, its origin a place: {self.edge}, {self.origin}")
+        interior, c = self.arrays.interior, self.tileset.palette_colors
+        own = (interior // c**2, interior // c % c, interior % c) if self.tileset.kind == "wang" else None
+        for axis in np.flatnonzero(self.tileset.micro.colors):
+            for side in range(2):
+                self._check_colors(int(axis), side, own[axis] if own is not None else None)
+
+    def _check_colors(self, axis: int, side: int, own: NDArray[np.int32] | None) -> None:
+        """Each cell has a face, and of the color its interior stands for, `own`; others have no connectors to it."""
+        interior, planes = self.arrays.interior, self.arrays.faces[axis]
+        size = interior.shape[axis]
+        colors = planes[tuple(slice(side, side + size) if a == axis else slice(None) for a in range(3))]
+        wrong = (interior >= 0) & ((colors < 0) if own is None else (colors != own))
+        if not wrong.any():
+            return
+        cell = tuple(np.argwhere(wrong)[0].tolist())
+        face = f"its {('low', 'high')[side]} face of axis {axis}"
+        if own is None:
+            raise ValueError(f"cell {cell} has interior {interior[cell]}, but {face} has no color")
+        raise ValueError(
+            f"cell {cell} has interior {interior[cell]}, which meets color {own[cell]} on {face}, not {colors[cell]}: "
+            f"with c = {self.tileset.palette_colors} colors an interior is (cx c + cy) c + cz"
+        )
 
     @property
     def cells(self) -> tuple[int, int, int]:

@@ -24,6 +24,10 @@ class WrappedField(ScalarField):
 
     base: ScalarField
 
+    def check(self) -> None:
+        """The field it was made from is in order; what is evaluated anew is not sampled for this."""
+        self.base.check()
+
     @property
     def cells(self) -> tuple[int, int, int]:
         return self.base.cells
@@ -81,6 +85,7 @@ class CutField(WrappedField):
 
     def check(self) -> None:
         """The value is a number."""
+        super().check()
         if not np.isfinite(self.value):
             raise ValueError(f"a field is cut at a finite value, got {self.value}")
 

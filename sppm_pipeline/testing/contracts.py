@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,19 @@ from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.data.stiffness import StiffnessReport
+from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.engine.config.options import options_of, parse_typed, plain_option
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.strict_json import json_text, jsonable
+from sppm_pipeline.families.tiler import Tiler, checked_lay
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.plain_context import PlainContext
 
@@ -204,3 +212,173 @@ class SlicerContract(StageContract):
             assert isinstance(stack.pixel_mm, tuple), "the pitch of square pixels is a pair, too"
             assert len(stack.pixel_mm) == 2
             assert min(*stack.pixel_mm, stack.layer_mm) > 0
+
+
+class ConnectorContract(StageContract):
+    """What fields expect of a connector: tunnels between the pores it was given, within pieces and to the faces."""
+
+    connected = True
+    """Whether the pores of a periodic cell must be joined into one."""
+
+    def inputs(self) -> Mapping[str, Any]:
+        """Pores of a periodic cell without any on its faces; replace it for others."""
+        return {"pores": PoreSet(Cell(), np.random.default_rng(3).random((12, 3)), np.zeros(12, np.int32))}
+
+    def test_joins_the_pores_it_was_given(self) -> None:
+        """All of them, unchanged; none stays alone."""
+        for stage in self.stages():
+            graph, _ = self._run(stage)
+            assert isinstance(graph, TunnelGraph)
+            assert graph.pores.digest() == self.inputs()["pores"].digest()
+            assert len(np.unique(graph.edges)) == len(graph.pores.centers), "a pore has no tunnel"
+
+    def test_joins_them_into_one(self) -> None:
+        """Unless the connector declares that it does not."""
+        for stage in self.stages() if self.connected else ():
+            graph, _ = self._run(stage)
+            found = np.arange(len(graph.pores.centers))
+            for _ in found:
+                for a, b in graph.edges:
+                    found[[a, b]] = found[[a, b]].min()
+            assert not found.any(), "the pores fall apart"
+
+    def test_tunnels_to_faces(self) -> None:
+        """From an interior to the face patterns it may meet, on the side where they lie."""
+        rng = np.random.default_rng(4)
+        centers = np.concatenate([0.25 + rng.random((8, 3)) / 2, rng.random((3, 3)) * [0, 1, 1]])
+        pores = PoreSet(Cell(), centers, np.repeat(np.int32([0, 1]), [8, 3]), colors=(1, 0, 0))
+        for stage in self.stages():
+            graph = stage.run(PlainContext(5, palette=Palette(colors=(1, 0, 0))), pores)
+            graph.check()
+            ends = pores.piece[graph.edges]
+            across = ends[:, 0] != ends[:, 1]
+            assert across.any(), "no tunnel leads to the face"
+            assert np.isin(graph.shift[across, 0], (0, 1)).all()
+            assert not graph.shift[across, 1:].any()
+
+
+class FieldContract(StageContract):
+    """What meshing, slicing and homogenization expect of a field."""
+
+    def _fields(self) -> Iterator[ScalarField]:
+        for stage in self.stages():
+            field, _ = self._run(stage)
+            assert isinstance(field, ScalarField)
+            yield field
+
+    def test_has_solid_and_void(self) -> None:
+        """Negative in the solid, positive in the void, with either of them."""
+        for field in self._fields():
+            values = field.sample(12)
+            assert values.min() < 0 < values.max()
+            assert np.array_equal(field.solid(12), values < 0)
+
+    def test_a_sample_depends_on_its_place_alone(self) -> None:
+        """Not on the layers that are asked for, nor on other points, nor on threads."""
+        for field in self._fields():
+            grid = Grid((0.05, 0.03, 0.07), (0.1, 0.15, 0.11), (9, 6, 7))
+            whole = field.sample(grid)
+            assert whole.shape == (7, 6, 9)
+            assert whole.dtype == np.float32
+            parts = [field.sample_layers(grid, start, stop, threads=3) for start, stop in ((0, 2), (2, 3), (3, 7))]
+            assert np.array_equal(np.concatenate(parts), whole)
+            inner = Grid((0.25, 0.33, 0.18), (0.1, 0.15, 0.11), (4, 3, 2))
+            assert np.allclose(field.sample(inner), whole[1:3, 2:5, 2:6], atol=1e-6 * np.abs(whole).max())
+
+    def test_repeats_if_it_says_so(self) -> None:
+        """The next cell of a periodic field is the same."""
+        for field in self._fields():
+            if field.periodic:
+                grid = Grid((0.1, 0.2, 0.3), (0.17, 0.13, 0.11), (4, 5, 6))
+                nx, ny, nz = field.cells
+                moved = Grid((0.1 + nx, 0.2 - ny, 0.3 + 2 * nz), grid.spacing, grid.shape)
+                values = field.sample(grid)
+                assert np.allclose(field.sample(moved), values, atol=1e-5 * np.abs(values).max())
+
+
+class TilerContract(StageContract):
+    """What fields expect of a tile rule."""
+
+    random = True
+    """Whether different seeds must lay different cells."""
+
+    @abstractmethod
+    def tileset(self) -> TileSet:
+        """A tile set of a kind that the rule lays; make it once."""
+
+    def inputs(self) -> Mapping[str, Any]:
+        """The tile set; stages say by `cells` what is laid."""
+        return {"tileset": self.tileset()}
+
+    def test_fills_the_box(self) -> None:
+        """Every cell, with interiors and colors of the set that fit together."""
+        for stage in self.stages():
+            tiling, _ = self._run(stage)
+            assert isinstance(tiling, Tiling)
+            tiling.check()
+            assert tiling.cells == getattr(stage, "cells", tiling.cells)
+            assert (tiling.arrays.interior >= 0).all()
+
+    def test_other_seeds_lay_other_cells(self) -> None:
+        """Unless the rule declares that it is not random."""
+        for stage in self.stages() if self.random else ():
+            a, b = (self._run(stage, seed=seed)[0] for seed in (1, 2))
+            assert a.digest() != b.digest()
+
+    def test_fills_a_part_and_nothing_else(self) -> None:
+        """Of any shape: `lay` gets a mask, and keeps to it."""
+        mask = np.zeros((3, 4, 5), bool)
+        mask[1:, 1:3, 1] = mask[0, 0, 0] = mask[2, 3, 4] = True
+        for stage in self.stages():
+            assert isinstance(stage, Tiler)
+            if not stage.periodic:
+                laid = stage.lay(PlainContext(3).rng(), mask, self.tileset())
+                interior, _ = checked_lay(stage.name, laid, mask, self.tileset())
+                assert np.array_equal(interior >= 0, mask)
+
+
+class WriterContract(StageContract):
+    """What users expect of a stage that writes."""
+
+    def test_writes_where_it_is_told(self) -> None:
+        """The file or folder of the option `path`, with something in it, and nothing else but an overview."""
+        for stage in self.stages():
+            made, context = self._run(stage)
+            assert made is None, "a writer makes nothing"
+            target = context.directory / str(getattr(stage, "path")).rstrip("/")  # noqa: B009 - no stage has to have it
+            assert target.exists()
+            files = [target] if target.is_file() else [file for file in target.rglob("*") if file.is_file()]
+            assert files
+            assert all(file.stat().st_size for file in files)
+
+
+class HomogenizerContract(StageContract):
+    """What is true of an effective stiffness, whatever the method; the port of the stage takes images."""
+
+    port = "source"
+
+    def inputs(self) -> Mapping[str, Any]:
+        """An image with different stiffness along its axes: a solid slab, and a bar through the rest."""
+        solid = np.zeros((6, 6, 6), bool)
+        solid[:, :, :3] = solid[2:4, :, :] = solid[:, 3:, 4:5] = True
+        return {self.port: Voxels.from_array(solid)}
+
+    def test_a_stiffness_between_the_bounds(self) -> None:
+        """Symmetric, without negative energies, between Voigt and Reuss."""
+        for stage in self.stages():
+            report, _ = self._run(stage)
+            assert isinstance(report, StiffnessReport)
+            report.check()
+            assert report.bounds.within
+
+    def test_axes_may_be_renamed(self) -> None:
+        """The stiffness of the turned image is the stiffness with its axes turned."""
+        source = self.inputs()[self.port]
+        turned = Voxels.from_array(np.array(source.values).transpose(1, 2, 0) > 0)
+        normal = [1, 2, 0]
+        order = [*normal, *(3 + i for i in normal)]  # yz, xz, xy are numbered by the axis that they lack
+        for stage in self.stages():
+            first = stage.run(PlainContext(5), **{self.port: source})
+            second = stage.run(PlainContext(5), **{self.port: turned})
+            scale = np.abs(first.stiffness).max()
+            assert np.allclose(second.stiffness, first.stiffness[np.ix_(order, order)], atol=2e-3 * scale)

@@ -126,3 +126,20 @@ def test_errors_for_the_user_pass_as_they_are(install, capsys):
     install({"view": Command("x", configure, refuse)})
     assert main(["view", "x"]) == 3
     assert capsys.readouterr().err == "sppm: too dense\n"
+
+
+def test_editors_find_the_schema_of_a_new_pipeline(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "pipeline", "first"]) == 0
+    first = (tmp_path / "first.yaml").read_text().splitlines()[0]
+    key, _, place = first.partition("$schema=")
+    assert key == "# yaml-language-server: "
+    capsys.readouterr()
+    assert main(["schema"]) == 0
+    assert (tmp_path / place).read_text() == capsys.readouterr().out
+    (tmp_path / place).write_text("{}")
+    assert main(["new", "pipeline", "second"]) == 0
+    assert (tmp_path / place).read_text() == "{}"  # nothing is overwritten but on request
+    assert main(["schema", "-o", place]) == 0
+    assert "sample.dart_throwing" in (tmp_path / place).read_text()
+    assert f"$schema={place}" in capsys.readouterr().out

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.artifact import frozen
+from sppm_pipeline.data.artifact import frozen, twin_rows
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.pores import PoreSet
@@ -48,6 +48,9 @@ def test_pores_are_checked():
         (pores(piece=np.array([0, 1, -1], np.int32)), "does not exist"),
         (pores(piece=np.array([0, 2, 1], np.int32)), "coordinate 0"),
         (pores(centers=np.full((3, 3), np.nan)), "finite"),
+        (pores(centers=np.array([[0.5, 0.5, 1.5], [0, 0.2, 0.3], [0.4, 0, 0.1]])), "lie in the cell.* 0 to 1.5"),
+        (pores(centers=np.full((3, 3), 0.5), piece=np.zeros(3, np.int32)), "pores 0 and 1 of piece 0 are one"),
+        (pores(interiors=0), "a cell has an interior"),
     ]:
         with pytest.raises(ValueError, match=said):
             wrong.check()
@@ -110,3 +113,38 @@ def test_every_noun_has_a_digest_that_follows_its_content(cell, wang, wang_tilin
     wang_tiling.sample(SliceField(resolution=8).run(context, wang_tiling).grid)  # fills caches
     assert part.digest() == before
     assert dataclasses.replace(cell, level=cell.level).digest() == cell.digest()
+
+
+def test_equal_rows_are_found_and_rows_that_differ_in_one_place_are_not():
+    rng = np.random.default_rng(1)
+    many = rng.random((2000, 3))
+    assert twin_rows(*many.T) is None
+    assert twin_rows(*np.array([[0.1, 0.2], [0.2, 0.1], [0.1, 0.1]]).T) is None
+    many[1700] = many[40]
+    assert twin_rows(*many.T) == (40, 1700)
+    assert twin_rows(*many[:, :1].T, np.arange(2000)) is None
+
+
+def test_arrays_that_would_be_taken_apart_in_the_wrong_places_or_cut_off_are_refused():
+    for centers in (np.zeros((3, 5)), np.zeros(6), np.zeros((2, 3, 1))):
+        with pytest.raises(ValueError, match=r"expected \(n, 3\)"):
+            PoreSet(Cell(), centers, np.zeros(len(centers), np.int32))
+    assert PoreSet(Cell(), [], []).centers.shape == (0, 3)
+    with pytest.raises(ValueError, match=r"whole numbers, got 0\.5"):
+        SurfaceMesh(np.zeros((3, 3)), np.full((1, 3), 0.5))
+    with pytest.raises(ValueError, match="got 0 to 4294967296"):
+        pores(piece=np.array([0, 1, 2**32]))
+
+
+def test_a_tunnel_is_listed_once():
+    three = pores(centers=np.array([[0.1, 0.5, 0.5], [0.5, 0.5, 0.5], [0.9, 0.5, 0.5]]), piece=[0] * 3, colors=(0,) * 3)
+    around = [[0, 0, 0], [0, 0, 0], [1, 0, 0], [1, -2, 0], [0, 0, 1]]
+    TunnelGraph(three, [[0, 1], [1, 2], [2, 0], [1, 1], [1, 1]], around).check()
+    for edges, shift, said in [
+        ([[0, 1], [0, 1]], np.zeros((2, 3)), "tunnels 0 and 1 are one: both join the pores 0 and 1"),
+        ([[0, 1], [1, 0]], [[1, 0, 0], [-1, 0, 0]], "are one"),
+        ([[1, 1], [1, 1]], [[1, -2, 0], [-1, 2, 0]], "are one"),
+        ([[0, 1], [2, 2]], np.zeros((2, 3)), "tunnel 1 leads from pore 2 to itself"),
+    ]:
+        with pytest.raises(ValueError, match=said):
+            TunnelGraph(three, edges, shift).check()

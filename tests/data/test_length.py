@@ -34,3 +34,11 @@ def test_fractions():
     assert Cell(7.5, True).fraction(Length(7.5)) == 1.0
     with pytest.raises(ConfigError, match="physical"):
         Cell(2.0).fraction(Length(1, "mm"))
+
+
+def test_units_are_those_of_the_international_system():
+    """1 in is 25.4 mm exactly (international yard and pound agreement, 1959)."""
+    expected = {"um": 0.001, "mm": 1, "cm": 10, "m": 1000, "in": 25.4}
+    assert {unit: parse_length(f"1 {unit}").mm() for unit in expected} == expected
+    assert set(UNITS_IN_MM) == {*expected, "µm"}
+    assert UNITS_IN_MM["µm"] == UNITS_IN_MM["um"]

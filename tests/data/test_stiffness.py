@@ -58,3 +58,21 @@ def test_an_error_bar_is_told_relative_too():
 def test_contradictions_are_refused(stiffness, phases):
     with pytest.raises(ValueError):
         StiffnessReport(stiffness, phases, "x").check()
+
+
+def test_poissons_ratios_of_a_material_that_is_not_the_same_along_all_axes():
+    """nu_xy is the contraction along y when pulled along x: nu_xy / E_x = nu_yx / E_y, with different E_x and E_y."""
+    flexibility = np.diag([1 / 10, 1 / 4, 1 / 2, 1.0, 1.0, 1.0])
+    flexibility[0, 1] = flexibility[1, 0] = -0.3 / 10
+    flexibility[0, 2] = flexibility[2, 0] = -0.2 / 10
+    flexibility[1, 2] = flexibility[2, 1] = -0.1 / 4
+    found = StiffnessReport(np.linalg.inv(flexibility), ((1.0, 20.0, 0.3),), "exact").summary()
+    assert found["E"] == pytest.approx([10, 4, 2])
+    expected = {"xy": 0.3, "xz": 0.2, "yz": 0.1, "yx": 0.3 * 4 / 10, "zx": 0.2 * 2 / 10, "zy": 0.1 * 2 / 4}
+    assert found["nu"] == pytest.approx(expected)
+
+
+def test_error_bars_of_moduli_follow_those_of_the_matrix():
+    report = StiffnessReport(isotropic(2.0, 0.3), SOLID, "voxels", error=0.01 * isotropic(2.0, 0.3))
+    assert report.summary()["E_error"] == pytest.approx([0.02] * 3)
+    assert report.summary()["G_error"] == pytest.approx([0.01 * 2 / 2.6] * 3)

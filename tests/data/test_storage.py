@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +15,7 @@ from hypothesis.extra import numpy as arrays
 
 from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Cell, Length
+from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.storage import DamagedError, NotStorable, load_value, save_value, stored_bytes
 from sppm_pipeline.data.table import Table
@@ -176,3 +178,16 @@ def test_only_classes_of_values_are_built(tmp_path):
         forged = file._replace(bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
         with pytest.raises(DamagedError, match="put together"):
             load_value(folder, {forged.name: forged})
+
+
+def test_a_durable_value_is_synced_file_by_file(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append(os.fstat(descriptor).st_ino))
+    mesh = SurfaceMesh(np.eye(3), np.array([[0, 1, 2]]))
+    for durable in (False, True):
+        folder = tmp_path / str(durable)
+        folder.mkdir()
+        save_value(mesh, folder, durable=durable)
+        files = sorted(file.stat().st_ino for file in folder.iterdir())
+        assert files
+        assert sorted(synced) == (files if durable else [])

@@ -216,6 +216,13 @@ RUNS = {
         "return PoreSet(cell=Cell(1.0), centers=points, piece=np.full(3, 7, np.int32), interiors=1)",
         "contradicts itself",
     ),
+    "beside the cell": ("points += 1", "pore centers lie in the cell, from 0 to 1 (cell sizes), got 1.0"),
+    "twins": ("points[2] = points[0]", "pores 0 and 2 of piece 0 are one: both lie at (0."),
+    "turned": ("points = points.T[:, :2]", "pore centers have the shape (3, 2), expected (n, 3)"),
+    "halves for numbers": (
+        "return PoreSet(cell=Cell(1.0), centers=points, piece=np.full(3, 0.5), interiors=1)",
+        "the pieces of pores are whole numbers, got 0.5",
+    ),
     "recursion": ("def f(): f()\nf()", "raised RecursionError"),
     "an output not written": ("context.output('x')", "announced but not written"),
     "a report that is no JSON": ("context.report(x=object())", "raised"),

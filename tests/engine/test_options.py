@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.engine.config.document import as_node
-from sppm_pipeline.engine.config.options import allowed_words, options_of, parse_typed, plain_option, type_words
+from sppm_pipeline.engine.config.options import (
+    allowed_words,
+    hint_of,
+    options_of,
+    parse_typed,
+    plain_option,
+    type_words,
+)
 from sppm_pipeline.errors import PluginError, Position
 from sppm_pipeline.stage import Stage, option
 from sppm_pipeline.testing.synthetic import Text, Varied
@@ -251,3 +258,22 @@ def test_options_that_break_the_contract(cls, words):
 def test_plain_values_become_nodes():
     node = as_node({"a": [1, "x"]}, Position("f", 1, 1))
     assert node.value["a"].node.value[1].value == "x"
+
+
+def test_for_no_value_null_is_named():
+    @dataclass(frozen=True, kw_only=True)
+    class Sized(Stage):
+        """A stage."""
+
+        name: ClassVar[str] = "read.sized"
+        height: float | None = option(None, help="size along z")
+        word: float = option(1.0, help="a factor")
+
+        def run(self, context):
+            raise NotImplementedError
+
+    declared = options_of(Sized)
+    assert "write null" in hint_of(declared["height"], "none")
+    assert hint_of(declared["height"], "tall") == "size along z"
+    assert hint_of(declared["word"], "none") == "a factor"
+    assert parse_typed(declared["height"], None, Path()) is None

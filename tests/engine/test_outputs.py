@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from sppm_pipeline.engine.files import digest_of, write_whole
+from sppm_pipeline.engine.files import digest_of, sync, write_whole
 from sppm_pipeline.engine.run.outputs import RunFolder
 from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
@@ -206,3 +206,32 @@ def test_text_files_are_whole_or_absent(tmp_path, monkeypatch):
         write_whole(path, "new")
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["a.json"]
+
+
+@pytest.mark.parametrize("durable", [True, False])
+def test_a_durable_file_is_on_the_disk_before_it_gets_its_name(tmp_path, monkeypatch, durable):
+    """Otherwise the name may outlive the content when the machine stops."""
+    done, fsync, rename = [], os.fsync, os.replace
+
+    def synced(descriptor):
+        done.append(("sync", os.fstat(descriptor).st_ino, os.fstat(descriptor).st_size))
+        fsync(descriptor)
+
+    def replaced(source, target):
+        done.append(("rename", os.stat(source).st_ino, os.stat(source).st_size))
+        rename(source, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", replaced)
+    write_whole(tmp_path / "a.json", "content", durable=durable)
+    found = (tmp_path / "a.json").stat()
+    steps = ["sync", "rename"] if durable else ["rename"]
+    assert done == [(step, found.st_ino, len("content")) for step in steps]
+
+
+def test_files_of_a_run_are_synced(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append(os.fstat(descriptor).st_ino))
+    (tmp_path / "a").write_bytes(b"a")
+    sync(tmp_path / "a")
+    assert synced == [(tmp_path / "a").stat().st_ino]

@@ -167,7 +167,8 @@ def parse_options(
             values[name] = parse_typed(declared[name], plain(entry.node), folder(entry.node.where))
         except ValueError as error:
             complete = False
-            problems.report(f"option {name!r}: {error}", entry.node.where, hint=declared[name].spec.help, stage=stage)
+            hint = hint_of(declared[name], entry.node.value)
+            problems.report(f"option {name!r}: {error}", entry.node.where, hint=hint, stage=stage)
     for option in declared.values():
         if option.required and option.name not in given:
             complete = False
@@ -328,6 +329,17 @@ def _member_words(kind: Any, plural: bool) -> str:
     if len(set(elements)) == 1:
         return f"{artifact} of {len(elements)} {type_words(elements[0], plural=True)}"
     return f"{artifact} of {', '.join(type_words(element) for element in elements)}"
+
+
+def hint_of(option: Option, value: Any) -> str:
+    """What to do about a value that was refused: how nothing is written, if that was meant, else what the option is."""
+    if (
+        isinstance(value, str)
+        and value.lower() in ("none", "nothing", "nil", "~")
+        and types.NoneType in _members(option.kind)
+    ):
+        return "for no value write null, or leave the option out"
+    return option.spec.help
 
 
 def allowed_words(option: Option) -> str:

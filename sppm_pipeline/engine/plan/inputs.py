@@ -36,14 +36,14 @@ def missing_inputs(plan: Plan, until: str | None = None) -> Iterator[ConfigError
     for step in used:
         for option, value in _values(step):
             if isinstance(value, Path) and not value.exists():
-                yield _error(
-                    step,
-                    option,
-                    f"there is no file or folder {str(value)!r}",
-                    did_you_mean(value.name, [path.name for path in value.parent.iterdir()])
-                    if value.parent.is_dir()
-                    else f"there is no folder {str(value.parent)!r} either; paths start from the folder of the file",
-                )
+                yield _error(step, option, f"there is no file or folder {str(value)!r}", _near(value))
+
+
+def _near(path: Path) -> str | None:
+    """What may have been meant by a path that is not there."""
+    if not path.parent.is_dir():
+        return f"there is no folder {str(path.parent)!r} either; paths start from the folder of the file"
+    return did_you_mean(path.name, [other.name for other in path.parent.iterdir() if other.suffix == path.suffix])
 
 
 def impossible_columns(plan: Plan, parameters: tuple[str, ...]) -> Iterator[ConfigError]:

@@ -142,8 +142,8 @@ MAXIMUM_ROWS = 50
 """Rows of a sweep that are estimated; of more, evenly spread ones stand for all."""
 
 
-def checked(session: Session, until: str | None = None) -> tuple[Plan, Sequence[Row]]:
-    """The plan and the rows of its sweep, none if there is no sweep.
+def checked(session: Session, until: str | None = None, *, inputs: bool = True) -> tuple[Plan, Sequence[Row]]:
+    """The plan and the rows of its sweep, none if there is no sweep; unless `inputs` is False, input files are there.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def checked(session: Session, until: str | None = None) -> tuple[Plan, Sequence[
     try:
         plan = session.plan()
         check_until(plan, until)
-        for missing in missing_inputs(plan, until):
+        for missing in missing_inputs(plan, until) if inputs else ():
             problems.add(missing)
     except ConfigError as error:
         problems.add(error)
@@ -164,7 +164,7 @@ def checked(session: Session, until: str | None = None) -> tuple[Plan, Sequence[
         try:
             rows = sweep_rows(session.configuration.sweep, session.configuration.params)
             if plan is not None:
-                check_sweep(session, rows, until)
+                check_sweep(session, rows, until, inputs=inputs)
                 for impossible in impossible_columns(plan, tuple(rows[0])):
                     problems.add(impossible)
         except ConfigError as error:
@@ -206,7 +206,7 @@ def check_until(plan: Plan, until: str | None) -> None:
         raise ConfigError(f"--until: the pipeline has no stage {until!r}", hint=did_you_mean(until, ids))
 
 
-def check_sweep(session: Session, rows: Sequence[Row], until: str | None = None) -> None:
+def check_sweep(session: Session, rows: Sequence[Row], until: str | None = None, *, inputs: bool = True) -> None:
     """Plan with every value that occurs, so that a bad one is found before any work.
 
     In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
@@ -221,7 +221,8 @@ def check_sweep(session: Session, rows: Sequence[Row], until: str | None = None)
         rows = [*rows[: -1 : -(-len(rows) // MAX_CHECKED)], rows[-1]]
     for row in rows:
         try:
-            for missing in missing_inputs(session.plan(row), until):
+            plan = session.plan(row)
+            for missing in missing_inputs(plan, until) if inputs else ():
                 problems.add(missing)
         except ConfigError as error:
             problems.add(error)

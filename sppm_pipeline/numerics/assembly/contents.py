@@ -184,15 +184,22 @@ def lone_periodic_cell(interior: int = 0, colors: tuple[int, int, int] = (0, 0, 
 
 
 def check_tiling(tiling: TilingArrays, pieces: Pieces | None = None) -> None:
-    """Check shapes, and with `pieces` that every interior and color exists.
+    """Check shapes and types, and with `pieces` that every interior and color exists.
 
     Raises
     ------
     ValueError
-        If a shape is wrong, the first and last plane of faces of a periodic tiling differ, or a number names no
+        If a shape or type is wrong, the first and last plane of faces of a periodic tiling differ, or a number names no
         piece.
     """
     shape = tiling.interior.shape
+    if len(shape) != 3 or len(tiling.faces) != 3:
+        raise ValueError(f"a tiling has cells along 3 axes and faces of 3 axes, got {shape} and {len(tiling.faces)}")
+    for what, numbers in (("interiors", tiling.interior), *((f"faces of axis {a}", tiling.faces[a]) for a in range(3))):
+        if numbers.dtype != np.int32:
+            raise ValueError(f"the {what} are {numbers.dtype}, expected int32")
+        if numbers.min(initial=-1) < -1:
+            raise ValueError(f"the {what} are numbered from 0, and -1 where there is none, got {numbers.min()}")
     if tiling.halo < 0 or min(tiling.shape) < 1 or (tiling.periodic and tiling.halo):
         raise ValueError(f"a box of {shape} cells, periodic: {tiling.periodic}, has no halo of {tiling.halo}")
     for axis, faces in enumerate(tiling.faces):

@@ -42,12 +42,13 @@ class ImplicitFill(Stage):
 
     def run(self, context: Context, field: ScalarField, domain: SurfaceMesh) -> Part:
         """Put the two together."""
-        edge, extent = field.physical_edge(), domain.upper - domain.lower
+        edge = field.physical_edge()
+        domain, method = outward_mesh(context, domain, self.inside)
+        extent = domain.upper - domain.lower
         if extent.max() < FEWEST_CELLS * edge:
             context.warn(
                 f"{domain.name} is {' x '.join(f'{side:.4g}' for side in extent)} mm in size, less than {FEWEST_CELLS} "
                 f"cells of {edge:g} mm; if its file is in inches, `unit: in` of `read.mesh` makes it "
                 f"{' x '.join(f'{25.4 * side:.4g}' for side in extent)} mm"
             )
-        domain, method = outward_mesh(context, domain, self.inside)
         return Part(field, domain, self.skin.mm() if self.skin else 0.0, self.islands, method)

@@ -15,7 +15,7 @@ from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.homogenizer import Cell, Homogenizer
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline.stage import Context, Headline, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +28,10 @@ class HomogenizeConductivity(Homogenizer):
     """
 
     name: ClassVar[str] = "homogenize.conductivity"
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("k.1.1", "k11"), Headline("k.2.2", "k22"), Headline("k.3.3", "k33"),
+        Headline("tortuosity"), Headline("porosity"),
+    )  # fmt: skip
     of: str = option("solid", help="which phase conducts", choices=("solid", "void"))
     bulk: float | tuple[float, ...] = option(
         1.0, help="conductivity of that phase, or of each phase of the solid from 1 on", above=0, maximum=1e15

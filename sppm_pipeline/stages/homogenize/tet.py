@@ -13,7 +13,8 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.families import options
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE
+from sppm_pipeline.stage import Context, Headline, Stage, option
 
 MATCHED_TOLERANCE = 1e-6
 
@@ -31,6 +32,7 @@ class HomogenizeTet(Stage):
     """
 
     name: ClassVar[str] = "homogenize.tet"
+    headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
     advice: ClassVar[str] = "mesh with a lower `resolution`, or with `order: 1`"
 
     young: float | tuple[float, ...] = options.young(1.0, note="or of each material of the mesh")

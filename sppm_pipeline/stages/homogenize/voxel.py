@@ -14,9 +14,9 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.homogenizer import Cell, Homogenizer
+from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Cell, Homogenizer
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline.stage import Context, Headline, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +144,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.voxel"
+    headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
 
     grids: int = option(
         1, help="grids over which the error is estimated, for fields; 1 for no estimate", minimum=1, maximum=3

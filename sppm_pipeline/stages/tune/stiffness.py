@@ -13,7 +13,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.homogenization.stiffness.surrogate import parameter_for
-from sppm_pipeline.stage import Context, Recipe, option
+from sppm_pipeline.stage import Context, Headline, Recipe, option
 from sppm_pipeline.stages.homogenize.voxel import ElasticHomogenizer
 
 
@@ -26,9 +26,16 @@ class TuneStiffness(ElasticHomogenizer):
     another. A few values are homogenized first; a monotone curve through the logarithms of the moduli then proposes the
     next one, which is homogenized in turn, until the real modulus is within the tolerance of the target. All trials use
     the same random numbers, so that they differ by that option alone.
+
+    The target is met on the grid of `resolution`; a last homogenization on a grid coarser by a third tells how far that
+    is from the limit of fine grids: `modulus_grid_error` in the summary, with a warning if it exceeds `accuracy`.
     """
 
     name: ClassVar[str] = "tune.stiffness"
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("modulus", error="modulus_grid_error"), Headline("modulus_extrapolated", "on fine grids"),
+        Headline("value"), Headline("homogenizations"),
+    )  # fmt: skip
 
     target: float = options.target(note="Young's modulus, in the unit of `young`", maximum=1e15)
     modulus: str = option(
@@ -51,7 +58,8 @@ class TuneStiffness(ElasticHomogenizer):
         """The first trials, and the two that usually follow; the porosity that is found is not known beforehand."""
         trials = self.first + 2
         made = recipe(palette, trials)
-        return replace(self.solving(made, self.resolution, trials), design=made.design)
+        # the grid coarser by a third, which tells the error, has 0.3 of the voxels
+        return replace(self.solving(made, self.resolution, trials + 0.3), design=made.design)
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Sample, propose, correct."""
@@ -62,9 +70,7 @@ class TuneStiffness(ElasticHomogenizer):
             made = recipe.run(context, palette=context.palette, options={stage: {varied: value}})
             if not isinstance(made, ScalarField):
                 raise ConfigError(f"the recipe {recipe.name!r} makes a {type(made).__name__}, no field")
-            summary = self.stiffness_of(context, made).summary()
-            axis = "xyz".find(self.modulus)
-            modulus = float(summary["E"][axis] if axis >= 0 else summary["isotropic"]["E"])
+            modulus = self._modulus(context, made, self.resolution)
             trials[value] = (modulus, made)
             context.progress(len(trials), self.evaluations, "homogenizations")
             return modulus
@@ -88,15 +94,41 @@ class TuneStiffness(ElasticHomogenizer):
             if room <= 1e-12 * max(abs(low), abs(high)):
                 raise self._missed(f"as the modulus jumps at {varied} = {guess:g}", best, trials)
             modulus_at(min(max(guess, low + room), high - room))
+        on_grid = self._grid_error(context, *trials[best])
         context.report(
             varied=f"{stage}.{varied}",
             value=best,
             modulus=trials[best][0],
             modulus_error=error,
+            **on_grid,
             homogenizations=len(trials),
             curve=[[value, trials[value][0]] for value in sorted(trials)],
         )
         return trials[best][1]
+
+    def _modulus(self, context: Context, made: ScalarField, resolution: int) -> float:
+        """The modulus that is tuned, of a field on a grid."""
+        summary = replace(self, resolution=resolution).stiffness_of(context, made).summary()
+        axis = "xyz".find(self.modulus)
+        return float(summary["E"][axis] if axis >= 0 else summary["isotropic"]["E"])
+
+    def _grid_error(self, context: Context, modulus: float, made: ScalarField) -> dict[str, float]:
+        """What a grid coarser by a third tells of the result: error bar and limit of fine grids (Richardson)."""
+        from sppm_pipeline.numerics.homogenization.stiffness.convergence import richardson
+
+        coarse = max(2, round(self.resolution * 2 / 3))
+        if coarse == self.resolution:
+            return {}
+        values = [np.array([self._modulus(context, made, coarse)]), np.array([modulus])]
+        limit = richardson([1 / coarse, 1 / self.resolution], values)
+        error, extrapolated = float(limit.error[0]), float(limit.value[0])
+        if error > self.accuracy * self.target:
+            context.warn(
+                f"the modulus {modulus:.4g} is that of a grid of {self.resolution} voxels along the edge, whose error "
+                f"bar is {error:.2g}, more than `accuracy` allows; finer grids tend to {extrapolated:.4g}: raise "
+                "`resolution`"
+            )
+        return {"modulus_grid_error": error, "modulus_extrapolated": extrapolated}
 
     def _varied(self, recipe: Recipe) -> tuple[str, str]:
         options = recipe.options()

@@ -38,9 +38,7 @@ class WriteChart(Stage):
     error: str = option("", help="column with half lengths of the error bars of points; none if empty", column=True)
     group: str = option("", help="column by whose values the rows are told apart by color; none if empty", column=True)
     family: str = option("", help="text at which a value of `group` ends; the whole value if empty")
-    bound: str = option(
-        "", help="column that is drawn as a dashed line, a bound for instance; none if empty", column=True
-    )
+    bound: str = option("", help="column that is drawn as a dashed line, say of a bound; none if empty", column=True)
     line: bool = option(False, help="draw the least-squares line through all points and report it")
     log_x: bool = option(False, help="logarithmic horizontal axis; values that are not positive are left out")
     log_y: bool = option(False, help="logarithmic vertical axis; values that are not positive are left out")

@@ -1,5 +1,7 @@
 """Tile sets and rules: colors match, masks are respected, porosity is on target, less and less repeats."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -293,3 +295,35 @@ def test_boxes_that_repeat(rule, sets):
     assert not once.periodic
     with pytest.raises(ConfigError, match="box of cells"):
         RULES[rule](periodic=True).check_options()
+
+
+WRONG_RULES = {
+    "99 where there are 8": (lambda interior, faces: (np.full_like(interior, 99), faces), "interior 99, of 8"),
+    "turned": (lambda interior, faces: (interior.T, faces), r"shape of `mask`, \(2, 3, 4\), .* got \(4, 3, 2\)"),
+    "faces turned": (lambda interior, faces: (interior, faces[::-1]), "faces of axis 0 have the shape"),
+    "halves": (lambda interior, faces: (interior + 0.5, faces), "whole numbers"),
+    "one face short": (lambda interior, faces: (interior, faces[:2]), "must return"),
+    "not filled": (lambda interior, faces: (np.full_like(interior, -1), faces), r"cell \(0, 0, 0\) is -1"),
+    "below -1": (lambda interior, faces: (interior, (faces[0] - 3, *faces[1:])), "-1 where there is none"),
+    "of other colors": (lambda interior, faces: (7 - interior, faces), "which meets color"),
+}
+
+
+@pytest.mark.parametrize("how", WRONG_RULES)
+def test_a_rule_that_lays_nonsense_is_told_what_was_expected(wang, how):
+    spoil, said = WRONG_RULES[how]
+
+    class Spoiled(WangTiling):
+        def lay(self, rng, mask, tileset):
+            return spoil(*super().lay(rng, mask, tileset))
+
+    with pytest.raises(ValueError, match=said):
+        Spoiled(cells=(2, 3, 4)).run(PlainContext(1), wang, None).check()
+
+
+def test_a_cell_without_a_face_is_found(sets):
+    tiling = FreeFacesTiling(cells=(2, 2, 2)).run(PlainContext(1), sets["free"], None)
+    faces = [colors.copy() for colors in tiling.arrays.faces]
+    faces[1][1, 2, 0] = -1
+    with pytest.raises(ValueError, match=r"cell \(1, 1, 0\) has interior \d, but its high face of axis 1 has no color"):
+        replace(tiling, arrays=tiling.arrays._replace(faces=tuple(faces))).check()
