@@ -140,6 +140,21 @@ def test_scattered_part(run_yaml, summary):
     assert "part.png" in outputs(folder)
 
 
+def test_how_random(run_yaml, tmp_path):
+    path = reduced("how_random.yaml", tmp_path, seeds=("seed: {from: 1, to: 5}", "seed: [1]"))
+    _, folder = run_yaml(
+        path,
+        p=["cells=[3, 3, 3]", "voxels=8"],
+        s=[f"{stage}.resolution=12" for stage in ("paper_set", "wang_set", "free_set", "corner_set", "fresh_cells")],
+    )
+    (row,) = json.loads((folder / "sweep.json").read_text())
+    assert row["status"] == "done"
+    assert row["repeated.bragg_share"] == pytest.approx(1, abs=1e-3)
+    assert min(row["paper.folded_corner"], row["paper.folded_edge"]) > 0.4
+    assert row["scattered.bragg_share"] < row["fresh.bragg_share"] < row["wang.bragg_share"]
+    assert {f"{name}.png" for name in ("paper", "wang", "scattered")} <= {Path(p).name for p in outputs(folder)}
+
+
 def test_tileset_27(run_yaml, summary):
     record, folder = run_yaml(
         CONFIGS / "tileset_27.yaml",
