@@ -166,6 +166,29 @@ def test_walls_are_as_stiff_as_the_gyroid(tmp_path):
     assert rows["stiff"]["elastic.deviation_invariant"] < 0.03 < rows["paper"]["elastic.deviation_invariant"]
 
 
+def test_stiffest(tmp_path):
+    """Walls beside tunnels, on a coarse grid."""
+    rows = run(
+        "stiffest.yaml", tmp_path, "{structure: [walls_hyper_mbdst_20, tunnels_hyper_mbdst_20]}",
+        "-p", "resolution=20", "-s", "tuned.resolution=32", "-s", "tuned.tolerance=0.01",
+    )  # fmt: skip
+    young = {name: row["elastic.isotropic.E"] for name, row in rows.items()}
+    assert young["walls_hyper_mbdst_20"] > young["tunnels_hyper_mbdst_20"] > 0
+    assert all(young[name] < row["elastic.bounds.hashin_shtrikman_young.2"] for name, row in rows.items())
+    for name in ("stiffest.png", "permeable.png", "stiffest.md"):
+        assert (tmp_path / "run" / name).stat().st_size > 0
+
+
+def test_stiffest_grid(tmp_path):
+    rows = run(
+        "stiffest_grid.yaml", tmp_path, "{structure: [walls, tunnels], resolution: [20], seed: [1]}",
+        "-s", "tuned.resolution=32", "-s", "tuned.tolerance=0.01",
+    )  # fmt: skip
+    assert rows["walls"]["elastic.isotropic.E"] > rows["tunnels"]["elastic.isotropic.E"] > 0
+    for name in ("grid.png", "grid.md"):
+        assert (tmp_path / "run" / name).stat().st_size > 0
+
+
 def test_all_structures_are_compared():
     session = open_session(RunRequest(str(ROOT / "configs" / "compare_structures.yaml"), ("sppm_pipeline.stages",), ()))
     listed = [node.value for node in session.configuration.sweep.value["structure"].node.value]
