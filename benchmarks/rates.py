@@ -82,6 +82,14 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         SIZES,
     ),
+    "walls": (
+        """pipeline:
+  - {stage: sample.dart_throwing, total: $n}
+  - {stage: connect.mst}
+  - {stage: field.walls}
+""",
+        {"n": (100, 100, 1000, 5000)},
+    ),
     "checks": (
         "pipeline:" + CELL + """
   - {stage: check.porosity, resolution: $r}

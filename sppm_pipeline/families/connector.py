@@ -73,11 +73,12 @@ class Cloud(NamedTuple):
 
 
 WINDOW_PORES = 3000
-"""Most pores, about, that `Connector.join_cloud` hands to `join` at a time, margin included."""
+"""Most pores, about, that `Connector.join_cloud` hands to `join` at a time, margin included: a choice, as the time that
+a `join` takes may grow with the square of their number."""
 
 WINDOW_MARGIN = 3.0
-"""Width of the margin in mean distances of pores. In dense random packings no edge of a relative neighborhood or of the
-six nearest is longer than two, so that both ends see all that decides about it."""
+"""Width of the margin in mean distances of pores, a choice: for a short edge both ends shall see all that decides about
+it. Edges of relative neighbors are at most 2.3 long in random packings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +114,8 @@ class Connector(Stage):
         edges : (m, 2) int64
             Pairs i < j of indices into ``cloud.points``, sorted.
         shifts : (m, 3) int64
-            Whole cells by which the second end is moved: multiples of the lattice along periodic axes, else zero.
+            Whole cells by which the second end is moved: multiples of the lattice along periodic axes, else zero. Both
+            arrays are handed over: the caller may write to them.
 
         Raises
         ------

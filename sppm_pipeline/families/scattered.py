@@ -132,9 +132,10 @@ def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGrap
         points[:, axis] += corners[axis][pores.piece]
     periodic = (blocks.periodic,) * 3
     cloud = Cloud(points, _first_of_blocks(pores.piece, blocks), blocks.shape, periodic, pores.cell)
-    edges, turns = connector.join_cloud(context, cloud)
+    edges, shift = connector.join_cloud(context, cloud)
+    del cloud, points
     first, second = (pores.piece[edges[:, end]] for end in range(2))
-    shift = np.array(turns, np.int64)
+    shift = np.require(shift, np.int64, "W")
     for axis in range(3):
         shift[:, axis] += corners[axis][second]
         shift[:, axis] -= corners[axis][first]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.interpolation import BEFORE, TAPS, Taps, interpolate_layer, stretch, taps_at, whole_lanes
+from sppm_pipeline.numerics.interpolation import BEFORE, BLOCK, TAPS, Band, band_of, interpolate_layer, stretch, taps_at
 
 if TYPE_CHECKING:
     from sppm_pipeline.fields.kernel_sum import KernelSum, Patches
@@ -59,7 +59,7 @@ class FineSampler:
         self.of = grid, per_cell
         self._n = per_cell
         self._taps = [taps_at(grid.axis(axis) * per_cell) for axis in range(3)]
-        self._lanes = whole_lanes(self._taps[0])
+        self._band = band_of(self._taps[0])
         self._window = [range(int(taps.first[0]), int(taps.first[-1]) + TAPS) for taps in self._taps]
         self._spans = [
             _spans(window, per_cell, cells, field.periodic)
@@ -122,7 +122,7 @@ class FineSampler:
         for c in range((low + MARGIN) // self._height, (high + MARGIN) // self._height + 1):
             first = c * self._height - MARGIN
             planes = range(max(first, z.start), min(first + self._height, z.stop))
-            chunks[c] = self._chunks.get(c) or _Chunk(planes, x, y, self._lanes)
+            chunks[c] = self._chunks.get(c) or _Chunk(planes, x, y, self._band)
         self._chunks = chunks
         if (patches := field.patches(self._n, 0.0, threads)) is not None:
             for chunk in chunks.values():
@@ -156,9 +156,9 @@ class FineSampler:
 class _Chunk:
     """Consecutive coarse planes, stretched along x; the kernels are summed where they are needed."""
 
-    def __init__(self, planes: range, x: range, y: range, taps: Taps) -> None:
-        self.planes, self.x, self.y, self.taps = planes, x, y, taps
-        self.stretched = np.zeros((len(planes), len(y), len(taps.first)), np.float32)
+    def __init__(self, planes: range, x: range, y: range, band: Band) -> None:
+        self.planes, self.x, self.y, self.band = planes, x, y, band
+        self.stretched = np.zeros((len(planes), len(y), len(band.first) * BLOCK), np.float32)
         self.done: set[tuple[int, int]] = set()
         self._sums = np.zeros((0, 0, 0), np.float32)
 
@@ -204,7 +204,7 @@ class _Chunk:
 
     def _stretch(self, sums: NDArray[np.float32], rows: range, threads: int) -> None:
         def work(some: slice) -> None:
-            stretch(sums[some], self.taps, rows, self.stretched[some])
+            stretch(sums[some], self.band, rows, self.stretched[some])
 
         cuts = [len(self.planes) * part // threads for part in range(threads + 1)]
         _in_threads(work, [slice(*ends) for ends in pairwise(cuts)], threads)

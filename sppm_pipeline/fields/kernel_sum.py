@@ -11,12 +11,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.fields.fine_sampler import FineSampler
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid, sample_one_period
-from sppm_pipeline.numerics.interpolation import TAPS
 
 if TYPE_CHECKING:
+    from sppm_pipeline.fields.fine_sampler import FineSampler
     from sppm_pipeline.numerics.assembly.contents import TilingArrays
     from sppm_pipeline.numerics.assembly.patches import PatchBank
 
@@ -141,6 +140,9 @@ class KernelSum(ScalarField):
         pitch = self.coarse_pitch
         if pitch is None or 0 in grid.shape:
             return None
+        from sppm_pipeline.fields.fine_sampler import FineSampler
+        from sppm_pipeline.numerics.interpolation import TAPS
+
         n = max(2, math.ceil(1.0 / pitch - 1e-9))
         share = math.prod(min(TAPS, spacing * n) for spacing in grid.spacing)
         if share > PAYING_SHARE and (share > PAYING_SHARE_OF_PATCHES or self.patches(n, 0.0, threads) is None):

@@ -24,10 +24,9 @@ TAPS, BEFORE = 6, 3
 # differ in the last bits of a float64, because they are counted from another origin, are then equal.
 _GRAIN = 2.0**-20
 
-#: Rows that are stretched at a time, one a lane, and samples of a block of a row.
-LANES = 16
-_LANES = np.uint64(LANES)
-_SHIFT = np.uint64(4)
+#: Fine samples of a block of a row.
+BLOCK = 16
+_BLOCK = np.uint64(BLOCK)
 
 # Coarse rows of a layer that are kept while the rows between them are computed: at least as many as there are taps.
 _KEPT = 8
@@ -61,32 +60,53 @@ def taps_at(positions: NDArray[np.float64]) -> Taps:
     return Taps(whole.astype(np.int64) - (BEFORE - 1), weights.astype(np.float32))
 
 
-def whole_lanes(taps: Taps) -> Taps:
-    """Taps for `stretch`: counted from the first coarse sample, the last one repeated to fill the lanes."""
-    more = -len(taps.first) % LANES
-    return Taps(
-        np.pad(taps.first - taps.first[0], (0, more), mode="edge"),
-        np.pad(taps.weights, ((0, more), (0, 0)), mode="edge"),
-    )
+class Band(NamedTuple):
+    """Weights for `stretch`: each block of fine samples from the coarse ones that any of them is interpolated from.
+
+    Attributes
+    ----------
+    first : (blocks, parts) uint64
+        The first of six consecutive coarse samples, counted from the first of all.
+    weights : (blocks, parts, 6, BLOCK) float32
+        Their weights, zero for those that are no taps of a sample.
+    """
+
+    first: NDArray[np.uint64]
+    weights: NDArray[np.float32]
 
 
-def stretch(coarse: NDArray[np.float32], taps: Taps, rows: range, out: NDArray[np.float32]) -> None:
+def band_of(taps: Taps) -> Band:
+    """The weights of `taps` block by block; the last sample is repeated to fill the last block."""
+    more = -len(taps.first) % BLOCK
+    first = np.pad(taps.first - taps.first[0], (0, more), mode="edge").reshape(-1, BLOCK)
+    weights = np.pad(taps.weights, ((0, more), (0, 0)), mode="edge").reshape(-1, BLOCK, TAPS)
+    parts = -(-int((first[:, -1] - first[:, 0]).max() + TAPS) // TAPS)
+    place = first[:, :1] + TAPS * np.arange(parts)
+    # parts beyond the last coarse sample overlap the one before; what that has counted is not counted again
+    start = np.minimum(place, first[-1, -1])
+    column = start[:, :, None] + np.arange(TAPS)
+    tap = column[:, :, :, None] - first[:, None, None, :]
+    found = np.take_along_axis(weights.transpose(0, 2, 1)[:, None], np.clip(tap, 0, TAPS - 1), axis=2)
+    counts = (tap >= 0) & (tap < TAPS) & (column >= place[:, :, None])[..., None]
+    return Band(start.astype(np.uint64), np.where(counts, found, np.float32(0)))
+
+
+def stretch(coarse: NDArray[np.float32], band: Band, rows: range, out: NDArray[np.float32]) -> None:
     """Interpolate rows of coarse planes along x.
 
     Parameters
     ----------
     coarse : (n, cy, cx) float32, C-contiguous
         Planes; column 0 is the first coarse sample of the first tap.
-    taps : Taps
-        Of the fine samples along x, as `whole_lanes` makes them.
+    band : Band
+        Of the fine samples along x.
     rows : range
         Rows to stretch.
     out : (n, cy, nx') float32, C-contiguous
-        Receives as many samples as there are taps.
+        Receives as many samples as there are in all blocks.
     """
-    lanes, tile = np.empty(coarse.shape[2] * LANES, np.float32), np.empty(LANES * LANES, np.float32)
-    first = taps.first.astype(np.uint64)
-    _stretch(coarse, first, taps.weights.reshape(-1), rows.start, rows.stop, lanes, tile, out)
+    parts = np.uint64(band.first.shape[1])
+    _stretch(coarse, band.first.reshape(-1), parts, band.weights.reshape(-1), rows.start, rows.stop, out)
 
 
 def interpolate_layer(
@@ -187,71 +207,49 @@ def _negative_rows(
         out[i] = np.uint8(value < np.float32(0))
 
 
-@jit
-def _into_lane(
-    row: NDArray[np.float32], lanes: NDArray[np.float32], lane: np.uint64, a: np.uint64, b: np.uint64
-) -> None:
-    for i in range(a, b):
-        lanes[(i << _SHIFT) + lane] = row[i]
-
-
 @fused_jit
-def _along_x(
-    lanes: NDArray[np.float32],
+def _add_block(
+    coarse: NDArray[np.float32],
     k: np.uint64,
     w: NDArray[np.float32],
-    i: np.uint64,
-    tile: NDArray[np.float32],
-    to: np.uint64,
+    j: np.uint64,
+    out: NDArray[np.float32],
+    x: np.uint64,
 ) -> None:
-    """One fine sample of sixteen rows: the weighted sum of six columns of the lanes, from element k on."""
-    w0, w1, w2 = w[i], w[i + np.uint64(1)], w[i + np.uint64(2)]
-    w3, w4, w5 = w[i + np.uint64(3)], w[i + np.uint64(4)], w[i + np.uint64(5)]
-    for r in range(_LANES):
-        tile[to + r] = (
-            np.float32(0)
-            + w0 * lanes[k + r]
-            + w1 * lanes[k + r + np.uint64(16)]
-            + w2 * lanes[k + r + np.uint64(32)]
-            + w3 * lanes[k + r + np.uint64(48)]
-            + w4 * lanes[k + r + np.uint64(64)]
-            + w5 * lanes[k + r + np.uint64(80)]
+    """Add six coarse samples, from k on, to a block of fine ones, each with its own weights."""
+    a, b, c = coarse[k], coarse[k + np.uint64(1)], coarse[k + np.uint64(2)]
+    d, e, f = coarse[k + np.uint64(3)], coarse[k + np.uint64(4)], coarse[k + np.uint64(5)]
+    for i in range(_BLOCK):
+        out[x + i] = (
+            out[x + i]
+            + a * w[j + i]
+            + b * w[j + i + _BLOCK]
+            + c * w[j + i + np.uint64(2) * _BLOCK]
+            + d * w[j + i + np.uint64(3) * _BLOCK]
+            + e * w[j + i + np.uint64(4) * _BLOCK]
+            + f * w[j + i + np.uint64(5) * _BLOCK]
         )
-
-
-@jit
-def _out_of_lanes(
-    tile: NDArray[np.float32], rows: NDArray[np.float32], row: np.uint64, count: np.uint64, x: np.uint64
-) -> None:
-    for r in range(count):
-        target = rows[row + r]
-        for i in range(_LANES):
-            target[x + i] = tile[(i << _SHIFT) + r]
 
 
 @jit
 def _stretch(
     coarse: NDArray[np.float32],
-    x_first: NDArray[np.uint64],
-    x_weights: NDArray[np.float32],
+    first: NDArray[np.uint64],
+    parts: np.uint64,
+    weights: NDArray[np.float32],
     row_start: int,
     row_stop: int,
-    lanes: NDArray[np.float32],
-    tile: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    """Sixteen rows at a time: into lanes, along x, and back into rows."""
-    width, end = np.uint64(coarse.shape[2]), np.uint64(len(x_first))
+    """Row after row, block after block; coarse samples that are no taps add zero, which changes no sum."""
+    blocks, step = np.uint64(len(first)) // parts, np.uint64(TAPS * BLOCK)
     for plane in range(coarse.shape[0]):
-        for row in range(row_start, row_stop, 16):
-            count = np.uint64(min(16, row_stop - row))
-            for r in range(count):
-                _into_lane(coarse[plane, np.uint64(row) + np.uint64(r)], lanes, np.uint64(r), np.uint64(0), width)
-            for x in range(np.uint64(0), end, _LANES):
-                for i in range(_LANES):
-                    sample = x + i
-                    _along_x(lanes, x_first[sample] << _SHIFT, x_weights, sample * np.uint64(6), tile, i << _SHIFT)
-                _out_of_lanes(tile, out[plane], np.uint64(row), count, np.uint64(x))
+        for row in range(row_start, row_stop):
+            source, target = coarse[plane, row], out[plane, row]
+            target[:] = np.float32(0)
+            for block in range(blocks):
+                for number in range(block * parts, (block + np.uint64(1)) * parts):
+                    _add_block(source, first[number], weights, number * step, target, block * _BLOCK)
 
 
 @jit

@@ -22,14 +22,14 @@ PRESETS = {
         {**_PORES, "edge": 2, "degree": [3, 5], "omega": 30, "mu": 30, "level": 0.25},
     ),
     "stiff": Preset(
-        "stiff, the same in all directions, and open: walls between hyperuniform pores, pierced by tunnels",
+        "stiff, the same in all directions, and open: walls between hyperuniform pores, pierced by the fewest tunnels",
         [
             *_THROWN,
             {"stage": "sample.hyperuniform", "total": "${total}", "stealth": "${stealth}"},
-            _JOINED,
+            {"stage": "connect.mst"},
             {"stage": "field.walls", "tunnel_radius": "${tunnel_radius}", "rounding": "${rounding}"},
         ],
-        {**_PORES, "edge": None, "degree": [3, 5], "stealth": None, "tunnel_radius": None, "rounding": None},
+        {**_PORES, "edge": None, "stealth": None, "tunnel_radius": None, "rounding": None},
     ),
     "permeable": Preset(
         "wide open: the paper's pores, joined by wide tunnels",

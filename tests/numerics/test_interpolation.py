@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.interpolation import TAPS, interpolate_layer, stretch, taps_at, whole_lanes
+from sppm_pipeline.numerics.interpolation import BLOCK, TAPS, band_of, interpolate_layer, stretch, taps_at
 
 
 def interpolated(coarse, x, y, z, *, level=0.0, spans=None, bands=1000, solid=False):
@@ -11,9 +11,9 @@ def interpolated(coarse, x, y, z, *, level=0.0, spans=None, bands=1000, solid=Fa
     taps = [taps_at(np.asarray(places, float)) for places in (x, y, z)]
     window = [slice(int(t.first[0]), int(t.first[-1]) + TAPS) for t in taps]
     planes = np.ascontiguousarray(coarse[:, window[1], window[0]])
-    lanes = whole_lanes(taps[0])
-    wide = np.zeros((*planes.shape[:2], len(lanes.first)), np.float32)
-    stretch(planes, lanes, range(planes.shape[1]), wide)
+    band = band_of(taps[0])
+    wide = np.zeros((*planes.shape[:2], len(band.first) * BLOCK), np.float32)
+    stretch(planes, band, range(planes.shape[1]), wide)
     ny, nx = len(y), len(x)
     spans = np.tile(np.array([0, nx], np.int32), (ny, 1)) if spans is None else spans
     out = np.zeros((len(z), ny, nx), np.uint8 if solid else np.float32)
@@ -72,6 +72,18 @@ def test_the_error_falls_with_the_sixth_power_of_the_spacing():
         errors.append(np.abs(interpolated(coarse, x / h, x / h, x / h) - of(bumps, x, x, x)).max())
     assert errors[1] < errors[0] / 30
     assert errors[1] < 3e-5
+
+
+@pytest.mark.parametrize(("pitch", "count"), [(0.05, 90), (0.37, 50), (0.99, 33), (2.6, 40), (1.0, 1)])
+def test_rows_are_stretched_at_any_pitch(pitch, count):
+    taps = taps_at(3.3 + pitch * np.arange(count))
+    band, first = band_of(taps), taps.first - taps.first[0]
+    coarse = np.random.default_rng(2).random((2, 3, first[-1] + TAPS), dtype=np.float32)
+    out = np.full((2, 3, len(band.first) * BLOCK), np.nan, np.float32)
+    stretch(coarse, band, range(1, 3), out)
+    expected = (coarse[..., first[:, None] + np.arange(TAPS)].astype(float) * taps.weights).sum(-1)
+    assert np.abs(out[:, 1:, :count] - expected[:, 1:]).max() < 1e-6
+    assert np.isnan(out[:, 0]).all()
 
 
 def test_it_is_continuous_where_the_taps_change():

@@ -44,16 +44,19 @@ WHOLE = 2000
 grows steeply beyond."""
 
 GREEDY_REGION = 12_000
-"""Pores of a region in greedy mode. The larger, the fewer pores lie at a border; this many still fit the cache."""
+"""Pores of a region in greedy mode, a choice: the larger, the fewer pores lie at a border, and the more memory a region
+takes."""
 
 PASSES = (0.0, 0.5)
 """Places of the regions in fractions of their edge."""
 
 BORDER = 1.5
-"""Mean distances from the borders of the pass before within which pores are tried again: ten neighbors reach as far."""
+"""Mean distances from the borders of the pass before within which pores are tried again: a choice, as far as the tenth
+neighbor of evenly spread pores lies (a ball of eleven has the radius 1.4)."""
 
 DETOUR = 300
-"""Pores among which a way round a tunnel is looked for; in a graph of three tunnels a pore some tens do."""
+"""Pores among which a way round a tunnel is looked for. With degrees [2, 3], where loops are long, graphs on 500 pores
+come out 3 % longer with 30, and the same with 3000."""
 
 Turns = NDArray[np.int8]
 

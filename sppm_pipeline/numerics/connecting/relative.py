@@ -13,20 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connecting.buckets import (
-    Buckets,
-    bucket_along,
-    bucket_of,
-    last_ring,
-    ring_distance,
-    sorted_into_buckets,
-    wrapped_bucket,
-)
+from sppm_pipeline.numerics.connecting.buckets import Buckets, bucket_along, sorted_into_buckets
 from sppm_pipeline.numerics.connecting.trees import wrapped
 from sppm_pipeline.numerics.threads import ordered_map
 
 _CHUNK = 1 << 14
 """Pores that a thread works through at a time."""
+
+_RADIUS, _GROWTH = 2.0, 1.4
+"""Radius of the ball that is looked at first, in mean distances of pores, and what it grows by if it does not do. Of
+1.85, 2 and 2.15 the middle is fastest for thrown pores, for which it does 99.7 times in 100; for pores at random it
+does 9 times in 10. The growth is a choice."""
+
+_FACETS = 4
+"""The sphere of directions is cut into six times the square of this (3 is a little slower)."""
+
+_NEAREST = 8
+"""Pores of the ball that are sorted: the nearest hide most of the others (12 and 16 are no faster)."""
 
 
 def relative_neighbors(
@@ -37,6 +40,10 @@ def relative_neighbors(
     Of pores that are equally far from each other none is nearer, so that a regular lattice keeps all edges between
     neighbors. A pore is never joined to an image of itself.
 
+    All pores in a ball are looked at, and the ball grows until they hide whatever may lie beyond it: pore c at the
+    distance d hides all places beyond the radius r in directions less than arccos(d / 2r) away from its own. Beyond the
+    border of the set there is nothing to be hidden.
+
     Parameters
     ----------
     points : (n, 3) float64
@@ -44,7 +51,7 @@ def relative_neighbors(
     period : (3,) float64
         Whole cells after which each axis repeats, 0 for never.
     reach : float
-        The search ends there. Without it a pore at the border of a hollow set looks through the whole hollow.
+        The ball grows no further. Without it a pore at the border of a hollow set looks through the whole hollow.
     threads : int
         Changes nothing but the time.
 
@@ -58,267 +65,248 @@ def relative_neighbors(
     if len(points) < 2:
         return np.zeros((0, 2), np.int32), np.zeros((0, 3), np.int8)
     cells = sorted_into_buckets(wrapped(points, period)[0], period)
+    places = cells.points[cells.order]
+    facets, widest = _facets(_FACETS)
+    # empty buckets say nothing about the distances of pores
+    room = float(np.prod(cells.width)) * np.count_nonzero(np.diff(cells.start)) / len(points)
+    radius = max(_RADIUS * room ** (1 / 3), 1e-150)
 
     def chunk(first: int) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
-        return _relative_neighbors(cells, first, min(first + _CHUNK, len(points)), float(reach))
+        stop = min(first + _CHUNK, len(points))
+        return _relative_neighbors(cells, places, facets, widest, first, stop, radius, float(reach))
 
     found = list(ordered_map(chunk, range(0, len(points), _CHUNK), threads))
     return np.concatenate([edges for edges, _ in found]), np.concatenate([turns for _, turns in found])
 
 
+def _facets(count: int) -> tuple[NDArray[np.float64], float]:
+    """Centers (f, 3) of 6 count^2 parts of the unit sphere, and the largest angle between a center and its part.
+
+    The sides of a cube are cut at equal angles; each part is the spherical hull of its corners.
+    """
+    cut = np.tan(np.linspace(-np.pi / 4, np.pi / 4, 2 * count + 1))
+    u, v = (grid.ravel() for grid in np.meshgrid(cut, cut, indexing="ij"))
+    side = np.stack([np.ones_like(u), u, v], axis=1)
+    side = (side / np.linalg.norm(side, axis=1, keepdims=True)).reshape(2 * count + 1, 2 * count + 1, 3)
+    centers = side[1::2, 1::2]
+    corners = np.stack([side[a : a + 2 * count : 2, b : b + 2 * count : 2] for a in (0, 2) for b in (0, 2)])
+    widest = float(np.arccos(np.sum(corners * centers, axis=-1).min()))
+    around = np.concatenate([np.roll(sense * centers, axis, axis=-1) for axis in range(3) for sense in (1, -1)])
+    return np.ascontiguousarray(around.reshape(-1, 3)), widest
+
+
 @jit
 def _relative_neighbors(
-    cells: Buckets, first: int, stop: int, reach: float
+    cells: Buckets,
+    places: NDArray[np.float64],
+    facets: NDArray[np.float64],
+    widest: float,
+    first: int,
+    stop: int,
+    start: float,
+    reach: float,
 ) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
-    """Edges from the pores first <= i < stop to later ones, and their turns."""
-    edges = np.empty((4 * (stop - first) + 64, 2), np.int32)
+    """Edges from the pores first <= i < stop to later ones, and their turns.
+
+    `places` are the points by bucket; `facets` and `widest` are what `_facets` returns.
+    """
+    edges = np.empty((2 * (stop - first) + 64, 2), np.int32)
     turns = np.empty((len(edges), 3), np.int8)
     m = int(np.int64(0))
-    here = np.zeros(3, np.int64)
-    turn = np.zeros(3, np.int64)
-    steps = np.empty((64, 3))
-    squares = np.empty(64)
-    who = np.empty(64, np.int64)
-    how = np.empty((64, 3), np.int64)
-    # halving a box as often as it can be leaves one more waiting each time
-    boxes = np.empty((6 + 3 * 64, 6), np.int64)
-    low = np.empty(3)
+    # step x, y, z to each pore of the ball, and its square
+    ball = np.empty((64, 4))
+    # pore of each, and periods by which it is moved
+    who = np.empty((64, 4), np.int32)
+    hiders = np.empty((70, 4))
     for i in range(first, stop):
-        bucket_of(cells, i, here)
-        for a in range(3):
-            low[a] = cells.origin[a] + here[a] * cells.width[a] - cells.points[i, a]
-        count = int(np.int64(0))
-        for ring in range(last_ring(cells, here) + 1):
-            if ring_distance(cells, here, i, ring) > reach:
+        radius = min(start, reach)
+        while True:
+            count = _pores_within(cells, places, i, radius, ball, who)
+            if count > len(ball):
+                ball, who = np.empty((2 * count, 4)), np.empty((2 * count, 4), np.int32)
+                hiders = np.empty((2 * count + 6, 4))
+                continue
+            _nearest_first(ball, who, count)
+            if radius >= reach or _all_hidden(cells, i, radius, ball, count, facets, widest, hiders):
                 break
-            if ring > 1:
-                _sort(steps, squares, who, how, count)
-            closed = ring > 1
-            pending = _push_sides(cells, here, ring, boxes)
-            while pending > 0:
-                pending -= 1
-                x0, x1, y0 = boxes[pending, 0], boxes[pending, 1], boxes[pending, 2]
-                y1, z0, z1 = boxes[pending, 3], boxes[pending, 4], boxes[pending, 5]
-                if ring > 1:
-                    if _hidden(low, cells.width, x0, x1, y0, y1, z0, z1, steps, squares, count):
-                        continue
-                    if x0 < x1 or y0 < y1 or z0 < z1:
-                        pending = _push_halves(boxes, pending, x0, x1, y0, y1, z0, z1)
-                        continue
-                closed = False
-                for x in range(x0, x1 + 1):
-                    for y in range(y0, y1 + 1):
-                        for z in range(z0, z1 + 1):
-                            bucket = wrapped_bucket(cells, here, x, y, z, turn)
-                            for s in range(cells.start[bucket], cells.start[bucket + 1]):
-                                if count == len(who):
-                                    steps, squares, who, how = _doubled(steps, squares, who, how)
-                                count = _seen(cells, i, cells.order[s], turn, reach, steps, squares, who, how, count)
-            if closed:
-                break
+            radius = min(_GROWTH * radius, reach)
         for c in range(count):
-            if who[c] > i and _none_nearer(c, steps, squares, count) and _empty_lune(cells, i, steps[c], squares[c]):
+            if who[c, 0] > i and _none_nearer(c, ball, count):
                 if m == len(edges):
                     edges = np.concatenate((edges, np.empty_like(edges)))
                     turns = np.concatenate((turns, np.empty_like(turns)))
-                edges[m, 0], edges[m, 1] = i, who[c]
+                edges[m, 0], edges[m, 1] = i, who[c, 0]
                 for a in range(3):
-                    turns[m, a] = np.sign(how[c, a])
+                    turns[m, a] = who[c, 1 + a]
                 m += 1
     return edges[:m].copy(), turns[:m].copy()
 
 
 @jit
-def _doubled(
-    steps: NDArray[np.float64], squares: NDArray[np.float64], who: NDArray[np.int64], how: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """The same lists with room for twice as many pores."""
-    return (
-        np.concatenate((steps, steps)),
-        np.concatenate((squares, squares)),
-        np.concatenate((who, who)),
-        np.concatenate((how, how)),
-    )
-
-
-@jit
-def _push_sides(cells: Buckets, here: NDArray[np.int64], ring: int, boxes: NDArray[np.int64]) -> int:
-    """Write the six sides of a ring, as far as there are buckets, as first and last steps along x, y, z, (sides, 6)."""
-    sides = int(np.int64(0))
-    for axis in range(3):
-        for sense in (-1, 1):
-            if ring == 0 and (axis > 0 or sense > 0):
-                continue
-            empty = False
-            for a in range(3):
-                # the sides across later axes leave out what belongs to those across earlier ones
-                span = ring - 1 if a < axis else ring
-                low = sense * ring if a == axis else -span
-                high = sense * ring if a == axis else span
-                first, last = -here[a], cells.shape[a] - 1 - here[a]
-                if cells.period[a] > 0:
-                    first, last = -cells.shape[a] - 1, cells.shape[a] + 1
-                boxes[sides, 2 * a], boxes[sides, 2 * a + 1] = max(low, first), min(high, last)
-                empty |= boxes[sides, 2 * a] > boxes[sides, 2 * a + 1]
-            sides += not empty
-    return sides
-
-
-@jit
-def _push_halves(boxes: NDArray[np.int64], pending: int, x0: int, x1: int, y0: int, y1: int, z0: int, z1: int) -> int:
-    """Write the halves of a box, cut across where it has the most buckets; returns the new number of boxes."""
-    for row in (pending, pending + 1):
-        boxes[row, 0], boxes[row, 1], boxes[row, 2], boxes[row, 3], boxes[row, 4], boxes[row, 5] = (
-            x0,
-            x1,
-            y0,
-            y1,
-            z0,
-            z1,
-        )
-    wide = 0 if x1 - x0 >= y1 - y0 and x1 - x0 >= z1 - z0 else 2 if y1 - y0 >= z1 - z0 else 4
-    middle = (boxes[pending, wide] + boxes[pending, wide + 1]) // 2
-    boxes[pending, wide + 1] = middle
-    boxes[pending + 1, wide] = middle + 1
-    return pending + 2
-
-
-@jit
-def _sort(
-    steps: NDArray[np.float64], squares: NDArray[np.float64], who: NDArray[np.int64], how: NDArray[np.int64], count: int
-) -> None:
-    """Put the nearest first: they hide most."""
-    for c in range(1, count):
-        d = c
-        while d > 0 and squares[d] < squares[d - 1]:
-            squares[d], squares[d - 1] = squares[d - 1], squares[d]
-            who[d], who[d - 1] = who[d - 1], who[d]
-            for a in range(3):
-                steps[d, a], steps[d - 1, a] = steps[d - 1, a], steps[d, a]
-                how[d, a], how[d - 1, a] = how[d - 1, a], how[d, a]
-            d -= 1
-
-
-@jit
-def _hidden(
-    low: NDArray[np.float64],
-    width: NDArray[np.float64],
-    x0: int,
-    x1: int,
-    y0: int,
-    y1: int,
-    z0: int,
-    z1: int,
-    steps: NDArray[np.float64],
-    squares: NDArray[np.float64],
-    count: int,
-) -> bool:
-    """Whether some pore found before is nearer to i and to each place in a box of buckets than that place is to i.
-
-    Then so is all that lies behind the box, seen from i: a ring of hidden boxes ends the search. `low` is the step from
-    i to the low corner of its bucket.
-    """
-    u0, v0, w0 = low[0] + x0 * width[0], low[1] + y0 * width[1], low[2] + z0 * width[2]
-    u1, v1, w1 = low[0] + (x1 + 1) * width[0], low[1] + (y1 + 1) * width[1], low[2] + (z1 + 1) * width[2]
-    apart = max(u0, -u1, 0.0) ** 2 + max(v0, -v1, 0.0) ** 2 + max(w0, -w1, 0.0) ** 2
-    for c in range(count):
-        # those that are left are farther than the box, but for the few that were found since they were sorted
-        if 1.000000001 * squares[c] >= apart:
-            break
-        u, v, w = steps[c, 0], steps[c, 1], steps[c, 2]
-        # least component along the step to the pore; the margins keep what only rounding would hide
-        along = min(u0 * u, u1 * u) + min(v0 * v, v1 * v) + min(w0 * w, w1 * w)
-        if along > 0.500000001 * squares[c]:
-            return True
-    return False
-
-
-@jit
-def _seen(
+def _pores_within(
     cells: Buckets,
+    places: NDArray[np.float64],
     i: int,
-    j: int,
-    turn: NDArray[np.int64],
-    reach: float,
-    steps: NDArray[np.float64],
-    squares: NDArray[np.float64],
-    who: NDArray[np.int64],
-    how: NDArray[np.int64],
-    count: int,
+    radius: float,
+    ball: NDArray[np.float64],
+    who: NDArray[np.int32],
 ) -> int:
-    """Add j to the list of pores around i, unless one of the list hides it; returns the length of the list."""
-    square = 0.0
+    """Write the pores at most `radius` away from i, and their images; returns how many there are, written or not."""
+    low = np.empty(3, np.int64)
+    high = np.empty(3, np.int64)
     for a in range(3):
-        steps[count, a] = cells.points[j, a] + turn[a] - cells.points[i, a]
-        square += steps[count, a] ** 2
-    if (i == j and turn[0] == 0 and turn[1] == 0 and turn[2] == 0) or square > reach * reach:
-        return count
-    for c in range(count):
-        if squares[c] < square:
-            apart = 0.0
-            for a in range(3):
-                apart += (steps[count, a] - steps[c, a]) ** 2
-            if apart < square:
-                return count
-    squares[count] = square
-    who[count] = j
-    for a in range(3):
-        how[count, a] = turn[a]
-    return count + 1
-
-
-@jit
-def _none_nearer(c: int, steps: NDArray[np.float64], squares: NDArray[np.float64], count: int) -> bool:
-    """Whether no pore of the list is nearer to both ends of the step to entry c: most pores fail here already."""
-    for d in range(count):
-        if squares[d] < squares[c]:
-            apart = 0.0
-            for a in range(3):
-                apart += (steps[d, a] - steps[c, a]) ** 2
-            if apart < squares[c]:
-                return False
-    return True
-
-
-@jit
-def _empty_lune(cells: Buckets, i: int, step: NDArray[np.float64], square: float) -> bool:
-    """Whether no pore is nearer to i and to the place `step` away from it than they are to each other."""
-    first = np.zeros(3, np.int64)
-    last = np.zeros(3, np.int64)
-    # half the height of the lune
-    reach = np.sqrt(0.75 * square)
-    for a in range(3):
-        middle = cells.points[i, a] + 0.5 * step[a]
-        # along an axis the lune is no wider than its ball, nor than the common part of the two balls
-        low = max(middle - reach, cells.points[i, a] + max(step[a], 0.0) - np.sqrt(square))
-        high = min(middle + reach, cells.points[i, a] + min(step[a], 0.0) + np.sqrt(square))
+        # a little more, for images are moved with rounding
+        below, above = cells.points[i, a] - 1.000000001 * radius, cells.points[i, a] + 1.000000001 * radius
         if cells.period[a] > 0:
-            first[a] = np.int64(np.floor((low - cells.origin[a]) / cells.width[a]))
-            last[a] = np.int64(np.floor((high - cells.origin[a]) / cells.width[a]))
+            low[a] = np.int64(np.floor((below - cells.origin[a]) / cells.width[a]))
+            high[a] = np.int64(np.floor((above - cells.origin[a]) / cells.width[a]))
         else:
-            first[a] = bucket_along(low, cells.origin[a], cells.width[a], cells.shape[a])
-            last[a] = bucket_along(high, cells.origin[a], cells.width[a], cells.shape[a])
-    for x in range(first[0], last[0] + 1):
-        cx = _turns(x, cells.shape[0])
-        for y in range(first[1], last[1] + 1):
-            cy = _turns(y, cells.shape[1])
-            column = ((x - cx * cells.shape[0]) * cells.shape[1] + y - cy * cells.shape[1]) * cells.shape[2]
-            for z in range(first[2], last[2] + 1):
-                cz = _turns(z, cells.shape[2])
-                bucket = column + z - cz * cells.shape[2]
-                for s in range(cells.start[bucket], cells.start[bucket + 1]):
-                    k = cells.order[s]
-                    u = cells.points[k, 0] + cx * cells.period[0] - cells.points[i, 0]
-                    v = cells.points[k, 1] + cy * cells.period[1] - cells.points[i, 1]
-                    w = cells.points[k, 2] + cz * cells.period[2] - cells.points[i, 2]
-                    if u * u + v * v + w * w < square:
-                        u, v, w = u - step[0], v - step[1], w - step[2]
-                        if u * u + v * v + w * w < square:
-                            return False
-    return True
+            low[a] = bucket_along(below, cells.origin[a], cells.width[a], cells.shape[a])
+            high[a] = bucket_along(above, cells.origin[a], cells.width[a], cells.shape[a])
+    count = int(np.int64(0))
+    nx, ny, nz = cells.shape
+    for x in range(low[0], high[0] + 1):
+        cx = _turns(x, nx)
+        u0 = cx * cells.period[0] - cells.points[i, 0]
+        for y in range(low[1], high[1] + 1):
+            cy = _turns(y, ny)
+            v0 = cy * cells.period[1] - cells.points[i, 1]
+            column = ((x - cx * nx) * ny + y - cy * ny) * nz
+            z = low[2]
+            while z <= high[2]:
+                # buckets that follow each other along z do so in memory, too
+                cz = _turns(z, nz)
+                end = min(high[2] + 1, (cz + 1) * nz)
+                w0 = cz * cells.period[2] - cells.points[i, 2]
+                for s in range(cells.start[column + z - cz * nz], cells.start[column + end - cz * nz]):
+                    u, v, w = places[s, 0] + u0, places[s, 1] + v0, places[s, 2] + w0
+                    square = u * u + v * v + w * w
+                    if square <= radius * radius and (cells.order[s] != i or cx != 0 or cy != 0 or cz != 0):
+                        if count < len(ball):
+                            ball[count, 0], ball[count, 1], ball[count, 2], ball[count, 3] = u, v, w, square
+                            who[count, 0], who[count, 1], who[count, 2], who[count, 3] = cells.order[s], cx, cy, cz
+                        count += 1
+                z = end
+    return count
 
 
 @jit
 def _turns(index: int, count: int) -> int:
     """``index // count``; most indices lie inside the grid, and a division takes longer than all that is done there."""
     return index // count if index < 0 or index >= count else 0
+
+
+@jit
+def _nearest_first(ball: NDArray[np.float64], who: NDArray[np.int32], count: int) -> None:
+    """Put the nearest pores first, sorted by distance; the order of the others is left open."""
+    for c in range(1, count):
+        d = c
+        if c >= _NEAREST:
+            if ball[c, 3] >= ball[_NEAREST - 1, 3]:
+                continue
+            d = _NEAREST - 1
+            _swap(ball, who, c, d)
+        while d > 0 and ball[d, 3] < ball[d - 1, 3]:
+            _swap(ball, who, d, d - 1)
+            d -= 1
+
+
+@jit
+def _swap(ball: NDArray[np.float64], who: NDArray[np.int32], c: int, d: int) -> None:
+    for a in range(4):
+        ball[c, a], ball[d, a] = ball[d, a], ball[c, a]
+        who[c, a], who[d, a] = who[d, a], who[c, a]
+
+
+@jit
+def _all_hidden(
+    cells: Buckets,
+    i: int,
+    radius: float,
+    ball: NDArray[np.float64],
+    count: int,
+    facets: NDArray[np.float64],
+    widest: float,
+    hiders: NDArray[np.float64],
+) -> bool:
+    """Whether for each place beyond the ball some pore in it is nearer to i and to the place than they are apart.
+
+    A border of the set hides what lies beyond it as the mirror image of i would. Facets of the sphere of directions are
+    looked at as a whole, so that the answer may be no although the truth is yes.
+    """
+    cosine, sine = np.cos(widest), np.sin(widest)
+    most = int(np.int64(0))
+    for a in range(3):
+        offset = cells.points[i, a] - cells.origin[a]
+        for sense in (-1.0, 1.0):
+            least = max(offset if sense < 0 else cells.shape[a] * cells.width[a] - offset, 0.0) / radius
+            if cells.period[a] > 0:
+                # the image of i
+                least = cells.period[a] / (2 * radius) if cells.period[a] < radius else 1.0
+            if least < cosine:
+                hiders[most, 0], hiders[most, 1], hiders[most, 2] = 0.0, 0.0, 0.0
+                hiders[most, a] = sense
+                most = _add_hider(hiders, most, least, cosine, sine)
+    for c in range(min(count, _NEAREST)):
+        most = _add_pore(hiders, most, ball, c, radius, cosine, sine)
+    latest, added = int(np.int64(0)), min(count, _NEAREST)
+    for f in range(len(facets)):
+        u, v, w = facets[f, 0], facets[f, 1], facets[f, 2]
+        # what hides a facet often hides the next one
+        h = latest
+        if h < most and u * hiders[h, 0] + v * hiders[h, 1] + w * hiders[h, 2] > hiders[h, 3]:
+            continue
+        h = 0
+        while True:
+            if h == most and added < count:
+                most = _add_pore(hiders, most, ball, added, radius, cosine, sine)
+                added += 1
+            elif h == most:
+                return False
+            elif u * hiders[h, 0] + v * hiders[h, 1] + w * hiders[h, 2] > hiders[h, 3]:
+                latest = h
+                break
+            else:
+                h += 1
+    return True
+
+
+@jit
+def _add_pore(
+    hiders: NDArray[np.float64],
+    most: int,
+    ball: NDArray[np.float64],
+    c: int,
+    radius: float,
+    cosine: float,
+    sine: float,
+) -> int:
+    """Note what entry c of the ball hides; returns the new number of hiders."""
+    distance = np.sqrt(ball[c, 3])
+    if not 0 < distance < radius:
+        return most
+    for a in range(3):
+        hiders[most, a] = ball[c, a] / distance
+    return _add_hider(hiders, most, distance / (2 * radius), cosine, sine)
+
+
+@jit
+def _add_hider(hiders: NDArray[np.float64], most: int, least: float, cosine: float, sine: float) -> int:
+    """Note which facets are hidden if all directions with a component above `least` are; returns the new number.
+
+    A facet whose center is at the angle t from the hider is if arccos(least) > t + widest; the margin covers rounding.
+    """
+    hiders[most, 3] = least * cosine + np.sqrt(1 - least * least) * sine + 1e-9
+    return most + 1
+
+
+@jit
+def _none_nearer(c: int, ball: NDArray[np.float64], count: int) -> bool:
+    """Whether no pore of the ball is nearer to both ends of the step to entry c."""
+    square = ball[c, 3]
+    for d in range(count):
+        if ball[d, 3] < square:
+            u, v, w = ball[d, 0] - ball[c, 0], ball[d, 1] - ball[c, 1], ball[d, 2] - ball[c, 2]
+            if u * u + v * v + w * w < square:
+                return False
+    return True

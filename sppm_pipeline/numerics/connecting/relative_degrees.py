@@ -20,7 +20,7 @@ REACH = 6.0
 2.3 (measured, 10^5 pores); across hollows of a part longer ones are made only where the graph would fall apart."""
 
 _DETOUR = 1000
-"""Pores that the search for a way round a tunnel looks at; in packings a loop is closed after some ten."""
+"""Pores that the search for a way round a tunnel looks at, a choice: it bounds the time where there is no loop."""
 
 _NEAREST, _WIDEST = 10, 40
 """Nearest pores among which one with too few tunnels looks for more, at first and at last."""
@@ -191,9 +191,10 @@ def as_tunnels(
     edges = network.edges[order].astype(np.int64)
     turns = network.turns[order].astype(np.int64)
     turns *= period.astype(np.int64)
-    cells = np.floor(points / np.where(period > 0, period, np.inf)) * period
-    if cells.any():
-        turns += (cells[edges[:, 0]] - cells[edges[:, 1]]).astype(np.int64)
+    for axis in np.flatnonzero(period > 0):
+        cells = (np.floor(points[:, axis] / period[axis]) * period[axis]).astype(np.int64)
+        if cells.any():
+            turns[:, axis] += cells[edges[:, 0]] - cells[edges[:, 1]]
     return edges, turns
 
 

@@ -61,8 +61,13 @@ def images_per_pair(periodic: Periodic) -> int:
 
 def wrapped(points: NDArray[np.float64], period: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Points moved into [0, period) along the periodic axes, and the whole cells (n, 3) that were taken off."""
-    cells = np.floor(points / np.where(period > 0, period, np.inf)) * period
-    return points - cells, cells.astype(np.int64)
+    inside, cells = np.array(points, np.float64), np.zeros(points.shape, np.int64)
+    # an axis at a time: there may be millions of points
+    for axis in np.flatnonzero(period > 0):
+        off = np.floor(points[:, axis] / period[axis]) * period[axis]
+        inside[:, axis] -= off
+        cells[:, axis] = off
+    return inside, cells
 
 
 def canonical_edges(edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

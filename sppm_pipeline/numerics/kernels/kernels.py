@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -98,8 +98,11 @@ def reach_boxes(
     )
 
 
-def log_normal_factors(rng: np.random.Generator, spread: float, n: int) -> NDArray[np.float64]:
-    """Factors of radii (n,): log-normal, median 1, cut at two deviations so that no pore swallows a cell."""
+def log_normal_factors(generator: Callable[[], np.random.Generator], spread: float, n: int) -> NDArray[np.float64]:
+    """Factors of radii (n,): log-normal, median 1, cut at two deviations so that no pore swallows a cell.
+
+    The generator is asked for only where there is a spread: equal radii need no seed.
+    """
     if not spread:
         return np.ones(n)
-    return np.exp(spread * np.clip(rng.standard_normal(n), -2, 2))
+    return np.exp(spread * np.clip(generator().standard_normal(n), -2, 2))

@@ -77,10 +77,10 @@ class GaussianField(Stage):
 
         cell, profile = graph.pores.cell, TUNNEL_PROFILES[self.tunnel]
         omega, mu = self._parameters(cell)
-        all_omega = omega * PORE_PROFILE.scaled_radius(
-            log_normal_factors(context.rng(0), self.pore_spread, len(graph.pores.centers))
-        )
-        all_mu = mu * profile.scaled_radius(log_normal_factors(context.rng(1), self.tunnel_spread, len(graph.edges)))
+        pores = log_normal_factors(lambda: context.rng(0), self.pore_spread, len(graph.pores.centers))
+        tunnels = log_normal_factors(lambda: context.rng(1), self.tunnel_spread, len(graph.edges))
+        all_omega = omega * PORE_PROFILE.scaled_radius(pores)
+        all_mu = mu * profile.scaled_radius(tunnels)
         self._check_reach("pore_radius" if self.omega is None else "omega", PORE_PROFILE.reach(all_omega, CUTOFF))
         self._check_reach("tunnel_radius" if self.mu is None else "mu", profile.reach(all_mu, CUTOFF))
         context.report(

@@ -20,7 +20,7 @@ from sppm_pipeline.numerics.kernels.kernels import log_normal_factors
 from sppm_pipeline.numerics.porosity.boolean_model import expected_walls
 from sppm_pipeline.stage import Context, Stage, option
 
-TUNNEL_SHARE, THICKNESS_SHARE = 0.2, 0.1
+TUNNEL_SHARE, THICKNESS_SHARE = 0.1, 0.1
 """Radius of tunnels and thickness of walls, in mean distances of pores, where the user gives none."""
 
 
@@ -46,7 +46,7 @@ class WallsField(Stage):
         None, help="thickness of the walls; a tenth of the mean distance of pores if omitted", unit="cell size",
         minimum=1e-6, maximum=4,
     )  # fmt: skip
-    tunnel_radius: Length | None = options.tunnel_radius(None, note="a fifth of the mean distance of pores if omitted")
+    tunnel_radius: Length | None = options.tunnel_radius(None, note="a tenth of the mean distance of pores if omitted")
     tunnel_spread: float = options.tunnel_spread(0.0)
     rounding: Length | None = option(
         None, help="radius of the fillets where walls meet and of the rims of their openings; sharp if omitted",
@@ -71,7 +71,7 @@ class WallsField(Stage):
         if not len(pores.centers):
             raise DesignError("there are no pores to put walls between", hint="sample some, for example `total: 70`")
         length, half, radius, rounding = self._sizes(pores.cell, pores.per_cell)
-        radii = radius * log_normal_factors(context.rng(1), self.tunnel_spread, len(graph.edges))
+        radii = radius * log_normal_factors(lambda: context.rng(1), self.tunnel_spread, len(graph.edges))
         context.report(
             thickness=2 * half, tunnel_radius=radius, thinnest_tunnel=float(radii.min(initial=radius)),
             rounding=rounding, mean_pore_distance=length, missed=missed,

@@ -25,9 +25,14 @@ def by_definition(points, period):
     for i, point in enumerate(points):
         to = ((everywhere - point) ** 2).sum(1)
         beyond = (np.abs(everywhere - point) > period)[:, np.asarray(period) > 0].any(1)
+        order = np.argsort(to)
         for c in np.flatnonzero(~beyond):
             image, j = divmod(int(c), len(points))
-            if j > i and not ((to < to[c]) & (((everywhere - everywhere[c]) ** 2).sum(1) < to[c])).any():
+            nearer = order[: np.searchsorted(to[order], to[c])]
+            # the nearest first, as they decide about nearly all
+            if j > i and not any(
+                (((everywhere[some] - everywhere[c]) ** 2).sum(1) < to[c]).any() for some in (nearer[:20], nearer)
+            ):
                 edges.add((i, j, *images[image].tolist()))
     return edges
 
@@ -64,6 +69,22 @@ def test_clusters_planes_and_doubled_pores():
     doubled = np.repeat(rng.random((20, 3)), 3, axis=0)
     for points in (cluster, plane, doubled, np.repeat(rng.random((1, 3)), 90, axis=0)):
         assert as_rows(*relative_neighbors(points, BOX)) == by_definition(points, BOX)
+
+
+@pytest.mark.parametrize("period", [(1, 1, 1), (0, 1, 0), (2, 0, 1)])
+def test_a_cluster_far_from_its_images_ends_its_search(period):
+    points = 0.4 + np.random.default_rng(9).random((40, 3)) * 1e-3
+    points[0] = 0.9
+    assert as_rows(*relative_neighbors(points, np.array(period, float))) == by_definition(points, period)
+
+
+@pytest.mark.parametrize("count", [1, 3, 4])
+def test_each_direction_lies_within_the_widest_angle_of_a_facet(count):
+    centers, widest = relative._facets(count)
+    assert centers.shape == (6 * count**2, 3)
+    directions = np.random.default_rng(10).standard_normal((20_000, 3))
+    cosines = (directions @ centers.T).max(1) / np.linalg.norm(directions, axis=1)
+    assert np.cos(widest) <= cosines.min() < np.cos(0.85 * widest)
 
 
 def test_threads_and_the_size_of_chunks_change_nothing(monkeypatch):

@@ -33,25 +33,30 @@ def checked(cloud, edges, shifts, degree):
     return length.sum()
 
 
-@pytest.mark.parametrize("periodic", PERIODIC)
 @pytest.mark.parametrize(
-    ("mode", "degree"), [("greedy", (3, 5)), ("greedy", (2, 3)), ("greedy", (1, 3)), ("lp_fix", (3, 5))]
+    ("mode", "degree", "periodic"),
+    [
+        *(("greedy", (3, 5), periodic) for periodic in PERIODIC),
+        ("greedy", (2, 3), PERIODIC[1]),
+        ("greedy", (1, 3), PERIODIC[1]),
+        ("lp_fix", (3, 5), PERIODIC[2]),
+    ],
 )
-def test_regions_are_about_as_good_as_the_whole(monkeypatch, random_cloud, periodic, mode, degree):
+def test_regions_are_about_as_good_as_the_whole(monkeypatch, random_cloud, mode, degree, periodic):
     monkeypatch.setattr(regional, "WHOLE", 200)
     monkeypatch.setattr(regional, "GREEDY_REGION", 400)
-    cloud = random_cloud((3, 4, 2), 900, periodic, seed=3)
+    cloud = random_cloud((3, 4, 2), 600, periodic, seed=3)
     stage = BoundedDegreeSubgraph(mode=mode, degree=degree)
     length = checked(cloud, *stage.join_cloud(PlainContext(1), cloud), degree)
     whole = spanning_subgraph(cloud.points, degree, mode=mode, periodic=cloud.period.tolist())
-    # with A = 2 a shorter graph often asks for a change of a long loop, which no small region holds
+    # with A = 2 graphs come out 3 to 5 % longer, also with a single region, any detour and a start from a bounded tree
     assert length <= (1.06 if degree[0] == 2 else 1.02) * edge_lengths(cloud.points, *whole).sum()
 
 
 def test_threads_change_nothing(monkeypatch, random_cloud):
     monkeypatch.setattr(regional, "WHOLE", 150)
     monkeypatch.setattr(regional, "GREEDY_REGION", 150)
-    cloud = random_cloud((3, 2, 2), 800, (True, True, True), seed=4)
+    cloud = random_cloud((3, 2, 2), 400, (True, True, True), seed=4)
     for stage in (BoundedDegreeSubgraph(mode="greedy"), BoundedDegreeSubgraph(mode="lp_fix"), RelativeNeighbors()):
         first, second = (stage.join_cloud(PlainContext(1, threads=threads), cloud) for threads in (1, 3))
         assert np.array_equal(first[0], second[0])

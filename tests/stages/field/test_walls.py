@@ -94,7 +94,7 @@ def test_lengths_in_all_units():
 
 def test_defaults_follow_the_mean_distance_of_pores():
     _, told = made(lattice())
-    assert (told["thickness"], told["tunnel_radius"], told["rounding"]) == pytest.approx((0.05, 0.1, 0.0))
+    assert (told["thickness"], told["tunnel_radius"], told["rounding"]) == pytest.approx((0.05, 0.05, 0.0))
 
 
 def test_tunnels_may_vary():
@@ -181,7 +181,7 @@ def test_wang_tiles_and_layers():
 
 def test_scattered_cells():
     scattered = ScatteredTiling(cells=(2, 2, 2), cell=Length(4, "mm"), periodic=True, porosity=0.6, resolution=24)
-    tiling = scattered.run(PlainContext(8), recipe(), None)
+    tiling = scattered.run(PlainContext(8), recipe(tunnel_radius=Length(0.065)), None)
     void = tiling.sample(24) >= 0
     assert void.mean() == pytest.approx(0.6, abs=0.01)
     assert phase_report(void.astype(np.uint8)).removed_share < 1e-3
