@@ -46,6 +46,7 @@ class CheckSizes(Stage):
         help="smallest wall and opening that the printer makes; thinner ones of the design are warned about",
         unit="mm",
         above=0,
+        maximum=1e6,
     )
 
     def estimate(self, palette: Palette, source: Size) -> Size:

@@ -44,8 +44,8 @@ class ImplicitFill(Stage):
         """Put the two together."""
         edge = field.physical_edge()
         domain, method = outward_mesh(context, domain, self.inside)
-        extent = domain.upper - domain.lower
-        if extent.max() < FEWEST_CELLS * edge:
+        extent = domain.upper - domain.lower if len(domain.faces) else None
+        if extent is not None and extent.max() < FEWEST_CELLS * edge:
             context.warn(
                 f"{domain.name} is {' x '.join(f'{side:.4g}' for side in extent)} mm in size, less than {FEWEST_CELLS} "
                 f"cells of {edge:g} mm; if its file is in inches, `unit: in` of `read.mesh` makes it "

@@ -43,7 +43,7 @@ def test_opposite_sides_of_a_cell_match_node_for_node(cell, caps, islands):
     assert found.edges.consistent
     for axis in range(3):
         low, high = side(made.vertices, axis, 0.0), side(made.vertices, axis, 1.0)
-        assert len(low) > 100
+        assert len(low) > 50
         assert np.array_equal(low, high)
 
 
@@ -91,7 +91,7 @@ def test_islands_go_or_stay(cell):
     loose = cell.with_level(0.03)
     kept, _, _ = mesh(loose, islands="keep")
     removed, found, context = mesh(loose)
-    assert context.reported["removed_share"] > 0.01
+    assert context.reported["removed_share"] > 0.001
     assert components(removed.faces)[0] < components(kept.faces)[0]
     assert found.edges.closed
 

@@ -57,7 +57,6 @@ def test_a_csv_table(tmp_path):
         (WriteChart(x="x", y="y", kind="boxes", error="e"), "`error` belongs to points"),
         (WriteTable(columns=()), "no column"),
         (WriteTable(columns=("a",), headings=("x", "y")), "2 headings for 1"),
-        (WriteTable(columns=("a",), path="t.xls"), "as .md or .csv"),
         (WriteBars(columns=()), "no column"),
     ],
 )
