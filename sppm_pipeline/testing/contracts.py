@@ -246,7 +246,7 @@ class ConnectorContract(StageContract):
         """From an interior to the face patterns it may meet, on the side where they lie."""
         rng = np.random.default_rng(4)
         centers = np.concatenate([0.25 + rng.random((8, 3)) / 2, rng.random((3, 3)) * [0, 1, 1]])
-        pores = PoreSet(Cell(), centers, np.repeat(np.int32([0, 1]), [8, 3]), colors=(1, 0, 0))
+        pores = PoreSet(Cell(), centers, np.repeat(np.array([0, 1], np.int32), [8, 3]), colors=(1, 0, 0))
         for stage in self.stages():
             graph = stage.run(PlainContext(5, palette=Palette(colors=(1, 0, 0))), pores)
             graph.check()
