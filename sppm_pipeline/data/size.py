@@ -16,6 +16,10 @@ USES_OF_A_PATCH, BANK = 4, 256 * 2**20
 """A tiling is sampled by cached patches if each is used as often, and if all take at most so many bytes; see
 `fields.tiling`."""
 
+PAYING_SHARE, PAYING_SHARE_OF_PATCHES = 0.3, 0.8
+"""Coarse samples for each fine one up to which interpolating pays, if kernels are summed there, and if patches are:
+short rows of kernels cost twice as much a sample as long ones."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CellDesign:
@@ -73,6 +77,8 @@ class Geometry:
         How far kernels reach beyond their cell.
     patches : float
         Different cells that a tiling is made of.
+    coarse : float
+        Samples along a cell edge from which those of finer grids are interpolated; infinite if all are summed.
     """
 
     edge_mm: float | None = None
@@ -84,6 +90,7 @@ class Geometry:
     kernels: float = 0.0
     reach: float = 0.0
     patches: float = math.inf
+    coarse: float = math.inf
 
     @property
     def scale(self) -> float:
@@ -127,11 +134,16 @@ class Geometry:
 
     def sums(self, samples: float, resolution: float, *, commensurate: bool = True) -> float:
         """Kernels that are evaluated for so many samples: those of patches if they are used often enough."""
+        share = (self.coarse / resolution) ** 3
+        if share <= (PAYING_SHARE_OF_PATCHES if self._patched(self.coarse) else PAYING_SHARE):
+            samples, resolution, commensurate = samples * share, self.coarse, True
+        return self.kernels * (self.patches * resolution**3 if commensurate and self._patched(resolution) else samples)
+
+    def _patched(self, resolution: float) -> bool:
+        """Whether patches are used often enough, and not too large."""
         patch = (resolution * (1 + 2 * self.reach)) ** 3
         room = BANK * (3 if self.volume > 10 * USES_OF_A_PATCH * self.patches else 1)
-        if commensurate and self.volume >= USES_OF_A_PATCH * self.patches and 4 * self.patches * patch <= room:
-            return self.kernels * self.patches * resolution**3
-        return self.kernels * samples
+        return self.volume >= USES_OF_A_PATCH * self.patches and 4 * self.patches * patch <= room
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.size import PAYING_SHARE, PAYING_SHARE_OF_PATCHES
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid, sample_one_period
 
@@ -18,10 +19,6 @@ if TYPE_CHECKING:
     from sppm_pipeline.fields.fine_sampler import FineSampler
     from sppm_pipeline.numerics.assembly.contents import TilingArrays
     from sppm_pipeline.numerics.assembly.patches import PatchBank
-
-PAYING_SHARE, PAYING_SHARE_OF_PATCHES = 0.3, 0.8
-"""Coarse samples for each fine one up to which interpolating pays, if kernels are summed there, and if patches are:
-short rows of kernels cost twice as much a sample as long ones."""
 
 
 class Patches(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,6 +73,15 @@ def test_patches_are_evaluated_once():
     assert tiled.sums(tiled.samples(32), 32) == 10 * 8 * 32**3
     assert tiled.sums(tiled.samples(32), 32, commensurate=False) == 10 * 1000 * 32**3
     assert tiled.sums(tiled.samples(512), 512) == 10 * 1000 * 512**3
+
+
+def test_fine_grids_are_summed_on_a_coarse_one():
+    fresh = Geometry(kernels=10.0, volume=1000.0, box=(10.0,) * 3, coarse=64.0)
+    assert fresh.sums(fresh.samples(128), 128) == 10 * 1000 * 64**3
+    assert fresh.sums(fresh.samples(80), 80) == 10 * 1000 * 80**3
+    tiled = replace(fresh, patches=8.0, reach=0.2)
+    assert tiled.sums(tiled.samples(80.5), 80.5, commensurate=False) == 10 * 8 * 64**3
+    assert tiled.sums(tiled.samples(32), 32) == 10 * 8 * 32**3
 
 
 def test_what_is_unknown_is_an_error():

@@ -69,7 +69,9 @@ OWN = {
 CASES = {
     "quickstart": ["quickstart"],
     "quickstart small cells": ["quickstart", "-p", "cell=3 mm", "-p", "porosity=0.5"],
-    "quickstart extract": ["quickstart", "-s", "tiles_picture.resolution=8", "-s", "part_picture.resolution=8"],
+    "quickstart extract": ["quickstart", "-s", "part_picture.resolution=8"],
+    "wang_part": ["wang_part"],
+    "wang_part small cells": ["wang_part", "-p", "cell=3 mm", "-p", "porosity=0.5"],
     "cell": ["cell"],
     "tileset_27": ["tileset_27"],
     "table 3^3": ["table_mesh_free", "-p", "cells=[3, 3, 3]"],

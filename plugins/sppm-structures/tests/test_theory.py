@@ -156,14 +156,37 @@ def test_compare_structures(tmp_path):
 
 
 def test_walls_are_as_stiff_as_the_gyroid(tmp_path):
-    """Beside the paper's field of the same pores and tunnels; one draw on a coarse grid."""
+    """The preset's limit of fine grids is 1.13 gyroids; thin walls on this coarse grid look stiffer than that."""
     rows = run(
-        "walls_stiffness.yaml", tmp_path, "{structure: [paper, stiff, gyroid]}", "-p", "resolution=32",
+        "walls_stiffness.yaml", tmp_path, "{structure: [paper, stiff, gyroid], resolution: [32], seed: [1]}",
         "-s", "tuned.resolution=40", "-s", "tuned.tolerance=0.01",
     )  # fmt: skip
     young = {name: row["elastic.isotropic.E"] for name, row in rows.items()}
     assert young["stiff"] > 1.2 * young["gyroid"] > 2 * young["paper"]
-    assert rows["stiff"]["elastic.deviation_invariant"] < 0.06 < rows["paper"]["elastic.deviation_invariant"]
+    assert rows["stiff"]["elastic.deviation_invariant"] < 0.03 < rows["paper"]["elastic.deviation_invariant"]
+
+
+def test_stiffest(tmp_path):
+    """Walls beside tunnels, on a coarse grid."""
+    rows = run(
+        "stiffest.yaml", tmp_path, "{structure: [walls_hyper_mbdst_20, tunnels_hyper_mbdst_20]}",
+        "-p", "resolution=20", "-s", "tuned.resolution=32", "-s", "tuned.tolerance=0.01",
+    )  # fmt: skip
+    young = {name: row["elastic.isotropic.E"] for name, row in rows.items()}
+    assert young["walls_hyper_mbdst_20"] > young["tunnels_hyper_mbdst_20"] > 0
+    assert all(young[name] < row["elastic.bounds.hashin_shtrikman_young.2"] for name, row in rows.items())
+    for name in ("stiffest.png", "permeable.png", "stiffest.md"):
+        assert (tmp_path / "run" / name).stat().st_size > 0
+
+
+def test_stiffest_grid(tmp_path):
+    rows = run(
+        "stiffest_grid.yaml", tmp_path, "{structure: [walls, tunnels], resolution: [20], seed: [1]}",
+        "-s", "tuned.resolution=32", "-s", "tuned.tolerance=0.01",
+    )  # fmt: skip
+    assert rows["walls"]["elastic.isotropic.E"] > rows["tunnels"]["elastic.isotropic.E"] > 0
+    for name in ("grid.png", "grid.md"):
+        assert (tmp_path / "run" / name).stat().st_size > 0
 
 
 def test_all_structures_are_compared():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -14,7 +15,7 @@ from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure, pieces_from_graph
+from sppm_pipeline.fields.microstructure import CUTOFF, LOWEST_LEVEL, Microstructure, finest_pitch, pieces_from_graph
 from sppm_pipeline.numerics.kernels.kernels import log_normal_factors
 from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 from sppm_pipeline.stage import Context, Stage, option
@@ -65,7 +66,10 @@ class GaussianField(Stage):
         reaches = float(PORE_PROFILE.reach(omega, CUTOFF)), float(profile.reach(mu, CUTOFF))
         porosity, surface = expected_structure(cell.pores, cell.tunnels, *radii)
         kernels = kernels_at_a_point(cell.pores, cell.tunnels, *reaches)
-        made = Geometry(edge_mm=cell.edge_mm, porosity=porosity, surface=surface, kernels=kernels, reach=max(reaches))
+        coarse = 1 / finest_pitch(omega, mu, self.tunnel, self.level) if self.level >= LOWEST_LEVEL else math.inf
+        made = Geometry(
+            edge_mm=cell.edge_mm, porosity=porosity, surface=surface, kernels=kernels, reach=max(reaches), coarse=coarse
+        )
         return Size(
             pores=cell.interiors * cell.pores, tunnels=cell.interiors * cell.tunnels,
             design=replace(cell, radii=radii), geometry=made,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -50,7 +51,8 @@ class SliceField(Stage):
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         passes = 2 if self.islands == "remove" else 1
-        made = stack_size(field.body, self._pitch(field.body.scale), self.gray, passes=passes)
+        body = replace(field.body, coarse=math.inf) if self.exact else field.body
+        made = stack_size(body, self._pitch(body.scale), self.gray, passes=passes)
         return replace(made, design=field.design)
 
     def run(self, context: Context, field: ScalarField) -> SliceStack:
