@@ -207,7 +207,7 @@ RUNS = {
     "nothing": ("return None", "made NoneType, but announces PoreSet"),
     "not a number": ("points[1, 2] = np.nan", "must be finite"),
     "infinite": ("points[0, 0] = np.inf", "must be finite"),
-    "flat": ("points = points[:, :2]", "PoreSet"),
+    "flat": ("points = points[:, :2]", "pore centers have the shape (3, 2), expected (n, 3)"),
     "one too few": (
         "return PoreSet(cell=Cell(1.0), centers=points, piece=np.zeros(1, np.int32), interiors=1)",
         "contradicts itself",
