@@ -43,6 +43,10 @@ MAX_TOGETHER = 16
 _ATTEMPTS = 20
 
 
+REJECTED, SWEEPS = 1000, 50
+"""Divisions of an edge that are thrown away before intervals are drawn in pairs, and how often each is: choices."""
+
+
 def intervals(spacing: float) -> int:
     """Number of intervals that the sites divide an edge into."""
     most = math.floor(1.0 / spacing + 1e-9)
@@ -58,6 +62,10 @@ def occupied_share(total: float, spacing: float) -> float:
 def _sites(spacing: float) -> float:
     """Sites of one cell on its edges and its corner."""
     return 3.0 * intervals(spacing) - 2.0
+
+
+CLOSEST = 1e-2
+"""Smallest spacing, cell sizes: a choice; edges have a site for each, and a cell would hold a million pores."""
 
 
 def homogeneous_counts(total: float, spacing: float, met: int = 1) -> tuple[float, float]:
@@ -108,13 +116,15 @@ def homogeneous_design(
     def counted(pores: float, l: float) -> float:  # noqa: E741
         return pores if face_count is None else sum(homogeneous_counts(pores, l, met))
 
+    if spacing is not None:
+        spacing = max(spacing, CLOSEST)
     wanted = total if face_count is None else face_count
     if wanted == 0:
         return 0.0, 0.5 if spacing is None else spacing
     if spacing is None:
         assert wanted is not None
         assert share is not None
-        low, high = 1e-3, 0.5
+        low, high = CLOSEST, 0.5
         if wanted < counted(share * in_cell(high), high):
             raise DesignError(
                 f"{wanted} pores at a packing share of {share:g} would need a spacing above half a cell",
@@ -147,11 +157,21 @@ def edge_sites(rng: np.random.Generator, spacing: float) -> NDArray[np.float64]:
     spare = 1.0 - number * spacing
     # where even equal intervals are wider than the widest, any will do: faces keep half a spacing from the border
     widest = max(WIDEST * spacing, 1.0 / number + 1e-9)
-    while True:
+    for _ in range(REJECTED):
         cuts = np.sort(rng.random(number - 1))
         widths = spacing + spare * np.diff(np.concatenate([[0.0], cuts, [1.0]]))
         if widths.max() <= widest or number == 1:
             return np.concatenate([[0.0], np.cumsum(widths)[:-1]])
+    # of many intervals one is nearly always too wide; then two at a time share their sum anew, uniformly within the
+    # bounds, which leaves the uniform distribution over all lawful divisions as it is (Gibbs sampling)
+    widths = np.full(number, 1.0 / number)
+    for _ in range(SWEEPS):
+        order = rng.permutation(number)
+        for i, j in zip(order[: number // 2], order[number // 2 :], strict=False):
+            both = widths[i] + widths[j]
+            widths[i] = rng.uniform(max(spacing, both - widest), min(widest, both - spacing))
+            widths[j] = both - widths[i]
+    return np.concatenate([[0.0], np.cumsum(widths)[:-1]])
 
 
 def chosen_sites(rng: np.random.Generator, sites: int, colors: int, share: float) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.sampling import edges
 from sppm_pipeline.numerics.sampling.edges import (
     WIDEST,
     chosen_sites,
@@ -31,6 +32,15 @@ def test_sites_are_neither_too_near_nor_too_far(spacing):
         assert gaps.min() >= spacing - 1e-12
         if spacing <= 0.5:  # beyond, only the corner has room
             assert gaps.max() <= WIDEST * spacing + 1e-9
+
+
+def test_pairs_of_intervals_are_drawn_as_whole_divisions_are(monkeypatch):
+    whole = np.array([edge_sites(rng(seed), 0.13) for seed in range(800)])
+    monkeypatch.setattr(edges, "REJECTED", 0)
+    pairs = np.array([edge_sites(rng(seed), 0.13) for seed in range(800)])
+    for made in (whole, pairs):
+        assert np.abs(made.mean(0) - np.arange(made.shape[1]) / made.shape[1]).max() < 0.01
+    assert pairs.std(0)[1:] == pytest.approx(whole.std(0)[1:], rel=0.12)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
 from sppm_pipeline.numerics.grid import cell_centers, cell_nodes
