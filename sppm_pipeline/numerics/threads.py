@@ -1,6 +1,6 @@
-"""Work done by threads, its results in order: a bounded map, and a sequence that is computed one element ahead.
+"""Work done by threads, its results in order: a bounded map, bands of layers, and a sequence one element ahead.
 
-Both keep only a few results at once, however long the sequence is. Neither changes what is computed: the results are
+All keep only a few results at once, however long the sequence is. None changes what is computed: the results are
 those of the plain loop for any number of threads.
 """
 
@@ -54,6 +54,17 @@ def ordered_map(
             yield waiting.popleft().result()
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def in_bands(function: Callable[[int, int], None], layers: int, threads: int) -> None:
+    """Call ``function(start, stop)`` for bands that make up all layers, some for each thread as they differ in work."""
+    if threads <= 1:
+        function(0, layers)
+        return
+    height = max(1, -(-layers // (4 * threads)))
+    starts = range(0, layers, height)
+    for _ in ordered_map(lambda start: function(start, min(start + height, layers)), starts, threads):
+        pass
 
 
 def computed_ahead(items: Iterator[Item], threads: int) -> Iterator[Item]:

@@ -8,7 +8,6 @@ cells is the distance, in whatever order they come.
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import inline_jit, jit
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.rows import LANES
+from sppm_pipeline.numerics.threads import in_bands
 from sppm_pipeline.numerics.voronoi.cells import VoronoiCells
 
 #: What samples outside of all cells hold before `raise_to_distance` is called.
@@ -55,7 +55,7 @@ def raise_to_distance(
     """
     layers = len(out)
     if layers == 0 or len(cells.centers) == 0:
-        return None
+        return
     most = int(np.diff(cells.first).max(initial=1))
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
 
@@ -68,12 +68,7 @@ def raise_to_distance(
             np.empty(2 * most, np.float32), np.empty((most, 4)), np.empty(most), np.empty(most),
         )  # fmt: skip
 
-    if threads == 1 or layers == 1:
-        return fill(0, layers)
-    height = -(-layers // (4 * threads))
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda start: fill(start, min(start + height, layers)), range(0, layers, height)))
-    return None
+    in_bands(fill, layers, threads)
 
 
 @inline_jit

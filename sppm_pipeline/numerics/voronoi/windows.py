@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import inline_jit, jit
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.threads import in_bands
 
 
 def raise_to_depth(
@@ -41,7 +41,7 @@ def raise_to_depth(
     """
     layers = len(out)
     if layers == 0 or len(starts) == 0:
-        return None
+        return
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
 
     def fill(start: int, stop: int) -> None:
@@ -49,12 +49,7 @@ def raise_to_depth(
         arguments = block.reshape(-1), block.shape, first_layer + start, origin, spacing
         _raise_tunnels(*arguments, starts, ends, radii, margin)
 
-    if threads == 1 or layers == 1:
-        return fill(0, layers)
-    height = -(-layers // (4 * threads))
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda start: fill(start, min(start + height, layers)), range(0, layers, height)))
-    return None
+    in_bands(fill, layers, threads)
 
 
 @inline_jit
