@@ -137,7 +137,7 @@ def cut_degrees(
     crowded = np.flatnonzero(_touching(edges, degree > upper))
     length = edge_lengths(inside, edges[crowded], turns[crowded] * period.astype(np.int64))
     order = crowded[np.argsort(-length, kind="stable")]
-    kept = _cut(edges, *_ends_by_pore(edges, degree), degree, order, lower, upper, _DETOUR)
+    kept = _cut(edges, *ends_by_pore(edges, degree), degree, order, lower, upper, _DETOUR)
     return Network(edges[kept], turns[kept]), int((degree > upper).sum())
 
 
@@ -214,7 +214,7 @@ def _touching(edges: NDArray[np.int32], marked: NDArray[np.bool_]) -> NDArray[np
 
 
 @jit
-def _ends_by_pore(edges: NDArray[np.int32], degree: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def ends_by_pore(edges: NDArray[np.int32], degree: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Numbers ``2 e + side`` of the ends of edges by pore, (2 m,), and where those of each pore begin, (n + 1,)."""
     start = np.zeros(len(degree) + 1, np.int64)
     for i in range(len(degree)):
