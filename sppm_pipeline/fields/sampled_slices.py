@@ -161,7 +161,7 @@ class FieldSlices(SampledSlices):
 
     def decided(self, threads: int, told: dict[str, Any]) -> Iterator[Slab]:
         for start, stop in self.spans(SLAB_PIXELS):
-            yield start, self.source.solid_layers(self.samples, start, stop, threads)
+            yield start, self.source.solid_zyx(self.samples, start, stop, threads)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

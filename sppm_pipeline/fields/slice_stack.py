@@ -15,7 +15,7 @@ from sppm_pipeline.data.artifact import Artifact, frozen
 from sppm_pipeline.data.size import Geometry, Size
 
 Slab = tuple[int, NDArray[np.uint8]]
-"""Index of the first layer, and layers (nz, ny, nx), rows in order of increasing y."""
+"""Index of the first layer, and layers indexed [layer, y, x], rows in order of increasing y."""
 
 
 class Slabs:
@@ -37,6 +37,9 @@ class Slabs:
 
 class SliceStack(Artifact, ABC):
     """Layers of a part, delivered slab by slab from the bottom, never all in memory.
+
+    A stack of pictures, not a volume: its arrays are indexed [layer, y, x], as libraries for images have them
+    (tifffile, ImageJ, scikit-image), and each layer is a C-contiguous picture.
 
     Layer k is the section at mid-height, ``origin z + (k + 1/2) * layer_mm``; pixel (i, j) is the rectangle around
     ``origin + ((i + 1/2) * pixel_mm[0], (j + 1/2) * pixel_mm[1])``.
@@ -81,7 +84,7 @@ class SliceStack(Artifact, ABC):
         return Slabs(self.read(threads))
 
     def to_array(self, threads: int = 1) -> NDArray[np.uint8]:
-        """All layers at once, (nz, ny, nx) uint8; for stacks that fit into memory."""
+        """All layers at once, uint8 [layer, y, x]; its transpose is the volume [x, y, z]. For what fits into memory."""
         return np.concatenate([slab.copy() for _, slab in self.slabs(threads)])
 
     @staticmethod
@@ -92,7 +95,7 @@ class SliceStack(Artifact, ABC):
 
         Parameters
         ----------
-        layers : (nz, ny, nx) array_like
+        layers : (layers, ny, nx) array_like
             Truth values (True is solid), or integers from 0 (void) to 255 (solid); rows in order of increasing y.
         pixel_mm : float or (float, float)
             Pitch along x and y; one number for square pixels.
@@ -140,7 +143,7 @@ class SliceStack(Artifact, ABC):
 
 @dataclass(frozen=True, eq=False)
 class ArraySlices(SliceStack):
-    """Layers that are there already, (nz, ny, nx) uint8, with the low corner of the stack at the origin."""
+    """Layers that are there already, uint8 [layer, y, x], with the low corner of the stack at the origin."""
 
     layers: NDArray[np.uint8]
     pitch: tuple[float, float, float]
