@@ -268,29 +268,6 @@ def test_doctor_finds_what_is_wrong(here, capsys):
     assert [f["what"] for f in json.loads(capsys.readouterr().out) if not f["ok"]] == ["plugin bad.py"]
 
 
-def test_new_pipeline_is_a_valid_one(here, capsys):
-    assert main(["new", "pipeline", "first"]) == 0
-    assert main(["check", "first.yaml", "--no-plugins"]) == 0
-    assert main(["new", "pipeline", "first"]) == 2
-    assert "nothing is overwritten" in capsys.readouterr().err
-    assert main(["new", "pipeline", "../x"]) == 2
-
-
-def test_new_plugin_works_and_passes_its_own_tests(here, capsys):
-    assert main(["new", "plugin", "sppm-lattice"]) == 0
-    root = here / "sppm-lattice"
-    module = root / "sppm_lattice" / "jittered_grid.py"
-    assert main(["check", str(root / "example.yaml"), "--no-plugins", "--plugin", str(module)]) == 0
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(root)],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])},
-        capture_output=True, text=True, check=False, cwd=root,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout
-    assert main(["new", "plugin", "sppm-lattice"]) == 2
-    assert main(["new", "plugin", "sppm_pipeline"]) == 2
-
-
 def test_configurations_by_name():
     example = find_configuration("quickstart")
     assert example.name == "quickstart.yaml"
