@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline import Context, ScalarField, Stage, StiffnessReport, Voxels, option, options
+from sppm_pipeline import Context, Headline, ScalarField, Stage, StiffnessReport, Voxels, option, options
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +18,7 @@ class DensityLaw(Stage):
     """
 
     name: ClassVar[str] = "homogenize.my_word"
+    headline: ClassVar[tuple[Headline, ...]] = (Headline("E"), Headline("porosity"))
 
     prefactor: float = option(1.0, help="of the law; 1: a solid without pores is what it is", above=0, maximum=1)
     exponent: float = option(
