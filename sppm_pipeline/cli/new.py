@@ -107,7 +107,7 @@ def _plugin(name: str, kind: str, folder: Path) -> int:
         filled = pattern.sub(lambda found: names[found[0]], template.read_text(encoding="utf-8"))
         _write(root / file.replace("my_plugin", package), filled)
     look = f"sppm stages {family}.{word}" if family else "sppm plugins"
-    print(f"{root}\nnext: pip install -e {root}, then {look}, and pytest {root}")
+    print(f"{root}\nnext: pip install -e '{root}[test]', then {look}, and pytest {root}")
     return 0
 
 

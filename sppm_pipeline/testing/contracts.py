@@ -343,7 +343,7 @@ class WriterContract(StageContract):
     """What users expect of a stage that writes."""
 
     def test_writes_where_it_is_told(self) -> None:
-        """The file or folder of the option `path`, with something in it, and nothing else but an overview."""
+        """The file or folder of the option `path`, with something in it; others beside it begin with its name."""
         for stage in self.stages():
             made, context = self._run(stage)
             assert made is None, "a writer makes nothing"
@@ -352,6 +352,8 @@ class WriterContract(StageContract):
             files = [target] if target.is_file() else [file for file in target.rglob("*") if file.is_file()]
             assert files
             assert all(file.stat().st_size for file in files)
+            others = {file for file in context.directory.rglob("*") if file.is_file()} - set(files)
+            assert all(file.parent == target.parent and file.name.startswith(target.stem) for file in others)
 
 
 class HomogenizerContract(StageContract):

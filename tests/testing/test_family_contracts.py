@@ -172,10 +172,23 @@ def test_a_stage_that_breaks_a_promise_is_found(contract, stage, test):
         getattr(Suite(), test)()
 
 
-def test_a_writer_that_writes_elsewhere_is_found():
+@dataclass(frozen=True, kw_only=True)
+class Littering(Elsewhere):
+    """Writes what it should, and a file of another name beside it."""
+
+    name: ClassVar[str] = "write.littering"
+
+    def run(self, context: Context) -> None:
+        context.output("a").write_bytes(b"a")
+        context.output("a-overview").write_bytes(b"is allowed")
+        super().run(context)
+
+
+@pytest.mark.parametrize("stage", [Elsewhere(), Littering()])
+def test_a_writer_that_writes_elsewhere_is_found(stage):
     class Suite(WriterContract):
         def stages(self):
-            return [Elsewhere()]
+            return [stage]
 
     with pytest.raises(AssertionError):
         Suite().test_writes_where_it_is_told()
