@@ -13,9 +13,18 @@ from pathlib import Path
 import pytest
 
 import sppm_pipeline
-from sppm_pipeline.cli.main import VERBS, main
+from sppm_pipeline.cli.main import EXIT_CODES, VERBS, main
 from sppm_pipeline.engine.plan.session import find_configuration
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.errors import (
+    ConfigError,
+    DesignError,
+    InputError,
+    NativeCrash,
+    PluginError,
+    ResourceError,
+    SppmError,
+    WiringError,
+)
 
 SYNTHETIC = str(Path(sppm_pipeline.__file__).parent / "testing" / "synthetic.py")
 
@@ -266,6 +275,14 @@ def test_doctor_finds_what_is_wrong(here, capsys):
     (here / "bad.py").write_text("raise ValueError('no')")
     assert sppm("doctor", "--plugin", "bad.py", "--json") == 1
     assert [f["what"] for f in json.loads(capsys.readouterr().out) if not f["ok"]] == ["plugin bad.py"]
+
+
+def test_each_kind_of_error_has_its_exit_code():
+    kinds = [SppmError, ConfigError, InputError, PluginError, ResourceError, NativeCrash, WiringError, DesignError]
+    for kind, code in zip(kinds, [1, 2, 3, 4, 5, 6, 2, 3], strict=True):
+        error = kind("what went wrong")
+        assert (error.exit_code, str(error)) == (code, "what went wrong")
+        assert f"{code} " in EXIT_CODES
 
 
 def test_configurations_by_name():
