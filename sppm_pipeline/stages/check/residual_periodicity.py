@@ -40,7 +40,7 @@ class CheckResidualPeriodicity(Stage):
         """Sample the whole assembly and compare its cells."""
         from sppm_pipeline.numerics.tiling.residual import axis_correlation, bragg_share, folded_shares, mean_cell
 
-        if isinstance(tiling, Tiling) and (tiling.arrays.box < 0).any():
+        if isinstance(tiling, Tiling) and (tiling.arrays.surrounded().interior < 0).any():
             raise DesignError(
                 "residual periodicity is defined for a full box of cells; this tiling has empty ones",
                 hint="lay the same tile set with `cells: [8, 8, 8]` and measure that",

@@ -172,6 +172,19 @@ def test_threads_that_throw_and_join_change_no_byte(recipe, box):
     assert again.digest() == box.digest()
 
 
+def test_millions_of_tunnels_take_few_bytes_and_make_the_same_field(monkeypatch, recipe, torus):
+    monkeypatch.setattr("sppm_pipeline.data.tunnels.NARROW", 1)
+    again = ScatteredTiling(cells=(3, 2, 4), periodic=True, porosity=0.55, resolution=16).run(
+        PlainContext(2), recipe(tunnel_radius=Length(0.07)), None
+    )
+    wide, narrow = torus.tileset.micro, again.tileset.micro
+    assert (narrow.graph.edges.dtype, narrow.graph.shift.dtype) == (np.int32, np.int8)
+    assert np.array_equal(narrow.graph.edges, wide.graph.edges)
+    assert np.array_equal(narrow.graph.shift, wide.graph.shift)
+    assert narrow.pieces.kernels.ends.tobytes() == wide.pieces.kernels.ends.tobytes()
+    assert narrow.level == wide.level
+
+
 def test_no_lattice_shows(recipe):
     """The folded solid share, as `check.residual_periodicity` measures it, is flat but for noise."""
     tiling = ScatteredTiling(cells=(5, 5, 5), periodic=True, porosity=0.6, resolution=16).run(
