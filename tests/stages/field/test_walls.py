@@ -9,9 +9,13 @@ from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.numerics.connectivity.components import phase_report
 from sppm_pipeline.numerics.grid import Grid, cell_centers
+from sppm_pipeline.numerics.meshcheck.adjacency import adjacency
+from sppm_pipeline.numerics.meshcheck.box_tree import box_tree
 from sppm_pipeline.numerics.meshcheck.measures import measure_surface
+from sppm_pipeline.numerics.meshcheck.self_intersections import self_intersections
 from sppm_pipeline.stages.check.sizes import CheckSizes
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.stages.extract.manifold_sdf import ManifoldSdf
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.field.walls import WallsField
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
@@ -187,12 +191,20 @@ def test_scattered_cells():
     assert phase_report(void.astype(np.uint8)).removed_share < 1e-3
 
 
-def test_the_surface_is_closed_and_the_solid_carries(tuned):
-    field, _ = tuned
-    mesh = MarchingCubes(resolution=40).run(PlainContext(1), field)
+@pytest.mark.parametrize("extractor", [MarchingCubes(resolution=20), ManifoldSdf(resolution=20)], ids=lambda e: e.name)
+def test_meshes_are_closed_and_sound(tuned, extractor):
+    """Walls as thick as two cubes of the lattice."""
+    field = tuned[0].with_level(0.05)
+    mesh = extractor.run(PlainContext(1), field)
     found = measure_surface(mesh.vertices, mesh.faces)
     assert found.edges.closed
-    assert found.volume == pytest.approx(0.3, abs=0.01)
+    assert adjacency(mesh.faces).non_manifold_vertices == 0
+    assert self_intersections(box_tree(mesh.vertices[mesh.faces])).pairs == 0
+    assert found.volume == pytest.approx((field.sample(cell_centers(40)) < 0).mean(), rel=0.06)
+
+
+def test_the_solid_carries(tuned):
+    field, _ = tuned
     report = HomogenizeVoxel(resolution=24).run(PlainContext(1), field)
     young = report.summary()["isotropic"]["E"]
     density = 1 - report.summary()["porosity"]
@@ -218,3 +230,6 @@ def test_sizes_of_the_design_are_told(tuned):
     CheckSizes(resolution=24, printable=Length(0.25, "mm")).run(context, field)
     assert [text for text in context.warnings if "thinnest wall measures 0.2 mm" in text]
     assert not [text for text in context.warnings if "tunnel" in text]
+    context = PlainContext(1)
+    CheckSizes(resolution=24, printable=Length(0.35, "mm")).run(context, field)
+    assert [text for text in context.warnings if "narrowest tunnel measures 0.3 mm" in text]
