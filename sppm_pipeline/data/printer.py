@@ -85,9 +85,10 @@ class Printer:
     layer_mm : pair of floats
         Smallest and largest layer height; a choice of ours where the source names none.
     mirror_x, mirror_y : bool
-        Whether columns or rows of the picture are exposed in reverse.
+        Whether the order of the columns or rows of its pictures is reversed.
     portrait : bool
-        Whether the rows of its pictures run along x of the plate (largest first) and the columns along y.
+        Whether its pictures are turned by 90 degrees before they are mirrored: rows run along x of the plate and
+        columns along y, the largest first.
     subpixels : bool
         Whether its pictures hold three neighboring pixels as the red, green and blue of one.
     little_endian : bool
@@ -139,7 +140,7 @@ class Printer:
         if self.format not in FORMATS:
             return f"`format` is {self.format!r}; it is one of {', '.join(FORMATS)}"
         x, y = self.pixel_mm
-        if not (0.005 <= min(x, y) and max(x, y) <= 0.25 and max(x, y) <= 1.6 * min(x, y)):
+        if not (min(x, y) >= 0.005 and max(x, y) <= 0.25 and max(x, y) <= 1.6 * min(x, y)):
             return (
                 f"pixels of {1000 * x:.4g} x {1000 * y:.4g} um are no display's: {self.pixels[0]} x {self.pixels[1]} "
                 f"pixels on {self.display_mm[0]:g} x {self.display_mm[1]:g} mm"
@@ -149,6 +150,10 @@ class Printer:
         if self.subpixels and self.pixels[0] % 3:
             return f"`subpixels` come in threes, and {self.pixels[0]} pixels along x do not"
         return None
+
+    def holds(self, size_mm: Iterable[float]) -> bool:
+        """Whether a part of a size along x, y, z fits in as it lies."""
+        return all(side <= room * (1 + 1e-9) for side, room in zip(size_mm, self.volume_mm, strict=True))
 
     def require_layer(self, height: float) -> None:
         """Refuse a layer height out of the printer's range.
@@ -186,10 +191,10 @@ class Printer:
         DesignError
         """
         part = x, y, z = tuple(size_mm)
-        if _holds(self.volume_mm, part):
+        if self.holds(part):
             return
-        larger = sorted((o for o in others if _holds(o.volume_mm, part)), key=lambda o: (math.prod(o.volume_mm), o.name))
-        hints = ["turned by 90 degrees about z it fits"] if _holds(self.volume_mm, (y, x, z)) else ["scale the part"]
+        larger = sorted((o for o in others if o.holds(part)), key=lambda o: (math.prod(o.volume_mm), o.name))
+        hints = ["turned by 90 degrees about z it fits"] if self.holds((y, x, z)) else ["scale the part"]
         if larger:
             hints.append(f"the smallest printer that holds it is {larger[0].name} ({_size(larger[0].volume_mm)})")
         else:
@@ -236,10 +241,6 @@ class Resin:
         return None
 
 
-def _holds(volume: tuple[float, ...], part: tuple[float, ...]) -> bool:
-    return all(side <= room * (1 + 1e-9) for side, room in zip(part, volume, strict=True))
-
-
 def _size(lengths: tuple[float, ...]) -> str:
     return f"{' x '.join(f'{length:.5g}' for length in lengths)} mm"
 
@@ -279,7 +280,9 @@ def _named(name: str, known: Mapping[str, Card], kind: str, where: str) -> Card:
     if name in known:
         return known[name]
     word = name.lower().replace(" ", "_").replace("-", "_")
+    parts = {part for key in known for part in key.split("_")}
     near = [key for key in known if word in key or key in word] or difflib.get_close_matches(word, known, 3, 0.6)
+    near = near or [key for part in difflib.get_close_matches(word, parts, 1) for key in known if part in key]
     hint = f"did you mean {' or '.join(repr(key) for key in near[:3])}? {where}" if near else where
     raise ConfigError(f"there is no {kind} called {name!r}", hint=hint)
 
@@ -363,10 +366,10 @@ def _value(hint: Any, metadata: Mapping[str, Any], value: Any, where: str) -> An
         if not isinstance(value, hint):
             raise InputError(f"{where}: {'text' if hint is str else 'true or false'} is expected, got {value!r}")
         return value
-    if hint != int and value is None:  # an open number of a resin
+    whole = hint is int
+    if not whole and value is None:  # an open number of a resin
         return None
     low, high = metadata["bounds"]
-    whole = hint is int
     if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)) or not low <= value <= high:
         wanted = f"{'an integer' if whole else 'a number'} of {low:g} to {high:g}"
         raise InputError(f"{where}: {wanted} is expected, got {value!r}")

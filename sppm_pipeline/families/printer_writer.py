@@ -96,8 +96,8 @@ def placed(image: NDArray[np.uint8], printer: Printer) -> tuple[NDArray[np.uint8
     """
     (width, height), (rows, columns) = printer.pixels, image.shape
     left, top = (width - columns) // 2, height - rows - (height - rows) // 2
-    if printer.portrait:  # rows of the picture run from the largest x to the smallest, columns along y
-        image, width, height, top, left = image.T[::-1, ::-1], height, width, width - columns - left, height - rows - top
+    if printer.portrait:  # turned by 90 degrees: the largest x comes first, then the largest y
+        image, width, height, top, left = image.T[::-1], height, width, width - columns - left, top
     rows, columns = image.shape
     if printer.mirror_x:
         image, left = image[:, ::-1], width - columns - left
@@ -141,7 +141,9 @@ class Job:
     def seconds(self) -> float:
         """Time of the print: exposures, ways and rests, without acceleration."""
         bottom = min(self.resin.bottom_layers, self.layers)
-        first, other = (e + self.printer.motion.seconds(b) for e, b in zip(self.resin.exposure_s, (True, False), strict=True))
+        first, other = (
+            e + self.printer.motion.seconds(b) for e, b in zip(self.resin.exposure_s, (True, False), strict=True)
+        )
         return bottom * first + (self.layers - bottom) * other
 
     @property
@@ -165,7 +167,9 @@ class Preview:
     def __init__(self, stack: SliceStack) -> None:
         sides = [n * h for n, h in zip(stack.shape, (*stack.pixel_mm, stack.layer_mm), strict=True)]
         pitch = max(sides) / PREVIEW_SAMPLES
-        self._shape = nx, ny, nz = tuple(max(1, min(n, round(s / pitch))) for s, n in zip(sides, stack.shape, strict=True))
+        self._shape = nx, ny, nz = tuple(
+            max(1, min(n, round(s / pitch))) for s, n in zip(sides, stack.shape, strict=True)
+        )
         self._spacing = tuple(side / count for side, count in zip(sides, self._shape, strict=True))
         self._at = {int((k + 0.5) * stack.shape[2] / nz): k for k in range(nz)}
         self._share = np.zeros((nz, ny, nx), np.float32)

@@ -64,8 +64,9 @@ def config(
 
 
 def profile(
-    *, model: str, pixels: tuple[int, int], display_mm: tuple[float, float], height_mm: float, mirror: tuple[bool, bool],
-    portrait: bool, exposure_s: tuple[float, float], faded: int, layer_mm: float, density: float,
+    *, model: str, pixels: tuple[int, int], display_mm: tuple[float, float], height_mm: float,
+    mirror: tuple[bool, bool], portrait: bool, exposure_s: tuple[float, float], faded: int, layer_mm: float,
+    density: float,
 ) -> bytes:  # fmt: skip
     """``prusaslicer.ini``, from which other programs know the display."""
     return ini({

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
-from sppm_pipeline.data.length import Length, Pixel, voxel_mm
+from sppm_pipeline.data.length import Length, Pixel
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.printer import Printer
 from sppm_pipeline.data.size import Size

@@ -5,6 +5,7 @@ from __future__ import annotations
 import configparser
 import hashlib
 import io
+import itertools
 import struct
 import zipfile
 from dataclasses import replace
@@ -17,6 +18,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.printer import Motion, Printer, cards
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families.printer_writer import Preview
 from sppm_pipeline.fields.slice_stack import SliceStack
 from sppm_pipeline.formats import goo
 from sppm_pipeline.numerics.domain.primitive_meshes import box_mesh
@@ -138,7 +140,7 @@ def on_plate(pictures, printer):
     if printer.mirror_y:
         pictures = pictures[:, ::-1]
     pictures = pictures[:, ::-1]  # row 0 is at the top
-    return pictures.transpose(0, 2, 1) if printer.portrait else pictures
+    return pictures.transpose(0, 2, 1)[:, ::-1] if printer.portrait else pictures
 
 
 def all_pictures(path, kind):
@@ -154,15 +156,28 @@ def expected(layers, printer):
     return plate
 
 
-@pytest.mark.parametrize("gray", [False, True])
+CHANGES = [
+    {}, {"mirror_x": False}, {"mirror_y": True}, {"portrait": True}, {"portrait": True, "mirror_x": False},
+    {"portrait": True, "mirror_y": True}, {"pixels": (44, 37)}, {"pixels": (45, 37)}, {"pixels": (44, 40)},
+]  # fmt: skip
+"""Displays that differ from `machine`: mirrored, turned, and with little or no room around the part."""
+
+
+@pytest.fixture
+def no_thumbnails(monkeypatch):
+    """Rendering takes most of the time of a small file."""
+    monkeypatch.setattr(Preview, "picture", lambda self, width, height: np.zeros((height, width, 3), np.uint8))
+
+
+@pytest.mark.usefixtures("no_thumbnails")
 @pytest.mark.parametrize(
-    "changed",
+    ("changed", "gray"),
     [
-        {}, {"mirror_x": False}, {"mirror_y": True}, {"portrait": True}, {"portrait": True, "mirror_x": False},
-        {"portrait": True, "mirror_y": True}, {"pixels": (44, 37)}, {"pixels": (45, 37)}, {"pixels": (44, 40)},
+        ({}, False),
+        *((change, True) for change in CHANGES),
     ],
     ids=str,
-)  # fmt: skip
+)
 @pytest.mark.parametrize("kind", WRITERS)
 def test_every_pixel_is_where_it_belongs(kind, changed, gray, tmp_path):
     printer = machine(kind, **changed)
@@ -175,11 +190,16 @@ def test_every_pixel_is_where_it_belongs(kind, changed, gray, tmp_path):
 @pytest.mark.parametrize(("width", "gray"), [(7, 255), (8, 9), (64, 255), (1, 1), (4096, 77)])
 def test_long_runs_and_narrow_blocks(width, gray):
     block = np.full((5, width), gray, np.uint8)
-    for top, left, height, columns in [(0, 0, 5, width), (3, 0, 900, width), (1, 2, 7, width + 3), (0, 5, 5, 5 + width)]:
+    for top, left, height, columns in [
+        (0, 0, 5, width),
+        (3, 0, 900, width),
+        (1, 2, 7, width + 3),
+        (0, 5, 5, 5 + width),
+    ]:
         data = goo.encode_layer(block, top, left, height, columns)
         runs = list(goo_runs(data[1:-1]))
         assert sum(n for n, _ in runs) == height * columns
-        assert all(a[1] != b[1] for a, b in zip(runs, runs[1:], strict=False))  # no two runs that could be one
+        assert all(a[1] != b[1] for a, b in itertools.pairwise(runs))  # no two runs that could be one
         flat = np.repeat([g for _, g in runs], [n for n, _ in runs]).reshape(height, columns)
         assert np.array_equal(flat[top : top + 5, left : left + width], block)
         assert flat.sum() == block.sum(dtype=int)
@@ -278,6 +298,7 @@ def test_three_pixels_may_be_the_colors_of_one(tmp_path):
     assert np.array_equal(on_plate(pictures, stack.printer), expected(layers, stack.printer))
 
 
+@pytest.mark.usefixtures("no_thumbnails")
 @pytest.mark.parametrize("kind", WRITERS)
 def test_grays_start_where_the_resin_cures(kind, tmp_path):
     layers = np.arange(256, dtype=np.uint8).reshape(1, 16, 16)
