@@ -281,8 +281,10 @@ def _named(name: str, known: Mapping[str, Card], kind: str, where: str) -> Card:
         return known[name]
     word = name.lower().replace(" ", "_").replace("-", "_")
     parts = {part for key in known for part in key.split("_")}
-    near = [key for key in known if word in key or key in word] or difflib.get_close_matches(word, known, 3, 0.6)
-    near = near or [key for part in difflib.get_close_matches(word, parts, 1) for key in known if part in key]
+    near = sorted((key for key in known if word in key or key in word), key=len)
+    near = near or difflib.get_close_matches(word, known, 3, 0.6)
+    close = difflib.get_close_matches(word, parts, 1)
+    near = near or sorted((key for key in known if close and close[0] in key), key=len)
     hint = f"did you mean {' or '.join(repr(key) for key in near[:3])}? {where}" if near else where
     raise ConfigError(f"there is no {kind} called {name!r}", hint=hint)
 
