@@ -128,7 +128,7 @@ def encode_layer(block: NDArray[np.uint8], top: int, left: int, height: int, wid
         raise ValueError(f"{columns} x {rows} pixels at ({left}, {top}) do not lie in {width} x {height}")
     words = np.zeros((rows, -(-columns // 8) * 8), np.uint8)  # whole words, black behind the last pixel
     words[:, :columns] = block
-    data, total = _runs(words, words.view(np.uint64), columns, top, left, height, width)
+    data, total = _runs(words, words.view("<u8"), columns, top, left, height, width)
     return b"".join((b"\x55", data, bytes((~total & 0xFF,))))
 
 
@@ -158,10 +158,21 @@ def _put(out: NDArray[np.uint8], n: int, gray: int, length: int) -> int:
 
 
 @jit
+def _equal_bytes(difference: np.uint64) -> int:
+    """How many bytes of a difference other than 0 are 0 before the first that is not, the lowest first."""
+    count = 0
+    if difference & np.uint64(0xFFFFFFFF) == 0:
+        difference, count = difference >> np.uint64(32), 4
+    if difference & np.uint64(0xFFFF) == 0:
+        difference, count = difference >> np.uint64(16), count + 2
+    return count + 1 if difference & np.uint64(0xFF) == 0 else count
+
+
+@jit
 def _runs(
     pixels: NDArray[np.uint8], words: NDArray[np.uint64], columns: int, top: int, left: int, height: int, width: int
 ) -> tuple[NDArray[np.uint8], int]:
-    """The runs of the picture and the sum of their bytes; `words` are the pixels, eight by eight."""
+    """The runs of the picture and the sum of their bytes; `words` are the pixels, eight by eight (little-endian)."""
     rows = pixels.shape[0]
     room = 6 * (columns + 4)  # bytes that one row can add
     out = np.empty(room + pixels.size // 8 + 64, np.uint8)
@@ -176,17 +187,23 @@ def _runs(
             n = _put(out, n, gray, length)
             gray, length, same = 0, 0, np.uint64(0)
         length += left
-        for w in range(words.shape[1]):
-            if words[y, w] == same and 8 * w + 8 <= columns:
-                length += 8
-                continue
-            for x in range(8 * w, min(8 * w + 8, columns)):
-                value = pixels[y, x]
-                if value != gray:
-                    n = _put(out, n, gray, length)
-                    gray, length = value, 0
-                length += 1
-            same = np.uint64(gray) * _EVERY_BYTE
+        for w in range(columns // 8):
+            rest, at = words[y, w] ^ same, 0
+            while rest != 0:  # one step for each change, not for each pixel
+                equal = _equal_bytes(rest)
+                n = _put(out, n, gray, length + equal)
+                at += equal
+                gray, length = int(pixels[y, 8 * w + at]), 0
+                same = np.uint64(gray) * _EVERY_BYTE
+                rest = (words[y, w] ^ same) >> np.uint64(8 * at)
+            length += 8 - at
+        for x in range(columns // 8 * 8, columns):
+            value = int(pixels[y, x])
+            if value != gray:
+                n = _put(out, n, gray, length)
+                gray, length = value, 0
+                same = np.uint64(gray) * _EVERY_BYTE
+            length += 1
         behind = width - left - columns
         if gray != 0 and behind > 0:
             n = _put(out, n, gray, length)
