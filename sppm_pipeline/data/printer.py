@@ -286,7 +286,7 @@ def _named(name: str, known: Mapping[str, Card], kind: str, where: str) -> Card:
     close = difflib.get_close_matches(word, parts, 1)
     near = near or sorted((key for key in known if close and close[0] in key), key=len)
     hint = f"did you mean {' or '.join(repr(key) for key in near[:3])}? {where}" if near else where
-    raise ConfigError(f"there is no {kind} called {name!r}", hint=hint)
+    raise ConfigError(f"`{kind}`: there is no {kind} called {name!r}", hint=hint)
 
 
 def cards(own: Path | None = None) -> Cards:
