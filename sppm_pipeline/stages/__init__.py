@@ -62,6 +62,7 @@ BUILT_IN = {
     "homogenize.conductivity": "HomogenizeConductivity",
     "slice.field": "SliceField",
     "slice.mesh": "SliceMesh",
+    "slice.plate": "SlicePlate",
     "write.png": "WritePng",
     "write.sl1": "WriteSl1",
     "write.goo": "WriteGoo",
