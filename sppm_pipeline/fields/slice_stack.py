@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.data.artifact import Artifact, frozen
+from sppm_pipeline.data.printer import Printer
 from sppm_pipeline.data.size import Geometry, Size
 
 Slab = tuple[int, NDArray[np.uint8]]
@@ -54,6 +55,8 @@ class SliceStack(Artifact, ABC):
         Pixels along x and y, number of layers.
     origin_mm : tuple of 3 floats
         World position of the low corner of the stack.
+    printer : Printer or None
+        The printer that the layers were cut for.
     """
 
     @property
@@ -72,6 +75,10 @@ class SliceStack(Artifact, ABC):
     @abstractmethod
     def origin_mm(self) -> tuple[float, float, float]: ...
 
+    @property
+    def printer(self) -> Printer | None:
+        return None
+
     @abstractmethod
     def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
         """Yield the slabs, and return what was found out on the way; see `slabs`."""
@@ -89,7 +96,11 @@ class SliceStack(Artifact, ABC):
 
     @staticmethod
     def from_array(
-        layers: ArrayLike, *, pixel_mm: float | tuple[float, float], layer_mm: float | None = None
+        layers: ArrayLike,
+        *,
+        pixel_mm: float | tuple[float, float],
+        layer_mm: float | None = None,
+        printer: Printer | None = None,
     ) -> SliceStack:
         """Layers that are there already.
 
@@ -101,6 +112,8 @@ class SliceStack(Artifact, ABC):
             Pitch along x and y; one number for square pixels.
         layer_mm : float, optional
             `pixel_mm` if omitted; only square pixels do without.
+        printer : Printer, optional
+            The printer that they were cut for.
 
         Raises
         ------
@@ -118,7 +131,7 @@ class SliceStack(Artifact, ABC):
             values = values * np.uint8(255)
         if not 0 <= values.min() <= values.max() <= 255:
             raise ValueError("layers hold integers from 0 (void) to 255 (solid)")
-        stack = ArraySlices(frozen(values.astype(np.uint8)), pitch)
+        stack = ArraySlices(frozen(values.astype(np.uint8)), pitch, printer)
         stack.check()
         return stack
 
@@ -138,7 +151,8 @@ class SliceStack(Artifact, ABC):
     def summary(self) -> dict[str, Any]:
         """Size and pitch."""
         nx, ny, nz = self.shape
-        return {"pixels": [nx, ny], "layers": nz, "pixel_mm": list(self.pixel_mm), "layer_mm": self.layer_mm}
+        made = {"pixels": [nx, ny], "layers": nz, "pixel_mm": list(self.pixel_mm), "layer_mm": self.layer_mm}
+        return made if self.printer is None else {**made, "printer": self.printer.name}
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +161,11 @@ class ArraySlices(SliceStack):
 
     layers: NDArray[np.uint8]
     pitch: tuple[float, float, float]
+    machine: Printer | None = None
+
+    @property
+    def printer(self) -> Printer | None:
+        return self.machine
 
     @property
     def pixel_mm(self) -> tuple[float, float]:
