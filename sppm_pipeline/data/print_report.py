@@ -43,6 +43,9 @@ MEASURES: Mapping[str, Measure] = {
     "island": Measure("largest_island_mm2", "mm2", "largest section of an island"),
     "floating": Measure("floating_mm3", "mm3", "solid that never joins the part"),
     "overhang": Measure("largest_overhang_mm2", "mm2", "largest overhang of a layer"),
+    "undrained": Measure("undrained_mm3", "mm3", "void that does not drain through throats of `drain`"),
+    "thin": Measure("thin_solid_share", "", "share of the solid that is thinner than `min_feature`"),
+    "clogged": Measure("clogged_mm3", "mm3", "void that later layers cure shut"),
     "adhesion": Measure("adhesion", "", "first layer over the largest one", "<"),
     "margin": Measure("foot_margin_mm", "mm", "distance of the center of mass from the edge of the foot", "<"),
 }
@@ -104,7 +107,8 @@ class PrintReport:
     numbers : mapping of str
         The measures that the terminal, the run record and `fail` know; None where there is nothing to measure.
     events : mapping of str to list of dict
-        ``traps``, ``cups`` and ``islands``, the largest first: layers, volume, largest section, place.
+        ``traps``, ``cups`` and ``islands``, the largest first: layers, volume, largest section, place; and ``throats``,
+        by diameter.
     layers : mapping of str to (n,) array
         A column for each curve.
     settings : mapping of str

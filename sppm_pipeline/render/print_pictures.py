@@ -88,3 +88,12 @@ def curves_chart(columns: Mapping[str, NDArray[Any]]) -> bytes:
     return chart(
         series, "layers.png", x_label="height (mm)", y_label="area of the layer (mm²)", log_y=True, size=(7.5, 3.6)
     )
+
+
+def throats_chart(rows: Sequence[Mapping[str, float]]) -> bytes:
+    """Void that does not drain over the diameter of the throat, as PNG."""
+    from sppm_pipeline.render.charts import Series, chart
+
+    x, y = ([row[name] for row in rows] for name in ("diameter_mm", "undrained_mm3"))
+    series = [Series(x, y, kind="line", color="#0072b2"), Series(x, y, color="#0072b2")]
+    return chart(series, "throats.png", x_label="throat (mm)", y_label="undrained void (mm³)")

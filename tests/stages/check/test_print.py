@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.print_report import MEASURES, parse_rule
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.slice_stack import SliceStack
@@ -144,3 +145,34 @@ def test_on_supports_the_void_below_is_open(vase):
     assert checked(hollow)[0].reported["cups_at_plate"] == 1
     found = checked(hollow, plate="supports")[0].reported
     assert (found["traps"], found["cups_at_plate"]) == (0, 0)
+
+
+def test_throats_walls_and_cure_through_of_a_box_with_a_hole():
+    """A shell of 5 voxels with a hole of 5 voxels at its side."""
+    solid = np.zeros((40, 40, 40), bool)
+    solid[2:38, 2:38, 2:38] = True
+    solid[7:33, 7:33, 7:33] = False
+    solid[18:23, 18:23, 33:] = False
+    context = PlainContext()
+    stack = SliceStack.from_array(solid, pixel_mm=0.1)
+    # voxels are a quarter of half the throat: those of the layers
+    stage = CheckPrint(drain=Length(0.5), min_feature=Length(0.4), penetration=Length(0.1), cure_depth=Length(0.1))
+    stage.run(context, stack)
+    found = context.reported
+    report = json.loads((context.directory / "print" / "report.json").read_text())
+    by_size = {row["diameter_mm"]: row["undrained_mm3"] for row in report["throats"]}
+    assert [size for size, stays in by_size.items() if stays] == pytest.approx([0.5 * 2**0.5, 1.0], rel=1e-5)
+    assert found["undrained_mm3"] == 0
+    assert report["settings"]["coarse_voxel_mm"] == {"throats": [0.1] * 3, "features": [0.1] * 3}
+    # flat walls of five voxels are thick enough, and only edges are rounded off
+    assert 0 < found["thin_solid_share"] < 0.05
+    ceiling = 26 * 26 + 5 * 5
+    assert found["clogged_mm3"] == pytest.approx(ceiling * 1e-3, rel=0.05)
+    assert (context.directory / "print" / "throats.png").exists()
+    with pytest.raises(Rejected, match="cure shut"):
+        CheckPrint(fail=("clogged",), penetration=Length(0.1), cure_depth=Length(0.1)).run(PlainContext(), stack)
+
+
+def test_a_resin_has_both_depths():
+    with pytest.raises(ConfigError, match="cure_depth"):
+        CheckPrint(penetration=Length(0.1)).check_options()

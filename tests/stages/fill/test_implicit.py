@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
@@ -51,7 +52,7 @@ def test_an_open_part_wound_at_random_is_filled_with_a_warning(wang_tiling, ball
     assert context.reported["closed"] is False
     assert 0 < context.reported["undecided_share"] < 0.05
     assert context.reported["disagreement"] < 0.02
-    assert "scan.ply is not closed" in context.warnings[-1]
+    assert "scan.ply is not closed" in context.warnings[-2 if skin else -1]
     solid = part.solid(GRID)
     assert np.mean(solid != whole.solid(GRID)) < 0.005
     assert np.mean((part.sample(GRID) < 0) != solid) < (0.03 if skin else 1e-9)
@@ -77,3 +78,19 @@ def test_a_part_of_less_than_two_cells_is_filled_with_a_warning(wang_tiling, bal
     _, context = filled(wang_tiling, SurfaceMesh(ball.vertices * edge / extent, ball.faces))
     assert f"less than 2 cells of {edge:g} mm" in context.warnings[0]
     assert f"{25.4 * edge:.4g}" in context.warnings[0]
+
+
+def test_a_skin_says_how_much_void_it_seals(wang_tiling, ball):
+    part, context = filled(wang_tiling, ball, skin=Length(0.7))
+    n = 24
+    grid = cell_centers(n, (4, 3, 3))
+    closed = part.solid(grid) == 0
+    labels, _ = ndimage.label(closed)
+    sealed = np.count_nonzero(closed & (labels != labels[0, 0, 0])) * (part.physical_edge() / n) ** 3
+    assert sealed > 10
+    assert context.reported["sealed_mm3"] == pytest.approx(sealed, rel=0.05)
+    assert f"seals about {context.reported['sealed_mm3']:.3g} mm3" in context.warnings[-1]
+    # a skin thinner than the voxels of the coarse grid stays closed
+    _, thin = filled(wang_tiling, ball, skin=Length(0.02))
+    assert thin.reported["sealed_mm3"] > context.reported["sealed_mm3"]
+    assert "sealed_mm3" not in filled(wang_tiling, ball)[1].reported
