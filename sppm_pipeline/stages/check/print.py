@@ -51,10 +51,10 @@ class CheckPrint(Stage):
     which errs on the safe side for both. The suction is an upper bound: the pressure of the air on all cups of a layer.
 
     With `drain`, throats are measured: void from which a ball of that diameter, or of half to twice of it, can't be
-    moved out is undrained. With `min_feature`, walls and channels are found that no ball of that diameter fits into; sharp
-    edges of solid count among them. Both look at voxels of about a quarter of the smallest size. With `penetration` and
-    `cure_depth`, resin that later layers cure in the void below them is found (Jacobs' working curve): a model, not a
-    measurement of your resin.
+    moved out is undrained. With `min_feature`, walls and channels are found that no ball of that diameter fits into;
+    sharp edges of solid count among them. Both look at voxels of about a quarter of the smallest size. With
+    `penetration` and `cure_depth`, resin that later layers cure in the void below them is found (Jacobs' working
+    curve): a model, not a measurement of your resin.
 
     With `fail`, a print that breaks a rule is rejected (exit code 3); without, the report is all.
     """
