@@ -204,7 +204,7 @@ def at_porosity(context: Context, tiling: Tiling, porosity: float, resolution: i
     h = 1.0 / resolution
     sums = np.concatenate(
         [
-            tiling.sums(Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (resolution,) * 3), context.threads).ravel()
+            tiling.sums(Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (resolution,) * 3), context.threads)
             for x, y, z in filled[:: max(1, len(filled) // 64)].astype(float)
         ]
     )

@@ -156,7 +156,7 @@ class Microstructure(KernelSum):
         if "catalog" not in tables:
             tables["catalog"] = make_catalog(self.pieces, CUTOFF)
         catalog = tables["catalog"]
-        return sample_exact(self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog)
+        return sample_exact(self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog).T
 
     @property
     def solid_below(self) -> float:

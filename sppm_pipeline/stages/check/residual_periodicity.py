@@ -47,7 +47,7 @@ class CheckResidualPeriodicity(Stage):
             )
         if max(tiling.cells) < 2:
             raise DesignError("residual periodicity needs at least two cells along some axis")
-        solid = tiling.solid(cell_centers(self.resolution, tiling.cells), context.threads).transpose(2, 1, 0)
+        solid = tiling.solid(cell_centers(self.resolution, tiling.cells), context.threads)
         correlation = axis_correlation(solid, tiling.cells)
         folded = folded_shares(solid, tiling.cells)
         context.report(bragg_share=bragg_share(solid, tiling.cells), axis_correlation=correlation.mean)
