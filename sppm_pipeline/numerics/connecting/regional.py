@@ -138,7 +138,8 @@ class Cut(NamedTuple):
         parity = [np.arange(count) % 2 for count in self.shape(period)]
         for axis in np.flatnonzero((period > 0) & (self.regions % 2 == 1) & (self.regions > 1)):
             parity[axis][-1] = 2
-        return np.asarray(np.ravel_multi_index(np.meshgrid(*parity, indexing="ij"), (3, 3, 3)).ravel(), np.int64)
+        color: NDArray[np.int64] = np.ravel_multi_index(np.meshgrid(*parity, indexing="ij"), (3, 3, 3)).ravel()
+        return color
 
     def around(self, region: int, period: NDArray[np.float64]) -> NDArray[np.int64]:
         """The regions that touch one, without itself."""

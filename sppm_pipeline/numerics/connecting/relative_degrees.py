@@ -162,9 +162,10 @@ def raise_degrees(
                 f"{len(poor)} of {n} pores find fewer than {lower} tunnels: the pores around them all have {upper}",
                 hint="widen the degree bounds, for example to [3, 5]",
             )
-        keys = np.unique(nearest_keys(sorted_into_buckets(inside, period), poor, k).ravel())
+        keys = np.sort(nearest_keys(sorted_into_buckets(inside, period), poor, k).ravel())
+        keys = keys[(keys >= 0) & (np.diff(keys, prepend=-1) > 0)]
         there = _touching(edges, degree < lower)
-        keys = np.setdiff1d(keys[keys >= 0], _keys(edges[there], turns[there], n), assume_unique=True)
+        keys = np.setdiff1d(keys, _keys(edges[there], turns[there], n), assume_unique=True)
         more, images = edges_of_keys(keys, n)
         order = np.argsort(edge_lengths(inside, more, images * period.astype(np.int64)), kind="stable")
         added = order[_raise(more, degree, order, lower, upper)]
