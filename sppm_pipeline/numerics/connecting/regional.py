@@ -147,8 +147,8 @@ class Cut(NamedTuple):
         index = np.array(np.unravel_index(region, shape)) + np.argwhere(np.ones((3, 3, 3), bool)) - 1
         index = np.where(period > 0, index % shape, index)
         index = index[((index >= 0) & (index < shape)).all(axis=1)]
-        beside = np.unique(np.ravel_multi_index(tuple(index.T), tuple(shape)))
-        return beside[beside != region]
+        beside: NDArray[np.int64] = np.setdiff1d(np.ravel_multi_index(tuple(index.T), tuple(shape)), region)
+        return beside
 
     def near_border(self, points: NDArray[np.float64], period: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
         """Which points lie at most `margin` from the border of a region."""
