@@ -199,7 +199,7 @@ class _Chunk:
             return
         if not self._sums.size:
             self._sums = np.zeros((len(self.planes), len(self.y), len(self.x)), np.float32)
-            self.stretched[:] = 0
+            self.stretched[:] = 0  # samples of other columns enter nothing that is wanted, but are read
 
         def add(column: tuple[int, int]) -> None:
             x, y = (spans[axis][number] for axis, number in enumerate(column))

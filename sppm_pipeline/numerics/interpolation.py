@@ -299,8 +299,8 @@ def _interpolate_rows(
                 _between_planes(p0, p1, p2, p3, p4, p5, np.uint64(base + k), weights[layer], kept, np.uint64(k), *span)
         for y in range(row_start, row_stop):
             span = np.uint64(wanted[layer, y, 0]), np.uint64(wanted[layer, y, 1])
-            k = np.uint64(y_first[y] - base)
+            row = np.uint64(y_first[y] - base)
             if span[0] < span[1] and threshold:
-                _negative_between_rows(kept, k, y_weights, np.uint64(y), -level, solid[layer], *span)
+                _negative_between_rows(kept, row, y_weights, np.uint64(y), -level, solid[layer], *span)
             elif span[0] < span[1]:
-                _between_rows(kept, k, y_weights, np.uint64(y), -level, field[layer], *span)
+                _between_rows(kept, row, y_weights, np.uint64(y), -level, field[layer], *span)
