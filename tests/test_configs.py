@@ -72,6 +72,19 @@ def test_quickstart(run_yaml, summary):
     check_knot(record, folder, summary, rel=0.35)  # two cells across the tube
 
 
+def test_printer(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "printer.yaml", s=["read.primitive.size=[12 mm, 12 mm, 0.5 mm]", "tile.scattered.resolution=16"]
+    )
+    written = summary(record, "write.goo")
+    assert (written["printer"], written["layers"], written["verified_on_hardware"]) == ("elegoo_saturn_4", 10, False)
+    assert 0.1 < written["resin_ml"] / (np.pi * 0.6**2 * 0.05) < 0.6
+    assert written["print_time_s"] == pytest.approx(5 * (25 + 8.5) + 5 * (2.5 + 8.5))
+    assert (folder / "puck.goo").stat().st_size > 195_477 + 10 * 70
+    with Image.open(folder / "puck-overview.png") as sheet:
+        assert sheet.size[0] > 500
+
+
 def test_wang_part(run_yaml, summary):
     record, folder = run_yaml(
         CONFIGS / "wang_part.yaml",
