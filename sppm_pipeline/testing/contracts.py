@@ -280,12 +280,12 @@ class FieldContract(StageContract):
         for field in self._fields():
             grid = Grid((0.05, 0.03, 0.07), (0.1, 0.15, 0.11), (9, 6, 7))
             whole = field.sample(grid)
-            assert whole.shape == (7, 6, 9)
+            assert whole.shape == (9, 6, 7)
             assert whole.dtype == np.float32
             parts = [field.sample_layers(grid, start, stop, threads=3) for start, stop in ((0, 2), (2, 3), (3, 7))]
-            assert np.array_equal(np.concatenate(parts), whole)
+            assert np.array_equal(np.concatenate(parts, axis=2), whole)
             inner = Grid((0.25, 0.33, 0.18), (0.1, 0.15, 0.11), (4, 3, 2))
-            assert np.allclose(field.sample(inner), whole[1:3, 2:5, 2:6], atol=1e-6 * np.abs(whole).max())
+            assert np.allclose(field.sample(inner), whole[2:6, 2:5, 1:3], atol=1e-6 * np.abs(whole).max())
 
     def test_repeats_if_it_says_so(self) -> None:
         """The next cell of a periodic field is the same."""

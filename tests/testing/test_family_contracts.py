@@ -123,7 +123,7 @@ class Drifting(Layers):
     """Has another value at every place of the slab."""
 
     def evaluate(self, x, y, z):
-        return np.cos(2 * np.pi * z) + np.arange(len(z))[:, None, None] * 0.01
+        return np.cos(2 * np.pi * z) + np.arange(len(z)) * 0.01
 
 
 class Stubborn(WangTiling):
