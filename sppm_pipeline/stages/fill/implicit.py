@@ -111,9 +111,8 @@ def sealed_void(part: Part, threads: int) -> float:
     nx, ny, nz = (int(n) + 2 for n in np.ceil(extent / pitch))  # the outermost voxels lie outside
     edge = part.physical_edge()
     x, y, z = ((lower - pitch / 2 - part.origin_mm) / edge).tolist()
-    solid = replace(part, skin_mm=max(part.skin_mm, 1.01 * pitch)).solid(
-        Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz)), threads
-    )
+    closed = replace(part, skin_mm=max(part.skin_mm, 1.01 * pitch))
+    solid = closed.solid_zyx(Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz)), 0, nz, threads)
     tracker = Tracker("void", "supports")
     for k in range(nz):
         tracker.add(complement(find_runs(solid[k : k + 1])), k)
