@@ -127,8 +127,8 @@ class Printer:
     @property
     def picture(self) -> tuple[tuple[int, int], Pair]:
         """Width and height of its pictures, in pixels and in mm."""
-        turn = -1 if self.portrait else 1
-        return self.pixels[::turn], self.display_mm[::turn]
+        (nx, ny), (x, y) = self.pixels, self.display_mm
+        return ((ny, nx), (y, x)) if self.portrait else ((nx, ny), (x, y))
 
     @property
     def volume_mm(self) -> tuple[float, float, float]:
