@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.fields.domain_sampler import DomainSampler
 from sppm_pipeline.fields.wrapped import WrappedField
+from sppm_pipeline.numerics.domain.capsules import depths_in_capsules
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
@@ -34,12 +36,15 @@ class Part(WrappedField):
         Whether solid that is not connected to the largest component is left out where the part is sliced or meshed.
     inside : {"scanline", "winding", "vote"} or None
         Method of the inside test of the domain; None for the first if the domain bounds a solid, else the second.
+    drains : tuple of tuples of 7 floats
+        Capsules (both ends of a segment, radius), mm, that are void in skin and microstructure alike.
     """
 
     domain: SurfaceMesh
     skin_mm: float = 0.0
     islands: str = "remove"
     inside: Method | None = None
+    drains: tuple[tuple[float, ...], ...] = ()
 
     @property
     def periodic(self) -> bool:
@@ -51,6 +56,13 @@ class Part(WrappedField):
         from sppm_pipeline.numerics.domain.inside import way_for
 
         return self.inside or way_for(self.domain.bounds_solid)
+
+    def check(self) -> None:
+        """Drains are capsules with a radius."""
+        super().check()
+        for drain in self.drains:
+            if len(drain) != 7 or not all(math.isfinite(number) for number in drain) or drain[6] <= 0:
+                raise ValueError(f"a drain is two ends (x, y, z) and a positive radius, 7 numbers in mm, not {drain}")
 
     def in_mm(self, grid: Grid) -> Grid:
         """`grid`, given in cell sizes, in world millimeters."""
@@ -96,7 +108,13 @@ class Part(WrappedField):
         outer = self._in_domain(grid).distance(start, stop)
         edge = np.float32(self.physical_edge())
         outer /= edge
-        return inner, -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None, outer
+        skin = -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None
+        world = self.in_mm(grid)
+        for window, depth in depths_in_capsules(world.layers(start, stop), self.drains, 2 * max(world.spacing)):
+            for field in (inner, skin):
+                if field is not None:
+                    np.maximum(field[window], depth / edge, out=field[window])
+        return inner, skin, outer
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
@@ -106,7 +124,7 @@ class Part(WrappedField):
         if not self.skin_mm:
             inside = self._in_domain(grid).inside(start, stop)
             inside &= self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
-            return inside.T
+            return self._drained(inside, grid, start, stop).T
         from sppm_pipeline.numerics.domain.skin import halo_layers, skin_layers
 
         spacing = self.in_mm(grid).spacing
@@ -117,7 +135,13 @@ class Part(WrappedField):
         solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
         solid &= inside
         solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
-        return solid.T
+        return self._drained(solid, grid, start, stop).T
+
+    def _drained(self, solid: NDArray[np.uint8], grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+        """The layers without what the drains take away."""
+        for window, depth in depths_in_capsules(self.in_mm(grid).layers(start, stop), self.drains):
+            solid[window][depth > 0] = 0
+        return solid
 
     def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
         """Warning for voxels larger than the skin is thick, which leave it open; None for smaller ones."""
@@ -142,6 +166,7 @@ class Part(WrappedField):
         return {
             "domain": self.domain.summary(),
             "skin_mm": self.skin_mm,
+            "drains": len(self.drains),
             "islands": self.islands,
             "inside": self.method,
             "cells": list(self.cells),

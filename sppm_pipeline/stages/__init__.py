@@ -54,6 +54,7 @@ BUILT_IN = {
     "check.connectivity": "CheckConnectivity",
     "check.mesh": "CheckMesh",
     "check.porosity": "CheckPorosity",
+    "check.print": "CheckPrint",
     "check.sizes": "CheckSizes",
     "check.residual_periodicity": "CheckResidualPeriodicity",
     "check.tiling": "CheckTiling",

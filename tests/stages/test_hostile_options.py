@@ -87,6 +87,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "homogenize.tet": (VOLUME, "", []),
     "homogenize.realizations": ([], "recipe: cell, draws: 2, resolution: 6", []),
     "check.mesh": ([BOX], "", []),
+    "check.print": ([*TILED, "  - {stage: slice.field, pixel: 0.5}"], "", []),
     "check.sizes": (TILED, "resolution: 8", []),
     "check.volume_mesh": (VOLUME, "", []),
     "slice.mesh": ([BOX], "pixel: 0.25", ["  - write.png"]),
