@@ -146,18 +146,18 @@ class CheckPrint(Stage):
         solid = largest > 0
         center = np.array(stack.origin_mm) + scan.center * (px, py, h)
         numbers: dict[str, Any] = {
-            "traps": int(cups.count[NEVER]),
-            "trap_mm3": float(cups.total[NEVER] * voxel),
+            "traps": int(cups.counts[NEVER]),
+            "trap_mm3": float(cups.totals[NEVER] * voxel),
             "largest_trap_mm3": float(cups.volume[cups.kind == NEVER].max(initial=0) * voxel),
-            "cups": int(cups.count[JOINED] + cups.count[AT_PLATE] + cups.count[AT_END]),
-            "cups_at_plate": int(cups.count[AT_PLATE]),
-            "cups_open_at_top": int(cups.count[AT_END]),
+            "cups": int(cups.counts[JOINED] + cups.counts[AT_PLATE] + cups.counts[AT_END]),
+            "cups_at_plate": int(cups.counts[AT_PLATE]),
+            "cups_open_at_top": int(cups.counts[AT_END]),
             "largest_cup_mm2": float(cups.section.max(initial=0) * pixel),
             "suction_n": float(curves["sealed"].max() * pixel * ATMOSPHERE),
-            "islands": int(islands.count[JOINED]),
+            "islands": int(islands.counts[JOINED]),
             "largest_island_mm2": float(islands.section[islands.kind == JOINED].max(initial=0) * pixel),
-            "floating_parts": int(islands.count[NEVER]),
-            "floating_mm3": float(islands.total[NEVER] * voxel),
+            "floating_parts": int(islands.counts[NEVER]),
+            "floating_mm3": float(islands.totals[NEVER] * voxel),
             "overhang_mm2": float(curves["overhang"].sum() * pixel),
             "largest_overhang_mm2": float(curves["overhang"].max() * pixel),
             "solid_mm3": float(area.sum() * h),
@@ -310,7 +310,7 @@ class Passes:
             printed = self._printed.finish()
             cured = printed.curves["area"].sum() - self.scan.curves["area"].sum()
             found["clogged_mm3"] = float(cured * self._voxel_mm3)
-            found["clogged_trap_mm3"] = float(printed.cups.total[NEVER] * self._voxel_mm3)
+            found["clogged_trap_mm3"] = float(printed.cups.totals[NEVER] * self._voxel_mm3)
         return found
 
 
