@@ -234,8 +234,8 @@ class FieldSurface:
 
     def _planes(self, start: int, stop: int, threads: int) -> SampledSlab:
         if not isinstance(self.source, Part):
-            return SampledSlab(start, self.source.sample_layers(self.grid, start, stop, threads), None)
-        inner, skin, outer = self.source.sample_fields(self.grid, threads, start, stop)
+            return SampledSlab(start, self.source.sample_zyx(self.grid, start, stop, threads), None)
+        inner, skin, outer = self.source.fields_zyx(self.grid, threads, start, stop)
         if not self.cut:
             # All nodes a voxel or more outside are void, by so little that the surface lies at them: a point of the
             # domain is nearer than that to some corner of its cube of nodes, so the surface never passes through the

@@ -82,34 +82,35 @@ class Part(WrappedField):
 
         Who extracts a surface takes both apart, as their sizes have nothing to do with each other.
         """
-        inner, outer = self.sample_apart(grid, threads, start, stop)
-        return np.maximum(inner, outer, out=inner)
+        inner, outer = self.apart_zyx(grid, threads, start, stop)
+        return np.maximum(inner, outer, out=inner).T
 
-    def sample_apart(
+    def apart_zyx(
         self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The microstructure's field, made solid inside the skin, and the distance from the domain in cell sizes.
 
+        Both for kernels, (stop - start, ny, nx).
         The distance is cut off one spacing from the surface of the domain; with a skin, as much farther as that is
         thick. Layers start <= k < stop of the grid, all of them unless given.
         """
-        inner, skin, outer = self.sample_fields(grid, threads, start, stop)
+        inner, skin, outer = self.fields_zyx(grid, threads, start, stop)
         if skin is not None:
             # farther in, the microstructure decides alone; a distance cut off would lie between
             deep = outer <= np.float32(-0.999 * (self.skin_mm / self.physical_edge() + max(grid.spacing)))
             np.minimum(inner, skin, out=inner, where=~deep)
         return inner, outer
 
-    def sample_fields(
+    def fields_zyx(
         self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32]]:
-        """The fields of the microstructure, of the skin (None without one) and of the domain; see `sample_apart`.
+        """The fields of the microstructure, of the skin (None without one) and of the domain; see `apart_zyx`.
 
         Solid is where the domain's field is negative and one of the other two as well. Those of the domain and of the
         skin are distances in cell sizes; that of the microstructure is steeper or flatter.
         """
         stop = grid.shape[2] if stop is None else stop
-        inner = self.base.sample_layers(grid, start, stop, threads)
+        inner = self.base.sample_zyx(grid, start, stop, threads)
         outer = self._in_domain(grid).distance(start, stop)
         edge = np.float32(self.physical_edge())
         outer /= edge
@@ -128,8 +129,8 @@ class Part(WrappedField):
 
         if not self.skin_mm:
             inside = self._in_domain(grid).inside(start, stop)
-            inside &= self.base.solid_layers(grid, start, stop, threads, row_spans(inside))
-            return self._drained(inside, grid, start, stop)
+            inside &= self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
+            return self._drained(inside, grid, start, stop).T
         from sppm_pipeline.numerics.domain.skin import halo_layers, skin_layers
 
         spacing = self.in_mm(grid).spacing
@@ -137,10 +138,10 @@ class Part(WrappedField):
         first, last = max(0, start - halo), min(grid.shape[2], stop + halo)
         around = self._in_domain(grid).inside(first, last)
         inside = around[start - first : stop - first]
-        solid = self.base.solid_layers(grid, start, stop, threads, row_spans(inside))
+        solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
         solid &= inside
         solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
-        return self._drained(solid, grid, start, stop)
+        return self._drained(solid, grid, start, stop).T
 
     def _drained(self, solid: NDArray[np.uint8], grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
         """The layers without what the drains take away."""

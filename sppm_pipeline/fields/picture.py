@@ -65,9 +65,9 @@ def field_picture(
     x, y, z = (float(v) / n for v in first)
     grid = Grid((x, y, z), (1 / n,) * 3, (nx, ny, nz))
     if isinstance(field, Part):
-        inner, outer = field.sample_apart(grid, threads)
+        inner, outer = field.apart_zyx(grid, threads)
         return render_field(inner, outer, grid, camera=camera, size=size)
-    return render_field(field.sample(grid, threads), None, grid, camera=camera, size=size)
+    return render_field(field.sample(grid, threads).T, None, grid, camera=camera, size=size)
 
 
 def tile_sheet(
@@ -88,7 +88,7 @@ def tile_sheet(
     for t in range(shown):
         colors = (t // c**2, t // c % c, t % c) if tileset.kind == "wang" else (0, 0, 0)
         grid = cell_nodes(resolution)
-        values = tileset.micro.alone(t, colors).sample(grid, threads)
+        values = tileset.micro.alone(t, colors).sample(grid, threads).T
         pictures.append(render_field(values, None, grid, camera=camera, size=(300, 270)))
         share = f"  {tileset.porosity[t]:.1%}" if t < len(tileset.porosity) else ""
         name = "".join("xyz"[a] + str(colors[a] + 1) for a in range(3)) if tileset.kind == "wang" else str(t)
