@@ -162,7 +162,7 @@ class Part(WrappedField):
         x, y, z = ((lower - pitch / 2 - self.origin_mm) / edge).tolist()
         grid = Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz))
         thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
-        return thick.solid(grid, threads), self.in_mm(grid)
+        return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
 
     def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
         """Warning for voxels larger than the skin is thick, which leave it open; None for smaller ones."""

@@ -87,14 +87,14 @@ def _subtract(
 def first_moments(runs: Runs) -> tuple[float, float]:
     """Sums of x and of y over the pixels of a layer, at their centers (x + 1/2, y + 1/2)."""
     x, y = _first_moments(runs.rows, runs.bounds)
-    return x / 2, y / 2
+    return float(x) / 2, float(y) / 2
 
 
 @jit
-def _first_moments(rows: NDArray[np.int64], bounds: NDArray[np.int32]) -> tuple[int, int]:
-    x = y = 0
+def _first_moments(rows: NDArray[np.int64], bounds: NDArray[np.int32]) -> tuple[np.int64, np.int64]:
+    x, y = np.int64(0), np.int64(0)
     for line in range(rows.size - 1):
-        length = 0
+        length = np.int64(0)
         for r in range(rows[line], rows[line + 1]):
             start, stop = np.int64(bounds[2 * r]), np.int64(bounds[2 * r + 1])
             length += stop - start

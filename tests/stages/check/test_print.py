@@ -68,7 +68,8 @@ def test_report_of_a_body_with_known_answers(vase):
 
 
 def test_files_of_the_report(vase):
-    folder = checked(vase)[0].directory / "print"
+    context, _ = checked(vase)  # the folder goes with it
+    folder = context.directory / "print"
     report = json.loads((folder / "report.json").read_text())
     assert report["traps"] == [
         {
