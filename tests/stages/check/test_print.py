@@ -11,7 +11,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.print_report import MEASURES, parse_rule
 from sppm_pipeline.data.printer import cards
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.fields.slice_stack import ArraySlices, SliceStack
 from sppm_pipeline.render.print_pictures import MARKS
 from sppm_pipeline.stage import Rejected
 from sppm_pipeline.stages.check.print import CheckPrint
@@ -206,3 +206,23 @@ def test_resin_time_and_price(vase, tmp_path):
     ways = [printer.motion.seconds(bottom) for bottom in (True, False)]
     assert timed.reported["print_time_s"] == pytest.approx(3 * (20 + ways[0]) + 9 * (2 + ways[1]))
     assert checked(vase, resin="generic_gray")[0].reported["clogged_mm3"] is not None
+
+
+def test_the_same_report_however_the_layers_come(vase):
+    """Slabs of one layer and of five, over one thread and two: the same bytes in all files."""
+
+    class Slabby(ArraySlices):
+        def read(self, threads):
+            for start in range(0, len(self.layers), 5):
+                yield start, self.layers[start : start + 5].copy()
+            return {}
+
+    layers = vase * np.uint8(255)
+    found = []
+    for kind, threads in ((ArraySlices, 1), (Slabby, 2)):
+        context = PlainContext(threads=threads)
+        CheckPrint(drain=Length(0.5), min_feature=Length(0.5)).run(context, kind(layers, (*PIXEL, LAYER)))
+        files = sorted((context.directory / "print").rglob("*.*"))
+        found.append({file.name: file.read_bytes() for file in files})
+    assert found[0].keys() == found[1].keys()
+    assert all(found[0][name] == found[1][name] for name in found[0])
