@@ -107,15 +107,15 @@ def test_a_drain_opens_the_skin(wang_tiling, ball):
     assert not any("seals" in text for text in opened.warnings), opened.reported
     grid = cell_centers(24, (4, 3, 3))
     world = part.in_mm(grid)
-    dz, dy, dx = np.meshgrid(*(world.axis(a) - c for a, c in ((2, z), (1, y), (0, x))), indexing="ij")
+    dx, dy, dz = np.meshgrid(*(world.axis(a) - c for a, c in enumerate((x, y, z))), indexing="ij")
     below = np.clip(-dz, 0, z - low + 1)
     inside = dx**2 + dy**2 + (dz + below) ** 2 < 0.36
-    solid = part.solid(grid).T
-    assert np.array_equal(solid, np.where(inside, 0, sealed.solid(grid).T))
+    solid = part.solid(grid)
+    assert np.array_equal(solid, np.where(inside, 0, sealed.solid(grid)))
     # in layers, and by the sampled field
-    assert np.array_equal(part.solid_zyx(grid, 20, 31), solid[20:31])
-    assert np.mean((part.sample(grid).T < 0) != solid) < 0.02
-    assert not (part.sample(grid).T[inside] < 0).any()
+    assert np.array_equal(part.solid_layers(grid, 20, 31), solid[:, :, 20:31])
+    assert np.mean((part.sample(grid) < 0) != solid) < 0.02
+    assert not (part.sample(grid)[inside] < 0).any()
     part.check()
     with pytest.raises(ConfigError, match="drain 1"):
         ImplicitFill(drains=((0, 0, 0, 1, 1, 1, 0.0),)).check_options()
