@@ -79,7 +79,7 @@ class Throats:
         """What was found at each diameter."""
         self._follow(self._distance.finish())
         return [
-            ThroatLevel(d, room, int(tracker.finish(self._layers).total[NEVER]))
+            ThroatLevel(d, room, int(tracker.finish(self._layers).totals[NEVER]))
             for d, room, tracker in zip(self._diameters, self._room, self._trackers, strict=True)
         ]
 

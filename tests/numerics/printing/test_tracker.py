@@ -208,6 +208,6 @@ def test_of_many_events_the_largest_are_listed(monkeypatch):
     for i in range(8):
         solid[2 * i + 1 : 2 * i + 2, 1, : i + 2] = True
     _, islands, _ = tracked(np.ascontiguousarray(solid), "sealed")
-    assert islands.count[NEVER] == 8
-    assert islands.total[NEVER] == sum(range(2, 10))
+    assert islands.counts[NEVER] == 8
+    assert islands.totals[NEVER] == sum(range(2, 10))
     assert list(islands.volume[:3]) == [9, 8, 7]
