@@ -7,6 +7,7 @@ import hashlib
 import html
 import importlib
 import io
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any, ClassVar
 
@@ -107,6 +108,12 @@ class Artifact:
 
     def check(self) -> None:
         """Raise `ValueError` if the parts contradict each other; the engine calls it on every result."""
+
+    def attribute(self, fault: Callable[[str], Exception]) -> None:
+        """Keep what makes an error that names stage and plugin, if what the artifact holds is computed when it is read.
+
+        The engine calls it on every result of a plugin.
+        """
 
     def digest(self) -> str:
         """SHA-256 of the artifact's public fields: type, names, array dtypes, shapes and bytes."""
