@@ -83,8 +83,10 @@ def _spacing(file: Any) -> tuple[float, float, float] | None:
     """
     about, tags = file.imagej_metadata or {}, file.pages[0].tags
     unit = str(about.get("unit", "")).replace("\\u00B5", "u").replace("\u00b5", "u").replace("\u03bc", "u")
-    code = tags[_UNIT].value if _UNIT in tags else None
+    code = tags[_UNIT].value if _UNIT in tags else 0
     mm = _MM.get(unit.lower()) if unit else _RESOLUTION_UNITS.get(code)
+    if mm is None:
+        return None
     try:
         (nx, dx), (ny, dy) = tags[_X_RESOLUTION].value, tags[_Y_RESOLUTION].value
         x, y, z = (float(edge) * mm for edge in (dx / nx, dy / ny, about["spacing"]))
