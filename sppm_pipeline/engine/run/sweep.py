@@ -176,14 +176,17 @@ def _run_rows(
         "cache": cache,
     }
     results: dict[int, dict[str, Any]] = {}
+    notes: list[Path] = []
 
     def ended(number: int, result: dict[str, Any]) -> None:
         results[number] = result
+        with contextlib.suppress(OSError):  # there is none of a row that ran in this process
+            notes[number].unlink()
         monitor.row_finished(len(results), len(names), result)
 
     try:
         with TemporaryDirectory(prefix="sppm-sweep-") as folder:
-            notes = [Path(folder) / name for name in names]
+            notes += [Path(folder) / name for name in names]
             tasks = [
                 {**common, "row": i, "path": str(path / SWEEP_RUNS / name), "notes": str(notes[i]), "from": os.getpid()}
                 for i, name in enumerate(names)
@@ -251,7 +254,7 @@ def _serve(
         for future in futures:  # `shutdown` of a cluster's executor may not know how to
             future.cancel()
         pool.shutdown(wait=True)
-    return died, [process.exitcode for process in workers if process.exitcode]
+    return died, [process.exitcode for process in workers if process.exitcode is not None]
 
 
 def _taken_down(session: Session, task: Mapping[str, Any], notes: Path, codes: Sequence[int]) -> dict[str, Any]:
@@ -259,15 +262,15 @@ def _taken_down(session: Session, task: Mapping[str, Any], notes: Path, codes: S
     path, now = Path(task["path"]), current(notes)
     place: dict[str, Any] = {} if now is None else {"where": now.place, "stage": now.stage or None}
     doing = "" if now is None else f", while this was running: {now.what}"
-    code = codes[0] if len(codes) == 1 else 0
+    code = codes[0] if len(codes) == 1 else None
     run = f"the process of run {path.name!r}"
     error: SppmError
-    if code > 0:
+    if code is not None and code >= 0:
         kind = SppmError if now is None or now.builtin else PluginError
         error = kind(f"{run} was ended by its own code (exit code {code}){doing}", **place)
     else:
         name = f" by {signal.Signals(-code).name}" if code else ""
-        memory = ", perhaps because memory ran out" if -code == signal.SIGKILL else ""
+        memory = ", perhaps because memory ran out" if code == -signal.SIGKILL else ""
         hint = "run this row alone with --debug; if memory ran out, try a coarser resolution"
         error = NativeCrash(f"{run} was taken down{name}{memory}{doing}", hint=hint, **place)
     mark_ended(path, "failed", error)
