@@ -221,7 +221,7 @@ after: [{stage: write.column, column: field.scale.value}]
 
 def test_a_row_that_takes_its_process_down_has_failed_and_the_others_go_on(work):
     path = work.write(PLUGIN, "plugin.py")
-    record = run(work, DEADLY, plugins=[path], executor="processes", workers=2)
+    record = run(work, DEADLY, plugins=[path], workers=2)
     assert record["status"] == "failed"
     assert [row["status"] for row in record["runs"]] == ["done", "failed", "done", "failed", "failed"]
     left, killed, quiet = (record["runs"][row]["error"] for row in (1, 3, 4))

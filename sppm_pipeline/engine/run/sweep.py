@@ -21,7 +21,7 @@ from sppm_pipeline.engine.config.parameters import sweep_rows
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, check_sweep, check_until, open_session
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.engine.run.executors import make_executor
+from sppm_pipeline.engine.run.executors import default_executor, make_executor
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, remove_stale_runs
 from sppm_pipeline.engine.run.record import Recorder, error_entry, mark_ended
 from sppm_pipeline.engine.run.runner import StepRunner, run_plan
@@ -175,6 +175,7 @@ def _run_rows(
         "until": until,
         "cache": cache,
     }
+    executor = executor or default_executor(workers)  # also of rows that are run alone
     results: dict[int, dict[str, Any]] = {}
     notes: list[Path] = []
 
