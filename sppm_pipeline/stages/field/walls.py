@@ -45,6 +45,9 @@ class WallsField(Stage):
     """
 
     name: ClassVar[str] = "field.walls"
+    reported: ClassVar[tuple[str, ...]] = (
+        "thickness", "tunnel_radius", "thinnest_tunnel", "rounding", "mean_pore_distance", "missed",
+    )  # fmt: skip
 
     thickness: Length | None = option(
         None, help="thickness of the walls; a tenth of the mean distance of pores if omitted", unit="cell size",
