@@ -218,7 +218,17 @@ def main() -> None:
             config = folder / f"{name}.yaml"
             head = CONFIG.read_text().split("  - {stage: slice.field")[0]
             config.write_text(head.replace("{stage: fill.implicit}", "{stage: fill.implicit, islands: keep}") + tail)
-            made = [sys.executable, "-m", "sppm_pipeline", "run", str(config), "-q", "-o", str(folder / name)]
+            made = [
+                sys.executable,
+                "-m",
+                "sppm_pipeline",
+                "run",
+                str(config),
+                "-q",
+                "--no-cache",
+                "-o",
+                str(folder / name),
+            ]
             return [*made, "-p", f"mesh={source}", "-p", f"voxels={resolution}", "-p", f"height={height} mm"]
 
         direct = median(command("layers", LAYERS, voxels), runs=3)

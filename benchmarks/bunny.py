@@ -17,7 +17,17 @@ CONFIG = Path(__file__).parent.parent / "configs" / "bunny.yaml"
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
-        command = [sys.executable, "-m", "sppm_pipeline", "run", str(CONFIG), "-q", "-o", scratch + "/run"]
+        command = [
+            sys.executable,
+            "-m",
+            "sppm_pipeline",
+            "run",
+            str(CONFIG),
+            "-q",
+            "--no-cache",
+            "-o",
+            scratch + "/run",
+        ]
         result = median([*command, "-p", f"mesh={sys.argv[1]}"], runs=3)
         manifest = json.loads((Path(scratch) / "run" / "slices" / "manifest.json").read_text())
         voxels = manifest["layers"] * manifest["width_px"] * manifest["height_px"]

@@ -59,7 +59,17 @@ def files() -> None:
             with tempfile.TemporaryDirectory() as scratch:
                 config = Path(scratch) / "plate.yaml"
                 config.write_text(CONFIG.format(height=layers * 0.05, writer=writer))
-                command = [sys.executable, "-m", "sppm_pipeline", "run", str(config), "-q", "-o", scratch + "/run"]
+                command = [
+                    sys.executable,
+                    "-m",
+                    "sppm_pipeline",
+                    "run",
+                    str(config),
+                    "-q",
+                    "--no-cache",
+                    "-o",
+                    scratch + "/run",
+                ]
                 rows.append([layers, writer, *run([*command, "--threads", "1"])])
     table("2560 x 1440 plate", ["layers", "writer", "wall s", "CPU s", "peak MB"], rows)
 

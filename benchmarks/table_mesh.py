@@ -36,7 +36,7 @@ def measure(scratch: Path, name: str, config: str, runs: int, *parameters: str) 
     """Time, memory and megabytes on disk of one way."""
     file, folder = scratch / f"{name}.yaml", scratch / name
     file.write_text(config)
-    command = [sys.executable, "-m", "sppm_pipeline", "run", str(file), "-q", "-o", str(folder)]
+    command = [sys.executable, "-m", "sppm_pipeline", "run", str(file), "-q", "--no-cache", "-o", str(folder)]
     for parameter in parameters:
         command += ["-p", parameter]
     spent = best(command, runs)

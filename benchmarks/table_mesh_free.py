@@ -29,7 +29,17 @@ def main() -> None:
             for mode in ("greedy", "exact"):
                 out = Path(scratch) / f"{units}-{mode}"
                 size = f"cells=[{cells}, {cells}, {cells}]"
-                command = [sys.executable, "-m", "sppm_pipeline", "run", str(config), "-q", "-o", str(out)]
+                command = [
+                    sys.executable,
+                    "-m",
+                    "sppm_pipeline",
+                    "run",
+                    str(config),
+                    "-q",
+                    "--no-cache",
+                    "-o",
+                    str(out),
+                ]
                 ours = median([*command, "-p", size, "-p", f"mode={mode}"])
                 rows.append([units, f"sppm, {mode}", *ours, stored(out)])
             out = Path(scratch) / f"{units}-obvious"
