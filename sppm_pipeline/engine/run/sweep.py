@@ -8,6 +8,7 @@ import functools
 import io
 import json
 import os
+import queue
 import signal
 import sys
 import uuid
@@ -224,38 +225,55 @@ def _serve(
     codes : list of int
         The exit codes of worker processes, negative for a signal; those of other machines are not known.
     """
-    from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+    from concurrent.futures import BrokenExecutor
 
     before, workers = set(_children()), []
-    futures: dict[Future[dict[str, Any]], int] = {}
-    died = False
+    futures: dict[int, Future[dict[str, Any]]] = {}
+    # rows say when they are done: to ask all of them after each costs the square of their number
+    done: queue.SimpleQueue[int] = queue.SimpleQueue()
+    told, died = 0, False
+
+    def hear(seconds: float) -> bool:
+        """Take in a row that is done; False if none is within that time."""
+        nonlocal told, died
+        try:
+            number = done.get(timeout=seconds) if seconds else done.get_nowait()
+        except queue.Empty:
+            return False
+        told += 1
+        if isinstance(futures[number].exception(), BrokenExecutor):
+            died = True
+        else:
+            ended(number, futures[number].result())
+        return True
+
     try:
         for number, task in tasks.items():
             check()
             try:
-                futures[pool.submit(run_row, task)] = number
+                futures[number] = pool.submit(run_row, task)
             except BrokenExecutor:
                 died = True
                 break
+            futures[number].add_done_callback(functools.partial(_tell, done, number))
+            while hear(0):
+                pass
         workers = [process for process in _children() if process not in before]
-        waiting = set(futures)
-        while waiting:
-            # not for ever, so that whoever is asked to stop hears of it
-            done, waiting = wait(waiting, timeout=LISTENING, return_when=FIRST_COMPLETED)
+        while told < len(futures):
             check()
-            for future in sorted(done, key=lambda f: futures[f]):
-                if isinstance(future.exception(), BrokenExecutor):
-                    died = True
-                else:
-                    ended(futures[future], future.result())
+            hear(LISTENING)  # not for ever, so that whoever is asked to stop hears of it
     except BaseException:
         _stop_workers()
         raise
     finally:
-        for future in futures:  # `shutdown` of a cluster's executor may not know how to
+        for future in futures.values():  # `shutdown` of a cluster's executor may not know how to
             future.cancel()
         pool.shutdown(wait=True)
     return died, [process.exitcode for process in workers if process.exitcode is not None]
+
+
+def _tell(done: queue.SimpleQueue[int], number: int, future: Future[Any]) -> None:
+    done.put(number)
 
 
 def _taken_down(session: Session, task: Mapping[str, Any], notes: Path, codes: Sequence[int]) -> dict[str, Any]:
