@@ -12,11 +12,13 @@ import pytest
 
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.engine.config.document import plain
+from sppm_pipeline.engine.config.parameters import sweep_rows
+from sppm_pipeline.engine.plan import session as sessions
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor
 from sppm_pipeline.engine.run.runner import StepRunner
-from sppm_pipeline.engine.run.sweep import _serve, csv_text, numbers_of, rows_of, run_sweep, sweep_rows
+from sppm_pipeline.engine.run.sweep import _serve, csv_text, numbers_of, rows_of, run_sweep
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
 
 TEXT = """name: sweep
@@ -318,6 +320,13 @@ def test_a_row_of_a_long_sweep_costs_what_one_of_a_short_sweep_does():
         taken.append(Counted.taken)
     assert taken[0] > 0
     assert taken[2] - taken[1] == taken[1] - taken[0]
+
+
+def test_the_rows_of_a_sweep_are_laid_out_once_a_process(work, monkeypatch):
+    laid_out = []
+    monkeypatch.setattr(sessions, "sweep_rows", lambda *given: laid_out.append(1) or sweep_rows(*given))
+    run(work)
+    assert len(laid_out) == 2  # of this session, and of that of the executor
 
 
 def test_rows_are_told_of_as_they_end(work):

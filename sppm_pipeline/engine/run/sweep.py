@@ -18,7 +18,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.document import plain
-from sppm_pipeline.engine.config.parameters import sweep_rows
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, check_sweep, check_until, open_session
 from sppm_pipeline.engine.run.events import Monitor
@@ -86,7 +85,7 @@ def run_sweep(
     """
     monitor = monitor or Monitor()
     check_until(plan, until)
-    rows = _rows(session)
+    rows = session.rows
     check_sweep(session, rows, until)
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
@@ -297,7 +296,7 @@ def _taken_down(session: Session, task: Mapping[str, Any], notes: Path, codes: S
         record = json.loads((path / RECORD).read_bytes())
     except (OSError, ValueError):
         record = {}
-    row = _rows(session)[task["row"]]
+    row = session.rows[task["row"]]
     return _result(path, row, record, record.get("error") or error_entry(error))
 
 
@@ -339,7 +338,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         digests), and as ``record`` the digest of the row's record.
     """
     session = _session(task["request"], task["sweep"])
-    row = _rows(session)[task["row"]]
+    row = session.rows[task["row"]]
     path = Path(task["path"])
     if os.getpid() != task["from"]:
         with contextlib.suppress(OSError):  # on another machine
@@ -353,11 +352,6 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     except SppmError as error:
         return _result(path, row, getattr(error, "record", {}), error_entry(error))
     return _result(path, row, record, None)
-
-
-def _rows(session: Session) -> Sequence[Row]:
-    assert session.configuration.sweep is not None
-    return sweep_rows(session.configuration.sweep, session.configuration.params)
 
 
 def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str, Any] | None) -> dict[str, Any]:
