@@ -36,7 +36,8 @@ def test_components_are_those_of_scipy_where_nothing_wraps(wang_tiling):
     CheckConnectivity(resolution=8, islands="keep").run(context, wang_tiling)
     declared = declared_numbers(CheckConnectivity, True, ())
     assert set(numbers_of([{"id": "c", "summary": context.reported}])) == {
-        f"c.{place}" for place in declared - {"islands_at_surface"}  # with `islands: reject` only
+        f"c.{place}"
+        for place in declared - {"islands_at_surface"}  # with `islands: reject` only
     }
     solid = wang_tiling.solid(cell_centers(8, wang_tiling.cells))
     for phase, mask in (("solid", solid > 0), ("void", solid == 0)):
