@@ -27,7 +27,7 @@ from sppm_pipeline.engine.run.record import Recorder, error_entry, mark_ended
 from sppm_pipeline.engine.run.runner import StepRunner, run_plan
 from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import NativeCrash, PluginError, SppmError
-from sppm_pipeline.process.activity import current, share
+from sppm_pipeline.process.activity import current, of_run, share
 from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
@@ -340,7 +340,8 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     session = _session(task["request"], task["sweep"])
     row = session.rows[task["row"]]
     path = Path(task["path"])
-    if os.getpid() != task["from"]:
+    apart = os.getpid() != task["from"]
+    if apart:
         with contextlib.suppress(OSError):  # on another machine
             share(Path(task["notes"]))
     try:
@@ -348,7 +349,8 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
 
         plan, store = session.plan(row), _store(task["cache"])
         key = run_key(plan, task["until"])
-        record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
+        with contextlib.nullcontext() if apart else of_run(path.name):  # of a worker process its notes tell
+            record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
     except SppmError as error:
         return _result(path, row, getattr(error, "record", {}), error_entry(error))
     return _result(path, row, record, None)

@@ -115,8 +115,8 @@ class HomogenizeConductivity(Homogenizer):
             return []
         finer = "an image of finer voxels" if isinstance(source, Voxels) else f"`resolution: {2 * self.resolution}`"
         return [
-            f"the flow along {', '.join(leaking)} passes only through voxels that are half solid or more, thin walls or "
-            f"throats: compare with {finer}"
+            f"the flow along {', '.join(leaking)} passes only through voxels that are half solid or more, thin walls "
+            f"or throats: compare with {finer}"
         ]
 
     def _conductivities(self, cell: Cell) -> NDArray[Any]:
