@@ -101,16 +101,17 @@ class HomogenizeConductivity(Homogenizer):
         """Warnings for flow through walls that are too thin for the voxels."""
         from sppm_pipeline.numerics.connectivity.components import phase_report
 
-        if self.of != "void" or cell.fraction is None:
+        flows = k > LEAK * self._bulk()[0]
+        if self.of != "void" or cell.fraction is None or not flows.any():
             return []
         wall = None if isinstance(source, Voxels) else source.thinnest_wall
         if wall is not None and self.resolution * wall < WALL:
             return [
-                f"the void conducts through walls that are {self.resolution * wall:.2g} voxels thick; "
+                f"the void may conduct through walls, which are {self.resolution * wall:.2g} voxels thick; "
                 f"`resolution: {math.ceil(WALL / wall)}` or more ({WALL} voxels) closes them"
             ]
         closed = ~np.array(phase_report((cell.fraction.T < 0.5).view(np.uint8)).wraps)
-        leaking = [axis for axis, leak in zip("xyz", closed & (k > LEAK * self._bulk()[0]), strict=True) if leak]
+        leaking = [axis for axis, leak in zip("xyz", closed & flows, strict=True) if leak]
         if not leaking:
             return []
         finer = "an image of finer voxels" if isinstance(source, Voxels) else f"`resolution: {2 * self.resolution}`"

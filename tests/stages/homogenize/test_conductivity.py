@@ -1,5 +1,6 @@
 """``homogenize.conductivity``: solid and void, tortuosity, refusals."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,11 +76,12 @@ def test_a_cell_of_the_paper(cell, of):
 
 @dataclass(frozen=True, eq=False)
 class Wall(ScalarField):
-    """A wall across a diagonal, or across x, which lets nothing through; the middle is in a voxel, not between two."""
+    """A wall across a diagonal, or across x, or closed ones around the cell, which let nothing through."""
 
     thickness: float
     diagonal: bool = False
     stated: bool = False
+    closed: bool = False
 
     cells = (1, 1, 1)
     periodic = True
@@ -92,6 +94,9 @@ class Wall(ScalarField):
         grid = grid.layers(start, stop)
         x, y, z = (grid.axis(axis) for axis in range(3))
         across = (x[:, None, None] + self.diagonal * y[:, None] + 0.31 + 0 * z) % 1 - 0.5
+        if self.closed:
+            sides = (np.abs((axis + 0.31) % 1 - 0.5) for axis in (x[:, None, None], y[:, None], z))
+            return (functools.reduce(np.minimum, sides) - self.thickness / 2).astype(np.float32)
         return (np.abs(across) / np.sqrt(1 + self.diagonal) - self.thickness / 2).astype(np.float32)
 
 
@@ -109,6 +114,9 @@ def test_walls_too_thin_for_the_voxels_are_told():
         assert bool([text for text in warnings if f"{voxels_across} voxels thick" in text]) == leaks
         assert (k < 1e-4) != leaks
     assert any("`resolution: 30`" in text for text in through(Wall(0.1001, True, stated=True))[1])
+    # where nothing flows nothing leaks
+    assert through(Wall(2.2 / 16, stated=True, closed=True)) == (0, [])
+    assert through(Wall(1.5 / 16, stated=True, closed=True))[1]
 
 
 def test_flow_through_voxels_that_are_mostly_solid_is_told():
