@@ -14,6 +14,7 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import NamedTuple
 
@@ -56,6 +57,7 @@ class Activity(NamedTuple):
 
 
 _shared: mmap.mmap | None = None
+_run: ContextVar[str] = ContextVar("run", default="")
 _lock = threading.Lock()
 _active: list[tuple[Activity, float]] = []
 
@@ -74,6 +76,16 @@ def share(file: Path | None = None) -> None:
 
 
 @contextlib.contextmanager
+def of_run(name: str) -> Iterator[None]:
+    """Note of which run of a sweep it is what is being done in this thread."""
+    token = _run.set(name)
+    try:
+        yield
+    finally:
+        _run.reset(token)
+
+
+@contextlib.contextmanager
 def doing(activity: Activity, seconds: float = math.inf) -> Iterator[None]:
     """Note what is being done; what was being done before is noted again at the end.
 
@@ -86,6 +98,8 @@ def doing(activity: Activity, seconds: float = math.inf) -> Iterator[None]:
     if _shared is None:
         yield
         return
+    if run := _run.get():
+        activity = activity._replace(what=f"{activity.what} of run {run!r}")
     entry = (activity, time.monotonic() + seconds)
     with _lock:
         _active.append(entry)

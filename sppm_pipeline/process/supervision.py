@@ -198,7 +198,10 @@ class _Watch:
         number = os.WTERMSIG(status)
         name = signal.Signals(number).name
         if number in CRASHES:
-            hint = "run again with --debug, and leave out the stage that was running"
+            hint = (
+                "run again with --debug, and leave out the stage that was running; in a sweep, the other runs go on "
+                "with --executor processes"
+            )
             message = f"a native library crashed ({name}){doing}"
             return self._failed(NativeCrash(message, hint=hint, **place), NativeCrash.exit_code)
         self._tidy_up("interrupted", None)

@@ -240,6 +240,24 @@ def test_a_crash_of_a_native_library_has_its_own_exit_code(tmp_path, how, name):
     assert (record["status"], record["error"]["exit_code"]) == ("failed", 6)
 
 
+def test_a_row_that_takes_the_whole_sweep_down_names_its_run(tmp_path):
+    (tmp_path / "wait").touch()
+    process = start(tmp_path, "segfault", sweep=True)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 6
+    assert "'write.busy' of run '0000'" in err
+    assert "stages.py" in err
+    assert "--executor processes" in err
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert (record["status"], record["error"]["stage"]) == ("failed", "write.busy")
+    assert "of run '0000'" in record["error"]["message"]
+    # as the hint says: each row has its own error
+    process = start(tmp_path, "segfault", "--executor", "processes", sweep=True)
+    process.communicate(timeout=60)
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert [row["error"]["message"].count(f"run {row['run']!r}") for row in record["runs"]] == [1, 1]
+
+
 def test_a_second_run_into_a_directory_is_refused(tmp_path):
     (tmp_path / "wait").touch()
     first = start(tmp_path, "kernel")

@@ -176,7 +176,7 @@ def test_seeds(work, seed):
 
 @pytest.mark.parametrize("to", ["1" + "0" * 400, "1e300", ".nan", "true", "x", "-5", "[1]"])
 def test_ranges_of_sweeps(work, to):
-    from sppm_pipeline.engine.run.sweep import sweep_rows
+    from sppm_pipeline.engine.config.parameters import sweep_rows
 
     text = (
         f"params: {{a: 1}}\nsweep: {{a: {{from: 1, to: {to}}}}}\npipeline: [{{stage: read.varied, whole: '${{a}}'}}]\n"

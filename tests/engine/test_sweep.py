@@ -5,17 +5,20 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from concurrent.futures import ThreadPoolExecutor
+import threading
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import pytest
 
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.engine.config.document import plain
+from sppm_pipeline.engine.config.parameters import sweep_rows
+from sppm_pipeline.engine.plan import session as sessions
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor
 from sppm_pipeline.engine.run.runner import StepRunner
-from sppm_pipeline.engine.run.sweep import csv_text, numbers_of, rows_of, run_sweep, sweep_rows
+from sppm_pipeline.engine.run.sweep import _serve, csv_text, numbers_of, rows_of, run_sweep
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
 
 TEXT = """name: sweep
@@ -262,6 +265,80 @@ def test_workers_that_die_before_their_first_run_end_the_sweep(work):
     with pytest.raises(NativeCrash, match="0 of 5 runs had ended"):
         run(work, DEADLY, plugins=[path], executor="processes", workers=2)
     assert json.loads((work.folder / "out" / "run.json").read_text())["error"]["exit_code"] == 6
+
+
+class Counted(threading.Condition):
+    """What guards a future, and counts how often somebody takes it."""
+
+    taken = 0
+
+    def __init__(self):
+        super().__init__()
+        take = self.acquire
+
+        def counted(*args):
+            Counted.taken += 1
+            return take(*args)
+
+        self.acquire = counted
+
+    def __enter__(self):
+        Counted.taken += 1
+        return super().__enter__()
+
+
+class OneByOne(Executor):
+    """Has all rows before the first is done; the next one is done when somebody has heard of the one before."""
+
+    def __init__(self, count):
+        self.futures, self.count = [], count
+
+    def submit(self, fn, task):
+        future = Future()
+        future._condition = Counted()
+        self.futures.append(future)
+        if len(self.futures) == self.count:
+            self.finish(0)
+        return future
+
+    def finish(self, number):
+        if number < self.count:
+            self.futures[number].set_result({"row": number})
+
+
+def test_a_row_of_a_long_sweep_costs_what_one_of_a_short_sweep_does():
+    taken = []
+    for count in (10, 20, 30):
+        Counted.taken, order, pool = 0, [], OneByOne(count)
+
+        def ended(number, result, order=order, pool=pool):
+            order.append((number, result["row"]))
+            pool.finish(number + 1)
+
+        assert _serve(pool, {number: {} for number in range(count)}, ended) == (False, [])
+        assert order == [(number, number) for number in range(count)]
+        taken.append(Counted.taken)
+    assert taken[0] > 0
+    assert taken[2] - taken[1] == taken[1] - taken[0]
+
+
+def test_the_rows_of_a_sweep_are_laid_out_once_a_process(work, monkeypatch):
+    laid_out = []
+    monkeypatch.setattr(sessions, "sweep_rows", lambda *given: laid_out.append(1) or sweep_rows(*given))
+    run(work)
+    assert len(laid_out) == 2  # of this session, and of that of the executor
+
+
+def test_rows_are_told_of_as_they_end(work):
+    heard = []
+
+    class Heard(Monitor):
+        def row_finished(self, done, count, result):
+            heard.append((done, len(list((work.folder / "out" / "runs").iterdir()))))
+
+    session = work.session(TEXT)
+    run_sweep(session, session.plan(), work.folder / "out", workers=1, executor=None, threads=1, monitor=Heard())
+    assert heard == [(row, row) for row in range(1, 7)]
 
 
 def test_executors_by_name():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +116,18 @@ class Session:
         """Plan the run, or one row of its sweep; see `make_plan`."""
         return make_plan(self.configuration, self.registry, self.request.overrides, row)
 
+    @cached_property
+    def rows(self) -> Sequence[Row]:
+        """Rows of the sweep, laid out once whatever their number; none of a single run.
+
+        Raises
+        ------
+        ConfigError
+            See `sweep_rows`.
+        """
+        sweep = self.configuration.sweep
+        return [] if sweep is None else sweep_rows(sweep, self.configuration.params)
+
 
 def open_session(request: RunRequest) -> Session:
     """Read the configuration and load the plugins.
@@ -162,7 +175,7 @@ def checked(session: Session, until: str | None = None, *, inputs: bool = True) 
         problems.add(error)
     if session.configuration.sweep is not None:
         try:
-            rows = sweep_rows(session.configuration.sweep, session.configuration.params)
+            rows = session.rows
             if plan is not None:
                 columns = Columns(tuple(rows[0]))
                 check_sweep(session, rows, until, inputs=inputs, planned=columns.add)

@@ -8,6 +8,7 @@ import functools
 import io
 import json
 import os
+import queue
 import signal
 import sys
 import uuid
@@ -17,7 +18,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.document import plain
-from sppm_pipeline.engine.config.parameters import sweep_rows
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, check_sweep, check_until, open_session
 from sppm_pipeline.engine.run.events import Monitor
@@ -27,7 +27,7 @@ from sppm_pipeline.engine.run.record import Recorder, error_entry, mark_ended
 from sppm_pipeline.engine.run.runner import StepRunner, run_plan
 from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import NativeCrash, PluginError, SppmError
-from sppm_pipeline.process.activity import current, share
+from sppm_pipeline.process.activity import current, of_run, share
 from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def run_sweep(
     """
     monitor = monitor or Monitor()
     check_until(plan, until)
-    rows = _rows(session)
+    rows = session.rows
     check_sweep(session, rows, until)
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
@@ -224,38 +224,55 @@ def _serve(
     codes : list of int
         The exit codes of worker processes, negative for a signal; those of other machines are not known.
     """
-    from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+    from concurrent.futures import BrokenExecutor
 
     before, workers = set(_children()), []
-    futures: dict[Future[dict[str, Any]], int] = {}
-    died = False
+    futures: dict[int, Future[dict[str, Any]]] = {}
+    # rows say when they are done: to ask all of them after each costs the square of their number
+    done: queue.SimpleQueue[int] = queue.SimpleQueue()
+    told, died = 0, False
+
+    def hear(seconds: float) -> bool:
+        """Take in a row that is done; False if none is within that time."""
+        nonlocal told, died
+        try:
+            number = done.get(timeout=seconds) if seconds else done.get_nowait()
+        except queue.Empty:
+            return False
+        told += 1
+        if isinstance(futures[number].exception(), BrokenExecutor):
+            died = True
+        else:
+            ended(number, futures[number].result())
+        return True
+
     try:
         for number, task in tasks.items():
             check()
             try:
-                futures[pool.submit(run_row, task)] = number
+                futures[number] = pool.submit(run_row, task)
             except BrokenExecutor:
                 died = True
                 break
+            futures[number].add_done_callback(functools.partial(_tell, done, number))
+            while hear(0):
+                pass
         workers = [process for process in _children() if process not in before]
-        waiting = set(futures)
-        while waiting:
-            # not for ever, so that whoever is asked to stop hears of it
-            done, waiting = wait(waiting, timeout=LISTENING, return_when=FIRST_COMPLETED)
+        while told < len(futures):
             check()
-            for future in sorted(done, key=lambda f: futures[f]):
-                if isinstance(future.exception(), BrokenExecutor):
-                    died = True
-                else:
-                    ended(futures[future], future.result())
+            hear(LISTENING)  # not for ever, so that whoever is asked to stop hears of it
     except BaseException:
         _stop_workers()
         raise
     finally:
-        for future in futures:  # `shutdown` of a cluster's executor may not know how to
+        for future in futures.values():  # `shutdown` of a cluster's executor may not know how to
             future.cancel()
         pool.shutdown(wait=True)
     return died, [process.exitcode for process in workers if process.exitcode is not None]
+
+
+def _tell(done: queue.SimpleQueue[int], number: int, future: Future[Any]) -> None:
+    done.put(number)
 
 
 def _taken_down(session: Session, task: Mapping[str, Any], notes: Path, codes: Sequence[int]) -> dict[str, Any]:
@@ -279,7 +296,7 @@ def _taken_down(session: Session, task: Mapping[str, Any], notes: Path, codes: S
         record = json.loads((path / RECORD).read_bytes())
     except (OSError, ValueError):
         record = {}
-    row = _rows(session)[task["row"]]
+    row = session.rows[task["row"]]
     return _result(path, row, record, record.get("error") or error_entry(error))
 
 
@@ -321,9 +338,10 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         digests), and as ``record`` the digest of the row's record.
     """
     session = _session(task["request"], task["sweep"])
-    row = _rows(session)[task["row"]]
+    row = session.rows[task["row"]]
     path = Path(task["path"])
-    if os.getpid() != task["from"]:
+    apart = os.getpid() != task["from"]
+    if apart:
         with contextlib.suppress(OSError):  # on another machine
             share(Path(task["notes"]))
     try:
@@ -331,15 +349,11 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
 
         plan, store = session.plan(row), _store(task["cache"])
         key = run_key(plan, task["until"])
-        record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
+        with contextlib.nullcontext() if apart else of_run(path.name):  # of a worker process its notes tell
+            record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
     except SppmError as error:
         return _result(path, row, getattr(error, "record", {}), error_entry(error))
     return _result(path, row, record, None)
-
-
-def _rows(session: Session) -> Sequence[Row]:
-    assert session.configuration.sweep is not None
-    return sweep_rows(session.configuration.sweep, session.configuration.params)
 
 
 def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str, Any] | None) -> dict[str, Any]:

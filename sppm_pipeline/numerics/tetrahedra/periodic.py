@@ -151,3 +151,51 @@ def _covered(points: NDArray[np.float64], triangles: NDArray[np.float64]) -> NDA
         )
         covered |= (turns > 0).all(0) | (turns < 0).all(0)
     return covered
+
+
+def loose_parts(
+    nodes: NDArray[np.floating], cells: NDArray[np.integer], box: NDArray[np.floating], standing: NDArray[np.integer]
+) -> int:
+    """Number of the parts of a periodic mesh if all of them are loose; 0 if one runs through the box along some axis.
+
+    A part runs through if it holds a way along edges from a node to a copy of that node in another period.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float
+    cells : (m, 4) int
+    box : (2, 3) float
+    standing : (n,) int64
+        See `matched_nodes`.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ways = np.concatenate([cells[:, [0, end]] for end in (1, 2, 3)])
+    count = len(nodes)
+    part = connected_components(coo_array((np.ones(len(ways), np.int8), ways.T), (count, count)), directed=False)[1]
+    used = np.zeros(count, bool)
+    used[cells] = True
+    copies = np.flatnonzero(used & (standing != np.arange(count)) & used[standing])
+    shifts = np.rint((nodes[copies] - nodes[standing[copies]]) / (box[1] - box[0])).astype(np.int64)
+    # parts as they lie in the box, and by how many periods what belongs together across its faces is apart
+    seams: dict[int, list[tuple[int, NDArray[np.int64]]]] = {int(label): [] for label in np.unique(part[used])}
+    for one, other, *shift in np.unique(np.column_stack([part[copies], part[standing[copies]], shifts]), axis=0):
+        seams[int(one)].append((int(other), np.array(shift)))
+        seams[int(other)].append((int(one), -np.array(shift)))
+    place: dict[int, NDArray[np.int64]] = {}
+    found = 0
+    for first in seams:
+        if first in place:
+            continue
+        found += 1
+        place[first], todo = np.zeros(3, np.int64), [first]
+        while todo:
+            one = todo.pop()
+            for other, shift in seams[one]:
+                if other not in place:
+                    place[other] = place[one] + shift
+                    todo.append(other)
+                elif (place[other] != place[one] + shift).any():
+                    return 0
+    return found

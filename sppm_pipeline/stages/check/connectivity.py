@@ -27,6 +27,10 @@ class CheckConnectivity(Stage):
     """
 
     name: ClassVar[str] = "check.connectivity"
+    reported: ClassVar[tuple[str, ...]] = (
+        "solid_components", "solid_wraps.#3", "solid_removed_share", "void_components", "void_wraps.#3",
+        "void_removed_share", "porosity", "islands_at_surface",
+    )  # fmt: skip
 
     resolution: int = options.resolution(48, minimum=4, maximum=512)
     islands: str = options.islands(

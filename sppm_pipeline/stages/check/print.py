@@ -64,6 +64,13 @@ class CheckPrint(Stage):
     """
 
     name: ClassVar[str] = "check.print"
+    reported: ClassVar[tuple[str, ...]] = (
+        "traps", "trap_mm3", "largest_trap_mm3", "cups", "cups_at_plate", "cups_open_at_top", "largest_cup_mm2",
+        "suction_n", "islands", "largest_island_mm2", "floating_parts", "floating_mm3", "overhang_mm2",
+        "largest_overhang_mm2", "solid_mm3", "largest_layer_mm2", "largest_section_mm2", "adhesion",
+        "center_of_mass_mm.#3", "foot_margin_mm", "undrained_mm3", "thin_solid_share", "thin_void_mm3", "clogged_mm3",
+        "clogged_trap_mm3", "resin_ml", "print_time_s", "price",
+    )  # fmt: skip
     advice: ClassVar[str] = "slice with a larger `pixel` or `layer`"
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("verdict"), Headline("trap_mm3", "trapped", "mm^3"), Headline("suction_n", "suction up to", "N"),

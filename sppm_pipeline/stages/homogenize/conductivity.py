@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -16,6 +17,14 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.homogenizer import Cell, Homogenizer
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
+
+WALL = 3
+"""Voxels across a wall from which on no partly filled voxel lets anything through, as measured on flat walls along
+100, 110, 120, 111 and 133: at two voxels up to .48 of the bulk passes, at two and a half up to .09, and below 1e-4 at
+three."""
+
+LEAK = 0.01
+"""Share of the bulk conductivity from which on a leak is told; a choice."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +77,7 @@ class HomogenizeConductivity(Homogenizer):
         without = [axis for axis, value in zip("xyz", np.diag(found.conductivity), strict=True) if value == 0]
         if without:
             warnings.append(f"no flow along {', '.join(without)}: the {self.of} does not percolate")
+        warnings += self._leaks(source, cell, np.diag(found.conductivity))
         for warning in warnings:
             context.warn(warning)
         return ConductivityReport(
@@ -86,6 +96,29 @@ class HomogenizeConductivity(Homogenizer):
             wraps=connected.wraps,
             warnings=tuple(warnings),
         )
+
+    def _leaks(self, source: ScalarField | Voxels, cell: Cell, k: NDArray[Any]) -> list[str]:
+        """Warnings for flow through walls that are too thin for the voxels."""
+        from sppm_pipeline.numerics.connectivity.components import phase_report
+
+        flows = k > LEAK * self._bulk()[0]
+        if self.of != "void" or cell.fraction is None or not flows.any():
+            return []
+        wall = None if isinstance(source, Voxels) else source.thinnest_wall
+        if wall is not None and self.resolution * wall < WALL:
+            return [
+                f"the void may conduct through walls, which are {self.resolution * wall:.2g} voxels thick; "
+                f"`resolution: {math.ceil(WALL / wall)}` or more ({WALL} voxels) closes them"
+            ]
+        closed = ~np.array(phase_report((cell.fraction.T < 0.5).view(np.uint8)).wraps)
+        leaking = [axis for axis, leak in zip("xyz", closed & flows, strict=True) if leak]
+        if not leaking:
+            return []
+        finer = "an image of finer voxels" if isinstance(source, Voxels) else f"`resolution: {2 * self.resolution}`"
+        return [
+            f"the flow along {', '.join(leaking)} passes only through voxels that are half solid or more, thin walls "
+            f"or throats: compare with {finer}"
+        ]
 
     def _conductivities(self, cell: Cell) -> NDArray[Any]:
         """Of all voxels, (nz, ny, nx)."""

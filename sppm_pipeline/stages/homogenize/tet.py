@@ -18,6 +18,9 @@ from sppm_pipeline.stage import Context, Headline, Stage, option
 
 MATCHED_TOLERANCE = 1e-6
 
+LOOSE = 1e-9
+"""Stiffness over the mean Young's modulus of the cell below which only rounding is left; a choice, as for voxels."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class HomogenizeTet(Stage):
@@ -56,7 +59,7 @@ class HomogenizeTet(Stage):
     def run(self, context: Context, mesh: VolumeMesh) -> StiffnessReport:
         """Solve the six load cases."""
         from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra
-        from sppm_pipeline.numerics.tetrahedra.periodic import face_match, matched_nodes
+        from sppm_pipeline.numerics.tetrahedra.periodic import face_match, loose_parts, matched_nodes
 
         if mesh.box is None:
             raise InputError(
@@ -71,6 +74,12 @@ class HomogenizeTet(Stage):
                 stand_in = None if mismatched else matched_nodes(mesh.nodes, mesh.box, MATCHED_TOLERANCE)
             except ValueError:  # nodes closer than the tolerance: which is whose copy is ambiguous
                 stand_in = None
+        if stand_in is not None and (parts := loose_parts(mesh.nodes, mesh.cells[:, :4], mesh.box, stand_in)):
+            raise self._loose(
+                f"{mesh.name} carries no load: its solid, in {parts} loose parts, does not run through the cell"
+                if parts > 1
+                else f"{mesh.name} carries no load: its solid does not run through the cell"
+            )
         context.report(joined="nodes" if stand_in is not None else self.faces.replace("auto", "mortar"))
         try:
             found = homogenize_tetrahedra(
@@ -88,6 +97,7 @@ class HomogenizeTet(Stage):
             )
         except ValueError as error:
             raise InputError(f"{mesh.name} can't be homogenized: {error}", hint="see `check.volume_mesh`") from error
+        self._refuse_loose(mesh, found.stiffness)
         if max(found.residuals) > 100 * self.residual:
             raise DesignError(
                 f"the solution did not converge: residuals {', '.join(f'{r:.1e}' for r in found.residuals)} after "
@@ -106,6 +116,23 @@ class HomogenizeTet(Stage):
                 "unknowns": found.unknowns,
                 "constraints": found.constraints,
             },
+        )
+
+    def _refuse_loose(self, mesh: VolumeMesh, stiffness: np.ndarray) -> None:
+        """An error if what was found is rounding; of faces that do not match nobody knows before what they join."""
+        assert mesh.box is not None
+        phases = self._phases(mesh, float(np.prod(mesh.box[1] - mesh.box[0])))
+        largest = float(np.abs(stiffness).max())
+        mean = sum(fraction * young for fraction, young, _ in phases)
+        if largest <= LOOSE * mean or np.linalg.eigvalsh(stiffness)[0] < -1e-4 * largest:
+            raise self._loose(f"{mesh.name} carries no load: its solid does not run through the cell")
+
+    @staticmethod
+    def _loose(message: str) -> DesignError:
+        return DesignError(
+            message,
+            hint="make the structure less porous, or the mesh finer if it is the mesh that is torn; "
+            "`check.connectivity` says whether the solid of a field runs through",
         )
 
     def _constants(self, mesh: VolumeMesh) -> tuple[list[float], list[float]]:

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.tetrahedra.periodic import face_match, matched_nodes
+from sppm_pipeline.numerics.tetrahedra.periodic import face_match, loose_parts, matched_nodes
 
 BOX = np.array([[-1.0, 2, 5], [1, 3, 9]])
 SIX = [(0, *p, 7) for p in ((1, 3), (3, 2), (2, 6), (6, 4), (4, 5), (5, 1))]
@@ -85,3 +85,21 @@ def test_coinciding_nodes_are_refused():
 
 def test_nothing_on_the_faces():
     assert matched_nodes(np.array([[0.0, 2.5, 7]]), BOX).tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("words", "solid", "parts"),
+    [
+        ("a ball inside", lambda x, y, z: x**2 + y**2 + z**2 < 0.1, 1),
+        ("one around the corners of the cell", lambda x, y, z: abs(x) + abs(y) + abs(z) > 1.2, 1),
+        ("two balls", lambda x, y, z: abs(abs(x) - 0.25) + abs(y) + abs(z) < 0.15, 2),
+        ("a bar along y", lambda x, y, z: x**2 + z**2 < 0.06, 0),
+        ("a helix of steps", lambda x, y, z: np.abs((x - y + 0.5) % 1 - 0.5) + abs(z) < 0.2, 0),
+    ],
+)
+def test_parts_that_run_through_are_told_from_loose_ones(words, solid, parts):
+    nodes, cells, _ = kuhn(12)
+    axis = (np.arange(12) + 0.5) / 12 - 0.5
+    inside = solid(*np.meshgrid(axis, axis, axis, indexing="ij")).ravel()
+    cells = cells.reshape(-1, 6, 4)[inside].reshape(-1, 4)
+    assert loose_parts(nodes, cells, BOX, matched_nodes(nodes, BOX)) == parts, words

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from sppm_pipeline.engine.plan.inputs import declared_numbers
+from sppm_pipeline.engine.run.sweep import numbers_of
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
@@ -32,6 +34,11 @@ def floating_share(field, n):
 def test_components_are_those_of_scipy_where_nothing_wraps(wang_tiling):
     context = PlainContext()
     CheckConnectivity(resolution=8, islands="keep").run(context, wang_tiling)
+    declared = declared_numbers(CheckConnectivity, True, ())
+    assert set(numbers_of([{"id": "c", "summary": context.reported}])) == {
+        f"c.{place}"
+        for place in declared - {"islands_at_surface"}  # with `islands: reject` only
+    }
     solid = wang_tiling.solid(cell_centers(8, wang_tiling.cells))
     for phase, mask in (("solid", solid > 0), ("void", solid == 0)):
         labels, count = ndimage.label(mask)

@@ -10,6 +10,9 @@ from PIL import Image
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.print_report import MEASURES, parse_rule
 from sppm_pipeline.data.printer import cards
+from sppm_pipeline.engine.plan.inputs import declared_numbers
+from sppm_pipeline.engine.run.sweep import numbers_of
+from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.slice_stack import ArraySlices, SliceStack
 from sppm_pipeline.render.print_pictures import MARKS
@@ -58,6 +61,11 @@ def test_report_of_a_body_with_known_answers(vase):
     assert found["largest_island_mm2"] == pytest.approx(0.05)
     assert found["floating_mm3"] == pytest.approx(VOXEL)
     assert found["solid_mm3"] == pytest.approx(vase.sum() * VOXEL)
+    declared = declared_numbers(CheckPrint, True, ())
+    reported = {name: value for name, value in found.items() if name != "verdict"}
+    numbers = numbers_of([{"id": "p", "summary": jsonable(reported)}])
+    missing = {f"p.{name}" for name, value in reported.items() if value is None}
+    assert set(numbers) | missing == {f"p.{place}" for place in declared}
     x, y, z = (i.mean() + 0.5 for i in np.nonzero(vase)[::-1])
     assert found["center_of_mass_mm"] == pytest.approx([x * 0.2, y * 0.25, z * 0.5], abs=1e-4)
     assert found["foot_margin_mm"] == pytest.approx(min(0.2 * (x - 1), 0.2 * (15 - x), 0.25 * (y - 1), 0.25 * (11 - y)))

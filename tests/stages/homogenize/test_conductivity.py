@@ -1,11 +1,15 @@
 """``homogenize.conductivity``: solid and void, tortuosity, refusals."""
 
+import functools
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
 from sppm_pipeline.data.conductivity import ConductivityReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stages.homogenize.conductivity import HomogenizeConductivity
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -68,6 +72,63 @@ def test_a_cell_of_the_paper(cell, of):
     # the upper bound of Hashin and Shtrikman for a conductor in an insulator, on average over the axes
     assert 0 < np.trace(report.k) / 3 < 2 * share / (3 - share)
     assert all(value > 1 for value in report.tortuosity)
+
+
+@dataclass(frozen=True, eq=False)
+class Wall(ScalarField):
+    """A wall across a diagonal, or across x, or closed ones around the cell, which let nothing through."""
+
+    thickness: float
+    diagonal: bool = False
+    stated: bool = False
+    closed: bool = False
+
+    cells = (1, 1, 1)
+    periodic = True
+
+    @property
+    def thinnest_wall(self):
+        return self.thickness if self.stated else None
+
+    def sample_layers(self, grid, start, stop, threads=1):
+        grid = grid.layers(start, stop)
+        x, y, z = (grid.axis(axis) for axis in range(3))
+        across = (x[:, None, None] + self.diagonal * y[:, None] + 0.31 + 0 * z) % 1 - 0.5
+        if self.closed:
+            sides = (np.abs((axis + 0.31) % 1 - 0.5) for axis in (x[:, None, None], y[:, None], z))
+            return (functools.reduce(np.minimum, sides) - self.thickness / 2).astype(np.float32)
+        return (np.abs(across) / np.sqrt(1 + self.diagonal) - self.thickness / 2).astype(np.float32)
+
+
+def through(field, **options):
+    """Conductivity across the wall, and warnings."""
+    context = PlainContext()
+    report = conducted(field, context, resolution=16, of="void", **options)
+    return np.linalg.eigvalsh(report.k)[0], [text for text in context.warnings if "wall" in text]
+
+
+def test_walls_too_thin_for_the_voxels_are_told():
+    for voxels_across, leaks in ((1.5, True), (2.5, True), (3, False), (4, False)):
+        k, warnings = through(Wall(voxels_across / 16, True, stated=True))
+        assert (k > 0.03) == leaks
+        assert bool([text for text in warnings if f"{voxels_across} voxels thick" in text]) == leaks
+        assert (k < 1e-4) != leaks
+    assert any("`resolution: 30`" in text for text in through(Wall(0.1001, True, stated=True))[1])
+    # where nothing flows nothing leaks
+    assert through(Wall(2.2 / 16, stated=True, closed=True)) == (0, [])
+    assert through(Wall(1.5 / 16, stated=True, closed=True))[1]
+
+
+def test_flow_through_voxels_that_are_mostly_solid_is_told():
+    k, warnings = through(Wall(1.5 / 16))
+    assert k > 0.5
+    assert len(warnings) == 1
+    assert "the flow along x passes only through voxels" in warnings[0]
+    assert "`resolution: 32`" in warnings[0]
+    assert through(Wall(0.2 / 16)) == (pytest.approx(0.98, abs=0.03), [])
+    assert through(Wall(3 / 16))[1] == []
+    assert through(Wall(1.5 / 16), bulk=50.0)[1] == warnings
+    assert through(Wall(1.5 / 16), fractions="binary")[1] == []
 
 
 def test_refusals(cell, wang_tiling):

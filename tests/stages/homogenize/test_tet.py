@@ -29,8 +29,18 @@ class SchwarzP(ScalarField):
         return (x[:, None, None] + y[:, None] + z).astype(np.float32)
 
 
-def meshed(resolution, order=1):
-    return IsosurfaceStuffing(resolution=resolution, order=order).run(PlainContext(), SchwarzP())
+@dataclass(frozen=True, eq=False)
+class Shards(SchwarzP):
+    """A ball in each cell."""
+
+    def sample_layers(self, grid, start, stop, threads=1):
+        grid = grid.layers(start, stop)
+        x, y, z = ((grid.axis(axis) - 0.5) ** 2 for axis in range(3))
+        return (np.sqrt(x[:, None, None] + y[:, None] + z) - 0.3).astype(np.float32)
+
+
+def meshed(resolution, order=1, field=None):
+    return IsosurfaceStuffing(resolution=resolution, order=order).run(PlainContext(), field or SchwarzP())
 
 
 def homogenized(mesh, **options):
@@ -99,3 +109,33 @@ def test_what_can_not_be_homogenized():
         homogenized(VolumeMesh(mesh.nodes, np.empty((0, 4), np.int32), box=mesh.box))
     with pytest.raises(DesignError, match="did not converge"):
         homogenized(mesh, iterations=1)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_shards_that_carry_no_load_are_told(order):
+    one = meshed(6, order, Shards())
+    with pytest.raises(DesignError, match="carries no load: its solid does not run through the cell") as told:
+        homogenized(one)
+    assert "less porous" in told.value.hint
+    with pytest.raises(DesignError, match="does not run through"):
+        homogenized(one, young=2e11, faces="mortar")
+    half = one.nodes * (0.5, 1, 1)
+    cells = np.vstack([one.cells, one.cells + len(half)])
+    two = replace(one, nodes=np.vstack([half, half + np.array([0.5, 0, 0])]), cells=cells)
+    with pytest.raises(DesignError, match="in 2 loose parts, does not run through"):
+        homogenized(two)
+
+
+def test_what_carries_load_along_one_axis_only_is_homogenized():
+    """A rod is pulled along its axis: Young's modulus times its share, as a bar has it, and nothing else."""
+
+    class Rod(SchwarzP):
+        def sample_layers(self, grid, start, stop, threads=1):
+            grid = grid.layers(start, stop)
+            x, y, z = (grid.axis(axis) - 0.5 for axis in range(3))
+            return (np.hypot(x[:, None, None], y[:, None]) - 0.3 + 0 * z).astype(np.float32)
+
+    found = homogenized(meshed(6, 1, Rod()))[0]
+    found.check()
+    assert found.stiffness[2, 2] == pytest.approx(1 - found.porosity, rel=1e-4)
+    assert np.abs(np.delete(found.stiffness, 2, 0)).max() < 1e-6
