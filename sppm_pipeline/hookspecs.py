@@ -138,9 +138,10 @@ class StageEvent:
         Type of the artifact that it made.
     seconds : float
     summary : mapping
-        Its numbers, as in the run record; empty if it failed.
+        Its numbers, as in the run record; empty if it failed, unless it rejects what it got and leaves a report.
     record : mapping
-        All that the run record says of it (options, inputs, outputs, warnings, recipes); empty if it failed.
+        All that the run record says of it (options, inputs, outputs, warnings, recipes); empty whenever `summary` is
+        because it failed.
     error : str or None
         What it failed with.
     from_cache : bool

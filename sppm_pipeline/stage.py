@@ -21,7 +21,7 @@ import numpy as np
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline.errors import DesignError, Position
 
 FAMILIES: Mapping[str, str] = {
     "read": "a file or a primitive becomes an artifact",
@@ -43,7 +43,28 @@ FAMILIES: Mapping[str, str] = {
 
 
 class Rejected(DesignError):
-    """A draw does not meet a check; `tune.retry` draws again, elsewhere it ends the run."""
+    """A draw does not meet a check; `tune.retry` draws again, elsewhere it ends the run.
+
+    Parameters
+    ----------
+    message, hint, where, stage
+        See `SppmError`.
+    keep_outputs : bool
+        Whether what the stage has written is whole and stays in the run directory, such as a report that says why; its
+        summary is then recorded, too. Not in the cache, and not if a draw follows.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        hint: str | None = None,
+        where: Position | None = None,
+        stage: str | None = None,
+        keep_outputs: bool = False,
+    ) -> None:
+        super().__init__(message, hint=hint, where=where, stage=stage)
+        self.keep_outputs = keep_outputs
 
 
 @dataclass(frozen=True)

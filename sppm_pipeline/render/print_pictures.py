@@ -23,6 +23,9 @@ MARKS: tuple[tuple[str, Color], ...] = (
 
 _PANEL = 460
 
+_VIEW = 320
+"""Pixels along the side of the picture of an orientation: a choice."""
+
 
 def marked_layer(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A layer (ny, nx) of codes as a picture (ny, nx, 3), the side of largest y on top."""
@@ -97,3 +100,38 @@ def throats_chart(rows: Sequence[Mapping[str, float]]) -> bytes:
     x, y = ([row[name] for row in rows] for name in ("diameter_mm", "undrained_mm3"))
     series = [Series(x, y, kind="line", color="#0072b2"), Series(x, y, color="#0072b2")]
     return chart(series, "throats.png", x_label="throat (mm)", y_label="centers of balls that can't leave (mm³)")
+
+
+def orientations_sheet(
+    rows: Sequence[Mapping[str, Any]], views: Sequence[NDArray[np.float64]], voxel: float
+) -> NDArray[np.uint8]:
+    """Orientations side by side, the best first, seen from the front, with turn, score and costs below each.
+
+    Parameters
+    ----------
+    rows : sequence of mappings
+        ``turn``, ``score``, ``supports_mm2``, ``cups_mm2``, ``height_mm``, ``pareto``.
+    views : sequence of (nz, nx) float64
+        Depth from 0 to 1, lowest layer first; NaN where nothing is.
+    voxel : float
+        Edge of a voxel, mm.
+    """
+    trimmed = [view[~np.isnan(view).all(1)] for view in views]
+    side = max(max(view.shape) for view in trimmed)
+    zoom = max(1, round(_VIEW / side))
+    pictures, labels = [], []
+    for row, view in zip(rows, trimmed, strict=True):
+        framed = np.full((side, side), np.nan)
+        left = (side - view.shape[1]) // 2
+        framed[: len(view), left : left + view.shape[1]] = view  # all stand on one line
+        light = np.nan_to_num(1 - 0.75 * framed)[..., None] * np.array(MARKS[1][1])
+        picture = np.where(np.isnan(framed)[..., None], MARKS[0][1], light).astype(np.uint8)[::-1]
+        pictures.append(picture.repeat(zoom, 0).repeat(zoom, 1))
+        x, y, _ = row["turn"]
+        costs = f"{row['supports_mm2']:.3g}, {row['cups_mm2']:.3g} mm2, {row['height_mm']:.3g} mm"
+        labels.append(f"{'* ' if row['pareto'] else ''}{x:.4g}, {y:.4g}: {row['score']:.3g}; {costs}")
+    title = (
+        "Turn about x, y: score; supports, cups, height. * none is better in one and as good in all. "
+        f"Voxels of {voxel:.3g} mm hide what is thinner"
+    )
+    return contact_sheet(pictures, labels, columns=6, title=title, gap=16, text_size=17)

@@ -31,6 +31,7 @@ BUILT_IN = {
     "tune.porosity": "TunePorosity",
     "tune.stiffness": "TuneStiffness",
     "tune.retry": "Retry",
+    "tune.orientation": "TuneOrientation",
     "tileset.wang_3color": "WangTileSet",
     "tileset.free_faces": "FreeFacesTileSet",
     "tileset.corner_colors": "CornerColorsTileSet",

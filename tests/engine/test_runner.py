@@ -8,12 +8,13 @@ import weakref
 import numpy as np
 import pytest
 
-from sppm_pipeline.engine.files import digest_of
+from sppm_pipeline.engine.files import digest_of, files_in
 from sppm_pipeline.engine.plan.planning import make_plan
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.steps import last_uses
+from sppm_pipeline.engine.run.verification import verify_run
 from sppm_pipeline.engine.strict_json import json_text, jsonable
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, PluginError, ResourceError, SppmError
 from sppm_pipeline.hookspecs import hookimpl
@@ -333,3 +334,97 @@ def test_json_is_strict_and_plain():
 def test_a_plan_is_a_function_of_its_arguments(work):
     session = work.session(FULL)
     assert make_plan(session.configuration, session.registry).document == session.plan().document
+
+
+JUDGE = '''
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from sppm_pipeline.hookspecs import hookimpl
+from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
+from sppm_pipeline.testing.synthetic import Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judge(Stage):
+    """Write a report, and reject."""
+
+    name: ClassVar[str] = "check.judge"
+    report: str = option("report.txt", help="the report", output=True)
+    keep: bool = option(True, help="whether it stays")
+    write: bool = option(True, help="whether it is written")
+
+    def run(self, context: Context, number: Number) -> Number:
+        context.report(found=7)
+        path = context.output(self.report)
+        if self.write:
+            path.write_text("all that is wrong")
+        raise Rejected("not good", keep_outputs=self.keep)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Once(Stage):
+    """Announce an output of its own, then run a recipe."""
+
+    name: ClassVar[str] = "tune.once"
+    notes: str = option("notes.txt", help="notes", output=True)
+
+    def run(self, context: Context, recipe: Recipe) -> Any:
+        context.output(self.notes)
+        return recipe.run(context)
+
+
+@hookimpl
+def sppm_stages():
+    return {"check.judge": Judge, "tune.once": Once}
+'''
+REJECTED = "pipeline: [sample.random, check.judge, write.number]\n"
+INSIDE = """recipes:
+  r: [sample.random, {stage: write.number, path: inside.txt}, {stage: check.judge, from: sample.random}]
+pipeline: [{stage: %s, recipe: r}]
+"""
+
+
+@pytest.fixture
+def judge(tmp_path):
+    path = tmp_path / "judge.py"
+    path.write_text(JUDGE)
+    return path
+
+
+@pytest.mark.parametrize(("text", "at"), [(REJECTED, "check.judge"), (INSIDE % "tune.once", "tune.once")])
+def test_what_rejects_may_keep_its_report(work, judge, text, at):
+    heard = []
+
+    class Hearing(Monitor):
+        @hookimpl
+        def sppm_stage_finished(self, event):
+            heard.append(event)
+
+    plan = work.plan(text, plugins=[judge])
+    with pytest.raises(Rejected) as caught:
+        run_plan(plan, work.folder / "out", threads=1, monitor=Hearing())
+    assert files_in(work.folder / "out") == ["SHA256SUMS", "report.txt", "run.json"]
+    assert heard[-1].failed
+    assert "not good" in heard[-1].error
+    entry = caught.value.record["stages"][-1]
+    assert entry == heard[-1].record
+    assert (entry["id"], entry["rejected"]) == (at, True)
+    assert [output["path"] for output in entry["outputs"]] == ["report.txt"]
+    assert at != "check.judge" or entry["summary"] == {"found": 7}
+    assert verify_run(work.folder / "out")[0] == []
+
+
+@pytest.mark.parametrize("text", [REJECTED, INSIDE % "tune.once", INSIDE % "tune.repeat"])
+def test_what_rejects_keeps_nothing_else(work, judge, text):
+    keep = () if "repeat" in text else ("r.check.judge.keep=false" if "once" in text else "check.judge.keep=false",)
+    with pytest.raises(DesignError) as caught:
+        work.run(text, plugins=[judge], s=keep)
+    assert files_in(work.folder / "out") == ["run.json"]
+    assert all(entry["id"] == "sample.random" for entry in caught.value.record["stages"])
+
+
+def test_a_report_that_is_kept_is_there(work, judge):
+    with pytest.raises(PluginError, match="announced but not written") as caught:
+        work.run(REJECTED, plugins=[judge], s=["check.judge.write=false"])
+    assert caught.value.stage == "check.judge"

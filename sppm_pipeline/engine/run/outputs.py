@@ -141,8 +141,13 @@ class RunFolder:
         with self._lock:
             return set(self._pending)
 
-    def commit(self) -> list[dict[str, Any]]:
+    def commit(self, only: str | None = None) -> list[dict[str, Any]]:
         """Move what was staged into place; paths, sizes and digests.
+
+        Parameters
+        ----------
+        only : str, optional
+            Address of the stage whose outputs are meant; what others have staged is left where it is.
 
         Raises
         ------
@@ -152,7 +157,9 @@ class RunFolder:
             If it can't be moved.
         """
         with self._lock:
-            pending, self._pending = self._pending, {}
+            meant = {"/".join(output_parts(name)) for owner, name in self._claims.values() if only in (None, owner)}
+            pending = {name: staged for name, staged in self._pending.items() if name in meant}
+            self._pending = {name: staged for name, staged in self._pending.items() if name not in meant}
         for name, staged in pending.items():
             if not staged.exists():
                 raise PluginError(f"the output {name!r} was announced but not written")

@@ -157,8 +157,8 @@ class Recorder:
 
     @hookimpl
     def sppm_stage_finished(self, event: StageEvent) -> None:
-        """Keep what the record says of a stage that ended well."""
-        if event.error is None:
+        """Keep what the record says of a stage that ended well, or that was rejected and leaves a report."""
+        if event.record:
             self.stages.append(dict(event.record))
 
     def warn(self, message: str) -> None:

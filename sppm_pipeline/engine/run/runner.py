@@ -24,6 +24,7 @@ from sppm_pipeline.engine.run.verification import finished_run
 from sppm_pipeline.errors import SppmError
 from sppm_pipeline.hookspecs import StageEvent
 from sppm_pipeline.process.interruption import check
+from sppm_pipeline.stage import Rejected
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.session import CacheSession
@@ -207,6 +208,7 @@ class StepRunner:
                         )
                     )
                     raise
+                rejection: Rejected | None = self._facts.get(step.id, {}).get("rejection")
                 self.entries.append(entry)
                 self._observers.stage_finished(
                     StageEvent(
@@ -216,9 +218,12 @@ class StepRunner:
                         seconds=entry["seconds"],
                         summary=MappingProxyType(entry["summary"]),
                         record=MappingProxyType(entry),
+                        error=None if rejection is None else str(rejection),
                         from_cache=entry.get("cached", False),
                     )
                 )
+                if rejection is not None:
+                    raise rejection
                 if number < len(steps):
                     for id_ in {id_ for done in last[:number] for id_ in done} - set(self._keep):
                         self._results.pop(id_, None)
@@ -282,6 +287,7 @@ class StepRunner:
             "warnings": [message if at == step.address else f"{at}: {message}" for at, message in facts["warnings"]],
             "outputs": facts["outputs"],
             "inner": facts["inner"],
+            "rejected": "rejection" in facts,
         }
         empty: tuple[Any, ...] = ({}, [], False)
         return {name: value for name, value in entry.items() if value not in empty or name == "summary"}
@@ -311,11 +317,17 @@ class StepRunner:
         return None if facts is None or facts["wrote"] else facts
 
     def _fresh(self, step: Step) -> dict[str, Any]:
-        """Run a step; what the record says of it."""
+        """Run a step; what the record says of it, also if it rejects what it got and leaves a report."""
         log = StageLog(self._monitor, step.address)
         inputs = self._inputs(step)
         started = time.perf_counter()
-        made = self._made(step, inputs, log, self._folder)
+        made, rejection = None, None
+        try:
+            made = self._made(step, inputs, log, self._folder)
+        except Rejected as error:
+            if not error.keep_outputs or isinstance(self._folder, Scratch):
+                raise
+            rejection = error
         facts: dict[str, Any] = {
             "made": None if made is None else type(made).__name__,
             "summary": summary_of(made, log.values.get(step.address, {}), step),
@@ -330,11 +342,13 @@ class StepRunner:
         elif wrote:
             try:
                 self._checkpoint()
-                facts["outputs"] = self._folder.commit()
+                facts["outputs"] = self._folder.commit(rejection.stage if rejection is not None else None)
             except SppmError as error:
                 error.where, error.stage = step.where, step.address
                 raise
             files = [(output["path"], self._folder.path / output["path"]) for output in facts["outputs"]]
+        if rejection is not None:
+            return {**facts, "wrote": wrote, "rejection": rejection}
         if self._cache is not None and not (wrote and isinstance(self._folder, Scratch)):
             seconds = time.perf_counter() - started
             self._cache.keep(step, facts, made, inputs, outputs=files, seconds=seconds, drew=log.drew)

@@ -60,7 +60,7 @@ class CheckPrint(Stage):
     (Jacobs' working curve): a model, not a measurement of your resin. Time is that of exposures and ways of the plate,
     if the layers were cut for a `printer`.
 
-    With `fail`, a print that breaks a rule is rejected (exit code 3); without, the report is all.
+    With `fail`, a print that breaks a rule is rejected (exit code 3), and the report stays; without, it is all.
     """
 
     name: ClassVar[str] = "check.print"
@@ -174,7 +174,9 @@ class CheckPrint(Stage):
         if broken:
             raise Rejected(
                 f"the print is rejected: {'; '.join(broken)}",
-                hint="change the part, or take the rule off `fail` of `check.print` to get the report and the layers",
+                hint=f"{self.report}/report.json in the run directory says where; change the part, or take the rule "
+                "off `fail` to get the layers",
+                keep_outputs=True,
             )
         return stack
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sppm_pipeline.cli.main import main
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.print_report import MEASURES, parse_rule
 from sppm_pipeline.data.printer import cards
@@ -234,3 +235,35 @@ def test_the_same_report_however_the_layers_come(vase):
         found.append({file.name: file.read_bytes() for file in files})
     assert found[0].keys() == found[1].keys()
     assert all(found[0][name] == found[1][name] for name in found[0])
+
+
+BALL = """sppm: 1
+name: ball
+pipeline:
+  - {stage: read.primitive, shape: ball, size: [2, 2, 2]}
+  - {stage: slice.mesh, pixel: 0.1 mm, layer: 0.1 mm}
+  - {stage: check.print, pictures: 1, fail: [overhang > 0.1 mm2]}
+"""
+
+
+def test_a_rejected_print_keeps_its_report(tmp_path, capsys):
+    file, run = tmp_path / "ball.yaml", tmp_path / "run"
+    file.write_text(BALL)
+    words = ["run", str(file), "-o", str(run), "--no-plugins", "-q", "--no-cache"]
+    assert main([*words, "-s", "check.print.fail=[]"]) == 0
+    accepted = (run / "print" / "report.json").read_bytes()
+    (run / "print" / "report.json").write_text("of an earlier run")
+    assert main(words) == 3
+    assert "print/report.json" in capsys.readouterr().err
+    assert (run / "print" / "report.json").read_bytes() == accepted
+    record = json.loads((run / "run.json").read_text())
+    assert (record["status"], record["error"]["kind"]) == ("failed", "Rejected")
+    entry = record["stages"][-1]
+    assert entry["rejected"] is True
+    assert entry["summary"]["largest_overhang_mm2"] > 0.1
+    assert [output["path"] for output in entry["outputs"]] == ["print"]
+    assert main(["verify", str(run)]) == 0  # the record accounts for all that is there
+    assert main(words) == 3  # and the cache or the folder do not make it look accepted
+    assert main([*words, "-s", "check.print.report=other", "-s", "check.print.fail=[]"]) == 0
+    assert not (run / "print").exists()
+    assert "rejected" not in json.loads((run / "run.json").read_text())["stages"][-1]
