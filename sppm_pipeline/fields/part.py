@@ -15,6 +15,7 @@ from sppm_pipeline.fields.wrapped import WrappedField
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
+    from sppm_pipeline.numerics.domain.crossings import Crossings
     from sppm_pipeline.numerics.domain.inside import Method
 
 
@@ -96,6 +97,25 @@ class Part(WrappedField):
         edge = np.float32(self.physical_edge())
         outer /= edge
         return inner, -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None, outer
+
+    def sample_cut(
+        self, grid: Grid, threads: int, start: int, stop: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32], Crossings]:
+        """`sample_fields`, and where grid edges that begin in these layers pierce the triangles of the domain.
+
+        Of the domain's field only the sign counts where these are known: without a skin, a closed domain is -1 inside
+        and 1 outside. Nodes on its surface are outside, whatever way their place is rounded: a face is then flat.
+        """
+        from sppm_pipeline.numerics.domain.crossings import on_surface
+
+        domain = self._in_domain(grid)
+        crossings = domain.crossings(start, stop)
+        if self.skin_mm or self.method != "scanline":
+            return *self.sample_fields(grid, threads, start, stop), crossings
+        inside = domain.inside(start, stop).view(np.bool_)
+        inside &= ~on_surface(crossings, grid, start, stop)
+        outer = np.where(inside, np.float32(-1), np.float32(1))
+        return self.base.sample_layers(grid, start, stop, threads), None, outer, crossings
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None

@@ -99,7 +99,7 @@ class MarchingCubes(Stage):
 def _by_reference(
     surface: FieldSurface, context: Context
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
-    from sppm_pipeline.numerics.surface.intersection import on_both_fields
+    from sppm_pipeline.numerics.surface.placing import Samples, place_vertices
     from sppm_pipeline.numerics.surface.reference import marching_cubes_reference
 
     (x, y, z), (h, _, _), _ = grid = surface.grid
@@ -109,6 +109,7 @@ def _by_reference(
     vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
     if isinstance(surface.source, Part):
         fields = zip(*(slab.apart for slab in slabs if slab.apart is not None), strict=True)
-        first, second, *skin = (np.concatenate(planes) for planes in fields)
-        vertices = on_both_fields(vertices, first, second, grid, 0, *skin)
+        nothing = np.empty((0, 0, 0), np.float32)
+        field, domain, skin = (*(np.concatenate(planes) for planes in fields), nothing)[:3]
+        place_vertices(vertices, Samples(grid, 0, field, domain, skin))
     return vertices, faces, sampled.findings
