@@ -39,7 +39,7 @@ def cell(n: int) -> NDArray[np.float32]:
         BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
         GaussianField(omega=30.0, mu=30.0, level=0.25),
     )
-    values = recipe.run(PlainContext(7)).sample(cell_centers(n), 2)
+    values = recipe.run(PlainContext(7)).sample(cell_centers(n), 2).T
     return (values < np.median(values)).astype(np.float32)
 
 

@@ -212,6 +212,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: write.png, id: mesh_layers, path: mesh_layers}
   - {stage: slice.field, id: even, resolution: $r, from: fill.implicit}
   - {stage: write.png, id: even_layers, path: even, from: even}
+  - {stage: check.print, from: even}
 """,
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "f": (32, 32, 64, 96), "r": (16, 16, 24, 32),
          "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.08 mm")},

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import run, table
+from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.stages.connect.relative_neighbors import RelativeNeighbors
@@ -52,10 +53,10 @@ SCATTERED = """%s
 
 
 def steps(blocks: int) -> list[list[object]]:
-    """Throw, join and give kernels, as the recipe's stages do it; a row for each step."""
+    """Throw, join and give kernels, as the recipe's stages do it, and check the result as a run does; a row each."""
     palette = Palette(blocks**3, (0, 0, 0), blocks=Blocks(np.ones((blocks,) * 3, bool), True))
     rows: list[list[object]] = []
-    made: object = None
+    made: Artifact | None = None
     stages = (
         ("thrown", DartThrowing(total=PORES, share=0.55)),
         ("joined", RelativeNeighbors()),
@@ -64,6 +65,8 @@ def steps(blocks: int) -> list[list[object]]:
     for what, stage in stages:
         wall, cpu = time.perf_counter(), time.process_time()
         made = stage.run(PlainContext(1, threads=2, palette=palette), made)  # type: ignore[arg-type]
+        made.check()
+        made.summary()
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         rows.append([what, wall, cpu, cpu / (PORES * blocks**3) * 1e6, peak])

@@ -1,9 +1,10 @@
-"""Write the reference pages of stages and command line from the program itself.
+"""Write the reference pages of stages, data types and command line from the program itself.
 
 Usage: ``python docs/generate_reference.py`` writes them, ``--check`` only tells which are stale (exit code 1).
 
 Everything on these pages is declared once, in the code: options beside their stage, ports in the signature of `run`,
-arguments in the verb's module. ``yaml.md`` and ``python.md`` there are written by hand and left alone.
+arguments in the verb's module, shapes, units and orders in the docstring of a data type. ``yaml.md`` and ``python.md``
+there are written by hand and left alone.
 """
 
 from __future__ import annotations
@@ -13,18 +14,25 @@ import inspect
 import re
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import sppm_pipeline
+from sppm_pipeline import Artifact
 from sppm_pipeline.cli.main import EXIT_CODES, VERBS, place_of
 from sppm_pipeline.engine.config.options import Option, options_of, plain_option, type_words
 from sppm_pipeline.engine.plan.describe import stage_data
 from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.stage import FAMILIES, Stage
 
 FOLDER = Path(__file__).resolve().parent / "reference"
 BY_HAND = ("yaml.md", "python.md")
+PARTS = ("Cell", "Grid", "Kernels", "Length", "Palette", "Pieces", "TilingArrays")
+"""Classes of the public face that data types consist of, or stages ask for."""
 NOTICE = "<!-- Written by docs/generate_reference.py from the code; edit the code, not this page. -->\n"
 
 
@@ -34,7 +42,8 @@ def pages() -> dict[str, str]:
     result = {"README.md": index_page(registry), "cli.md": cli_page()}
     for name in registry:
         result[f"{name.replace('.', '/', 1)}.md"] = stage_page(registry.get(name), registry)
-    return result
+    types = data_types(registry)
+    return result | {f"data/{name}.md": data_page(cls, types, registry) for name, cls in types.items()}
 
 
 def stale(folder: Path, wanted: Mapping[str, str]) -> list[str]:
@@ -55,6 +64,7 @@ def index_page(registry: Registry) -> str:
         "* [The YAML file](yaml.md): layout, wiring, parameters, sweeps, recipes, plugins, exit codes",
         "* [The command line](cli.md): every verb with its arguments",
         "* [Python](python.md): pipelines, stages as functions, and what plugins import",
+        "* [Data](#data): what passes between stages, with shapes, units and the order of axes",
         "* The stages, by family, below. `sppm stages NAME` prints the same in the terminal, for plugins, too.",
         "",
     ]
@@ -72,7 +82,9 @@ def index_page(registry: Registry) -> str:
         lines += [f"## {family}", "", f"{what[:1].upper()}{what[1:]}.", ""]
         lines += table(("stage", "takes", "makes", "what it does"), rows)
         lines.append("")
-    lines.append("A question mark stands behind an artifact that is used if an earlier stage makes it.")
+    lines += ["A question mark stands behind an artifact that is used if an earlier stage makes it.", "", "## data", ""]
+    rows = [(f"[`{name}`](data/{name}.md)", purpose_of(cls)) for name, cls in data_types(registry).items()]
+    lines += table(("type", "what it is"), rows)
     return "\n".join(lines) + "\n"
 
 
@@ -106,6 +118,93 @@ def stage_page(cls: type[Stage], registry: Registry) -> str:
     source = f"sppm_pipeline/stages/{family}/{word}.py"
     lines += ["", f"Source: [`{source}`](../../../{source}). [All stages](../README.md)"]
     return "\n".join(lines) + "\n"
+
+
+def data_types(registry: Registry) -> dict[str, type]:
+    """Artifacts of the public face that stages make or take, and what they consist of, by name."""
+    used: set[type] = set()
+    for name in registry:
+        signature = signature_of(registry.get(name))
+        used.update(signature.makes, *(port.types for port in signature.ports if not port.is_recipe))
+    names = {cls.__name__ for cls in used} & set(sppm_pipeline.__all__)
+    return {name: getattr(sppm_pipeline, name) for name in sorted(names | set(PARTS), key=str.lower)}
+
+
+def data_page(cls: type, types: Mapping[str, type], registry: Registry) -> str:
+    """The reference of a data type: what it holds, in which shape, unit and order, and who makes and takes it."""
+    text, sections = sections_of(cls)
+    lines = [f"# {cls.__name__}", "", NOTICE, text, ""]
+    if "Attributes" in sections:
+        lines += [
+            "## Attributes",
+            "",
+            *table(("attribute", "type, shape, unit", "what it is"), sections["Attributes"]),
+            "",
+        ]
+    known = {name for name, *_ in sections.get("Attributes", ())}
+    bases = [base for base in types.values() if base in cls.__mro__[1:]]
+    methods, properties = [], []
+    for name, member in vars(cls).items():
+        if name.startswith("_") or name in known or name in vars(Artifact) or not sections_of(member)[0]:
+            continue
+        if isinstance(member, (property, cached_property)):
+            properties.append((f"`{name}`", purpose_of(member)))
+        elif callable(member) or isinstance(member, classmethod):
+            methods += method_rows(cls, name)
+    if properties:
+        lines += ["## Properties", "", *table(("property", "what it is"), properties), ""]
+    if methods:
+        lines += ["## Methods", "", *table(("method, argument", "type, shape, unit", "what it is"), methods), ""]
+    for base in bases:
+        lines += [f"It is a [`{base.__name__}`]({base.__name__}.md) and has all that is said there.", ""]
+    if issubclass(cls, Artifact) and cls.__name__ not in PARTS:
+        # a stage that passes on what it was given makes nothing
+        made = linked(registry, lambda found: not found.as_port and any(issubclass(one, cls) for one in found.makes))
+        lines += [f"Made by: {made}.", ""]
+        taken = linked(registry, lambda found: any({cls, *bases} & set(port.types) for port in found.ports))
+        lines += [f"Taken by: {taken}.", ""]
+        lines += ["Every artifact has `summary()`, `digest()` and `check()`; arrays are read-only.", ""]
+    return "\n".join(lines).rstrip() + "\n\n[All data types](../README.md#data)\n"
+
+
+def method_rows(cls: type, name: str) -> list[tuple[str, str, str]]:
+    """A method and, on lines of their own, its arguments as far as its docstring describes them."""
+    arguments = [
+        f"{parameter.name}=" if parameter.default is not parameter.empty else str(parameter).partition(":")[0]
+        for parameter in inspect.signature(getattr(cls, name)).parameters.values()
+        if parameter.name != "self"
+    ]
+    _, sections = sections_of(getattr(cls, name))
+    rows = [(f"**`{name}({', '.join(arguments)})`**", "", purpose_of(getattr(cls, name)))]
+    for section in ("Parameters", "Returns"):
+        rows += [(f"{argument}", kind, what) for argument, kind, what in sections.get(section, ())]
+    return rows
+
+
+def linked(registry: Registry, wanted: Any) -> str:
+    """Links to the stages whose signature is wanted."""
+    names = [name for name in registry if wanted(signature_of(registry.get(name)))]
+    return ", ".join(f"[`{name}`](../{name.replace('.', '/', 1)}.md)" for name in names) or "no built-in stage"
+
+
+def sections_of(thing: Any) -> tuple[str, dict[str, list[tuple[str, str, str]]]]:
+    """The text of a numpydoc docstring, and its sections as rows of (name, type, description)."""
+    own = inspect.cleandoc(thing.__doc__) if getattr(thing, "__doc__", None) else ""
+    text, *parts = re.split(r"^(\w+)\n-{4,}\n", own, flags=re.MULTILINE)
+    sections = {}
+    for title, body in zip(parts[::2], parts[1::2], strict=True):
+        rows = []
+        for entry in re.split(r"\n(?=\S)", body.strip("\n")):
+            head, _, rest = entry.partition("\n")
+            name, _, kind = head.partition(" : ")
+            rows.append((f"`{name}`", kind, " ".join(rest.split())))
+        sections[title] = rows
+    return text.strip(), sections
+
+
+def purpose_of(thing: Any) -> str:
+    """The first paragraph of a docstring on one line."""
+    return " ".join(sections_of(thing)[0].partition("\n\n")[0].split())
 
 
 def cli_page() -> str:

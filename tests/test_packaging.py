@@ -94,6 +94,10 @@ def test_the_archives_are_complete(built):
     for folder in ("configs", "examples"):
         for file in (ROOT / folder).iterdir():
             assert file.is_dir() or f"sppm_pipeline/{folder}/{file.name}" in inside
+    templates = ROOT / "sppm_pipeline" / "cli" / "templates"
+    written = {f.relative_to(ROOT).as_posix() for f in templates.rglob("*.*") if f.is_file() and f.suffix != ".pyc"}
+    assert len(written) > 25
+    assert written <= set(inside)
     metadata = zipfile.ZipFile(wheel).read(next(n for n in inside if n.endswith("METADATA"))).decode()
     assert "License-Expression: BSD-3-Clause" in metadata
     assert "Description-Content-Type: text/markdown" in metadata

@@ -7,6 +7,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sppm_pipeline"
+TEMPLATES = PACKAGE / "cli" / "templates"
+"""Data of `sppm new`: files of other distributions."""
 MAXIMUM_LINES = 450
 SMALL, MAXIMUM_SMALL = 60, 40
 
@@ -14,9 +16,13 @@ SMALL, MAXIMUM_SMALL = 60, 40
 def modules() -> dict[str, int]:
     """Lines of each module by its path."""
     return {
-        path.relative_to(ROOT).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
-        for path in PACKAGE.rglob("*.py")
+        path.relative_to(ROOT).as_posix(): len(path.read_text(encoding="utf-8").splitlines()) for path in python_files()
     }
+
+
+def python_files() -> list[Path]:
+    """Modules of the package."""
+    return [path for path in PACKAGE.rglob("*.py") if not path.is_relative_to(TEMPLATES)]
 
 
 def test_no_file_is_long():
@@ -30,6 +36,6 @@ def test_few_files_are_tiny():
 
 
 def test_packages_say_what_they_are_for():
-    for folder in {path.parent for path in PACKAGE.rglob("*.py")}:
+    for folder in {path.parent for path in python_files()}:
         tree = ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))
         assert ast.get_docstring(tree), folder

@@ -24,6 +24,7 @@ VERBS = {
     "explain": "say what each stage of a configuration, or one stage, does, and why it would run again",
     "estimate": "estimate memory, disk and time of a run, without running it",
     "stages": "list the stages there are, or describe one",
+    "printers": "list the printers and resins there are, or describe one",
     "graph": "draw the wiring as text, DOT or Mermaid",
     "schema": "print or write the JSON Schema of configurations, for editors",
     "plugins": "list plugins, and with --check why some cannot be loaded",

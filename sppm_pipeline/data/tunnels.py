@@ -11,6 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.data.artifact import Artifact, frozen, in_rows, twin_rows, whole_numbers
 from sppm_pipeline.data.pores import PoreSet
 
+NARROW = 1 << 20
+"""Number of tunnels from which they are kept in few bytes: eleven each instead of forty. A choice; like the content it
+belongs to the graph, so that digests are the same on every machine."""
+
 
 @dataclass(frozen=True, eq=False)
 class TunnelGraph(Artifact):
@@ -25,17 +29,20 @@ class TunnelGraph(Artifact):
     ----------
     pores : PoreSet
     edges : (m, 2) int64
+        int32 from a million tunnels on (`NARROW`).
     shift : (m, 3) int64
-        Whole cells.
+        Whole cells; int8 from a million tunnels on, if that holds them.
     """
 
     pores: PoreSet
-    edges: NDArray[np.int64]
-    shift: NDArray[np.int64]
+    edges: NDArray[np.integer]
+    shift: NDArray[np.integer]
 
     def __post_init__(self) -> None:
-        edges = whole_numbers(self.edges, np.int64, "the ends of tunnels")
-        shift = whole_numbers(self.shift, np.int64, "the shifts of tunnels")
+        many = len(self.edges) >= NARROW
+        edges = whole_numbers(self.edges, np.int32 if many else np.int64, "the ends of tunnels")
+        small = many and -128 <= np.min(self.shift) <= np.max(self.shift) <= 127
+        shift = whole_numbers(self.shift, np.int8 if small else np.int64, "the shifts of tunnels")
         object.__setattr__(self, "edges", frozen(in_rows(edges, 2, "the ends of tunnels").reshape(-1, 2)))
         object.__setattr__(self, "shift", frozen(in_rows(shift, 3, "the shifts of tunnels").reshape(-1, 3)))
 
@@ -81,8 +88,10 @@ class TunnelGraph(Artifact):
 
     def _check_distinct(self) -> None:
         """No tunnel without length, and none given twice, be it from the other end."""
-        a, b = self.edges.T
-        s = self.shift
+        if self._ascending():
+            return
+        a, b = self.edges.astype(np.int64).T
+        s = self.shift.astype(np.int64)
         loops = np.flatnonzero((a == b) & ~s.any(1))
         if len(loops):
             raise ValueError(f"tunnel {loops[0]} leads from pore {a[loops[0]]} to itself")
@@ -94,20 +103,41 @@ class TunnelGraph(Artifact):
             first, second = twins
             raise ValueError(f"tunnels {first} and {second} are one: both join the pores {a[first]} and {b[first]}")
 
-    def segments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Start and end points of all tunnels, each (m, 3), cell sizes."""
-        start, end = (self.pores.centers[self.edges[:, k]] for k in range(2))
-        end += self.shift
+    def _ascending(self) -> bool:
+        """Whether all tunnels lead from lower to higher pores and are sorted by pores and shift, none like the next."""
+        if (self.edges[:, 0] >= self.edges[:, 1]).any():
+            return False
+        equal, less = np.ones(max(len(self.edges) - 1, 0), bool), np.zeros(max(len(self.edges) - 1, 0), bool)
+        for column in (*self.edges.T, *self.shift.T):
+            less |= equal & (column[:-1] < column[1:])
+            equal &= column[:-1] == column[1:]
+        return bool(less.all())
+
+    def segments(self, some: slice = slice(None)) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Start and end points of all tunnels, or of some, each (m, 3), cell sizes."""
+        start, end = (self.pores.centers[self.edges[some, k]] for k in range(2))
+        end += self.shift[some]
         return start, end
+
+    def lengths(self) -> NDArray[np.float64]:
+        """Lengths of all tunnels, (m,), cell sizes."""
+        length = np.empty(len(self.edges))
+        for first in range(0, len(length), NARROW):
+            some = slice(first, first + NARROW)
+            start, end = self.segments(some)
+            end -= start
+            length[some] = np.sqrt(np.einsum("ij,ij->i", end, end))
+        return length
 
     def summary(self) -> dict[str, Any]:
         """Counts and lengths; the samplers' connectivity statistics are reported by the connecting stage."""
-        start, end = self.segments()
-        end -= start
-        length = np.sqrt(np.einsum("ij,ij->i", end, end))
-        a, b = (self.pores.piece[self.edges[:, k]] for k in range(2))
+        length = self.lengths()
+        connectors = 0
+        if self.pores.blocks is None:
+            a, b = self.pores.piece[self.edges].T
+            connectors = int((a != b).sum())
         return {
             "tunnels": len(self.edges),
-            "connectors": 0 if self.pores.blocks is not None else int((a != b).sum()),
+            "connectors": connectors,
             "mean_tunnel_length": float(length.mean()) if len(length) else None,
         }

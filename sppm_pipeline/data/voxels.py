@@ -60,7 +60,7 @@ class Voxels(Artifact):
         periodic : bool or 3 bools
             Whether opposite sides are neighbors.
         axes : {"xyz", "zyx"}
-            Order of the array's axes; "zyx" is that of `ScalarField.sample` and `solid`.
+            Order of the array's axes; "zyx" is that of stacks of pictures, as of TIFF pages.
 
         Raises
         ------
@@ -85,7 +85,7 @@ class Voxels(Artifact):
         return voxels
 
     def to_array(self, axes: str = "xyz") -> NDArray[np.uint8] | NDArray[np.float32]:
-        """`values`, read-only, or with ``axes="zyx"`` the same in the order of `ScalarField.sample`."""
+        """`values`, read-only, or with ``axes="zyx"`` the same indexed z, y, x."""
         return self.values.T if axes == "zyx" else self.values
 
     def to_pyvista(self) -> Any:

@@ -101,7 +101,7 @@ class Connector(Stage):
             Whole cells by which the second end is moved; zero unless ``piece.periodic``.
         """
 
-    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
         """Join the pores of a lattice of blocks into one connected graph.
 
         A cloud that `join` can take as one piece is one. A larger one is cut into windows of blocks, and `join` is
@@ -111,9 +111,9 @@ class Connector(Stage):
 
         Returns
         -------
-        edges : (m, 2) int64
+        edges : (m, 2) int64 or int32
             Pairs i < j of indices into ``cloud.points``, sorted.
-        shifts : (m, 3) int64
+        shifts : (m, 3) int64 or int32
             Whole cells by which the second end is moved: multiples of the lattice along periodic axes, else zero. Both
             arrays are handed over: the caller may write to them.
 

@@ -29,10 +29,11 @@ class Formula(Stage):
     edge: Length | None = options.edge(None)
 
     def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
-        """Values, negative in the solid, at the points of three axes: x (nx,), y (ny, 1), z (nz, 1, 1).
+        """Values, negative in the solid, at the points of three axes: x (nx, 1, 1), y (ny, 1), z (nz,).
 
         Positions are in cell sizes: 0 <= x, y, z < 1 in a periodic cell, else from the low corner of the part. The
-        value at a point may not depend on which others are asked for.
+        values are (nx, ny, nz), or broadcast to it, in any order in memory. That at a point may not depend on which
+        others are asked for.
         """
         raise NotImplementedError(f"{type(self).__name__} needs the method `evaluate`")
 

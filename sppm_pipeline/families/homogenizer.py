@@ -35,13 +35,13 @@ ELASTIC_HEADLINE = (
 
 
 class Cell(NamedTuple):
-    """A periodic cell of voxels.
+    """A periodic cell of voxels, indexed x, y, z; x is contiguous in memory, so that solvers take the transpose.
 
     Attributes
     ----------
-    phase : (nz, ny, nx) uint8, or None
+    phase : (nx, ny, nz) uint8, or None
         The phase of each voxel, 0 for void.
-    fraction : (nz, ny, nx) float32, or None
+    fraction : (nx, ny, nz) float32, or None
         Solid fraction of each voxel; exactly one of the two is set.
     edges : (hx, hy, hz)
         Of a voxel.
@@ -56,7 +56,7 @@ class Cell(NamedTuple):
         """Voxels along x, y, z."""
         given = self.phase if self.phase is not None else self.fraction
         assert given is not None
-        nz, ny, nx = given.shape
+        nx, ny, nz = given.shape
         return nx, ny, nz
 
     @property
@@ -128,12 +128,12 @@ class Homogenizer(Stage):
                     hint="declare it periodic where it is read, if opposite sides fit together",
                 )
             self._check_memory(context, source.shape, bytes_per_voxel)
-            values = source.values.T
+            values = source.values
             if not source.fractions:
-                return Cell(np.ascontiguousarray(values, np.uint8), None, source.spacing)
+                return Cell(np.asfortranarray(values, np.uint8), None, source.spacing)
             if self.fractions == "binary":
                 return Cell((values >= 0.5).astype(np.uint8), None, source.spacing)
-            return Cell(None, np.ascontiguousarray(values, np.float32), source.spacing)
+            return Cell(None, np.asfortranarray(values, np.float32), source.spacing)
         if not source.periodic:
             raise DesignError(
                 "homogenization needs a periodic cell; this field ends at the border of its cells or part",
@@ -150,9 +150,9 @@ class Homogenizer(Stage):
         from sppm_pipeline.numerics.porosity.fractions import solid_fractions
 
         fraction = solid_fractions(
-            lambda grid, start, stop: source.sample_layers(grid, start, stop, context.threads), (x, y, z), n
+            lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads), (x, y, z), n
         )
-        return Cell(None, fraction, edges)
+        return Cell(None, fraction.T, edges)
 
     def solver_options(self, threads: int) -> dict[str, Any]:
         """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,13 @@ from sppm_pipeline.data.size import Size
 from sppm_pipeline.fields.slice_stack import Slabs, SliceStack
 from sppm_pipeline.numerics.threads import ordered_map
 from sppm_pipeline.stage import Context, Headline, Stage, option
+
+
+class LayerObserver(Protocol):
+    """What looks at the layers as they pass, as a thumbnail does."""
+
+    def add(self, number: int, image: NDArray[np.uint8]) -> None:
+        """Take in a layer, as `LayerWriter.encode` takes it; called once for each, the lowest first, in one thread."""
 
 
 class EncodedLayers:
@@ -30,10 +37,12 @@ class EncodedLayers:
         Their size.
     findings : dict
         Empty until the last layer was taken; then what the stack found out on the way, such as the solid volume.
+    observer : LayerObserver or None
+        What `LayerWriter.observer` made; it has seen all layers when the last of them was taken.
     """
 
-    def __init__(self, layers: Iterator[bytes], slabs: Slabs) -> None:
-        self._layers, self._slabs = layers, slabs
+    def __init__(self, layers: Iterator[bytes], slabs: Slabs, observer: LayerObserver | None = None) -> None:
+        self._layers, self._slabs, self.observer = layers, slabs, observer
         self.taken = self.bytes = 0
 
     def __iter__(self) -> Iterator[bytes]:
@@ -140,30 +149,40 @@ class LayerWriter(Stage):
         """Entries of ``manifest.json`` that describe how `encode` writes a pixel."""
         return {}
 
+    def observer(self, stack: SliceStack) -> LayerObserver | None:
+        """What is to see the layers as they pass, for `store` to use; nothing by default."""
+        return None
+
+    def facts(self, stack: SliceStack, findings: dict[str, Any]) -> dict[str, Any]:
+        """Numbers for the run record beside the findings of the layers; none by default."""
+        return {}
+
     def run(self, context: Context, stack: SliceStack) -> None:
         """Evaluate, encode and store layer after layer."""
         nz, threads = stack.shape[2], context.threads
         shown = set(np.linspace(0, nz - 1, self.sheet + 2).round().astype(int)[1:-1].tolist()) if self.sheet else set()
         overview: list[NDArray[np.uint8]] = []
 
-        slabs = stack.slabs(threads)
+        slabs, observer = stack.slabs(threads), self.observer(stack)
 
         def images() -> Iterator[NDArray[np.uint8]]:
             for start, slab in slabs:
                 for number, layer in enumerate(slab, start):
                     image = layer[::-1].copy()  # the stack may reuse its slab
+                    if observer is not None:
+                        observer.add(number, image)
                     if number in shown:
                         overview.append(image)
                     yield image
                 context.progress(min(start + len(slab), nz), nz, "layers")
 
         encoded = ordered_map(lambda image: self.encode(image, stack), images(), threads, ahead=4 * threads)
-        layers = EncodedLayers(encoded, slabs)
+        layers = EncodedLayers(encoded, slabs, observer)
         target = context.output(self.path)
         self.store(target, stack, layers)
         if layers.taken != nz:
             raise RuntimeError(f"`store` of {self.name} has taken {layers.taken} of {nz} layers")
-        context.report(bytes=layers.bytes, layers=nz, **layers.findings)
+        context.report(bytes=layers.bytes, layers=nz, **layers.findings, **self.facts(stack, layers.findings))
         if overview:
             from PIL import Image
 

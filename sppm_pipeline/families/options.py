@@ -86,6 +86,8 @@ layer = _shared("layer height; the pitch of square pixels if omitted", unit="mm"
 pixel = _shared(
     "pixel pitch, or [along x, along y] of pixels that are not square", unit="mm", minimum=1e-6, maximum=1e3
 )
+printer = _shared("printer that the layers are cut for; `sppm printers` lists them")
+cards = _shared("YAML file with printers and resins of your own")
 
 # files, pictures and tables
 read_path = _shared("file or folder to read")

@@ -135,8 +135,9 @@ def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGrap
     edges, shift = connector.join_cloud(context, cloud)
     del cloud, points
     first, second = (pores.piece[edges[:, end]] for end in range(2))
-    shift = np.require(shift, np.int64, "W")
+    shift = np.require(shift, np.int32, "W")
     for axis in range(3):
         shift[:, axis] += corners[axis][second]
         shift[:, axis] -= corners[axis][first]
+    del first, second
     return TunnelGraph(pores, edges, shift)

@@ -90,13 +90,29 @@ def tiling_size(
     return content.in_box(box, filled, edge_mm=edge, **patches)
 
 
+HALO = 1
+"""Cells that are laid around a part or box: their kernels reach into it, and faces own the pores of their low edges
+alone, so that none would lie on the far edges."""
+
+
+def laid_cells(made: Size, periodic: bool) -> float:
+    """How many cells are laid for a tiling of this size, its halo included."""
+    if periodic:
+        return made.cells
+    x, y, z = (n + 2.0 * HALO for n in made.body.box)
+    return min(x * y * z, made.cells + HALO * made.body.envelope)
+
+
 Laid = tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]
 """What a tile rule returns: the interiors, and the face colors of each axis; see `Tiler.lay`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tiler(Stage):
-    """Base of tile rules: implement `lay`; `run` finds the cells that are needed."""
+    """Base of tile rules: implement `lay`; `run` finds the cells that are needed.
+
+    Unless the box repeats, one more cell is laid on all sides, as if the box or part were cut out of a larger whole.
+    """
 
     cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
     cells: tuple[int, int, int] | None = options.cells(None)
@@ -132,6 +148,7 @@ class Tiler(Stage):
     def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
         """Lay the cells."""
         from sppm_pipeline.numerics.assembly.contents import TilingArrays
+        from sppm_pipeline.numerics.tiling.lattice import with_halo
 
         if tileset.kind not in self.kinds:
             raise ConfigError(
@@ -139,10 +156,12 @@ class Tiler(Stage):
                 hint=f"use `tile.{KIND_TO_RULE[tileset.kind]}`, or draw the set with another `tileset` stage",
             )
         lattice = lattice_for(self.cell, self.cells, cover, tileset.micro.edge_mm)
-        interior, faces = checked_lay(self.name, self.lay(context.rng(), lattice.mask, tileset), lattice.mask, tileset)
+        halo = 0 if self.periodic else HALO
+        mask = with_halo(lattice.mask, halo)
+        interior, faces = checked_lay(self.name, self.lay(context.rng(), mask, tileset), mask, tileset)
         if self.periodic and any((np.take(f, 0, axis) != np.take(f, -1, axis)).any() for axis, f in enumerate(faces)):
             raise ConfigError(f"{self.name} does not lay boxes that repeat", hint="use `tile.wang_3color`")
-        return Tiling(tileset, TilingArrays(interior, faces, self.periodic), lattice.edge, lattice.origin)
+        return Tiling(tileset, TilingArrays(interior, faces, self.periodic, halo), lattice.edge, lattice.origin)
 
 
 def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
@@ -181,11 +200,11 @@ def at_porosity(context: Context, tiling: Tiling, porosity: float, resolution: i
     from sppm_pipeline.numerics.grid import Grid
     from sppm_pipeline.numerics.porosity.level import level_for_porosity
 
-    micro, filled = tiling.tileset.micro, np.argwhere(tiling.arrays.box >= 0)
+    micro, filled = tiling.tileset.micro, np.argwhere(tiling.arrays.surrounded().interior >= 0)
     h = 1.0 / resolution
     sums = np.concatenate(
         [
-            tiling.sums(Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (resolution,) * 3), context.threads).ravel()
+            tiling.sums(Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (resolution,) * 3), context.threads)
             for x, y, z in filled[:: max(1, len(filled) // 64)].astype(float)
         ]
     )

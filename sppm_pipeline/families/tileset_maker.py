@@ -71,7 +71,7 @@ class TileSetMaker(Stage):
         n, trial = self.resolution, self.trial()
         sums = self._sums(context, micro, trial, n)
         if self.porosity is not None:
-            fit = level_for_porosity(np.concatenate([g.ravel() for g in sums]), self.porosity)
+            fit = level_for_porosity(np.concatenate([g.ravel("K") for g in sums]), self.porosity)
             micro = micro.with_level(fit.level)
             finer = n + n // 2 + 1
             fine = _porosities(self._sums(context, micro, trial, finer), micro.level, finer)
@@ -92,7 +92,7 @@ class TileSetMaker(Stage):
     def _sums(
         self, context: Context, micro: Microstructure, trial: list[TilingArrays], n: int
     ) -> list[NDArray[np.float32]]:
-        """The kernel sum G of each trial layout, (nz, ny, nx) each."""
+        """The kernel sum G of each trial layout, (nx, ny, nz) each."""
         tileset = TileSet(micro, self.kind, self.palette_size())
 
         def sums(arrays: TilingArrays) -> NDArray[np.float32]:
@@ -125,7 +125,7 @@ def _porosities(sums: list[NDArray[np.float32]], level: float, n: int) -> list[N
     """Porosity of each cell of each trial layout, in the order of ``interior.ravel()``."""
     found = []
     for g in sums:
-        nz, ny, nx = (size // n for size in g.shape)
-        void = (g >= np.float32(level)).reshape(nz, n, ny, n, nx, n).mean((1, 3, 5))
-        found.append(np.transpose(void, (2, 1, 0)).ravel())
+        void = (g >= np.float32(level)).T
+        nz, ny, nx = (size // n for size in void.shape)
+        found.append(void.reshape(nz, n, ny, n, nx, n).mean((1, 3, 5)).T.ravel())
     return found

@@ -145,6 +145,8 @@ class FieldSurface:
     cut : bool
         Whether a part ends at the surface of its domain. Otherwise it ends at least a voxel outside of it, without
         regard to shape, and is there to be cut by the mesh of the domain; `islands` are then to be kept.
+    section : float, optional
+        Of a part, only what lies beyond this y, in cell sizes, is shown; islands are those of the whole part.
     """
 
     source: ScalarField
@@ -152,6 +154,7 @@ class FieldSurface:
     islands: str = "remove"
     caps: bool = True
     cut: bool = True
+    section: float | None = None
 
     def mesh(
         self, threads: int = 1, progress: Callable[[float, float], None] | None = None
@@ -173,8 +176,9 @@ class FieldSurface:
         vertices, faces = joined_mesh(self._pieces(slabs, rims, progress), lambda: slabs.expected)
         fixed = len(vertices)
         vertices, faces = rims.joined(vertices, faces)
-        bulge(vertices, faces, self.grid, fixed)
-        return vertices, faces, slabs.findings, rims.joined_kinds()
+        kinds = rims.joined_kinds()
+        bulge(vertices, faces, self.grid, fixed, kinds)
+        return vertices, faces, slabs.findings, kinds
 
     def _pieces(
         self, slabs: SampledSlabs, rims: _Rims, progress: Callable[[float, float], None] | None
@@ -195,6 +199,9 @@ class FieldSurface:
             # a piece ends a plane before its slab, and what is done to it looks two planes back
             nonlocal start, crossings
             for slab in _told(slabs, nz, progress):
+                if self.section is not None:
+                    slab = self._beyond(slab, self.section)
+                slab = self._smooth(slab)
                 fields = (slab.values,) if slab.apart is None else slab.apart
                 kept = tuple(np.concatenate(pair) for pair in zip(planes[0], fields, strict=True)) if planes else fields
                 start = slab.start - (len(kept[0]) - len(fields[0]))
@@ -268,28 +275,37 @@ class FieldSurface:
 
     def _planes(self, start: int, stop: int, threads: int) -> SampledSlab:
         if not isinstance(self.source, Part):
-            return SampledSlab(start, self._smooth(self.source.sample_layers(self.grid, start, stop, threads)), None)
+            return SampledSlab(start, self.source.sample_zyx(self.grid, start, stop, threads), None)
         if self.cut:
-            inner, skin, outer, crossings = self.source.sample_cut(self.grid, threads, start, stop)
+            inner, skin, outer, crossings = self.source.cut_zyx(self.grid, threads, start, stop)
         else:
-            inner, skin, outer = self.source.sample_fields(self.grid, threads, start, stop)
+            inner, skin, outer = self.source.fields_zyx(self.grid, threads, start, stop)
             crossings = NO_CROSSINGS
             # All nodes a voxel or more outside are void, by so little that the surface lies at them: a point of the
             # domain is nearer than that to some corner of its cube of nodes, so the surface never passes through the
             # domain.
             outside = outer >= (1 - 1e-4) * self.grid.spacing[0]
             outer = np.where(outside, np.float32(1e-30), np.float32(-1e30))
-        inner = self._smooth(inner)
         united = inner if skin is None else np.minimum(inner, skin)
         fields = (inner, outer) if skin is None else (inner, outer, skin)
         return SampledSlab(start, np.maximum(united, outer), fields, crossings)
 
-    def _smooth(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The logarithm of sums of kernels, between whose samples less happens."""
+    def _beyond(self, slab: SampledSlab, section: float) -> SampledSlab:
+        assert slab.apart is not None
+        before = (section - self.grid.axis(1)).astype(np.float32)[:, None]
+        field, domain, *skin = slab.apart
+        return slab._replace(
+            values=np.maximum(slab.values, before), apart=(field, np.maximum(domain, before), *skin)
+        )  # fmt: skip
+
+    def _smooth(self, slab: SampledSlab) -> SampledSlab:
+        """Logarithms in place of sums of kernels, as less happens between their samples; in place."""
         from sppm_pipeline.numerics.surface.placing import log_of_sums
 
         level = self.source.base.sum_level if isinstance(self.source, Part) else self.source.sum_level
-        return values if level is None else log_of_sums(values, level)
+        if level is not None:
+            log_of_sums(slab.values if slab.apart is None else slab.apart[0], level)
+        return slab
 
     def expected_triangles(self, threads: int = 1, layers: int = 24) -> int:
         """About how many triangles the surface will have, from some layers of cubes spread over the grid."""

@@ -75,10 +75,11 @@ class FormulaField(PlacedField):
 
     @abstractmethod
     def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
-        """Values, negative in the solid, at the points of three axes: x (nx,), y (ny, 1), z (nz, 1, 1).
+        """Values, negative in the solid, at the points of three axes: x (nx, 1, 1), y (ny, 1), z (nz,).
 
         Positions are in cell sizes: 0 <= x, y, z < 1 in a periodic cell, else from the low corner of the part. The
-        value at a point may not depend on which others are asked for.
+        values are (nx, ny, nz), or broadcast to it, in any order in memory. That at a point may not depend on which
+        others are asked for.
         """
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
@@ -89,22 +90,22 @@ class FormulaField(PlacedField):
 
         def fill(at: tuple[int, int]) -> None:
             k, j = at
-            own = values[k : k + layers, j : j + rows]
-            made: Any = self.evaluate(x, y[j : j + rows, None], z[start + k : start + k + own.shape[0], None, None])
+            own = values[k : k + layers, j : j + rows].T
+            made: Any = self.evaluate(x[:, None, None], y[j : j + rows, None], z[start + k : start + k + own.shape[2]])
             own[...] = _checked(made, own.shape)
 
         blocks = [(k, j) for k in range(0, stop - start, layers) for j in range(0, len(y), rows)]
         deque(ordered_map(fill, blocks, threads), maxlen=0)
-        return values
+        return values.T
 
 
 def _checked(made: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-    """What `evaluate` returned, which may be as small as what it depends on: (nz, 1, 1) for a function of z."""
+    """What `evaluate` returned, which may be as small as what it depends on: (nz,) for a function of z."""
     array = np.asarray(made)
     fits = array.ndim <= len(shape) and all(a in (1, b) for a, b in zip(array.shape[::-1], shape[::-1], strict=False))
     if array.dtype.kind not in "if" or not fits:
         raise ValueError(
-            f"`evaluate` must return numbers of the shape (z, y, x) = {shape}, or one that broadcasts to it; got "
+            f"`evaluate` must return numbers of the shape (x, y, z) = {shape}, or one that broadcasts to it; got "
             f"{array.dtype} {array.shape}"
         )
     return array
@@ -151,7 +152,7 @@ class CellwiseField(PlacedField):
     def evaluate(
         self, prepared: Any, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """Values at the points of three axes (nx,), (ny,), (nz,), 0 <= x, y, z < 1 within the cell, (nz, ny, nx)."""
+        """Values at the points of three axes (nx,), (ny,), (nz,), 0 <= x, y, z < 1 within the cell: (nx, ny, nz)."""
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         return self._sampled(grid, start, stop, threads, None)
@@ -167,7 +168,7 @@ class CellwiseField(PlacedField):
         """Values of some layers; 0 in cells of which no row that matters has a sample."""
         axes = [_rounded(grid.axis(axis), False) for axis in range(3)]
         axes[2] = axes[2][start:stop]
-        values = np.zeros((len(axes[2]), len(axes[1]), len(axes[0])), np.float32)
+        values = np.zeros((len(axes[2]), len(axes[1]), len(axes[0])), np.float32).T
         spans = [_spans(axis) for axis in axes]
 
         def fill(block: tuple[Span, Span, Span]) -> None:
@@ -175,7 +176,7 @@ class CellwiseField(PlacedField):
             prepared = self.kept.get(("prepared", cell), lambda: self.prepare(cell))
             x, y, z = (axis[low:high] - at for axis, (at, low, high) in zip(axes, block, strict=True))
             (_, i, i_end), (_, j, j_end), (_, k, k_end) = block
-            values[k:k_end, j:j_end, i:i_end] = self.evaluate(prepared, x, y, z)
+            values[i:i_end, j:j_end, k:k_end] = self.evaluate(prepared, x, y, z)
 
         blocks = [
             (in_x, in_y, (at, layer, min(layer + layers, high)))

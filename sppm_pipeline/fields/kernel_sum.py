@@ -35,6 +35,8 @@ class KernelSum(ScalarField):
     finer than `coarse_pitch`, if there is one, is interpolated from a coarse one (`FineSampler`). Otherwise patches are
     added up where they pay and the grid fits the cells, or the kernels are summed; both agree within the stated
     cut-off. The choice belongs to the field and the spacings of the grid.
+
+    `kernel_sums` and `own_values` are what kernels make, (stop - start, ny, nx), and are transposed here.
     """
 
     @property
@@ -79,12 +81,12 @@ class KernelSum(ScalarField):
         return None
 
     def sums(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        """G at the points of a grid, (nz, ny, nx) float32; `sample` is this less the level, but may be interpolated."""
+        """G at the points of a grid, (nx, ny, nz) float32; `sample` is this less the level, but may be interpolated."""
 
         def sums(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
             return self._summed(grid, start, stop, threads, None)
 
-        return self._each_once(grid, 0, grid.shape[2], sums)
+        return self._each_once(grid, 0, grid.shape[2], sums).T
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         def values(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
@@ -98,7 +100,7 @@ class KernelSum(ScalarField):
             sums -= np.float32(self.solid_below)
             return sums
 
-        return self._each_once(grid, start, stop, values)
+        return self._each_once(grid, start, stop, values).T
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
@@ -119,7 +121,7 @@ class KernelSum(ScalarField):
                 return assemble_solid(bank, arrays, self.solid_below, *box, threads=threads)
             return (self.kernel_sums(grid, start, stop, threads, rows) < np.float32(self.solid_below)).view(np.uint8)
 
-        return self._each_once(grid, start, stop, solid)
+        return self._each_once(grid, start, stop, solid).T
 
     def _each_once(
         self, grid: Grid, start: int, stop: int, sample: Callable[[Grid, int, int], NDArray[Any]]

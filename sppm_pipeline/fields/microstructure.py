@@ -156,7 +156,7 @@ class Microstructure(KernelSum):
         if "catalog" not in tables:
             tables["catalog"] = make_catalog(self.pieces, CUTOFF)
         catalog = tables["catalog"]
-        return sample_exact(self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog)
+        return sample_exact(self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog).T
 
     @property
     def solid_below(self) -> float:
@@ -271,6 +271,7 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     count = pores.interiors + 3 * most + len(codes)
     own, first_pore = _sorted_by(number[pores.piece], count)
     tunnels, first_tunnel = _sorted_by(of_tunnel, count)
+    del first, second, face  # there may be millions
     starts, ends = graph.segments()
 
     def taken(array: NDArray[np.float64], order: NDArray[np.int64] | None) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.fields.domain_sampler import DomainSampler
 from sppm_pipeline.fields.wrapped import WrappedField
+from sppm_pipeline.numerics.domain.capsules import depths_in_capsules
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
@@ -35,12 +37,15 @@ class Part(WrappedField):
         Whether solid that is not connected to the largest component is left out where the part is sliced or meshed.
     inside : {"scanline", "winding", "vote"} or None
         Method of the inside test of the domain; None for the first if the domain bounds a solid, else the second.
+    drains : tuple of tuples of 7 floats
+        Capsules (both ends of a segment, radius), mm, that are void in skin and microstructure alike.
     """
 
     domain: SurfaceMesh
     skin_mm: float = 0.0
     islands: str = "remove"
     inside: Method | None = None
+    drains: tuple[tuple[float, ...], ...] = ()
 
     @property
     def periodic(self) -> bool:
@@ -52,6 +57,13 @@ class Part(WrappedField):
         from sppm_pipeline.numerics.domain.inside import way_for
 
         return self.inside or way_for(self.domain.bounds_solid)
+
+    def check(self) -> None:
+        """Drains are capsules with a radius."""
+        super().check()
+        for drain in self.drains:
+            if len(drain) != 7 or not all(math.isfinite(number) for number in drain) or drain[6] <= 0:
+                raise ValueError(f"a drain is two ends (x, y, z) and a positive radius, 7 numbers in mm, not {drain}")
 
     def in_mm(self, grid: Grid) -> Grid:
         """`grid`, given in cell sizes, in world millimeters."""
@@ -65,57 +77,65 @@ class Part(WrappedField):
 
         Who extracts a surface takes both apart, as their sizes have nothing to do with each other.
         """
-        inner, outer = self.sample_apart(grid, threads, start, stop)
-        return np.maximum(inner, outer, out=inner)
+        inner, outer = self.apart_zyx(grid, threads, start, stop)
+        return np.maximum(inner, outer, out=inner).T
 
-    def sample_apart(
+    def apart_zyx(
         self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The microstructure's field, made solid inside the skin, and the distance from the domain in cell sizes.
 
+        Both for kernels, (stop - start, ny, nx).
         The distance is cut off one spacing from the surface of the domain; with a skin, as much farther as that is
         thick. Layers start <= k < stop of the grid, all of them unless given.
         """
-        inner, skin, outer = self.sample_fields(grid, threads, start, stop)
+        inner, skin, outer = self.fields_zyx(grid, threads, start, stop)
         if skin is not None:
             # farther in, the microstructure decides alone; a distance cut off would lie between
             deep = outer <= np.float32(-0.999 * (self.skin_mm / self.physical_edge() + max(grid.spacing)))
             np.minimum(inner, skin, out=inner, where=~deep)
         return inner, outer
 
-    def sample_fields(
+    def fields_zyx(
         self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32]]:
-        """The fields of the microstructure, of the skin (None without one) and of the domain; see `sample_apart`.
+        """The fields of the microstructure, of the skin (None without one) and of the domain; see `apart_zyx`.
 
         Solid is where the domain's field is negative and one of the other two as well. Those of the domain and of the
         skin are distances in cell sizes; that of the microstructure is steeper or flatter.
         """
         stop = grid.shape[2] if stop is None else stop
-        inner = self.base.sample_layers(grid, start, stop, threads)
+        inner = self.base.sample_zyx(grid, start, stop, threads)
         outer = self._in_domain(grid).distance(start, stop)
         edge = np.float32(self.physical_edge())
         outer /= edge
-        return inner, -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None, outer
+        skin = -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None
+        world = self.in_mm(grid)
+        for window, depth in depths_in_capsules(world.layers(start, stop), self.drains, 2 * max(world.spacing)):
+            for field in (inner, skin):
+                if field is not None:
+                    np.maximum(field[window], depth / edge, out=field[window])
+        return inner, skin, outer
 
-    def sample_cut(
+    def cut_zyx(
         self, grid: Grid, threads: int, start: int, stop: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32], Crossings]:
-        """`sample_fields`, and where grid edges that begin in these layers pierce the triangles of the domain.
+        """`fields_zyx`, and where grid edges that begin in these layers pierce the triangles of the domain.
 
-        Of the domain's field only the sign counts where these are known: without a skin, a closed domain is -1 inside
-        and 1 outside. Nodes on its surface are outside, whatever way their place is rounded: a face is then flat.
+        Of the domain's field only the sign counts where these are known: without a skin and drains, a closed domain is
+        -1 inside and 1 outside. Nodes on its surface are outside, whatever way their place is rounded, so that faces
+        are flat.
         """
         from sppm_pipeline.numerics.domain.crossings import on_surface
 
         domain = self._in_domain(grid)
         crossings = domain.crossings(start, stop)
-        if self.skin_mm or self.method != "scanline":
-            return *self.sample_fields(grid, threads, start, stop), crossings
+        if self.skin_mm or self.drains or self.method != "scanline":
+            return *self.fields_zyx(grid, threads, start, stop), crossings
         inside = domain.inside(start, stop).view(np.bool_)
         inside &= ~on_surface(crossings, grid, start, stop)
         outer = np.where(inside, np.float32(-1), np.float32(1))
-        return self.base.sample_layers(grid, start, stop, threads), None, outer, crossings
+        return self.base.sample_zyx(grid, start, stop, threads), None, outer, crossings
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
@@ -124,8 +144,8 @@ class Part(WrappedField):
 
         if not self.skin_mm:
             inside = self._in_domain(grid).inside(start, stop)
-            inside &= self.base.solid_layers(grid, start, stop, threads, row_spans(inside))
-            return inside
+            inside &= self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
+            return self._drained(inside, grid, start, stop).T
         from sppm_pipeline.numerics.domain.skin import halo_layers, skin_layers
 
         spacing = self.in_mm(grid).spacing
@@ -133,9 +153,15 @@ class Part(WrappedField):
         first, last = max(0, start - halo), min(grid.shape[2], stop + halo)
         around = self._in_domain(grid).inside(first, last)
         inside = around[start - first : stop - first]
-        solid = self.base.solid_layers(grid, start, stop, threads, row_spans(inside))
+        solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
         solid &= inside
         solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
+        return self._drained(solid, grid, start, stop).T
+
+    def _drained(self, solid: NDArray[np.uint8], grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+        """The layers without what the drains take away."""
+        for window, depth in depths_in_capsules(self.in_mm(grid).layers(start, stop), self.drains):
+            solid[window][depth > 0] = 0
         return solid
 
     def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
@@ -161,6 +187,7 @@ class Part(WrappedField):
         return {
             "domain": self.domain.summary(),
             "skin_mm": self.skin_mm,
+            "drains": len(self.drains),
             "islands": self.islands,
             "inside": self.method,
             "cells": list(self.cells),

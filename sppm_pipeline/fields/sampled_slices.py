@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.printer import Printer
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.slice_stack import Slab, SliceStack
 from sppm_pipeline.numerics.grid import Grid
@@ -45,6 +46,8 @@ class SampledSlices(SliceStack):
     islands : {"remove", "keep"}
     subsamples : int
         For gray layers: each pixel is sampled on k x k points, and its value is the solid fraction.
+    machine : Printer or None
+        The printer that the layers are cut for.
     """
 
     grid: Grid
@@ -52,6 +55,11 @@ class SampledSlices(SliceStack):
     lower: tuple[float, float, float]
     islands: str
     subsamples: int = 1
+    machine: Printer | None = None
+
+    @property
+    def printer(self) -> Printer | None:
+        return self.machine
 
     @property
     def pixel_mm(self) -> tuple[float, float]:
@@ -161,7 +169,7 @@ class FieldSlices(SampledSlices):
 
     def decided(self, threads: int, told: dict[str, Any]) -> Iterator[Slab]:
         for start, stop in self.spans(SLAB_PIXELS):
-            yield start, self.source.solid_layers(self.samples, start, stop, threads)
+            yield start, self.source.solid_zyx(self.samples, start, stop, threads)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

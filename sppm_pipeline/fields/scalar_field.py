@@ -26,6 +26,9 @@ class ScalarField(Artifact, ABC):
     It is no distance. Positions are in cell sizes, measured from the lattice origin; `edge_mm` and `origin_mm` say
     where that is in the world. Nothing is computed before somebody samples it.
 
+    Samples are indexed x, y, z. The program's own kernels go along rows of x, with z outermost; they get the same
+    memory by `sample_zyx` and `solid_zyx`, at no cost if x is contiguous.
+
     Attributes
     ----------
     cells : tuple of 3 ints
@@ -56,9 +59,9 @@ class ScalarField(Artifact, ABC):
         # no two sides are equal, so that axes in another order show
         probe = Grid((0.17, 0.23, 0.31), (0.21, 0.13, 0.27), (2, 4, 3))
         values: Any = self.sample_layers(probe, 0, 3)
-        if not isinstance(values, np.ndarray) or values.shape != (3, 4, 2) or values.dtype != np.float32:
+        if not isinstance(values, np.ndarray) or values.shape != probe.shape or values.dtype != np.float32:
             got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
-            raise ValueError(f"samples of 2 x 4 x 3 points (x, y, z) are float32 of the shape (3, 4, 2), got {got}")
+            raise ValueError(f"samples of 2 x 4 x 3 points (x, y, z) are float32 of the shape (2, 4, 3), got {got}")
         if not np.isfinite(values).all():
             raise ValueError(f"samples of a field are finite numbers, got {values[~np.isfinite(values)][0]}")
 
@@ -74,13 +77,14 @@ class ScalarField(Artifact, ABC):
 
     @abstractmethod
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        """Values in the layers start <= k < stop of a grid (cell sizes), (stop - start, ny, nx) float32, C-contiguous.
+        """Values in the layers start <= k < stop of a grid (cell sizes), (nx, ny, stop - start) float32.
 
-        A sample depends on its position alone: not on the number of threads, nor on the layers that are asked for.
+        A sample depends on its position alone: not on the number of threads, nor on the layers that are asked for. Any
+        order in memory will do; where x is contiguous nothing has to be copied.
         """
 
     def sample(self, grid: Grid | int, threads: int = 1) -> NDArray[np.float32]:
-        """Values at the points of a grid (cell sizes), (nz, ny, nx) float32, C-contiguous.
+        """Values at the points of a grid (cell sizes), (nx, ny, nz) float32, x contiguous in memory.
 
         Parameters
         ----------
@@ -89,12 +93,12 @@ class ScalarField(Artifact, ABC):
         threads : int
         """
         grid = self._grid(grid)
-        return self.sample_layers(grid, 0, grid.shape[2], threads)
+        return self.sample_zyx(grid, 0, grid.shape[2], threads).T
 
     def solid(self, grid: Grid | int, threads: int = 1) -> NDArray[np.uint8]:
-        """1 where the field is negative, else 0, (nz, ny, nx) uint8; faster than `sample` where a class can."""
+        """1 where the field is negative, else 0, (nx, ny, nz) uint8; faster than `sample` where a class can."""
         grid = self._grid(grid)
-        return self.solid_layers(grid, 0, grid.shape[2], threads)
+        return self.solid_zyx(grid, 0, grid.shape[2], threads).T
 
     def _grid(self, grid: Grid | int) -> Grid:
         return grid if isinstance(grid, Grid) else cell_centers(grid, self.cells)
@@ -104,10 +108,20 @@ class ScalarField(Artifact, ABC):
     ) -> NDArray[np.uint8]:
         """`solid` for the layers start <= k < stop of a larger grid; classes may keep what the whole grid needs.
 
-        `wanted` (stop - start, ny, 2) names the first sample of each row that matters and the one after the last; a
-        class may leave the others undecided.
+        `wanted` (stop - start, ny, 2) names, by layer and row, the first sample of the row that matters and the one
+        after the last; a class may leave the others undecided.
         """
         return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
+
+    def sample_zyx(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """`sample_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
+        return np.ascontiguousarray(self.sample_layers(grid, start, stop, threads).T)
+
+    def solid_zyx(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        """`solid_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
+        return np.ascontiguousarray(self.solid_layers(grid, start, stop, threads, wanted).T)
 
     def exactly(self) -> ScalarField:
         """The same field without the short cuts of fine grids; itself if its class takes none."""

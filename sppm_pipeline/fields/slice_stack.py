@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.data.artifact import Artifact, frozen
+from sppm_pipeline.data.printer import Printer
 from sppm_pipeline.data.size import Geometry, Size
 
 Slab = tuple[int, NDArray[np.uint8]]
-"""Index of the first layer, and layers (nz, ny, nx), rows in order of increasing y."""
+"""Index of the first layer, and layers indexed [layer, y, x], rows in order of increasing y."""
 
 
 class Slabs:
@@ -38,6 +39,9 @@ class Slabs:
 class SliceStack(Artifact, ABC):
     """Layers of a part, delivered slab by slab from the bottom, never all in memory.
 
+    A stack of pictures, not a volume: its arrays are indexed [layer, y, x], as libraries for images have them
+    (tifffile, ImageJ, scikit-image), and each layer is a C-contiguous picture.
+
     Layer k is the section at mid-height, ``origin z + (k + 1/2) * layer_mm``; pixel (i, j) is the rectangle around
     ``origin + ((i + 1/2) * pixel_mm[0], (j + 1/2) * pixel_mm[1])``.
 
@@ -51,6 +55,8 @@ class SliceStack(Artifact, ABC):
         Pixels along x and y, number of layers.
     origin_mm : tuple of 3 floats
         World position of the low corner of the stack.
+    printer : Printer or None
+        The printer that the layers were cut for.
     """
 
     @property
@@ -69,6 +75,10 @@ class SliceStack(Artifact, ABC):
     @abstractmethod
     def origin_mm(self) -> tuple[float, float, float]: ...
 
+    @property
+    def printer(self) -> Printer | None:
+        return None
+
     @abstractmethod
     def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
         """Yield the slabs, and return what was found out on the way; see `slabs`."""
@@ -81,23 +91,29 @@ class SliceStack(Artifact, ABC):
         return Slabs(self.read(threads))
 
     def to_array(self, threads: int = 1) -> NDArray[np.uint8]:
-        """All layers at once, (nz, ny, nx) uint8; for stacks that fit into memory."""
+        """All layers at once, uint8 [layer, y, x]; its transpose is the volume [x, y, z]. For what fits into memory."""
         return np.concatenate([slab.copy() for _, slab in self.slabs(threads)])
 
     @staticmethod
     def from_array(
-        layers: ArrayLike, *, pixel_mm: float | tuple[float, float], layer_mm: float | None = None
+        layers: ArrayLike,
+        *,
+        pixel_mm: float | tuple[float, float],
+        layer_mm: float | None = None,
+        printer: Printer | None = None,
     ) -> SliceStack:
         """Layers that are there already.
 
         Parameters
         ----------
-        layers : (nz, ny, nx) array_like
+        layers : (layers, ny, nx) array_like
             Truth values (True is solid), or integers from 0 (void) to 255 (solid); rows in order of increasing y.
         pixel_mm : float or (float, float)
             Pitch along x and y; one number for square pixels.
         layer_mm : float, optional
             `pixel_mm` if omitted; only square pixels do without.
+        printer : Printer, optional
+            The printer that they were cut for.
 
         Raises
         ------
@@ -115,7 +131,7 @@ class SliceStack(Artifact, ABC):
             values = values * np.uint8(255)
         if not 0 <= values.min() <= values.max() <= 255:
             raise ValueError("layers hold integers from 0 (void) to 255 (solid)")
-        stack = ArraySlices(frozen(values.astype(np.uint8)), pitch)
+        stack = ArraySlices(frozen(values.astype(np.uint8)), pitch, printer)
         stack.check()
         return stack
 
@@ -135,15 +151,21 @@ class SliceStack(Artifact, ABC):
     def summary(self) -> dict[str, Any]:
         """Size and pitch."""
         nx, ny, nz = self.shape
-        return {"pixels": [nx, ny], "layers": nz, "pixel_mm": list(self.pixel_mm), "layer_mm": self.layer_mm}
+        made = {"pixels": [nx, ny], "layers": nz, "pixel_mm": list(self.pixel_mm), "layer_mm": self.layer_mm}
+        return made if self.printer is None else {**made, "printer": self.printer.name}
 
 
 @dataclass(frozen=True, eq=False)
 class ArraySlices(SliceStack):
-    """Layers that are there already, (nz, ny, nx) uint8, with the low corner of the stack at the origin."""
+    """Layers that are there already, uint8 [layer, y, x], with the low corner of the stack at the origin."""
 
     layers: NDArray[np.uint8]
     pitch: tuple[float, float, float]
+    machine: Printer | None = None
+
+    @property
+    def printer(self) -> Printer | None:
+        return self.machine
 
     @property
     def pixel_mm(self) -> tuple[float, float]:

@@ -140,10 +140,12 @@ class Tiling(KernelSum):
         return Patches(tables[key], self.arrays)
 
     def summary(self) -> dict[str, Any]:
-        """Size of the lattice and number of filled cells."""
+        """Size of the lattice and number of filled cells, without those around the part."""
+        filled = self.arrays.surrounded().interior
+        filled = filled[filled >= 0]
         return {
             "lattice": list(self.cells),
-            "filled_cells": int((self.arrays.box >= 0).sum()),
+            "filled_cells": filled.size,
             "cell_mm": self.edge,
-            "interiors_used": len(np.unique(self.arrays.box[self.arrays.box >= 0])),
+            "interiors_used": len(np.unique(filled)),
         }

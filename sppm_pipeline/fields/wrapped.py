@@ -134,7 +134,7 @@ class CleanedField(WrappedField):
         object.__setattr__(self, "floating", frozen(np.asarray(self.floating, np.uint8)))
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        values = self.base.sample_layers(grid, start, stop, threads)
+        values = self.base.sample_zyx(grid, start, stop, threads)
         nz, ny, nx = self.floating.shape
         place = []
         for axis, n in ((2, nz), (1, ny), (0, nx)):
@@ -144,7 +144,7 @@ class CleanedField(WrappedField):
         inverted = self.floating[np.ix_(*place)].view(bool)
         inverted &= values < 0
         np.negative(values, out=values, where=inverted)
-        return values
+        return values.T
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_GRAYSCALE = 0
+_GRAYSCALE, _COLOR = 0, 2
 _FILTER_UP = 2
 _METER = 1  # the unit of a pHYs chunk
 _LONGEST = 2**31 - 1  # of an integer in a chunk
@@ -28,6 +28,7 @@ def encode_layer(
     bits: int = 1,
     level: int = 1,
     pixel_mm: tuple[float, float] | None = None,
+    subpixels: bool = False,
 ) -> bytes:
     """One layer as a grayscale PNG.
 
@@ -43,6 +44,8 @@ def encode_layer(
         smaller where a pattern repeats).
     pixel_mm : (float, float), optional
         Width and height of a pixel in mm, written as pixels per meter (rounded, as the format has integers there).
+    subpixels : bool
+        Write three neighboring pixels as the red, green and blue of one; the width is a multiple of three then.
 
     Returns
     -------
@@ -61,6 +64,8 @@ def encode_layer(
     if not 0 <= level <= 9:
         raise ValueError(f"the compression level is 0 to 9, not {level}")
     height, width = image.shape
+    if subpixels and (bits != 8 or width % 3):
+        raise ValueError(f"subpixels need 8 bits and a width in threes, not {bits} and {width}")
     if bits == 1:
         rows = np.packbits(image, axis=1)
     elif image.dtype == np.bool_:
@@ -74,7 +79,8 @@ def encode_layer(
     strategy = zlib.Z_RLE if level == 1 else zlib.Z_DEFAULT_STRATEGY
     deflate = zlib.compressobj(level, zlib.DEFLATED, zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, strategy)
     data = deflate.compress(filtered.data) + deflate.flush()
-    parts = [_SIGNATURE, _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, _GRAYSCALE, 0, 0, 0))]
+    columns, color = (width // 3, _COLOR) if subpixels else (width, _GRAYSCALE)
+    parts = [_SIGNATURE, _chunk(b"IHDR", struct.pack(">IIBBBBB", columns, height, bits, color, 0, 0, 0))]
     if pixel_mm is not None:
         parts.append(_chunk(b"pHYs", struct.pack(">IIB", *(_per_meter(edge) for edge in pixel_mm), _METER)))
     parts += [_chunk(b"IDAT", data), _chunk(b"IEND", b"")]

@@ -8,8 +8,10 @@ class TestMySampler(SamplerContract):
 from __future__ import annotations
 
 import dataclasses
+import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -278,12 +280,12 @@ class FieldContract(StageContract):
         for field in self._fields():
             grid = Grid((0.05, 0.03, 0.07), (0.1, 0.15, 0.11), (9, 6, 7))
             whole = field.sample(grid)
-            assert whole.shape == (7, 6, 9)
+            assert whole.shape == (9, 6, 7)
             assert whole.dtype == np.float32
             parts = [field.sample_layers(grid, start, stop, threads=3) for start, stop in ((0, 2), (2, 3), (3, 7))]
-            assert np.array_equal(np.concatenate(parts), whole)
+            assert np.array_equal(np.concatenate(parts, axis=2), whole)
             inner = Grid((0.25, 0.33, 0.18), (0.1, 0.15, 0.11), (4, 3, 2))
-            assert np.allclose(field.sample(inner), whole[1:3, 2:5, 2:6], atol=1e-6 * np.abs(whole).max())
+            assert np.allclose(field.sample(inner), whole[2:6, 2:5, 1:3], atol=1e-6 * np.abs(whole).max())
 
     def test_repeats_if_it_says_so(self) -> None:
         """The next cell of a periodic field is the same."""
@@ -341,7 +343,7 @@ class WriterContract(StageContract):
     """What users expect of a stage that writes."""
 
     def test_writes_where_it_is_told(self) -> None:
-        """The file or folder of the option `path`, with something in it, and nothing else but an overview."""
+        """The file or folder of the option `path`, with something in it; others beside it begin with its name."""
         for stage in self.stages():
             made, context = self._run(stage)
             assert made is None, "a writer makes nothing"
@@ -350,6 +352,8 @@ class WriterContract(StageContract):
             files = [target] if target.is_file() else [file for file in target.rglob("*") if file.is_file()]
             assert files
             assert all(file.stat().st_size for file in files)
+            others = {file for file in context.directory.rglob("*") if file.is_file()} - set(files)
+            assert all(file.parent == target.parent and file.name.startswith(target.stem) for file in others)
 
 
 class HomogenizerContract(StageContract):
@@ -382,3 +386,34 @@ class HomogenizerContract(StageContract):
             second = stage.run(PlainContext(5), **{self.port: turned})
             scale = np.abs(first.stiffness).max()
             assert np.allclose(second.stiffness, first.stiffness[np.ix_(order, order)], atol=2e-3 * scale)
+
+
+class ExecutorContract:
+    """What sweeps expect of an executor."""
+
+    @abstractmethod
+    def executor(self, workers: int) -> Executor:
+        """A new one, as the hook `sppm_executors` makes it."""
+
+    def test_results_belong_to_their_tasks(self) -> None:
+        """Whatever the order in which they end."""
+        with self.executor(2) as executor:
+            futures = [executor.submit(pow, base, exp=2) for base in range(5)]
+            assert [future.result(timeout=60) for future in futures] == [0, 1, 4, 9, 16]
+            assert list(executor.map(divmod, (7, 9), (2, 5), timeout=60)) == [(3, 1), (1, 4)]
+
+    def test_an_error_is_that_of_its_task(self) -> None:
+        """Type and message arrive, and the next task is done."""
+        with self.executor(1) as executor:
+            bad, good = executor.submit(int, "no number"), executor.submit(int, "3")
+            error = bad.exception(timeout=60)
+            assert isinstance(error, ValueError)
+            assert "no number" in str(error)
+            assert good.result(timeout=60) == 3
+
+    def test_nothing_goes_on_after_the_end(self) -> None:
+        """Tasks that wait are canceled when the executor is shut down, and those that run have ended."""
+        executor = self.executor(1)
+        futures = [executor.submit(time.sleep, 0.02) for _ in range(9)]
+        executor.shutdown(wait=True, cancel_futures=True)
+        assert all(future.done() for future in futures)

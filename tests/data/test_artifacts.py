@@ -148,3 +148,22 @@ def test_a_tunnel_is_listed_once():
     ]:
         with pytest.raises(ValueError, match=said):
             TunnelGraph(three, edges, shift).check()
+
+
+def test_many_tunnels_are_kept_in_few_bytes_and_say_the_same(monkeypatch):
+    edges, shift = np.array([[0, 1], [0, 1], [1, 2]]), np.array([[-128, 0, 0], [0, 0, 0], [0, 127, 0]])
+    three = PoreSet(Cell(), np.random.default_rng(0).random((3, 3)), np.zeros(3, np.int32))
+    wide = TunnelGraph(three, edges, shift)
+    assert (wide.edges.dtype, wide.shift.dtype) == (np.int64, np.int64)
+    monkeypatch.setattr("sppm_pipeline.data.tunnels.NARROW", 3)
+    narrow = TunnelGraph(three, edges, shift)
+    assert (narrow.edges.dtype, narrow.shift.dtype) == (np.int32, np.int8)
+    narrow.check()
+    assert narrow.summary() == wide.summary()
+    assert np.array_equal(narrow.segments(), wide.segments())
+    assert TunnelGraph(three, edges[1:], shift[1:]).edges.dtype == np.int64
+    assert TunnelGraph(three, edges, shift - 1).shift.dtype == np.int64
+    # found by the sorted rows, and where these do not tell
+    for same in ([[0, 1], [0, 1], [1, 2]], [[0, 1], [1, 2], [1, 0]]):
+        with pytest.raises(ValueError, match="are one"):
+            TunnelGraph(three, same, np.zeros((3, 3), int)).check()

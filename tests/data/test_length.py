@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sppm_pipeline.data.length import UNITS_IN_MM, Cell, Length, parse_length
+from sppm_pipeline.data.length import UNITS_IN_MM, Cell, Length, parse_length, voxel_mm
 from sppm_pipeline.errors import ConfigError
 
 
@@ -42,3 +42,22 @@ def test_units_are_those_of_the_international_system():
     assert {unit: parse_length(f"1 {unit}").mm() for unit in expected} == expected
     assert set(UNITS_IN_MM) == {*expected, "µm"}
     assert UNITS_IN_MM["µm"] == UNITS_IN_MM["um"]
+
+
+def test_pixels_and_layers():
+    mm, um = Length(0.05, "mm"), Length(24.0, "um")
+    assert voxel_mm(mm, None) == (0.05, 0.05, 0.05)
+    assert voxel_mm((mm, mm), um) == pytest.approx((0.05, 0.05, 0.024))
+    assert voxel_mm((mm, um), Length(0.1)) == pytest.approx((0.05, 0.024, 0.1))
+    assert voxel_mm((Length(0.1), Length(0.2)), mm) == (0.1, 0.2, 0.05)
+    assert voxel_mm((Length(50.0, "um"), mm), None) == pytest.approx((0.05, 0.05, 0.05))
+    for pixel in ((mm, Length(0.05)), (Length(0.05), mm)):
+        with pytest.raises(ConfigError, match="one has a unit"):
+            voxel_mm(pixel, mm)
+    with pytest.raises(ConfigError, match="needs a `layer`"):
+        voxel_mm((mm, um), None)
+
+
+def test_a_cell_says_its_unit():
+    assert Cell(7.5, True).summary() == {"edge": 7.5, "unit": "mm"}
+    assert Cell(2.0).summary() == {"edge": 2.0, "unit": "cell size"}

@@ -51,6 +51,8 @@ def test_an_error_bar_is_told_relative_too():
     [
         (np.zeros((3, 3)), SOLID),
         (np.full((6, 6), np.nan), SOLID),
+        (np.diag([1, 1, 1, 1, 1, np.inf]), SOLID),
+        (np.diag([1, 1, 1, 1, 1, -1e-3]), SOLID),
         (np.triu(np.ones((6, 6))), SOLID),
         (np.eye(6), ((0.5, 1.0, 0.3),)),
     ],
@@ -76,3 +78,33 @@ def test_error_bars_of_moduli_follow_those_of_the_matrix():
     report = StiffnessReport(isotropic(2.0, 0.3), SOLID, "voxels", error=0.01 * isotropic(2.0, 0.3))
     assert report.summary()["E_error"] == pytest.approx([0.02] * 3)
     assert report.summary()["G_error"] == pytest.approx([0.01 * 2 / 2.6] * 3)
+
+
+def cubic(a, b, c):
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = b
+    matrix[range(6), range(6)] = [a] * 3 + [c] * 3
+    return matrix
+
+
+def test_error_bars_of_moduli_take_all_entries_as_too_stiff():
+    """Of a cubic material E = (a - b) (a + 2 b) / (a + b)."""
+    report = StiffnessReport(cubic(5.0, 2.0, 1.0), SOLID, "voxels", error=cubic(0.5, 0.1, 0.2))
+    young, softer = 3 * 9 / 7, 2.6 * 8.3 / 6.4
+    assert report.summary()["E"] == pytest.approx([young] * 3)
+    assert report.summary()["E_error"] == pytest.approx([young - softer] * 3)
+    assert report.summary()["G_error"] == pytest.approx([0.2] * 3)
+    assert "error_relative" not in StiffnessReport(cubic(5.0, 2.0, 1.0), SOLID, "voxels").summary()
+
+
+def test_a_report_keeps_what_it_was_given():
+    given = np.diag([1, 1, 0, 1, 0, 0])  # a structure that gives way contradicts nothing
+    report = StiffnessReport(given, [[1, 2, 0.5]], "x", error=given)
+    report.check()
+    given[:] = 7
+    assert report.stiffness[0, 0] == report.error[0, 0] == 1
+    assert report.stiffness.dtype == report.error.dtype == np.float64
+    assert not report.stiffness.flags.writeable
+    assert not report.error.flags.writeable
+    assert report.phases == ((1.0, 2.0, 0.5),)
+    assert report.base == 2.0

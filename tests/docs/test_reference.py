@@ -54,5 +54,26 @@ def test_pages_state_required_options_bounds_and_choices(pages: dict[str, str]) 
     assert "`level`, `gap` | `level` |" in porosity
 
 
+def test_pages_of_data_state_shapes_units_order_and_who_makes_them(pages: dict[str, str]) -> None:
+    assert "| `centers` | (n, 3) float64, cell sizes |" in pages["data/PoreSet.md"]
+    assert "Made by: [`sample.dart_throwing`]" in pages["data/PoreSet.md"]
+    voxels = pages["data/Voxels.md"]
+    assert "x is contiguous in memory" in voxels
+    assert "| **`from_array(array, spacing=, periodic=, axes=)`** |" in voxels
+    assert '| `axes` | {"xyz", "zyx"} |' in voxels
+    tiling = pages["data/Tiling.md"]
+    assert "has all that is said there" in tiling
+    assert "[`slice.field`]" in tiling.partition("Taken by")[2]  # as any field
+    assert "[`check.tiling`]" in tiling.partition("Taken by")[2]
+    assert "[`field.gaussian`]" in pages["data/ScalarField.md"].partition("Taken by")[0]
+
+
+def test_every_data_type_says_what_it_holds(pages: dict[str, str]) -> None:
+    types = [name for name in pages if name.startswith("data/")]
+    assert len(types) > 20
+    assert [name for name in types if "## Attributes" not in pages[name] and "It is a [" not in pages[name]] == []
+    assert [name for name in types if f"]({name})" not in pages["README.md"]] == []
+
+
 def test_cells_of_tables_hold_any_text(generator: ModuleType) -> None:
     assert generator.table(("a",), [("x|y <b> `<c>`\nz",)]) == ["| a |", "|---|", "| x\\|y &lt;b> `<c>` z |"]

@@ -250,7 +250,7 @@ def test_a_formula_gives_the_same_bytes_in_slabs_and_threads(made):
     whole = field.sample(grid)
     assert whole.dtype == np.float32
     assert np.array_equal(field.sample(grid, 3), whole)
-    assert np.array_equal(field.sample_layers(grid, 11, 29, 2), whole[11:29])
+    assert np.array_equal(field.sample_layers(grid, 11, 29, 2), whole[:, :, 11:29])
     assert np.array_equal(field.solid(grid), whole < 0)
 
 

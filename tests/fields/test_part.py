@@ -14,7 +14,7 @@ from sppm_pipeline.numerics.grid import Grid, cell_centers
 
 def inside_ball(part, grid, radius=5.0):
     world = part.in_mm(grid)
-    z, y, x = np.meshgrid(world.axis(2), world.axis(1), world.axis(0), indexing="ij")
+    x, y, z = np.meshgrid(*(world.axis(axis) for axis in range(3)), indexing="ij")
     return (x - 5) ** 2 + (y - 5) ** 2 + (z - 5) ** 2 < radius**2
 
 
@@ -32,7 +32,7 @@ def test_a_part_is_the_field_and_the_domain(wang_tiling, ball):
 
 def test_the_distance_is_in_cell_edges(wang_tiling, ball):
     part = Part(wang_tiling, ball)
-    _, outer = part.sample_apart(GRID)
+    _, outer = part.apart_zyx(GRID)
     world = part.in_mm(GRID)
     z, y, x = np.meshgrid(world.axis(2), world.axis(1), world.axis(0), indexing="ij")
     truth = (np.sqrt((x - 5) ** 2 + (y - 5) ** 2 + (z - 5) ** 2) - 5) / 4
@@ -70,10 +70,10 @@ def test_slabs_and_threads_change_no_bit(wang_tiling, ball, skin, opened):
     for step in (1, 7, 70):
         parts = [(k, min(k + step, grid.shape[2])) for k in range(0, grid.shape[2], step)]
         again = Part(wang_tiling, domain, skin)
-        assert np.concatenate([again.solid_layers(grid, *p) for p in parts]).tobytes() == whole.tobytes()
+        assert np.concatenate([again.solid_layers(grid, *p) for p in parts], 2).tobytes() == whole.tobytes()
     again = Part(wang_tiling, domain, skin)
     backwards = [again.solid_layers(grid, k, k + 1) for k in (50, 3, 90)]
-    assert np.array_equal(np.concatenate(backwards), whole[[50, 3, 90]])
+    assert np.array_equal(np.concatenate(backwards, 2), whole[:, :, [50, 3, 90]])
 
 
 def test_a_mesh_with_a_hole_is_filled_by_vote(wang_tiling):
@@ -85,7 +85,7 @@ def test_a_mesh_with_a_hole_is_filled_by_vote(wang_tiling):
     whole, opened = Part(wang_tiling, SurfaceMesh(vertices, faces)), Part(wang_tiling, SurfaceMesh(vertices, hole))
     along_x = scan_layers(prepare_scan(vertices, hole, whole.in_mm(GRID)), 0, GRID.shape[2]).mask
     expected = whole.solid(GRID)
-    assert (along_x & expected).sum() < 0.8 * expected.sum()
+    assert (along_x.T & expected).sum() < 0.8 * expected.sum()
     assert np.array_equal(opened.solid(GRID), expected)
     assert np.array_equal(opened.sample(GRID) < 0, expected)
 
@@ -94,17 +94,17 @@ def test_a_skin_does_not_move_the_surface_of_the_core(wang_tiling, ball):
     """Deep inside, the field is that of the microstructure, whatever its size."""
     grid = Grid((0.2,) * 3, (1 / 16,) * 3, (34, 34, 34))
     part = Part(wang_tiling, ball, 1.0)
-    inner, outer = part.sample_apart(grid)
-    plain = wang_tiling.sample(grid)
+    inner, outer = part.apart_zyx(grid)
+    plain = wang_tiling.sample(grid).T
     deep = outer <= -0.999 * (1 / 4 + 1 / 16)
     assert deep.sum() > 1000
     assert np.array_equal(inner[deep], plain[deep])
     skin = (outer < 0) & (outer > -0.99 / 4)
     assert (inner[skin] < 0).all()
-    fields = part.sample_fields(grid)
+    fields = part.fields_zyx(grid)
     assert np.array_equal(fields[0], plain)
     assert np.array_equal(fields[2], outer)
-    assert Part(wang_tiling, ball).sample_fields(grid)[1] is None
+    assert Part(wang_tiling, ball).fields_zyx(grid)[1] is None
 
 
 def test_layers_are_those_of_the_whole(wang_tiling, ball, monkeypatch):
@@ -113,7 +113,7 @@ def test_layers_are_those_of_the_whole(wang_tiling, ball, monkeypatch):
         whole = Part(wang_tiling, ball, skin).sample(grid)
         part = Part(wang_tiling, ball, skin)
         cut = [part.sample_layers(grid, a, b) for a, b in ((0, 3), (3, 4), (4, 19), (19, 27))]
-        assert np.array_equal(np.concatenate(cut), whole)
+        assert np.array_equal(np.concatenate(cut, axis=2), whole)
 
 
 @pytest.mark.parametrize("inside", ["winding", "vote"])
@@ -122,11 +122,11 @@ def test_distances_of_an_open_part_do_not_depend_on_slabs(wang_tiling, ball, ins
     domain = SurfaceMesh(ball.vertices, ball.faces[(ball.vertices[ball.faces].max(1)[:, 2] < 9.3)])
     assert len(domain.faces) < len(ball.faces)
     grid = cell_centers(12, (4, 3, 3))
-    whole = Part(wang_tiling, domain, 0.7, inside=inside).sample_apart(grid)[1]
+    whole = Part(wang_tiling, domain, 0.7, inside=inside).apart_zyx(grid)[1]
     lid = whole[:, 15, 15]
     assert (lid < 0).any()
     assert np.abs(np.diff(lid)).max() < 2 * 1.01 / 12
     monkeypatch.setattr(domain_sampler, "DISTANCE_SAMPLES", 1)
-    thin = Part(wang_tiling, domain, 0.7, inside=inside).sample_apart(grid)[1]
+    thin = Part(wang_tiling, domain, 0.7, inside=inside).apart_zyx(grid)[1]
     assert np.array_equal(thin < 0, whole < 0)
     assert np.abs(thin - whole).max() < 0.01

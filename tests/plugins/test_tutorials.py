@@ -31,8 +31,10 @@ def test_every_lesson_is_there() -> None:
     assert {path.stem for path in TUTORIALS} >= {
         "first-part",
         "one-file-plugin",
+        "write-a-field",
         "write-a-sampler",
         "write-a-tile-rule",
+        "write-a-writer",
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from typing import ClassVar
@@ -15,6 +16,8 @@ from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor
 from sppm_pipeline.families import FieldMaker
 from sppm_pipeline.stage import Context, Stage
 from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
@@ -27,6 +30,7 @@ from sppm_pipeline.stages.tileset.wang_3color import WangTileSet
 from sppm_pipeline.stages.write.mesh import WriteMesh
 from sppm_pipeline.testing.contracts import (
     ConnectorContract,
+    ExecutorContract,
     FieldContract,
     HomogenizerContract,
     TilerContract,
@@ -88,6 +92,18 @@ class TestHomogenizer(HomogenizerContract):
         return [HomogenizeVoxel(solver_tolerance=1e-4)]
 
 
+@pytest.mark.parametrize("name", ["serial", "threads", "processes"])
+class TestExecutor:
+    @pytest.mark.parametrize("test", [name for name in dir(ExecutorContract) if name.startswith("test_")])
+    def test_the_built_in_ones_keep_it(self, name, test):
+        plugins = load_plugins(["sppm_pipeline.engine.run.executors"], distributions=False)
+        getattr(executor_suite(lambda workers: make_executor(name, workers, plugins)), test)()
+
+
+def executor_suite(make):
+    return type("Suite", (ExecutorContract,), {"executor": lambda self, workers: make(workers)})()
+
+
 class Forgetful(MinimumSpanningTree):
     """Leaves the last tunnel out."""
 
@@ -107,7 +123,7 @@ class Drifting(Layers):
     """Has another value at every place of the slab."""
 
     def evaluate(self, x, y, z):
-        return np.cos(2 * np.pi * z) + np.arange(len(z))[:, None, None] * 0.01
+        return np.cos(2 * np.pi * z) + np.arange(len(z)) * 0.01
 
 
 class Stubborn(WangTiling):
@@ -156,10 +172,65 @@ def test_a_stage_that_breaks_a_promise_is_found(contract, stage, test):
         getattr(Suite(), test)()
 
 
-def test_a_writer_that_writes_elsewhere_is_found():
+@dataclass(frozen=True, kw_only=True)
+class Littering(Elsewhere):
+    """Writes what it should, and a file of another name beside it."""
+
+    name: ClassVar[str] = "write.littering"
+
+    def run(self, context: Context) -> None:
+        context.output("a").write_bytes(b"a")
+        context.output("a-overview").write_bytes(b"is allowed")
+        super().run(context)
+
+
+@pytest.mark.parametrize("stage", [Elsewhere(), Littering()])
+def test_a_writer_that_writes_elsewhere_is_found(stage):
     class Suite(WriterContract):
         def stages(self):
-            return [Elsewhere()]
+            return [stage]
 
     with pytest.raises(AssertionError):
         Suite().test_writes_where_it_is_told()
+
+
+class Mixed(SerialExecutor):
+    """Hands results to the tasks before."""
+
+    def __init__(self):
+        self.last = None
+
+    def submit(self, fn, /, *args, **kwargs):
+        own, self.last = super().submit(fn, *args, **kwargs), self.last
+        future = Future()
+        future.set_result(own.result() if self.last is None else self.last)
+        self.last = own.result()
+        return future
+
+
+class Silent(SerialExecutor):
+    """Keeps errors to itself."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = super().submit(fn, *args, **kwargs)
+        return super().submit(int) if future.exception() else future
+
+
+class Restive(ThreadPoolExecutor):
+    """Does not wait for its tasks."""
+
+    def shutdown(self, wait=True, *, cancel_futures=False):
+        super().shutdown(wait=False)
+
+
+@pytest.mark.parametrize(
+    ("make", "test"),
+    [
+        (lambda workers: Mixed(), "test_results_belong_to_their_tasks"),
+        (lambda workers: Silent(), "test_an_error_is_that_of_its_task"),
+        (Restive, "test_nothing_goes_on_after_the_end"),
+    ],
+)
+def test_an_executor_that_breaks_a_promise_is_found(make, test):
+    with pytest.raises(AssertionError):
+        getattr(executor_suite(make), test)()

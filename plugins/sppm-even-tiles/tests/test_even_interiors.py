@@ -75,7 +75,7 @@ def test_a_part_is_covered_and_the_promise_is_counted() -> None:
 
 def test_too_few_interiors_are_told() -> None:
     context = PlainContext(2)
-    EvenInteriors(cells=(4, 4, 4)).run(context, drawn(FreeFacesTileSet(colors=2, interiors=4, resolution=8)), None)
+    EvenInteriors(cells=(4, 4, 4)).run(context, drawn(FreeFacesTileSet(colors=2, interiors=6, resolution=8)), None)
     assert context.reported["alike_across_faces"] == 0
     assert context.reported["alike_across_corners"] > 0
     assert "27 suffice" in context.warnings[0]

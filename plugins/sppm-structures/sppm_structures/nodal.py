@@ -33,7 +33,7 @@ class Nodal:
     formula: str
 
     def value(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The sum at the phases x (nx,), y (ny, 1), z (nz, 1, 1), radians."""
+        """The sum at the phases x (nx, 1, 1), y (ny, 1), z (nz,), radians."""
         total = np.full(np.broadcast_shapes(x.shape, y.shape, z.shape), float(self.constant))
         for coefficient, factors in self.terms:
             total += _product(coefficient, factors, (x, y, z), None)

@@ -64,7 +64,7 @@ def table_of_struts(struts: NDArray[np.float64], blend: float) -> StrutTable:
 def evaluate_struts(
     table: StrutTable, blend: float, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Blended distance from the surface of the struts, (nz, ny, nx) float32, cell sizes.
+    """Blended distance from the surface of the struts, (nx, ny, nz) float32, cell sizes; x is contiguous in memory.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def evaluate_struts(
     """
     values = np.empty((len(z), len(y), len(x)), np.float32)
     _evaluate(table.struts, table.begin, table.end, table.listed, np.float64(blend), x, y, z, values)
-    return values
+    return values.T
 
 
 @jit

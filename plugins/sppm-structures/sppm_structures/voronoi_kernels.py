@@ -70,14 +70,14 @@ def wall_table(seeds: NDArray[np.float64]) -> WallTable:
 def evaluate_walls(
     table: WallTable, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Distance from the nearest face between two Voronoi cells, (nz, ny, nx) float32, cell sizes.
+    """Distance from the nearest face between two Voronoi cells, (nx, ny, nz) float32, cell sizes.
 
     Exact: a Voronoi cell is convex, so the distance from its boundary is that from the nearest of the planes that
     bound it; that between seeds a and b is at ``(|p - b|^2 - |p - a|^2) / (2 |b - a|)`` from a point p near a.
     """
     values = np.empty((len(z), len(y), len(x)), np.float32)
     _evaluate(table.seeds, table.begin, table.end, table.listed, x, y, z, values)
-    return values
+    return values.T
 
 
 @jit

@@ -50,9 +50,9 @@ def half_space(vectors: NDArray[np.int64]) -> NDArray[np.int64]:
 def sum_of_waves(
     waves: Waves, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The sum at the points of three axes (nx,), (ny,), (nz,), cell sizes: (nz, ny, nx)."""
+    """The sum at the points of three axes of nx, ny, nz positions, cell sizes: (nx, ny, nz), x contiguous in memory."""
     from sppm_structures.wave_kernels import add_waves
 
-    values = np.zeros((len(z), len(y), len(x)))
+    values = np.zeros((z.size, y.size, x.size))
     add_waves(waves.vectors, waves.real, waves.imaginary, x.reshape(-1), y.reshape(-1), z.reshape(-1), values)
-    return values
+    return values.T

@@ -40,7 +40,7 @@ def test_opposite_faces_are_equal_to_the_last_bit(surface, form):
 @pytest.mark.parametrize("surface", SURFACES)
 def test_the_slope_is_that_of_finite_differences(surface):
     nodal, h = SURFACES[surface], 1e-5
-    x, y, z = np.linspace(0.1, 6, 7), np.linspace(0.2, 5, 6)[:, None], np.linspace(0.3, 6.1, 5)[:, None, None]
+    x, y, z = np.linspace(0.1, 6, 7)[:, None, None], np.linspace(0.2, 5, 6)[:, None], np.linspace(0.3, 6.1, 5)
     steps = [(h, 0, 0), (0, h, 0), (0, 0, h)]
     squared = sum(
         ((nodal.value(x + a, y + b, z + c) - nodal.value(x - a, y - b, z - c)) / (2 * h)) ** 2 for a, b, c in steps
@@ -97,7 +97,7 @@ def test_layers_and_threads_give_the_same_bytes():
     field, grid = made(surface="lidinoid"), Grid((0.013, 0.2, 0.07), (1 / 37,) * 3, (80, 70, 60))
     whole = field.sample(grid)
     assert (field.sample(grid, 2) == whole).all()
-    assert (field.sample_layers(grid, 11, 29) == whole[11:29]).all()
+    assert (field.sample_layers(grid, 11, 29) == whole[:, :, 11:29]).all()
 
 
 def test_contradictions():

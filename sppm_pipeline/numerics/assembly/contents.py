@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated
+from sppm_pipeline.numerics.tiling.lattice import dilated, face_presence
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +172,18 @@ class TilingArrays(NamedTuple):
         """Interiors of the cells of the box, without the halo."""
         inner = slice(self.halo, -self.halo or None)
         return self.interior[inner, inner, inner]
+
+    def surrounded(self) -> TilingArrays:
+        """The box with those cells alone that have all their neighbors: what is laid around a part is left out."""
+        if not self.halo:
+            return self
+        inner = slice(self.halo, -self.halo)
+        interior = np.where(dilated(self.interior < 0)[inner, inner, inner], np.int32(-1), self.box)
+        x, y, z = (
+            np.where(there, faces[tuple(slice(self.halo, self.halo + n) for n in there.shape)], np.int32(-1))
+            for there, faces in zip(face_presence(interior >= 0), self.faces, strict=True)
+        )
+        return TilingArrays(interior, (x, y, z), self.periodic)
 
 
 def lone_periodic_cell(interior: int = 0, colors: tuple[int, int, int] = (0, 0, 0)) -> TilingArrays:

@@ -50,7 +50,7 @@ def sample_exact(
     wanted: NDArray[np.int32] | None = None,
     catalog: Catalog | None = None,
 ) -> NDArray[np.float32]:
-    """The field of a tiling on any grid, kernel by kernel.
+    """The field of a tiling on any grid, kernel by kernel, indexed x, y, z; x is contiguous in memory.
 
     Kernels are gathered for a few cells at a time, so memory beyond the result does not grow with the grid.
 
@@ -74,7 +74,7 @@ def sample_exact(
 
     Returns
     -------
-    (layer_stop - layer_start, ny, nx) float32
+    (nx, ny, layer_stop - layer_start) float32
         The field G.
     """
     nx, ny, nz = grid.shape
@@ -109,7 +109,7 @@ def sample_exact(
             add_kernels(target, part, kernels, cutoff, threads, first_layer=start, wanted=asked)
             if band < ny:
                 block[:, row : row + band] = target
-    return out
+    return out.T
 
 
 def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:

@@ -34,6 +34,7 @@ from sppm_pipeline.numerics.connecting.relative_degrees import (
     Network,
     as_tunnels,
     connected_neighbors,
+    degrees_of,
     tree_of,
 )
 from sppm_pipeline.numerics.connecting.trees import component_labels, edge_lengths, wrapped
@@ -133,7 +134,7 @@ def regional_subgraph(
     k: int,
     threads: int = 1,
     progress: Callable[[float, float], None] = lambda done, total: None,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Short connected graph on any number of pores with all degrees in [A, B], the same for any number of threads.
 
     Parameters
@@ -158,9 +159,9 @@ def regional_subgraph(
 
     Returns
     -------
-    edges : (m, 2) int64
+    edges : (m, 2) int32
         Pairs i < j, sorted by (i, j, shift).
-    shifts : (m, 3) int64
+    shifts : (m, 3) int32
         The tunnel runs from ``points[i]`` to ``points[j] + shift``.
 
     Raises
@@ -203,7 +204,7 @@ def regional_subgraph(
 
 def _misfits(network: Network, n: int, degree: tuple[int, int]) -> int:
     """Pores with too few or too many tunnels."""
-    found = np.bincount(network.edges.ravel(), minlength=n)
+    found = degrees_of(n, network.edges)
     return int(((found < degree[0]) | (found > degree[1])).sum())
 
 
@@ -231,7 +232,7 @@ def _pass(
     """The network after every region was improved once."""
     n = len(inside)
     number, turns = cut.places(inside, period)
-    total = np.bincount(network.edges.ravel(), minlength=n)
+    total = degrees_of(n, network.edges)
     pores = np.argsort(number, kind="stable").astype(np.int32)
     first = np.concatenate([[0], np.cumsum(np.bincount(number))])
     place = np.empty(n, np.int32)

@@ -48,7 +48,7 @@ def relative_neighbor_graph(
     *,
     reach: float = np.inf,
     threads: int = 1,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
     """Connected graph of relative neighbors with degrees raised to A, and cut to B where a loop allows it.
 
     Parameters
@@ -66,9 +66,9 @@ def relative_neighbor_graph(
 
     Returns
     -------
-    edges : (m, 2) int64
+    edges : (m, 2) int32
         Pairs i < j, sorted by (i, j, shift).
-    shifts : (m, 3) int64
+    shifts : (m, 3) int32
         The tunnel runs from ``points[i]`` to ``points[j] + shift``.
     over : int
         Pores with more than B tunnels.
@@ -86,7 +86,7 @@ def relative_neighbor_graph(
 
 def shortest_tree(
     points: NDArray[np.float64], period: NDArray[np.float64], *, reach: float = np.inf, threads: int = 1
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """The Euclidean minimum spanning tree by Kruskal's algorithm on the relative neighbors, which contain it.
 
     Arguments, edges (n - 1, 2) and shifts as in `relative_neighbor_graph`.
@@ -130,17 +130,14 @@ def cut_degrees(
     An edge goes if it lies on a loop, and if its other end keeps `lower` edges.
     """
     edges, turns = network
-    degree = np.bincount(edges.ravel(), minlength=len(points))
+    degree = degrees_of(len(points), edges)
     if degree.max(initial=0) <= upper:
         return network, 0
     inside, _ = wrapped(points, period)
-    crowded = np.flatnonzero((degree[edges] > upper).any(axis=1))
-    period_of = period.astype(np.int64)
-    length = edge_lengths(inside, edges[crowded], turns[crowded] * period_of)
-    order = crowded[np.lexsort((crowded, -length))]
-    around = np.argsort(edges.ravel(), kind="stable").astype(np.int32)
-    start = np.concatenate([[0], np.cumsum(degree)])
-    kept = _cut(edges, around, start, degree, order, lower, upper, _DETOUR)
+    crowded = np.flatnonzero(_touching(edges, degree > upper))
+    length = edge_lengths(inside, edges[crowded], turns[crowded] * period.astype(np.int64))
+    order = crowded[np.argsort(-length, kind="stable")]
+    kept = _cut(edges, *_ends_by_pore(edges, degree), degree, order, lower, upper, _DETOUR)
     return Network(edges[kept], turns[kept]), int((degree > upper).sum())
 
 
@@ -157,7 +154,7 @@ def raise_degrees(
     n = len(points)
     inside, _ = wrapped(points, period)
     edges, turns = network
-    degree = np.bincount(edges.ravel(), minlength=n)
+    degree = degrees_of(n, edges)
     k = _NEAREST
     while (poor := np.flatnonzero(degree < lower)).size:
         if k > _WIDEST:
@@ -166,7 +163,8 @@ def raise_degrees(
                 hint="widen the degree bounds, for example to [3, 5]",
             )
         keys = np.unique(nearest_keys(sorted_into_buckets(inside, period), poor, k).ravel())
-        keys = np.setdiff1d(keys[keys >= 0], _keys(edges, turns, n), assume_unique=True)
+        there = _touching(edges, degree < lower)
+        keys = np.setdiff1d(keys[keys >= 0], _keys(edges[there], turns[there], n), assume_unique=True)
         more, images = edges_of_keys(keys, n)
         order = np.argsort(edge_lengths(inside, more, images * period.astype(np.int64)), kind="stable")
         added = order[_raise(more, degree, order, lower, upper)]
@@ -184,18 +182,84 @@ def _keys(edges: NDArray[np.int32], turns: NDArray[np.int8], n: int) -> NDArray[
 
 def as_tunnels(
     points: NDArray[np.float64], period: NDArray[np.float64], network: Network
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Edges (m, 2), sorted by (i, j, shift), and shifts (m, 3) in whole cells between the points as they were given."""
-    n = len(points)
-    order = np.argsort(_keys(*network, n), kind="stable")
-    edges = network.edges[order].astype(np.int64)
-    turns = network.turns[order].astype(np.int64)
-    turns *= period.astype(np.int64)
+    edges, turns = _sorted_by_pores(*network, len(points))
+    shifts = turns.astype(np.int32)
+    shifts *= period.astype(np.int32)
     for axis in np.flatnonzero(period > 0):
-        cells = (np.floor(points[:, axis] / period[axis]) * period[axis]).astype(np.int64)
+        cells = (np.floor(points[:, axis] / period[axis]) * period[axis]).astype(np.int32)
         if cells.any():
-            turns[:, axis] += cells[edges[:, 0]] - cells[edges[:, 1]]
-    return edges, turns
+            shifts[:, axis] += cells[edges[:, 0]] - cells[edges[:, 1]]
+    return edges, shifts
+
+
+@jit
+def degrees_of(n: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Number of edges at each of n pores, (n,)."""
+    degree = np.zeros(n, np.int32)
+    for e in range(len(edges)):
+        degree[edges[e, 0]] += 1
+        degree[edges[e, 1]] += 1
+    return degree
+
+
+@jit
+def _touching(edges: NDArray[np.int32], marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which edges end in a marked pore, (m,)."""
+    found = np.empty(len(edges), np.bool_)
+    for e in range(len(edges)):
+        found[e] = marked[edges[e, 0]] or marked[edges[e, 1]]
+    return found
+
+
+@jit
+def _ends_by_pore(edges: NDArray[np.int32], degree: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Numbers ``2 e + side`` of the ends of edges by pore, (2 m,), and where those of each pore begin, (n + 1,)."""
+    start = np.zeros(len(degree) + 1, np.int64)
+    for i in range(len(degree)):
+        start[i + 1] = start[i] + degree[i]
+    around = np.empty(2 * len(edges), np.int32)
+    for e in range(len(edges)):
+        for side in range(2):
+            i = edges[e, side]
+            around[start[i]] = 2 * e + side
+            start[i] += 1
+    for i in range(len(degree), 0, -1):
+        start[i] = start[i - 1]
+    start[0] = 0
+    return around, start
+
+
+@jit
+def _sorted_by_pores(
+    edges: NDArray[np.int32], turns: NDArray[np.int8], n: int
+) -> tuple[NDArray[np.int32], NDArray[np.int8]]:
+    """The edges sorted by (i, j, turns): counted by i, and each put in its place among the few of its pore."""
+    low = np.zeros(n + 1, np.int64)
+    for e in range(len(edges)):
+        low[edges[e, 0] + 1] += 1
+    for i in range(n):
+        low[i + 1] += low[i]
+    placed = np.zeros(n, np.int32)
+    ends = np.empty_like(edges)
+    moved = np.empty_like(turns)
+    for e in range(len(edges)):
+        i, j = edges[e, 0], edges[e, 1]
+        x, y, z = turns[e, 0], turns[e, 1], turns[e, 2]
+        s = low[i] + placed[i]
+        placed[i] += 1
+        while s > low[i]:
+            t = s - 1
+            if (ends[t, 1], moved[t, 0], moved[t, 1], moved[t, 2]) <= (j, x, y, z):
+                break
+            ends[s, 1], moved[s, 0], moved[s, 1], moved[s, 2] = ends[t, 1], moved[t, 0], moved[t, 1], moved[t, 2]
+            s = t
+        ends[s, 1], moved[s, 0], moved[s, 1], moved[s, 2] = j, x, y, z
+    for i in range(n):
+        for s in range(low[i], low[i + 1]):
+            ends[s, 0] = i
+    return ends, moved
 
 
 @jit
@@ -203,7 +267,7 @@ def _cut(
     edges: NDArray[np.int32],
     around: NDArray[np.int32],
     start: NDArray[np.int64],
-    degree: NDArray[np.int64],
+    degree: NDArray[np.int32],
     order: NDArray[np.int64],
     lower: int,
     upper: int,
@@ -214,7 +278,7 @@ def _cut(
     ``around[start[v] : start[v + 1]] // 2`` are the edges at v.
     """
     kept = np.ones(len(edges), np.bool_)
-    seen = np.full(len(degree), -1, np.int64)
+    seen = np.full(len(degree), -1, np.int32)
     queue = np.empty(detour, np.int64)
     for e in order:
         u, v = edges[e, 0], edges[e, 1]
@@ -246,7 +310,7 @@ def _cut(
 
 @jit
 def _raise(
-    edges: NDArray[np.int64], degree: NDArray[np.int64], order: NDArray[np.int64], lower: int, upper: int
+    edges: NDArray[np.int64], degree: NDArray[np.int32], order: NDArray[np.int64], lower: int, upper: int
 ) -> NDArray[np.bool_]:
     """Which edges of the order are added; `degree` is brought up to date."""
     added = np.zeros(len(order), np.bool_)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connecting.trees import as_points, bridge_mask, component_labels, edge_lengths
+from sppm_pipeline.numerics.connecting.trees import Indices, as_points, bridge_mask, component_labels, edge_lengths
 
 
 class GraphStatistics(NamedTuple):
@@ -51,7 +51,7 @@ class GraphStatistics(NamedTuple):
     wraps: tuple[bool, bool, bool]
 
 
-def graph_statistics(points: ArrayLike, edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> GraphStatistics:
+def graph_statistics(points: ArrayLike, edges: Indices, shifts: Indices) -> GraphStatistics:
     """Figures of the graph with the tunnels ``points[i]`` to ``points[j] + shift``; parallel tunnels count each.
 
     Parameters
@@ -81,7 +81,7 @@ def graph_statistics(points: ArrayLike, edges: NDArray[np.int64], shifts: NDArra
     )
 
 
-def wraps(n: int, edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[bool, bool, bool]:
+def wraps(n: int, edges: Indices, shifts: Indices) -> tuple[bool, bool, bool]:
     """Along which axes some cycle of the graph on n pores ends in another image of its start.
 
     Each pore carries its offset from the root of its component; a tunnel that closes a cycle whose offsets do not add
@@ -128,8 +128,8 @@ def _wraps(n: int, edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> NDArr
 
 def networkx_graph(
     points: ArrayLike,
-    edges: NDArray[np.int64],
-    shifts: NDArray[np.int64],
+    edges: Indices,
+    shifts: Indices,
     regions: Sequence[str] | None = None,
 ) -> Any:
     """The tunnel graph as a `networkx.MultiGraph`: two pores may share tunnels to several images.

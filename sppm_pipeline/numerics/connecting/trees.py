@@ -30,8 +30,8 @@ def as_points(points: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-Indices = NDArray[np.int64] | NDArray[np.int32]
-"""Edges (m, 2) as pairs of pore indices; large graphs hold them in 32 bits."""
+Indices = NDArray[np.integer]
+"""Edges (m, 2) as pairs of pore indices, or their shifts (m, 3); large graphs hold them in fewer than 64 bits."""
 
 Periodic = bool | Sequence[float]
 """Whether all axes repeat with period 1, or after how many whole cells each does, 0 for never."""
@@ -60,13 +60,18 @@ def images_per_pair(periodic: Periodic) -> int:
 
 
 def wrapped(points: NDArray[np.float64], period: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points moved into [0, period) along the periodic axes, and the whole cells (n, 3) that were taken off."""
-    inside, cells = np.array(points, np.float64), np.zeros(points.shape, np.int64)
+    """Points moved into [0, period) along the periodic axes, and the whole cells (n, 3) that were taken off.
+
+    The points themselves are returned if they all lie there; nobody writes to them.
+    """
+    inside, cells = np.require(points, np.float64, ["C", "W"]), np.zeros(points.shape, np.int64)
     # an axis at a time: there may be millions of points
-    for axis in np.flatnonzero(period > 0):
-        off = np.floor(points[:, axis] / period[axis]) * period[axis]
-        inside[:, axis] -= off
-        cells[:, axis] = off
+    for axis in np.flatnonzero(period > 0) if len(points) else ():
+        if not 0 <= points[:, axis].min() <= points[:, axis].max() < period[axis]:
+            off = np.floor(points[:, axis] / period[axis]) * period[axis]
+            inside = inside.copy() if inside is points else inside
+            inside[:, axis] -= off
+            cells[:, axis] = off
     return inside, cells
 
 
@@ -87,13 +92,13 @@ def canonical_edges(edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> tupl
 
 
 def segments(
-    points: NDArray[np.float64], edges: Indices, shifts: NDArray[np.int64]
+    points: NDArray[np.float64], edges: Indices, shifts: Indices
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Start ``points[i]`` and end ``points[j] + shift`` of every edge, each (m, 3)."""
     return points[edges[:, 0]], points[edges[:, 1]] + shifts
 
 
-def edge_lengths(points: NDArray[np.float64], edges: Indices, shifts: NDArray[np.int64]) -> NDArray[np.float64]:
+def edge_lengths(points: NDArray[np.float64], edges: Indices, shifts: Indices) -> NDArray[np.float64]:
     """Length of every tunnel, (m,)."""
     starts, ends = segments(points, edges, shifts)
     steps = ends - starts
@@ -229,7 +234,7 @@ def component_labels(n: int, edges: Indices) -> NDArray[np.int64]:
     return labels
 
 
-def bridge_mask(n: int, edges: NDArray[np.int64]) -> NDArray[np.bool_]:
+def bridge_mask(n: int, edges: Indices) -> NDArray[np.bool_]:
     """Which edges (m, 2) are bridges, (m,) bool; parallel edges are none, as each stands in for the other."""
     degree = np.bincount(edges.ravel(), minlength=n).astype(np.int64)
     node = np.zeros((n + 1, 1 + int(degree.max(initial=0))), dtype=np.int64)

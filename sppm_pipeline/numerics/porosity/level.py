@@ -71,7 +71,7 @@ def cut_for_porosity(samples: NDArray[np.float32] | NDArray[np.float64], target:
     """The value, of any sign, at which to cut any field for a requested fraction of void; see `level_for_porosity`."""
     if not 0.0 < target < 1.0:
         raise DesignError(f"a porosity of {target} can't be reached by a level", hint="give a value between 0 and 1")
-    flat: NDArray[Any] = np.array(samples, copy=True).ravel()
+    flat: NDArray[Any] = np.array(samples, copy=True).ravel("K")
     if flat.size == 0 or not np.isfinite(flat).all():
         raise ValueError("the samples of a field are finite, and there is at least one")
     solid = flat.size - max(1, min(flat.size - 1, round(target * flat.size))) if flat.size > 1 else 0

@@ -24,7 +24,7 @@ from sppm_pipeline.numerics.sampling.capacity import box_capacity, check_capacit
 from sppm_pipeline.numerics.sampling.cell_list import CellList, add_point, empty_cell_list
 from sppm_pipeline.numerics.sampling.darts import NAIVE_BUDGET, NAIVE_SHARE
 from sppm_pipeline.numerics.threads import ordered_map
-from sppm_pipeline.numerics.tiling.lattice import INTERIOR, hash_places
+from sppm_pipeline.numerics.tiling.lattice import INTERIOR, dilated, hash_places
 
 # Parities of x, y, z in the order of their colors: a Gray code, so that a chain of dependent blocks, whose parities
 # differ by one step along the axes where they change, changes x at most 4, y 2 and z 1 times.
@@ -61,14 +61,6 @@ def needed_blocks(wanted: NDArray[np.bool_], periodic: bool = False) -> NDArray[
     for color in range(int(colors.max()), 0, -1):
         needed |= dilated(needed & (colors == color), periodic) & (colors < color)
     return needed
-
-
-def dilated(blocks: NDArray[np.bool_], periodic: bool = False) -> NDArray[np.bool_]:
-    """The blocks and all their neighbors, across edges and corners, too."""
-    found = np.pad(blocks, 1, mode="wrap" if periodic else "constant")
-    for axis in range(3):
-        found = found | np.roll(found, 1, axis) | np.roll(found, -1, axis)
-    return found[1:-1, 1:-1, 1:-1]
 
 
 def block_quotas(mask: NDArray[np.bool_], mean: float) -> NDArray[np.int64]:

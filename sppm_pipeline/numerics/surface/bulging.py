@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.surface.placing import DOMAIN
 
 MOST = 0.2
 """Vertices are moved by at most this fraction of their shortest edge; a choice that keeps triangles from folding."""
 
 
-def bulge(vertices: NDArray[np.float64], faces: NDArray[np.int32], grid: Grid, free: int) -> None:
+def bulge(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], grid: Grid, free: int, kinds: NDArray[np.uint8]
+) -> None:
     """Move vertices, in place, so that the volume between triangles and curved surface is made up for.
 
     Parameters
@@ -32,12 +35,14 @@ def bulge(vertices: NDArray[np.float64], faces: NDArray[np.int32], grid: Grid, f
         Vertices on its border stay.
     free : int
         Vertices from this number on lie on rims and stay.
+    kinds : (m,) uint8
+        What faces lie on. Those of the domain stay, so that the part lies in it; without elements all may move.
     """
     low = np.array(grid.origin)
     high = low + (np.array(grid.shape) - 1) * grid.spacing
     normals = np.zeros((len(vertices), 3), np.float32)
     rise, share, room = np.zeros(free, np.float32), np.zeros(free, np.float32), np.full(free, np.inf, np.float32)
-    _bulge(vertices, faces, free, low, high, min(grid.spacing), normals, rise, share, room)
+    _bulge(vertices, faces, kinds, free, low, high, min(grid.spacing), normals, rise, share, room)
 
 
 @jit
@@ -60,6 +65,7 @@ def _cap(
 def _bulge(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
+    kinds: NDArray[np.uint8],
     free: int,
     low: NDArray[np.float64],
     high: NDArray[np.float64],
@@ -91,6 +97,11 @@ def _bulge(
             for axis in range(3):
                 normals[v, axis] /= np.float32(length)
     for f in range(faces.shape[0]):
+        if kinds.size > 0 and kinds[f] == DOMAIN:
+            for c in range(3):
+                if faces[f, c] < free:
+                    room[faces[f, c]] = 0.0
+            continue
         movable = 0
         for c in range(3):
             movable += faces[f, c] < free
@@ -111,7 +122,8 @@ def _bulge(
                 elif w < free:
                     turn += 2.0 * normals[w, axis] * step
             total += turn / 24.0
-            length = math.sqrt(length)
+            # what is beside a rim stays within the domain
+            length = math.sqrt(length) if v < free and w < free else 0.0
             if v < free:
                 room[v] = min(room[v], np.float32(length))
             if w < free:
@@ -135,4 +147,6 @@ def _bulge(
         most = MOST * room[v]
         way = min(max(rise[v] / share[v], -most), most)
         for axis in range(3):
-            vertices[v, axis] += way * normals[v, axis]
+            place = vertices[v, axis] + way * normals[v, axis]
+            if low[axis] < place < high[axis]:
+                vertices[v, axis] = place

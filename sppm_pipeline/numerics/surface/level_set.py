@@ -110,7 +110,8 @@ def separate_coincident_vertices(
     faces : (m, 3) int32
         A closed manifold.
     low, high : (3,) float64
-        Corners of a box: coordinates that lie in one of its faces stay.
+        Corners of a box. The coordinates of its faces stay where triangles lie in them; a tip that only touches a face
+        is drawn back from it.
 
     Returns
     -------
@@ -130,7 +131,12 @@ def separate_coincident_vertices(
                 np.add.at(total, near[:, corner], moved[near[:, (corner + other) % 3]])
                 np.add.at(count, near[:, corner], 1)
         step = STEP * (total[coincident] / count[coincident, None] - moved[coincident])
-        step[(moved[coincident] == low) | (moved[coincident] == high)] = 0.0
+        capped = np.zeros(vertices.shape, np.bool_)
+        for side in (low, high):
+            flat = (moved[near] == side).all(axis=1)
+            for corner in range(3):
+                np.logical_or.at(capped, near[:, corner], flat)
+        step[capped[coincident]] = 0.0
         moved[coincident] += step
     return moved
 

@@ -6,9 +6,6 @@ Where these two lie on different surfaces, the point of the face at which both s
 (both cubes at the face find the same one, so the mesh stays closed), and the polygon is cut in two along the rim. Where
 three surfaces meet, or a polygon has more than two such points, it becomes a fan around the point nearest to all of its
 surfaces.
-
-In a face the domain is the line between the two places where its triangles pierce the sides of the face, and the other
-field is followed along this line by a bicubic polynomial: its zero exists by its signs, however tangent the surfaces.
 """
 
 from __future__ import annotations
@@ -21,10 +18,9 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
-from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, SKIN, Placed, Samples, cubic, sample_line
-
-SHARP = math.cos(math.radians(25.0))
-"""Triangles of the domain whose normals differ by more meet in a sharp edge; a choice."""
+from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, SKIN, Placed, Samples
+from sppm_pipeline.numerics.surface.polygons import nearest_to_all, triangulate
+from sppm_pipeline.numerics.surface.rim_points import SHARP, edge_node, meeting_point
 
 _CENTER = np.int64(1) << np.int64(62)
 _MOST = 48  # vertices of a polygon with its rim points: 12 edges of a cube, and as many points; pieces share the room
@@ -134,293 +130,9 @@ def _cube(
 ) -> None:
     """Low corner of the cube of a triangle, whose three grid edges always span it."""
     for c in range(3):
-        _nodes(edge[faces[f, c] - first], nx, ny, node)
+        edge_node(edge[faces[f, c] - first], nx, ny, node)
         for a in range(3):
             cube[a] = node[a] if c == 0 else min(cube[a], node[a])
-
-
-@jit
-def _patch(
-    values: NDArray[np.float32],
-    k: int,
-    j: int,
-    i: int,
-    b: int,
-    c: int,
-    patch: NDArray[np.float64],
-) -> None:
-    """The 4 x 4 samples around the face at node (k, j, i) that axes b and c span, rows along b."""
-    n = values.shape[2 - c]
-    at = (i, j, k)[c]
-    for s in range(4):
-        place = min(max(at + s - 1, 0), n - 1) - at
-        sample_line(values, k + place * (c == 2), j + place * (c == 1), i + place * (c == 0), b, patch[s])
-    for t in range(4):
-        if at == 0:
-            patch[0, t] = 2.0 * patch[1, t] - patch[2, t]
-        if at + 2 >= n:
-            patch[3, t] = 2.0 * patch[2, t] - patch[1, t]
-
-
-@jit
-def _bicubic(patch: NDArray[np.float64], u: float, v: float) -> float:
-    """Value at a place (u, v) in the middle of a patch, by the bicubic through its samples."""
-    rows = (
-        cubic(patch[0, 0], patch[0, 1], patch[0, 2], patch[0, 3], u),
-        cubic(patch[1, 0], patch[1, 1], patch[1, 2], patch[1, 3], u),
-        cubic(patch[2, 0], patch[2, 1], patch[2, 2], patch[2, 3], u),
-        cubic(patch[3, 0], patch[3, 1], patch[3, 2], patch[3, 3], u),
-    )
-    return cubic(rows[0], rows[1], rows[2], rows[3], v)
-
-
-@jit
-def _nodes(edge: int, nx: int, ny: int, node: NDArray[np.int64]) -> int:
-    """The node at which a grid edge begins, into `node`, and its axis."""
-    place = edge // 3
-    node[0], node[1], node[2] = place % nx, place // nx % ny, place // nx // ny
-    return int(edge % 3)
-
-
-@jit
-def _meeting(
-    a: int,
-    b: int,
-    vertices: NDArray[np.float64],
-    edge: NDArray[np.int64],
-    on: NDArray[np.uint8],
-    triangle: NDArray[np.int32],
-    field: NDArray[np.float32],
-    domain: NDArray[np.float32],
-    skin: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    shape: NDArray[np.int64],
-    crossed: NDArray[np.int64],
-    shares: NDArray[np.float64],
-    owners: NDArray[np.int32],
-    normals: NDArray[np.float64],
-    point: NDArray[np.float64],
-) -> int:
-    """The point at which the surfaces of two vertices on one face of a cube meet, and that face; -1 if they do not.
-
-    Faces are numbered 2 * axis + side within their cube; here the side is left out.
-    """
-    if on[a] == on[b] and on[a] != DOMAIN:
-        return -1
-    if on[a] != FIELD and on[b] != FIELD and on[a] != on[b]:
-        return -1  # skin and domain are parallel
-    na, nb = np.empty(3, np.int64), np.empty(3, np.int64)
-    axis_a, axis_b = _nodes(edge[a], shape[0], shape[1], na), _nodes(edge[b], shape[0], shape[1], nb)
-    flat = -1
-    for d in range(3):
-        if d != axis_a and d != axis_b and na[d] == nb[d]:
-            flat = d
-    if flat < 0:
-        return -1
-    p, q = (flat + 1) % 3, (flat + 2) % 3
-    corner = np.empty(3, np.int64)
-    for d in range(3):
-        corner[d] = min(na[d], nb[d])
-    # places in the face, 0..1
-    up = (vertices[a, p] - origin[p]) / spacing[p] - corner[p]
-    uq = (vertices[a, q] - origin[q]) / spacing[q] - corner[q]
-    vp = (vertices[b, p] - origin[p]) / spacing[p] - corner[p]
-    vq = (vertices[b, q] - origin[q]) / spacing[q] - corner[q]
-    at_p, at_q = 0.0, 0.0
-    if on[a] == DOMAIN and on[b] == DOMAIN:
-        ta, tb = triangle[a], triangle[b]
-        if ta < 0 or tb < 0 or ta == tb:
-            return -1
-        m, n = normals[ta], normals[tb]
-        if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] >= SHARP:
-            return -1
-        mp, mq, np_, nq = m[p] * spacing[p], m[q] * spacing[q], n[p] * spacing[p], n[q] * spacing[q]
-        det = mp * nq - mq * np_
-        if abs(det) < 1e-3 * math.sqrt((mp * mp + mq * mq) * (np_ * np_ + nq * nq)):
-            return -1
-        first, second = mp * up + mq * uq, np_ * vp + nq * vq
-        at_p, at_q = (first * nq - mq * second) / det, (mp * second - first * np_) / det
-        if min(at_p, at_q) < -0.5 or max(at_p, at_q) > 1.5:
-            return -1
-    else:
-        other = b if on[a] == FIELD else a
-        sp, sq = (vp, vq) if other == b else (up, uq)  # the line begins here, on domain or skin
-        flat_values = domain if on[other] == DOMAIN else skin
-        node = np.empty(3, np.int64)
-        patch = np.empty((4, 4))
-        _patch(field, corner[2] - shape[3], corner[1], corner[0], p, q, patch)
-        at_start = _bicubic(patch, sp, sq)
-        found = False
-        best = np.inf
-        # where the line may leave: at the other crossings of the face's sides, or straight on along the triangle
-        for side in range(5):
-            ep, eq = -1.0, -1.0
-            if side < 4:
-                along, across_axis = (p, q) if side < 2 else (q, p)
-                for d in range(3):
-                    node[d] = corner[d]
-                node[across_axis] += side % 2
-                key = 3 * ((node[2] * shape[1] + node[1]) * shape[0] + node[0]) + along
-                if key == edge[other]:
-                    continue
-                share = -1.0
-                if on[other] == DOMAIN and triangle[other] >= 0:
-                    r = np.searchsorted(crossed, key)
-                    while r < crossed.size and crossed[r] == key:
-                        m, n = normals[triangle[other]], normals[owners[r]]
-                        if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] >= SHARP:
-                            share = shares[r]
-                        r += 1
-                else:
-                    kz = node[2] - shape[3]
-                    v0 = np.float64(flat_values[kz, node[1], node[0]])
-                    v1 = np.float64(flat_values[kz + (along == 2), node[1] + (along == 1), node[0] + (along == 0)])
-                    if (v0 < 0.0) != (v1 < 0.0):
-                        share = v0 / (v0 - v1)
-                if share < 0.0:
-                    continue
-                ep, eq = (share, float(side % 2)) if side < 2 else (float(side % 2), share)
-            else:
-                if found or on[other] != DOMAIN or triangle[other] < 0:
-                    continue
-                n = normals[triangle[other]]
-                dp, dq = -n[q] * spacing[q], n[p] * spacing[p]
-                longest = 0.0
-                for turn in range(2):
-                    sign = 1.0 - 2.0 * turn
-                    reach = np.inf
-                    for s, d in ((sp, sign * dp), (sq, sign * dq)):
-                        if abs(d) > 1e-12:
-                            reach = min(reach, ((1.0 if d > 0.0 else 0.0) - s) / d)
-                    if np.isfinite(reach) and reach > longest:
-                        longest = reach
-                        ep, eq = sp + reach * sign * dp, sq + reach * sign * dq
-                if longest == 0.0:
-                    continue
-            if (ep - sp) ** 2 + (eq - sq) ** 2 < 1e-12:
-                continue
-            at_end = _bicubic(patch, ep, eq)
-            if (at_end < 0.0) == (at_start < 0.0):
-                if not found and abs(at_end) < best:
-                    best = abs(at_end)
-                    at_p, at_q = ep, eq
-                continue
-            low, high, f_low, f_high = 0.0, 1.0, at_start, at_end
-            t = 0.5
-            for _ in range(40):
-                t = low + (high - low) * f_low / (f_low - f_high)
-                value = _bicubic(patch, sp + t * (ep - sp), sq + t * (eq - sq))
-                if abs(value) <= 1e-4 * abs(at_end - at_start) or high - low < 1e-4:
-                    break
-                if (value < 0.0) == (f_low < 0.0):
-                    low, f_low = t, value
-                    f_high *= 0.5
-                else:
-                    high, f_high = t, value
-                    f_low *= 0.5
-            found = True
-            at_p, at_q = sp + t * (ep - sp), sq + t * (eq - sq)
-            break
-        if not found and not best < np.inf:
-            at_p, at_q = 0.5 * (up + vp), 0.5 * (uq + vq)
-    at_p = min(max(at_p, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
-    at_q = min(max(at_q, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
-    point[flat] = origin[flat] + corner[flat] * spacing[flat]
-    point[p] = origin[p] + (corner[p] + at_p) * spacing[p]
-    point[q] = origin[q] + (corner[q] + at_q) * spacing[q]
-    return flat
-
-
-@jit
-def _area(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> float:
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return math.sqrt(x * x + y * y + z * z)
-
-
-@jit
-def _triangulate(
-    count: int,
-    places: NDArray[np.float64],
-    masks: NDArray[np.int64],
-    cost: NDArray[np.float64],
-    middle: NDArray[np.int64],
-    stack: NDArray[np.int64],
-    triangles: NDArray[np.int64],
-) -> int:
-    """Triangles of least area of a polygon, none with a diagonal in a face of the cube; 0 if there are none such."""
-    for width in range(1, count):
-        for i in range(count - width):
-            j = i + width
-            if width == 1:
-                cost[i, j] = 0.0
-                continue
-            cost[i, j] = np.inf
-            if width < count - 1 and masks[i] & masks[j]:
-                continue
-            for k in range(i + 1, j):
-                total = cost[i, k] + cost[k, j] + _area(places[i], places[k], places[j])
-                if total < cost[i, j]:
-                    cost[i, j] = total
-                    middle[i, j] = k
-    if not cost[0, count - 1] < np.inf:
-        return 0
-    n, left = 0, 1
-    stack[0, 0], stack[0, 1] = 0, count - 1
-    while left:
-        left -= 1
-        i, j = stack[left, 0], stack[left, 1]
-        if j - i < 2:
-            continue
-        k = middle[i, j]
-        triangles[n, 0], triangles[n, 1], triangles[n, 2] = i, k, j
-        n += 1
-        stack[left, 0], stack[left, 1] = i, k
-        stack[left + 1, 0], stack[left + 1, 1] = k, j
-        left += 2
-    return n
-
-
-@jit
-def _nearest_to_all(
-    count: int,
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    middle: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-) -> None:
-    """Move `middle` to the point nearest to some planes, in the sense of least squares (Kobbelt et al. 2001)."""
-    matrix, right = np.zeros((3, 3)), np.zeros(3)
-    for r in range(count):
-        off = 0.0
-        for a in range(3):
-            off += normals[r, a] * (points[r, a] - middle[a])
-        for a in range(3):
-            right[a] += normals[r, a] * off
-            for b in range(3):
-                matrix[a, b] += normals[r, a] * normals[r, b]
-    for a in range(3):
-        matrix[a, a] += 1e-3
-    # Cramer's rule; the matrix is positive definite
-    m = matrix
-    det = (
-        m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1])
-        - m[0, 1] * (m[1, 0] * m[2, 2] - m[1, 2] * m[2, 0])
-        + m[0, 2] * (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0])
-    )
-    x = np.empty(3)
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        # the inverse of a symmetric matrix, row by row
-        x[a] = (
-            right[a] * (m[b, b] * m[c, c] - m[b, c] * m[c, b])
-            + right[b] * (m[c, b] * m[a, c] - m[a, b] * m[c, c])
-            + right[c] * (m[a, b] * m[b, c] - m[b, b] * m[a, c])
-        ) / det
-    for a in range(3):
-        middle[a] += x[a]
 
 
 @jit
@@ -522,7 +234,7 @@ def _split(
                 count -= 1
                 starts[e], ends[e] = starts[count], ends[count]
                 # the vertex, and the two faces on which its grid edge lies
-                axis = _nodes(edge[here], nx, ny, node)
+                axis = edge_node(edge[here], nx, ny, node)
                 mask = 0
                 for a in range(3):
                     places[size, a] = vertices[here, a]
@@ -530,7 +242,7 @@ def _split(
                         mask |= 1 << (2 * a + int(node[a] > cube[a]))
                 ids[size], masks[size], is_rim[size] = here + first, mask, False
                 size += 1
-                flat = _meeting(
+                flat = meeting_point(
                     here, following, vertices, edge, on, triangle, field, domain, skin,
                     origin, spacing, shape, crossed, shares, owners, normals, point,
                 )  # fmt: skip
@@ -585,7 +297,7 @@ def _split(
                             if s == end:
                                 break
                             s = (s + 1) % size
-                        found = _triangulate(length, part_places, part_masks, cost, middle, stack, made)
+                        found = triangulate(length, part_places, part_masks, cost, middle, stack, made)
                         if found == 0:
                             done = False
                             m = mark
@@ -602,6 +314,7 @@ def _split(
                         if is_rim[s]:
                             point[a] += places[s, a] / rims
                 planes = 0
+                corner_there, one_of = False, np.int32(-1)
                 for s in range(size):
                     if is_rim[s]:
                         continue
@@ -610,6 +323,9 @@ def _split(
                         for a in range(3):
                             plane_points[planes, a] = places[s, a]
                             plane_normals[planes, a] = normals[triangle[v], a]
+                        one_of = triangle[v] if one_of < 0 else one_of
+                        p, q = normals[one_of], normals[triangle[v]]
+                        corner_there |= p[0] * q[0] + p[1] * q[1] + p[2] * q[2] < SHARP
                         planes += 1
                     else:
                         values = field if on[v] == FIELD else (skin if on[v] == SKIN else domain)
@@ -632,7 +348,8 @@ def _split(
                             for a in range(3):
                                 plane_normals[planes, a] /= math.sqrt(length2)
                             planes += 1
-                _nearest_to_all(planes, plane_points, plane_normals, point, spacing)
+                if corner_there:  # elsewhere the middle of the points is on the rims, and within the domain
+                    nearest_to_all(planes, plane_points, plane_normals, point, spacing)
                 for a in range(3):
                     least = origin[a] + (cube[a] + EDGE_MARGIN) * spacing[a]
                     most = origin[a] + (cube[a] + 1.0 - EDGE_MARGIN) * spacing[a]

@@ -24,6 +24,22 @@ def checked_mask(mask: ArrayLike) -> NDArray[np.bool_]:
     return cells
 
 
+def dilated(cells: NDArray[np.bool_], periodic: bool = False) -> NDArray[np.bool_]:
+    """The cells and all their neighbors, across edges and corners, too."""
+    found = np.pad(cells, 1, mode="wrap" if periodic else "constant")
+    for axis in range(3):
+        found = found | np.roll(found, 1, axis) | np.roll(found, -1, axis)
+    return found[1:-1, 1:-1, 1:-1]
+
+
+def with_halo(cells: NDArray[np.bool_], halo: int) -> NDArray[np.bool_]:
+    """The cells and those at most `halo` away, in an array with so many more on each side."""
+    found = np.pad(cells, halo)
+    for _ in range(halo):
+        found = dilated(found)
+    return found
+
+
 def check_count(what: str, count: int, largest: int = 2**31 - 1) -> None:
     """Check the number of colors or interiors that a user asked for.
 

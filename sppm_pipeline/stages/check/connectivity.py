@@ -45,7 +45,7 @@ class CheckConnectivity(Stage):
         from sppm_pipeline.numerics.connectivity.islands import keep_largest, loose_parts
 
         n = self.resolution
-        solid = field.solid(cell_centers(n, field.cells), context.threads)
+        solid = field.solid(cell_centers(n, field.cells), context.threads).T
         periodic = (field.periodic,) * 3
         through = True
         for phase, zeros in (("solid", False), ("void", True)):

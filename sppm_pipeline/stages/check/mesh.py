@@ -83,6 +83,12 @@ class CheckMesh(Stage):
         context.report(verdict=verdict, problems=list(problems), **_numbers(found, thin))
         for problem in problems.values():
             context.warn(problem)
+        if found.shells is not None and found.shells.cavities.any():
+            closed = np.abs(found.shells.volumes[found.shells.cavities])
+            context.warn(
+                f"closed cavities: {len(closed):,}, of "
+                f"{closed.sum():.4g} mm3: liquid resin or powder stays inside when {mesh.name} is printed"
+            )
         refused = [problems[word] for word in self.reject if word in problems]
         if refused:
             raise Rejected(
@@ -184,6 +190,7 @@ def _numbers(found: MeshReport, thin: float | None) -> dict[str, Any]:
         volumes = found.shells.volumes
         numbers["component_volumes_mm3"] = volumes[np.argsort(-np.abs(volumes), kind="stable")][:LISTED]
         numbers["cavities"] = int(found.shells.cavities.sum())
+        numbers["cavity_mm3"] = float(np.abs(volumes[found.shells.cavities]).sum())
         numbers["shells_inside_others"] = found.buried
         numbers["shells_inside_out"] = int(found.shells.inside_out.sum())
     if len(walls.thickness):

@@ -40,14 +40,14 @@ class CheckResidualPeriodicity(Stage):
         """Sample the whole assembly and compare its cells."""
         from sppm_pipeline.numerics.tiling.residual import axis_correlation, bragg_share, folded_shares, mean_cell
 
-        if isinstance(tiling, Tiling) and (tiling.arrays.box < 0).any():
+        if isinstance(tiling, Tiling) and (tiling.arrays.surrounded().interior < 0).any():
             raise DesignError(
                 "residual periodicity is defined for a full box of cells; this tiling has empty ones",
                 hint="lay the same tile set with `cells: [8, 8, 8]` and measure that",
             )
         if max(tiling.cells) < 2:
             raise DesignError("residual periodicity needs at least two cells along some axis")
-        solid = tiling.solid(cell_centers(self.resolution, tiling.cells), context.threads).transpose(2, 1, 0)
+        solid = tiling.solid(cell_centers(self.resolution, tiling.cells), context.threads)
         correlation = axis_correlation(solid, tiling.cells)
         folded = folded_shares(solid, tiling.cells)
         context.report(bragg_share=bragg_share(solid, tiling.cells), axis_correlation=correlation.mean)

@@ -118,7 +118,7 @@ def _solid_and_area(field: ScalarField, n: int, threads: int) -> tuple[NDArray[n
     from sppm_pipeline.numerics.surface.closing import wrapped
     from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes
 
-    values = field.sample(cell_centers(n, field.cells), threads)
+    values = field.sample(cell_centers(n, field.cells), threads).T
     solid = (values < 0).view(np.uint8)
     # the samples of a periodic field go once around, so that the surface across the seam counts too
     vertices, faces = marching_cubes(wrapped(values) if field.periodic else values)[:2]

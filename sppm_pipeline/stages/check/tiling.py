@@ -39,7 +39,7 @@ class CheckTiling(Stage):
         )
         from sppm_pipeline.numerics.tiling.wang import tile_colors
 
-        tileset, arrays, periodic = tiling.tileset, tiling.arrays, tiling.periodic
+        tileset, arrays, periodic = tiling.tileset, tiling.arrays.surrounded(), tiling.periodic
         if tileset.kind == "scattered":
             raise DesignError(
                 "scattered pores are no tiles: there are no faces, so no rule to check",

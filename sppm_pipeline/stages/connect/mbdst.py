@@ -78,7 +78,7 @@ class BoundedDegreeSubgraph(Connector):
             clearance=None if self.clearance is None else piece.cell.fraction(self.clearance),
         )
 
-    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
         from sppm_pipeline.numerics.connecting import regional
         from sppm_pipeline.numerics.connecting.bounded import spanning_subgraph
         from sppm_pipeline.numerics.connecting.degrees import feasible_degrees

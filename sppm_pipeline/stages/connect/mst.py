@@ -23,7 +23,7 @@ class MinimumSpanningTree(Connector):
 
         return minimum_spanning_tree(piece.points, periodic=piece.periodic)
 
-    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
         from sppm_pipeline.numerics.connecting.relative_degrees import REACH, shortest_tree
 
         return shortest_tree(cloud.points, cloud.period, reach=REACH * cloud.spacing, threads=context.threads)

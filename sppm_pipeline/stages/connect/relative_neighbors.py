@@ -47,9 +47,10 @@ class RelativeNeighbors(Connector):
         if piece.region == "face":
             degree = clamped_degrees(n, *degree)[:2]
         feasible_degrees(n, *degree, images=8 if piece.periodic else 1)
-        return relative_neighbor_graph(piece.points, periods(piece.periodic), degree)[:2]
+        edges, shifts, _ = relative_neighbor_graph(piece.points, periods(piece.periodic), degree)
+        return edges.astype(np.int64), shifts.astype(np.int64)
 
-    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def join_cloud(self, context: Context, cloud: Cloud) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
         from sppm_pipeline.numerics.connecting.relative_degrees import REACH, relative_neighbor_graph
 
         edges, shifts, over = relative_neighbor_graph(
@@ -61,6 +62,8 @@ class RelativeNeighbors(Connector):
     def run(self, context: Context, pores: PoreSet) -> TunnelGraph:
         """Join all pieces, then connect faces and interiors."""
         graph = super().run(context, pores)
+        if pores.blocks is not None:
+            return graph
         own = pores.piece[graph.edges]
         inner = graph.edges[own[:, 0] == own[:, 1]]
         degree = np.bincount(inner.ravel(), minlength=len(pores.centers))

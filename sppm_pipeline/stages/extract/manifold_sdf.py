@@ -124,7 +124,7 @@ class ManifoldSdf(Stage):
         names = ("the microstructure", part.domain.name)
         if part.skin_mm:
             half = _half(grid)
-            _, skin, _ = part.sample_fields(half, context.threads)
+            _, skin, _ = part.fields_zyx(half, context.threads)
             if skin is None or not (skin > 0).any():
                 return domain  # the skin is thicker than the part
             core = self._level_set(context, -skin, part, grid)
@@ -154,11 +154,7 @@ class ManifoldSdf(Stage):
         half = _half(grid)
         if not on_torus(field):
             # disconnected solid is known when the surface is there
-            return (
-                field.base.sample(half, context.threads)
-                if isinstance(field, Part)
-                else field.sample(half, context.threads)
-            )
+            return (field.base if isinstance(field, Part) else field).sample(half, context.threads).T
         surface = FieldSurface(field, half, self.islands)
         slabs = surface.slabs(context.threads)
         context.report(**slabs.findings)

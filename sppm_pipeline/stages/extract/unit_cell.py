@@ -61,13 +61,13 @@ def _unit_and_cells(field: ScalarField) -> tuple[ScalarField, NDArray[np.int64]]
         If the cells differ.
     """
     if isinstance(field, Tiling):
-        interior = field.arrays.interior
+        interior, planes, *_ = field.arrays.surrounded()
         cells = np.argwhere(interior >= 0)
         kinds = np.unique(interior[interior >= 0])
         # of each axis, the colors on both sides of the cells that are there
         colors = [
             np.unique(np.concatenate([plane[tuple(cells.T)], plane[tuple((cells + np.eye(3, dtype=int)[axis]).T)]]))
-            for axis, plane in enumerate(field.arrays.faces)
+            for axis, plane in enumerate(planes)
         ]
         if len(kinds) != 1 or any(len(found) != 1 for found in colors):
             raise DesignError(f"{len(kinds)} different cells cannot be copies of one", hint=_HINT)

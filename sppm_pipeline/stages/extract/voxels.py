@@ -46,10 +46,10 @@ class ExtractVoxels(Stage):
         if coarse := field.coarseness(1 / n):
             context.warn(coarse)
         source = field.exactly() if self.exact else field
-        solid = np.empty(grid.shape[::-1], np.uint8)
+        solid = np.empty(grid.shape, np.uint8, order="F")
         for layer in range(cells[2]):
-            solid[layer * n : (layer + 1) * n] = source.solid_layers(grid, layer * n, (layer + 1) * n, context.threads)
+            first, stop = layer * n, (layer + 1) * n
+            solid[:, :, first:stop] = source.solid_layers(grid, first, stop, context.threads)
             context.progress(layer + 1, cells[2], "layers of cells")
         edge = field.edge_mm
-        # the first axis of the samples is z, so that their transpose is x, y, z with x contiguous, without a copy
-        return Voxels(solid.T, ((edge or 1.0) / n,) * 3, edge is not None, (field.periodic,) * 3)
+        return Voxels(solid, ((edge or 1.0) / n,) * 3, edge is not None, (field.periodic,) * 3)

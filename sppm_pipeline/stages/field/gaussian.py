@@ -85,6 +85,7 @@ class GaussianField(Stage):
         tunnels = log_normal_factors(lambda: context.rng(1), self.tunnel_spread, len(graph.edges))
         all_omega = omega * PORE_PROFILE.scaled_radius(pores)
         all_mu = mu * profile.scaled_radius(tunnels)
+        del pores, tunnels  # there may be millions
         self._check_reach("pore_radius" if self.omega is None else "omega", PORE_PROFILE.reach(all_omega, CUTOFF))
         self._check_reach("tunnel_radius" if self.mu is None else "mu", profile.reach(all_mu, CUTOFF))
         context.report(

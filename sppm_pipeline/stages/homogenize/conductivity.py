@@ -87,12 +87,12 @@ class HomogenizeConductivity(Homogenizer):
         )
 
     def _conductivities(self, cell: Cell) -> NDArray[Any]:
-        """Of all voxels."""
+        """Of all voxels, (nz, ny, nx)."""
         bulk = self._bulk()
         dtype = np.dtype(np.float32 if self.precision == "single" else np.float64)
         if cell.phase is not None:
             if self.of == "void":
-                return np.asarray((cell.phase == 0) * dtype.type(bulk[0]))
+                return np.asarray((cell.phase.T == 0) * dtype.type(bulk[0]))
             phases = int(cell.phase.max())
             if phases > len(bulk):
                 raise DesignError(
@@ -100,12 +100,12 @@ class HomogenizeConductivity(Homogenizer):
                     hint="give `bulk` a value for every phase from 1 on",
                 )
             table: NDArray[Any] = np.array([0.0, *bulk], dtype)
-            return np.asarray(table[cell.phase])
+            return np.asarray(table[cell.phase.T])
         if len(bulk) > 1:
             raise DesignError(
                 f"conductivities are given for {len(bulk)} phases, and a field or an image of fractions has one",
                 hint="give one number",
             )
         assert cell.fraction is not None
-        fraction: NDArray[Any] = cell.fraction if self.of == "solid" else 1 - cell.fraction
+        fraction: NDArray[Any] = cell.fraction.T if self.of == "solid" else 1 - cell.fraction.T
         return fraction.astype(dtype) * dtype.type(bulk[0])

@@ -58,7 +58,7 @@ class ElasticHomogenizer(Homogenizer):
 
         cell = self.cell_of(context, source)
         found = stiffness(*self._lame(cell), cell.edges, **self.solver_options(context.threads))
-        connected = phase_report(cell.occupied())
+        connected = phase_report(cell.occupied().T)
         warnings = self.solver_warnings(found.solved, found.precision)
         without = [word for word, value in zip(_STRAINS, np.diag(found.stiffness), strict=True) if value == 0]
         if without:
@@ -93,14 +93,14 @@ class ElasticHomogenizer(Homogenizer):
         void = (self.ersatz * young[0], poisson[0]) if self.ersatz else (0.0, 0.0)
         if cell.phase is None:
             return ((1 - cell.porosity, young[0], poisson[0]), (cell.porosity, *void))
-        fractions = np.bincount(cell.phase.reshape(-1), minlength=2) / cell.phase.size
+        fractions = np.bincount(cell.phase.ravel("K"), minlength=2) / cell.phase.size
         solid = tuple(
             (float(fractions[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(fractions))
         )
         return (*solid, (float(fractions[0]), *void))
 
     def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Lamé constants of all voxels."""
+        """Lamé constants of all voxels, (nz, ny, nx)."""
         from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
 
         young, poisson = self._materials()
@@ -115,14 +115,14 @@ class ElasticHomogenizer(Homogenizer):
                     hint="give `young` and `poisson` a value for every phase from 1 on",
                 )
             table = constants.astype(dtype)
-            return table[cell.phase, 0], table[cell.phase, 1]
+            return table[cell.phase.T, 0], table[cell.phase.T, 1]
         if len(young) > 1:
             raise DesignError(
                 f"materials are given for {len(young)} phases, and a field or an image of solid fractions has one",
                 hint="give one Young's modulus and one Poisson's ratio",
             )
         assert cell.fraction is not None
-        fraction: NDArray[Any] = cell.fraction.astype(dtype)
+        fraction: NDArray[Any] = cell.fraction.T.astype(dtype)
         if self.ersatz:
             fraction = self.ersatz + (1 - self.ersatz) * fraction
         return fraction * dtype.type(constants[1, 0]), fraction * dtype.type(constants[1, 1])

@@ -100,7 +100,7 @@ def _sampled(
 ) -> list[tuple[Sampled, Sampled, tuple[Sampled, Sampled, Sampled]]]:
     """The field, or both fields of a part, at the corners and centers of cubes, and at centers of squares in faces."""
     cells = np.array(shape)
-    apart = field.sample_apart if isinstance(field, Part) else lambda grid, threads: (field.sample(grid, threads),)
+    apart = field.apart_zyx if isinstance(field, Part) else lambda grid, threads: (field.sample(grid, threads).T,)
 
     def at(offset: NDArray[np.float64], count: NDArray[np.int64]) -> tuple[Sampled, ...]:
         x, y, z = ((low + offset) * h).tolist()

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
-from sppm_pipeline.data.length import Length, Pixel, voxel_mm
+from sppm_pipeline.data.length import Length, Pixel
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.printer import Printer
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.printer_writer import cut_for, require_room
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.sampled_slices import FieldSlices
 from sppm_pipeline.fields.scalar_field import ScalarField
@@ -25,7 +28,8 @@ class SliceField(Stage):
 
     Pixels are anchored at the lattice of the cells. Where they are finer than the tunnels need it, kernels are summed
     on a coarser grid and the sums interpolated, which moves some 3 pixels in 100 000. Layers are computed while they
-    are written; memory does not grow with their number.
+    are written; memory does not grow with their number. With a `printer`, its pixels are taken, and a part that it
+    can't hold is refused.
     """
 
     name: ClassVar[str] = "slice.field"
@@ -34,31 +38,34 @@ class SliceField(Stage):
     pixel: Pixel | None = options.pixel(None)
     layer: Length | None = options.layer(None)
     resolution: int | None = options.resolution(None, note="instead of `pixel` and `layer`", maximum=2048)
+    printer: str | None = options.printer(None, note="sets `pixel`")
+    cards: Path | None = options.cards(None)
     islands: str = options.islands("remove", note="a part decides for itself")
     gray: int = options.gray(1, formerly="grey")
     exact: bool = options.exact(False)
 
     def check_options(self) -> None:
-        if (self.pixel is None) == (self.resolution is None):
-            raise ConfigError("give one of `pixel` and `resolution`")
+        if (self.pixel is None and self.printer is None) == (self.resolution is None):
+            raise ConfigError("give one of `printer`, `pixel` and `resolution`")
         if self.resolution is not None and self.layer is not None:
             raise ConfigError("`layer` goes with `pixel`; with `resolution` layers are as high as pixels are wide")
-        self._pitch(1.0)
+        self._cut(1.0)
 
-    def _pitch(self, edge: float) -> tuple[float, float, float]:
-        """Pixel pitch along x and y, and layer height, mm."""
-        return voxel_mm(self.pixel if self.pixel is not None else Length(edge / (self.resolution or 1)), self.layer)
+    def _cut(self, edge: float) -> tuple[Printer | None, tuple[float, float, float]]:
+        """The printer, and pixel pitch along x and y and layer height, mm."""
+        pixel = self.pixel if self.resolution is None else Length(edge / self.resolution)
+        return cut_for(self.printer, self.cards, pixel, self.layer)
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         passes = 2 if self.islands == "remove" else 1
         body = replace(field.body, coarse=math.inf) if self.exact else field.body
-        made = stack_size(body, self._pitch(body.scale), self.gray, passes=passes)
+        made = stack_size(body, self._cut(body.scale)[1], self.gray, passes=passes)
         return replace(made, design=field.design)
 
     def run(self, context: Context, field: ScalarField) -> SliceStack:
         """Place the pixels; nothing is computed yet."""
         edge = field.physical_edge()
-        pitch = self._pitch(edge)
+        printer, pitch = self._cut(edge)
         if isinstance(field, Part):
             low = [(v - o) / edge for v, o in zip(field.domain.lower, field.origin_mm, strict=True)]
             high = [(v - o) / edge for v, o in zip(field.domain.upper, field.origin_mm, strict=True)]
@@ -72,11 +79,13 @@ class SliceField(Stage):
         samples = (pitch[0] / self.gray, pitch[1] / self.gray, pitch[2])
         if isinstance(field, Part) and (gap := field.skin_gap(samples)) is not None:
             context.warn(gap)
-        return FieldSlices(
+        stack = FieldSlices(
             source=field.exactly() if self.exact else field,
             grid=Grid(((i + 0.5) * hx, (j + 0.5) * hy, (k + 0.5) * hz), (hx, hy, hz), shape),
             pitch=pitch,
             lower=(ox + i * hx * edge, oy + j * hy * edge, oz + k * hz * edge),
             islands=field.islands if isinstance(field, Part) else self.islands,
             subsamples=self.gray,
+            machine=printer,
         )
+        return require_room(stack, self.cards)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.data.length import Length, Pixel, voxel_mm
+from sppm_pipeline.data.length import Length, Pixel
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.printer import Printer
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.families.inside_test import outward_mesh
+from sppm_pipeline.families.printer_writer import cut_for, require_room
 from sppm_pipeline.fields.sampled_slices import MeshSlices
 from sppm_pipeline.fields.slice_stack import SliceStack, stack_size
 from sppm_pipeline.numerics.grid import Grid, covering_voxels
@@ -34,8 +37,10 @@ class SliceMesh(Stage):
     name: ClassVar[str] = "slice.mesh"
     advice: ClassVar[str] = "give a larger `pixel` or `layer`"
 
-    pixel: Pixel = options.pixel()
+    pixel: Pixel | None = options.pixel(None)
     layer: Length | None = options.layer(None)
+    printer: str | None = options.printer(None, note="sets `pixel`")
+    cards: Path | None = options.cards(None)
     anchor: str = option(
         "part",
         help="where pixels and layers are counted from: the low corner of the part, or the origin of the coordinates, "
@@ -47,17 +52,21 @@ class SliceMesh(Stage):
     inside: str = options.inside("auto")
 
     def check_options(self) -> None:
-        voxel_mm(self.pixel, self.layer)
+        self._cut()
+
+    def _cut(self) -> tuple[Printer | None, tuple[float, float, float]]:
+        return cut_for(self.printer, self.cards, self.pixel, self.layer)
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
         passes = 2 if self.islands == "remove" else 1
-        made = stack_size(mesh.body.in_unit(1.0), voxel_mm(self.pixel, self.layer), self.gray, passes=passes)
+        made = stack_size(mesh.body.in_unit(1.0), self._cut()[1], self.gray, passes=passes)
         return replace(made, triangles=mesh.triangles)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:
         """Test the mesh and place the pixels; no layer is computed yet."""
         mesh, method = outward_mesh(context, mesh, self.inside)
-        pitch = hx, hy, hz = voxel_mm(self.pixel, self.layer)
+        printer, pitch = self._cut()
+        hx, hy, hz = pitch
         anchor = mesh.lower if self.anchor == "part" else np.zeros(3)
         (i, j, k), shape = covering_voxels(mesh.lower - anchor, mesh.upper - anchor, pitch)
         if shape[0] * shape[1] * self.gray**2 > MAX_PIXELS:
@@ -68,7 +77,7 @@ class SliceMesh(Stage):
             )
         ox, oy, oz = anchor.tolist()
         x, y, z = lower = (ox + i * hx, oy + j * hy, oz + k * hz)
-        return MeshSlices(
+        stack = MeshSlices(
             source=mesh,
             grid=Grid((x + hx / 2, y + hy / 2, z + hz / 2), pitch, shape),
             pitch=pitch,
@@ -76,4 +85,6 @@ class SliceMesh(Stage):
             islands=self.islands,
             subsamples=self.gray,
             method=method,
+            machine=printer,
         )
+        return require_room(stack, self.cards)

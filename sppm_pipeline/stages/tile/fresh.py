@@ -14,7 +14,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
-from sppm_pipeline.families.tiler import at_porosity, check_repeats
+from sppm_pipeline.families.tiler import HALO, at_porosity, check_repeats, laid_cells
 from sppm_pipeline.families.tileset_maker import check_faces
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
@@ -43,9 +43,10 @@ class FreshTiling(Stage):
 
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
-        recipe(palette, made.cells)
+        cells = laid_cells(made, self.periodic)
+        recipe(palette, cells)
         trial = min(made.cells, 64) * float(self.resolution) ** 3 if self.porosity is not None else 0.0
-        counts = {"cells": made.cells, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
+        counts = {"cells": cells, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
         return made.at_porosity(self.porosity, **counts)
 
     def check_options(self) -> None:
@@ -53,16 +54,19 @@ class FreshTiling(Stage):
 
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Number the cells and faces, then draw them all."""
-        from sppm_pipeline.numerics.tiling.lattice import tile_fresh
+        from sppm_pipeline.numerics.tiling.lattice import tile_fresh, with_halo
 
         lattice = lattice_for(self.cell, self.cells, cover, None)
-        wanted = int(lattice.mask.sum())
+        halo = 0 if self.periodic else HALO
+        mask = with_halo(lattice.mask, halo)
+        wanted = int(mask.sum())
         if wanted > self.limit:
             raise DesignError(
-                f"the part takes {wanted} cells, and each would be drawn anew; the limit is {self.limit}",
+                f"the part takes {wanted} cells{', with those around it' if halo else ''}, and each would be drawn "
+                f"anew; the limit is {self.limit}",
                 hint=f"give larger cells, raise `limit: {wanted}`, or use `tileset.free_faces` with many interiors",
             )
-        interior, faces = tile_fresh(lattice.mask, periodic=self.periodic)
+        interior, faces = tile_fresh(mask, periodic=self.periodic)
         colors = tuple(int(f.max()) + 1 for f in faces)
         palette = Palette(wanted, (colors[0], colors[1], colors[2]), _meetings(interior, faces))
         micro = recipe.run(context, palette=palette)
@@ -73,7 +77,8 @@ class FreshTiling(Stage):
             )
         check_faces(micro, palette, recipe.name)
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
-        tiling = Tiling(TileSet(micro, "fresh", 0), TilingArrays(interior, faces, self.periodic), edge, lattice.origin)
+        arrays = TilingArrays(interior, faces, self.periodic, halo)
+        tiling = Tiling(TileSet(micro, "fresh", 0), arrays, edge, lattice.origin)
         return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)
 
 

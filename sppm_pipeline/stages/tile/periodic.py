@@ -13,6 +13,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import lattice_for, options, tiling_size
+from sppm_pipeline.families.tiler import HALO
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
@@ -54,13 +55,13 @@ class PeriodicTiling(Stage):
             nx, ny, nz = lattice.mask.shape
             return RepeatedField(source, (nx, ny, nz), lattice.edge, lattice.origin)
         lattice = lattice_for(self.cell, self.cells, cover, tileset.micro.edge_mm)
-        faces = []
+        faces, repeats = [], self.cells is not None
+        halo = 0 if repeats else HALO
+        cells = tuple(n + 2 * halo for n in lattice.mask.shape)
         for axis in range(3):
-            shape = list(lattice.mask.shape)
+            shape = list(cells)
             shape[axis] += 1
             color = colors[axis] if tileset.micro.colors[axis] else -1
             faces.append(np.full(shape, color, np.int32))
-        arrays = TilingArrays(
-            np.full(lattice.mask.shape, interior, np.int32), (faces[0], faces[1], faces[2]), self.cells is not None
-        )
+        arrays = TilingArrays(np.full(cells, interior, np.int32), (faces[0], faces[1], faces[2]), repeats, halo)
         return Tiling(tileset, arrays, lattice.edge, lattice.origin)

@@ -13,15 +13,12 @@ from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
-from sppm_pipeline.families.tiler import at_porosity, check_repeats
+from sppm_pipeline.families.tiler import HALO, at_porosity, check_repeats, laid_cells
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.stage import Context, Recipe, Stage
-
-HALO = 1
-"""Blocks around the part that get pores, too, as kernels reach out of their block."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +41,7 @@ class ScatteredTiling(Stage):
 
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
-        x, y, z = (n + 2.0 * HALO * (not self.periodic) for n in made.body.box)
-        blocks = min(x * y * z, made.cells + HALO * made.body.envelope * (not self.periodic))
+        blocks = laid_cells(made, self.periodic)
         recipe(palette, blocks)
         trial = min(made.cells, 64) * float(self.resolution) ** 3 if self.porosity is not None else 0.0
         counts = {"cells": blocks, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
@@ -56,11 +52,11 @@ class ScatteredTiling(Stage):
 
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Throw and join the pores of all blocks of the part, and of those around it."""
-        from sppm_pipeline.numerics.sampling.blocks import dilated
+        from sppm_pipeline.numerics.tiling.lattice import with_halo
 
         lattice = lattice_for(self.cell, self.cells, cover, None)
         halo = 0 if self.periodic else HALO
-        blocks = Blocks(dilated(np.pad(lattice.mask, halo)) if halo else lattice.mask, self.periodic)
+        blocks = Blocks(with_halo(lattice.mask, halo), self.periodic)
         micro = recipe.run(context, palette=Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks))
         if not isinstance(micro, Microstructure):
             raise ConfigError(

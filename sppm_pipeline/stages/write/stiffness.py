@@ -23,11 +23,13 @@ class WriteStiffness(Stage):
     """Write a folder with all that is known of an effective stiffness.
 
     ``stiffness.json`` holds the matrix, moduli, isotropy and bounds; ``material.inp`` is a material card that Abaqus
-    and CalculiX read; ``young.png`` shows Young's modulus over all directions, as a surface whose distance from the
-    center and color are the modulus; ``young.ply`` is that surface, one unit of length for the largest modulus.
+    and CalculiX read, with the error bars of its constants as comments if the grid's error was estimated;
+    ``young.png`` shows Young's modulus over all directions, as a surface whose distance from the center and color are
+    the modulus; ``young.ply`` is that surface, one unit of length for the largest modulus.
     """
 
     name: ClassVar[str] = "write.stiffness"
+    version: ClassVar[int] = 2
     advice: ClassVar[str] = "give a smaller `image_size`"
 
     path: str = options.write_path("stiffness", suffixes=("/",))
@@ -58,6 +60,7 @@ class WriteStiffness(Stage):
         comments = [
             f"effective stiffness of a porous cell, porosity {report.porosity:.4f}, {report.method}",
             f"unit of stress: {unit}; axes 1, 2, 3 are x, y, z of the cell",
+            *_error_bars(report),
         ]
         (folder / "material.inp").write_text(abaqus_card(self.material, report.stiffness, comments), encoding="ascii")
         directions, faces = sphere_mesh(5)
@@ -70,6 +73,22 @@ class WriteStiffness(Stage):
         (folder / "young.ply").write_bytes(b"".join(ply.encode(surface, faces)))
         picture = young_picture(surface, faces, young, report.unit, self.image_size)
         Image.fromarray(picture).save(folder / "young.png")
+
+
+def _error_bars(report: StiffnessReport) -> list[str]:
+    """Comments on how far the constants of the card may be from those of a fine grid."""
+    from sppm_pipeline.formats.inp import abaqus_constants
+
+    if report.error is None:
+        return ["error of the grid: not estimated (homogenize.voxel tells it with grids: 2 or 3)"]
+    summary = report.summary()
+    words = [f"{value:.2g}" for value in abaqus_constants(report.error)]
+    moduli = [f"{e:.4g} +- {error:.2g}" for e, error in zip(summary["E"], summary["E_error"], strict=True)]
+    return [
+        f"error of the grid: {summary['error_relative']:.2%} of the stiffness; Young's moduli {', '.join(moduli)}",
+        "error bar of each constant, in the order of the card:",
+        *(f"  {', '.join(words[start : start + 8])}" for start in range(0, 21, 8)),
+    ]
 
 
 def young_picture(

@@ -48,10 +48,11 @@ def test_walls_are_those_of_all_pores_and_tunnels(sets, periodic):
     tiling = sets.tiling(2, (3, 2, 2), pieces, periodic, holes=0.0)
     grid = Grid((0.02, 0.03, 0.01), (0.093, 0.081, 0.117), (32, 24, 17))
     distance, depth = WallSampler(pieces, tiling, 0.0, MARGIN).sample(grid, 0, 17)
-    where = positions(grid)
-    expected, tunnels = from_all(sets.every_kernel(pieces, tiling, images=1 if periodic else 0), where)
-    np.testing.assert_allclose(distance.ravel(), expected, atol=5e-7)
-    np.testing.assert_allclose(depth.ravel(), tunnels, atol=5e-7)
+    chosen = np.random.default_rng(1).choice(distance.size, 1500, replace=False)
+    every = sets.every_kernel(pieces, tiling, images=1 if periodic else 0)
+    expected, tunnels = from_all(every, positions(grid)[chosen])
+    np.testing.assert_allclose(distance.ravel()[chosen], expected, atol=5e-7)
+    np.testing.assert_allclose(depth.ravel()[chosen], tunnels, atol=5e-7)
 
 
 def test_walls_of_a_tiling_with_holes_are_exact_in_its_cells(sets):
@@ -77,11 +78,9 @@ def test_slabs_threads_and_what_is_kept_do_not_change_a_byte(sets, monkeypatch, 
     whole = WallSampler(pieces, tiling, rounding, MARGIN).sample(grid, 0, 40)
     monkeypatch.setattr(walls, "_KEPT_BYTES", 1)
     other = WallSampler(pieces, tiling, rounding, MARGIN)
-    for height in (1, 7, 33):
-        for start in range(0, 40, height):
-            stop = min(40, start + height)
-            for part, all_ in zip(other.sample(grid, start, stop, 2), whole, strict=True):
-                assert part.tobytes() == all_[start:stop].tobytes()
+    for start, stop in ((0, 1), (13, 14), (14, 15), (39, 40), (0, 7), (7, 14), (35, 40), (0, 33)):
+        for part, all_ in zip(other.sample(grid, start, stop, 2), whole, strict=True):
+            assert part.tobytes() == all_[start:stop].tobytes()
 
 
 def test_a_halo_of_cells_is_there_and_not_in_the_box():

@@ -10,12 +10,12 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.sampling.blocks import (
     block_colors,
     block_quotas,
-    dilated,
     needed_blocks,
     spacing_at_share,
     throw_blocks,
 )
 from sppm_pipeline.numerics.sampling.darts import throw
+from sppm_pipeline.numerics.tiling.lattice import dilated
 
 
 def placed(centers, first, shape):

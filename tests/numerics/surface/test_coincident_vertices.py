@@ -26,11 +26,16 @@ def test_two_tips_draw_back():
     assert np.array_equal(turned, moved)  # tips of void draw back the same way
 
 
-def test_coordinates_in_the_box_stay():
-    vertices = np.concatenate([ABOVE, BELOW])
-    moved = separate_coincident_vertices(vertices, np.concatenate([FACES, FACES + 4]), np.array([0.0, -9, -9]), BOX[1])
-    assert moved[0, 0] == moved[4, 0] == 0
-    assert moved[0, 2] > 0 > moved[4, 2]
+def test_caps_stay_in_the_box_and_tips_that_touch_it_draw_back():
+    """A tip of void above the bottom of the box, and solid that stands on it, with a corner at the same place."""
+    cap = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [1, 1, 2]], float)
+    vertices, faces = np.concatenate([ABOVE, cap]), np.concatenate([FACES, FACES + 4])
+    for turn in (1, -1):  # the bottom, then the top
+        low, high = (np.array([-9.0, -9, 0]), BOX[1]) if turn > 0 else (BOX[0], np.array([9.0, 9, 0]))
+        moved = separate_coincident_vertices(vertices * [1, 1, turn], faces, low, high)
+        assert moved[0, 2] * turn > 0
+        assert moved[4, 2] == 0
+        assert (moved[4, :2] > 0).all()
 
 
 def test_nothing_to_do():

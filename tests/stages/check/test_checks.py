@@ -168,7 +168,7 @@ def test_one_tile_everywhere_is_alike_everywhere(wang_tiling):
 def test_a_tiling_that_breaks_rule_1_is_refused_with_its_number_of_faces(wang_tiling):
     arrays = wang_tiling.arrays
     wrong = arrays.faces[1].copy()
-    wrong[0, 1, 0] = 1 - min(1, wrong[0, 1, 0])  # another color than that of the cells on both sides
+    wrong[1, 2, 1] = 1 - min(1, wrong[1, 2, 1])  # another color than that of the cells on both sides
     broken = replace(wang_tiling, arrays=arrays._replace(faces=(arrays.faces[0], wrong, arrays.faces[2])))
     with pytest.raises(DesignError, match="at 0, 2 and 0 faces across x, y and z; allowed are 0"):
         CheckTiling().run(PlainContext(), broken)

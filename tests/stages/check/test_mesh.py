@@ -22,7 +22,7 @@ def check(vertices, faces, **options):
     stage.check_options()
     assert stage.run(context, mesh) is mesh
     json_text(context.reported)
-    assert len(context.warnings) == len(context.reported["problems"])
+    assert len(context.warnings) == len(context.reported["problems"]) + bool(context.reported.get("cavities"))
     return context.reported
 
 
@@ -96,6 +96,7 @@ def test_pieces_hollows_and_shells_inside():
     assert found["problems"] == []
     assert (found["cavities"], found["components"], found["genus"]) == (1, 2, 0)
     assert found["component_volumes_mm3"][1] < 0
+    assert found["cavity_mm3"] == pytest.approx(4 / 3 * np.pi, rel=0.05)
     found = check(*two(BALL, inner))
     assert found["problems"] == ["shells", "components"]
     assert found["shells_inside_others"] == 1

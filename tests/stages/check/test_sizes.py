@@ -36,7 +36,7 @@ class Bubble(ScalarField):
     def sample_layers(self, grid, start, stop, threads=1):
         grid = grid.layers(start, stop)
         x, y, z = (np.mod(grid.axis(axis), 1.0) - 0.5 for axis in range(3))
-        return (self.radius - np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2)).astype(np.float32)
+        return (self.radius - np.sqrt(x[:, None, None] ** 2 + y[:, None] ** 2 + z**2)).astype(np.float32)
 
 
 def measured(source, **options):
@@ -67,7 +67,7 @@ def test_a_pore_across_the_seam_has_all_its_surface(cell):
         def sample_layers(self, grid, start, stop, threads=1):
             grid = grid.layers(start, stop)
             x, y, z = (np.mod(grid.axis(axis) + 0.4, 1.0) - 0.5 for axis in range(3))
-            return (self.radius - np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2)).astype(np.float32)
+            return (self.radius - np.sqrt(x[:, None, None] ** 2 + y[:, None] ** 2 + z**2)).astype(np.float32)
 
     moved, still = (measured(field, resolution=20)["specific_surface"] for field in (Moved(0.3), Bubble(0.3)))
     assert moved == pytest.approx(still, rel=1e-3)

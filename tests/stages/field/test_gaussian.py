@@ -73,7 +73,7 @@ def test_the_sum_by_hand():
     micro, told = field(Cell(), **RADII)
     grid = Grid((0.4, 0.45, 0.52), (0.07, 0.03, 0.05), (5, 4, 3))
     values = micro.sample(grid)
-    z, y, x = np.meshgrid(grid.axis(2), grid.axis(1), grid.axis(0), indexing="ij")
+    x, y, z = np.meshgrid(*(grid.axis(axis) for axis in range(3)), indexing="ij")
     p = np.stack([x, y, z], -1)
     total = np.zeros(p.shape[:3])
     for shift in np.ndindex(3, 3, 3):

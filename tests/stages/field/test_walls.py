@@ -9,9 +9,13 @@ from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.numerics.connectivity.components import phase_report
 from sppm_pipeline.numerics.grid import Grid, cell_centers
+from sppm_pipeline.numerics.meshcheck.adjacency import adjacency
+from sppm_pipeline.numerics.meshcheck.box_tree import box_tree
 from sppm_pipeline.numerics.meshcheck.measures import measure_surface
+from sppm_pipeline.numerics.meshcheck.self_intersections import self_intersections
 from sppm_pipeline.stages.check.sizes import CheckSizes
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.stages.extract.manifold_sdf import ManifoldSdf
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.field.walls import WallsField
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
@@ -145,8 +149,8 @@ def test_void_and_solid_are_in_one_piece(tuned):
 
 def test_the_field_repeats(tuned):
     values = tuned[0].sample(Grid((-0.3, 0.2, 0.9), (0.05, 0.05, 0.05), (40, 21, 21)))
-    np.testing.assert_array_equal(values[:, :, :20], values[:, :, 20:])
-    np.testing.assert_array_equal(values[0], values[20])
+    np.testing.assert_array_equal(values[:20], values[20:])
+    np.testing.assert_array_equal(values[:, :, 0], values[:, :, 20])
 
 
 @pytest.mark.parametrize("rounding", [0.0, 0.04])
@@ -159,8 +163,8 @@ def test_tiles_fit_together(rounding):
     h = 1e-3
     values = tiling.sample(Grid((1 - 5.5 * h, 0.1, 0.1), (h, 0.05, 0.05), (12, 36, 36)))
     # soft minima jump where the nearest pore changes, that is deep in the solid
-    steep = np.abs(np.diff(values, axis=2)) > 1.02 * h
-    deep = np.maximum(values[..., 1:], values[..., :-1]) < -0.5 * tiles.micro.level
+    steep = np.abs(np.diff(values, axis=0)) > 1.02 * h
+    deep = np.maximum(values[1:], values[:-1]) < -0.5 * tiles.micro.level
     assert not (steep & ~deep).any()
     assert rounding or not steep.any()
     assert (values < 0).any()
@@ -176,7 +180,7 @@ def test_wang_tiles_and_layers():
     np.testing.assert_array_equal(whole, tiling.sample(grid) < 0)
     for height in (1, 7):
         parts = [tiling.solid_layers(grid, k, min(20, k + height), 2) for k in range(0, 20, height)]
-        assert np.concatenate(parts).tobytes() == whole.tobytes()
+        assert np.concatenate(parts, axis=2).tobytes() == whole.tobytes()
 
 
 def test_scattered_cells():
@@ -187,12 +191,20 @@ def test_scattered_cells():
     assert phase_report(void.astype(np.uint8)).removed_share < 1e-3
 
 
-def test_the_surface_is_closed_and_the_solid_carries(tuned):
-    field, _ = tuned
-    mesh = MarchingCubes(resolution=40).run(PlainContext(1), field)
+@pytest.mark.parametrize("extractor", [MarchingCubes(resolution=20), ManifoldSdf(resolution=20)], ids=lambda e: e.name)
+def test_meshes_are_closed_and_sound(tuned, extractor):
+    """Walls as thick as two cubes of the lattice."""
+    field = tuned[0].with_level(0.05)
+    mesh = extractor.run(PlainContext(1), field)
     found = measure_surface(mesh.vertices, mesh.faces)
     assert found.edges.closed
-    assert found.volume == pytest.approx(0.3, abs=0.01)
+    assert adjacency(mesh.faces).non_manifold_vertices == 0
+    assert self_intersections(box_tree(mesh.vertices[mesh.faces])).pairs == 0
+    assert found.volume == pytest.approx((field.sample(cell_centers(40)) < 0).mean(), rel=0.06)
+
+
+def test_the_solid_carries(tuned):
+    field, _ = tuned
     report = HomogenizeVoxel(resolution=24).run(PlainContext(1), field)
     young = report.summary()["isotropic"]["E"]
     density = 1 - report.summary()["porosity"]
@@ -218,3 +230,6 @@ def test_sizes_of_the_design_are_told(tuned):
     CheckSizes(resolution=24, printable=Length(0.25, "mm")).run(context, field)
     assert [text for text in context.warnings if "thinnest wall measures 0.2 mm" in text]
     assert not [text for text in context.warnings if "tunnel" in text]
+    context = PlainContext(1)
+    CheckSizes(resolution=24, printable=Length(0.35, "mm")).run(context, field)
+    assert [text for text in context.warnings if "narrowest tunnel measures 0.3 mm" in text]

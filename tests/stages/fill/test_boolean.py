@@ -79,7 +79,7 @@ def test_nothing_of_the_part_is_lost_outside_of_the_sampled_band(wang_tiling, tu
 
     class Solid(type(wang_tiling)):
         def sample_layers(self, grid, start, stop, threads=1):
-            return np.full((stop - start, grid.shape[1], grid.shape[0]), -0.3, np.float32)
+            return np.full((*grid.shape[:2], stop - start), -0.3, np.float32)
 
     solid = Solid(wang_tiling.tileset, wang_tiling.arrays, wang_tiling.edge)
     made, _ = fill(solid, domain, resolution=16, islands="keep")
@@ -130,7 +130,7 @@ def test_too_little_memory_is_known_before(wang_tiling, ball, monkeypatch):
 def test_nothing_but_void(wang_tiling, ball):
     class Void(type(wang_tiling)):
         def sample_layers(self, grid, start, stop, threads=1):
-            return np.full((stop - start, grid.shape[1], grid.shape[0]), 0.3, np.float32)
+            return np.full((*grid.shape[:2], stop - start), 0.3, np.float32)
 
     with pytest.raises(DesignError, match="no solid"):
         fill(Void(wang_tiling.tileset, wang_tiling.arrays, wang_tiling.edge), ball)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.errors import InputError
+from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stages.fill.implicit import ImplicitFill
@@ -51,7 +52,7 @@ def test_an_open_part_wound_at_random_is_filled_with_a_warning(wang_tiling, ball
     assert context.reported["closed"] is False
     assert 0 < context.reported["undecided_share"] < 0.05
     assert context.reported["disagreement"] < 0.02
-    assert "scan.ply is not closed" in context.warnings[-1]
+    assert "scan.ply is not closed" in context.warnings[-2 if skin else -1]
     solid = part.solid(GRID)
     assert np.mean(solid != whole.solid(GRID)) < 0.005
     assert np.mean((part.sample(GRID) < 0) != solid) < (0.03 if skin else 1e-9)
@@ -77,3 +78,44 @@ def test_a_part_of_less_than_two_cells_is_filled_with_a_warning(wang_tiling, bal
     _, context = filled(wang_tiling, SurfaceMesh(ball.vertices * edge / extent, ball.faces))
     assert f"less than 2 cells of {edge:g} mm" in context.warnings[0]
     assert f"{25.4 * edge:.4g}" in context.warnings[0]
+
+
+def test_a_skin_says_how_much_void_it_seals(wang_tiling, ball):
+    part, context = filled(wang_tiling, ball, skin=Length(0.7))
+    n = 24
+    grid = cell_centers(n, (4, 3, 3))
+    closed = part.solid(grid) == 0
+    labels, _ = ndimage.label(closed)
+    sealed = np.count_nonzero(closed & (labels != labels[0, 0, 0])) * (part.physical_edge() / n) ** 3
+    assert sealed > 10
+    assert context.reported["sealed_mm3"] == pytest.approx(sealed, rel=0.05)
+    assert f"seals about {context.reported['sealed_mm3']:.3g} mm3" in context.warnings[-1]
+    # a skin thinner than the voxels of the coarse grid stays closed
+    _, thin = filled(wang_tiling, ball, skin=Length(0.02))
+    assert thin.reported["sealed_mm3"] > context.reported["sealed_mm3"]
+    assert "sealed_mm3" not in filled(wang_tiling, ball)[1].reported
+
+
+def test_a_drain_opens_the_skin(wang_tiling, ball):
+    """From the middle of the ball down and out: what was sealed is open, and nothing else has changed."""
+    sealed, context = filled(wang_tiling, ball, skin=Length(0.7))
+    low = float(ball.lower[2])
+    x, y, z = ((ball.lower + ball.upper) / 2).tolist()
+    drain = (x, y, z, x, y, low - 1, 0.6)
+    part, opened = filled(wang_tiling, ball, skin=Length(0.7), drains=(drain,))
+    assert opened.reported["sealed_mm3"] < 0.05 * context.reported["sealed_mm3"]
+    assert not any("seals" in text for text in opened.warnings), opened.reported
+    grid = cell_centers(24, (4, 3, 3))
+    world = part.in_mm(grid)
+    dx, dy, dz = np.meshgrid(*(world.axis(a) - c for a, c in enumerate((x, y, z))), indexing="ij")
+    below = np.clip(-dz, 0, z - low + 1)
+    inside = dx**2 + dy**2 + (dz + below) ** 2 < 0.36
+    solid = part.solid(grid)
+    assert np.array_equal(solid, np.where(inside, 0, sealed.solid(grid)))
+    # in layers, and by the sampled field
+    assert np.array_equal(part.solid_layers(grid, 20, 31), solid[:, :, 20:31])
+    assert np.mean((part.sample(grid) < 0) != solid) < 0.02
+    assert not (part.sample(grid)[inside] < 0).any()
+    part.check()
+    with pytest.raises(ConfigError, match="drain 1"):
+        ImplicitFill(drains=((0, 0, 0, 1, 1, 1, 0.0),)).check_options()

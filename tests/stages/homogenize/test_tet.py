@@ -26,7 +26,7 @@ class SchwarzP(ScalarField):
     def sample_layers(self, grid, start, stop, threads=1):
         grid = grid.layers(start, stop)
         x, y, z = (np.cos(2 * np.pi * grid.axis(axis)) for axis in range(3))
-        return (z[:, None, None] + y[:, None] + x).astype(np.float32)
+        return (x[:, None, None] + y[:, None] + z).astype(np.float32)
 
 
 def meshed(resolution, order=1):

@@ -122,7 +122,7 @@ def test_a_stack_of_pictures(tmp_path):
 def test_a_cell_goes_out_and_comes_back(cell, tmp_path, name):
     context = PlainContext(directory=tmp_path)
     voxels = ExtractVoxels(resolution=20).run(context, cell)
-    assert (voxels.values == cell.solid(cell_centers(20)).T).all()
+    assert (voxels.values == cell.solid(cell_centers(20))).all()
     assert voxels.periodic == (True,) * 3
     WriteVoxels(path=name).run(context, voxels)
     back, _ = read(tmp_path / name)

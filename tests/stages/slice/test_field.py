@@ -46,7 +46,7 @@ def test_layers_are_the_voxels(wang_tiling):
     assert (stack.pixel_mm, stack.layer_mm) == ((0.4, 0.4), 0.4)
     assert stack.origin_mm == (0, 0, 0)
     found, findings = layers_and_findings(stack)
-    expected = wang_tiling.solid(cell_centers(10, wang_tiling.cells))
+    expected = wang_tiling.solid(cell_centers(10, wang_tiling.cells)).T
     assert np.array_equal(found, expected * 255)
     assert findings["solid_share_of_box"] == expected.mean()
     assert findings["solid_volume_mm3"] == pytest.approx(expected.sum() * 0.4**3)
@@ -55,7 +55,7 @@ def test_layers_are_the_voxels(wang_tiling):
 
 
 def test_islands_are_removed_as_on_the_whole(wang_tiling, monkeypatch):
-    expected = keep_largest(wang_tiling.solid(cell_centers(10, wang_tiling.cells)), (False,) * 3)
+    expected = keep_largest(wang_tiling.solid(cell_centers(10, wang_tiling.cells)).T, (False,) * 3)
     stack = slices(wang_tiling, resolution=10)
     found, findings = layers_and_findings(stack)
     assert np.array_equal(found, expected * 255)
@@ -125,7 +125,7 @@ def test_a_part_decides_about_its_islands(wang_tiling, ball):
         other = "keep" if islands == "remove" else "remove"
         stack = slices(part, pixel=Length(0.4, MM), islands=other)
         found = layers(stack) > 0
-        whole = part.solid(stack.grid)
+        whole = part.solid(stack.grid).T
         assert np.array_equal(found, keep_largest(whole, (False,) * 3) if islands == "remove" else whole)
         assert (part.skin_mm, part.domain.name) == (0.5, "ball")
 

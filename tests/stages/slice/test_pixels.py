@@ -42,7 +42,7 @@ class Solid(ScalarField):
     origin_mm = (-3.003, -4.007, -1.009)
 
     def sample_layers(self, grid, start, stop, threads=1):
-        return np.full((stop - start, *grid.shape[1::-1]), np.float32(-1))
+        return np.full((*grid.shape[:2], stop - start), np.float32(-1))
 
 
 def options(pitch, **others):
@@ -63,7 +63,7 @@ def of_part(body, pitch, **others):
 
 
 def printed(stack, folder):
-    """What a printer is given: layers (nz, ny, nx) in order of increasing y, pixels in mm by the files, manifest."""
+    """What a printer is given: layers [layer, y, x] in order of increasing y, pixels in mm by the files, manifest."""
     WritePng(sheet=1).run(PlainContext(directory=folder, threads=2), stack)
     manifest = json.loads((folder / "slices/manifest.json").read_text())
     layers, pixels = [], set()
@@ -136,7 +136,7 @@ def test_layers_thinner_and_thicker_than_pixels_are_cut_at_mid_height(wang_tilin
     found = stack.to_array() > 0
     (x, y, _), (hx, hy, _), (nx, ny, nz) = stack.grid
     for k in (0, 1, nz // 2, nz - 1):
-        section = wang_tiling.solid(Grid((x, y, (k + 0.5) * layer / 4), (hx, hy, 1.0), (nx, ny, 1)))[0]
+        section = wang_tiling.solid(Grid((x, y, (k + 0.5) * layer / 4), (hx, hy, 1.0), (nx, ny, 1))).T[0]
         assert np.count_nonzero(found[k] != section) <= 1  # positions are rounded apart
         assert found[k].any()
 

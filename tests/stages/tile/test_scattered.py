@@ -129,7 +129,7 @@ def test_the_field_is_the_sum_of_all_kernels_wherever_they_come_from(torus, box)
         size = np.array(tiling.cells)
         every = concatenated(every.shifted(size * np.array([x, y, z])) for x in images for y in images for z in images)
         grid = Grid((0.03, 0.02, 0.01), (0.19, 0.23, 0.17), (9, 8, 5))
-        z, y, x = np.meshgrid(grid.axis(2), grid.axis(1), grid.axis(0), indexing="ij")
+        x, y, z = np.meshgrid(*(grid.axis(axis) for axis in range(3)), indexing="ij")
         exact = exact_sum(every, np.stack([x, y, z], -1).reshape(-1, 3)) - micro.level
         assert np.abs(tiling.sample(grid).ravel() - exact).max() < 1e-3
 
@@ -162,7 +162,7 @@ def test_slabs_and_threads_change_no_byte(request, name):
     whole = tiling.solid_layers(grid, 0, 66)
     for height, threads in ((1, 1), (7, 2), (64, 3)):
         slabs = [tiling.solid_layers(grid, z, min(z + height, 66), threads) for z in range(0, 66, height)]
-        assert np.concatenate(slabs).tobytes() == whole.tobytes()
+        assert np.concatenate(slabs, axis=2).tobytes() == whole.tobytes()
 
 
 def test_threads_that_throw_and_join_change_no_byte(recipe, box):
@@ -170,6 +170,19 @@ def test_threads_that_throw_and_join_change_no_byte(recipe, box):
         PlainContext(2, threads=3), recipe(tunnel_radius=Length(0.07)), None
     )
     assert again.digest() == box.digest()
+
+
+def test_millions_of_tunnels_take_few_bytes_and_make_the_same_field(monkeypatch, recipe, torus):
+    monkeypatch.setattr("sppm_pipeline.data.tunnels.NARROW", 1)
+    again = ScatteredTiling(cells=(3, 2, 4), periodic=True, porosity=0.55, resolution=16).run(
+        PlainContext(2), recipe(tunnel_radius=Length(0.07)), None
+    )
+    wide, narrow = torus.tileset.micro, again.tileset.micro
+    assert (narrow.graph.edges.dtype, narrow.graph.shift.dtype) == (np.int32, np.int8)
+    assert np.array_equal(narrow.graph.edges, wide.graph.edges)
+    assert np.array_equal(narrow.graph.shift, wide.graph.shift)
+    assert narrow.pieces.kernels.ends.tobytes() == wide.pieces.kernels.ends.tobytes()
+    assert narrow.level == wide.level
 
 
 def test_no_lattice_shows(recipe):

@@ -116,7 +116,7 @@ class BallField(ScalarField):
     def sample_layers(self, grid, start, stop, threads=1):
         grid = grid.layers(start, stop)
         x, y, z = (np.mod(grid.axis(axis), 1.0) - 0.5 for axis in range(3))
-        return np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2).astype(np.float32)
+        return np.sqrt(x[:, None, None] ** 2 + y[:, None] ** 2 + z**2).astype(np.float32)
 
 
 def test_any_field_is_cut_where_the_target_lies():
@@ -126,7 +126,7 @@ def test_any_field_is_cut_where_the_target_lies():
     assert made.summary()["cut"] == pytest.approx((3 * 0.2 / 4 / np.pi) ** (1 / 3), rel=0.005)
     assert made.cut_at(0.1).summary()["cut"] == pytest.approx(made.summary()["cut"] + 0.1)
     grid = cell_centers(9)
-    assert (made.sample_layers(grid, 2, 5) == made.sample(grid)[2:5]).all()
+    assert (made.sample_layers(grid, 2, 5) == made.sample(grid)[:, :, 2:5]).all()
     assert made.periodic
     assert made.edge_mm is None
 

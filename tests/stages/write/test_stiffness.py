@@ -9,6 +9,7 @@ from PIL import Image
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.formats import ply
+from sppm_pipeline.formats.inp import abaqus_constants
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic
 from sppm_pipeline.stages.write.stiffness import WriteStiffness
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -43,6 +44,23 @@ def test_the_folder(tmp_path):
         assert picture.size == (400, 300)
         colors = len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0))
     assert colors > 500
+
+
+def test_the_card_says_how_far_the_grid_may_be_off(tmp_path):
+    stiffness = cubic(0.2, 0.06, 0.1)
+    WriteStiffness(path="a").run(PlainContext(directory=tmp_path), StiffnessReport(stiffness, PHASES, "one grid"))
+    assert "** error of the grid: not estimated" in (tmp_path / "a/material.inp").read_text()
+    error = cubic(0.02, 0.003, 0.01)
+    report = StiffnessReport(stiffness, PHASES, "two grids", error=error)
+    WriteStiffness(path="b").run(PlainContext(directory=tmp_path), report)
+    lines = (tmp_path / "b/material.inp").read_text().splitlines()
+    start = lines.index("** error bar of each constant, in the order of the card:")
+    rows = [line.removeprefix("**").split(",") for line in lines[start + 1 : start + 4]]
+    assert [float(word) for row in rows for word in row] == pytest.approx(abaqus_constants(error))
+    assert [len(row) for row in rows] == [len(line.split(",")) for line in lines[-3:]]
+    found = report.summary()
+    assert f"{found['E'][2]:.4g} +- {found['E_error'][2]:.2g}" in lines[start - 1]
+    assert f"{np.linalg.norm(error) / np.linalg.norm(stiffness):.2%} of the stiffness" in lines[start - 1]
 
 
 def test_nothing_stiff_is_said_and_the_rest_written(tmp_path):

@@ -42,6 +42,15 @@ def test_void_takes_the_lower_bounds_to_zero():
     assert 0 < shear.upper < 0.3 * g
 
 
+def test_youngs_modulus_follows_from_both_moduli():
+    """9 K G / (3 K + G), at either end."""
+    young = bounds(voigt(TWO), TWO).young
+    for bound, k, g in zip(young, *hashin_shtrikman(TWO), strict=True):
+        assert bound == pytest.approx(9 * k * g / (3 * k + g))
+    assert bounds(voigt(POROUS), POROUS).young.lower == 0
+    assert bounds(isotropic(2.0, 0.3), [(1.0, 2.0, 0.3)]).young == pytest.approx((2.0, 2.0))
+
+
 def test_shares_of_zero_do_not_count():
     assert np.allclose(reuss([(1.0, 2.0, 0.3), (0.0, 0.0, 0.0)]), isotropic(2.0, 0.3))
     assert hashin_shtrikman([(1.0, 2.0, 0.3), (0.0, 0.0, 0.0)])[0].lower == pytest.approx(2 / 1.2)

@@ -32,6 +32,12 @@ def test_grids_that_do_not_converge_claim_no_limit():
     assert found.error[0] >= 0.6
 
 
+@pytest.mark.parametrize(("order", "accepted"), [(0.48, False), (0.52, True), (3.9, True), (4.2, False)])
+def test_orders_that_no_method_has_are_not_believed(order, accepted):
+    found = richardson([0.4, 0.2, 0.1], [np.array([1 + 0.3 * h**order]) for h in (0.4, 0.2, 0.1)])
+    assert found.observed == accepted
+
+
 def test_no_change_means_no_error():
     found = richardson([0.4, 0.2, 0.1], [np.ones(2)] * 3)
     assert found.error.tolist() == [0.0, 0.0]

@@ -1,0 +1,181 @@
+"""What a printer makes of a stack of layers, in millimeters: numbers, events, curves over the height, and rules."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError
+
+
+class Measure(NamedTuple):
+    """A number of the report that a rule may refuse.
+
+    Attributes
+    ----------
+    number : str
+        Its name in `PrintReport.numbers`.
+    unit : str
+        Empty for a ratio or count.
+    text : str
+        What it is, as the message of a refused print says it.
+    sign : {">", "<"}
+        On which side of a threshold it is refused.
+    """
+
+    number: str
+    unit: str
+    text: str
+    sign: str = ">"
+
+
+MEASURES: Mapping[str, Measure] = {
+    "trap": Measure("trap_mm3", "mm3", "void in resin traps"),
+    "cup": Measure("largest_cup_mm2", "mm2", "largest section of a suction cup"),
+    "island": Measure("largest_island_mm2", "mm2", "largest section of an island"),
+    "floating": Measure("floating_mm3", "mm3", "solid that never joins the part"),
+    "overhang": Measure("largest_overhang_mm2", "mm2", "largest overhang of a layer"),
+    "undrained": Measure("undrained_mm3", "mm3", "void that does not drain through throats of `drain`"),
+    "thin": Measure("thin_solid_share", "", "share of the solid that is thinner than `min_feature`"),
+    "clogged": Measure("clogged_mm3", "mm3", "void that later layers cure shut"),
+    "adhesion": Measure("adhesion", "", "first layer over the largest one", "<"),
+    "margin": Measure("foot_margin_mm", "mm", "distance of the center of mass from the edge of the foot", "<"),
+}
+"""What `fail:` may name."""
+
+_RULE = re.compile(r"\s*([a-z_]+)\s*(?:([<>])\s*(-?[0-9.]+(?:e-?[0-9]+)?)\s*([a-z0-9]*)\s*)?")
+
+
+class Rule(NamedTuple):
+    """A measure and the threshold beyond which a print is refused."""
+
+    measure: Measure
+    threshold: float
+
+    def broken_by(self, numbers: Mapping[str, Any]) -> str | None:
+        """What is wrong by this rule; None if nothing is, or if the number is not known."""
+        value = numbers.get(self.measure.number)
+        if value is None or not (value > self.threshold if self.measure.sign == ">" else value < self.threshold):
+            return None
+        unit = f" {self.measure.unit}" if self.measure.unit else ""
+        word = "more" if self.measure.sign == ">" else "less"
+        limit = f", {word} than {self.threshold:g}" if self.threshold else ""
+        return f"{self.measure.text}: {value:.4g}{unit}{limit}"
+
+
+def parse_rule(text: str) -> Rule:
+    """Read ``trap`` or ``cup > 100 mm2``.
+
+    Raises
+    ------
+    ConfigError
+    """
+    match = _RULE.fullmatch(text)
+    name = match[1] if match else ""
+    if match is None or name not in MEASURES:
+        raise ConfigError(
+            f"{text!r} in `fail` is no rule", hint=f"write for example 'cup > 100 mm2'; known: {', '.join(MEASURES)}"
+        )
+    measure = MEASURES[name]
+    if match[2] is None:
+        if measure.sign == "<":
+            raise ConfigError(f"{text!r} in `fail` needs a threshold", hint=f"write for example '{name} < 1'")
+        return Rule(measure, 0.0)
+    if match[2] != measure.sign or match[4] not in ("", measure.unit):
+        form = f"{name} {measure.sign} NUMBER {measure.unit}".rstrip()
+        raise ConfigError(f"{text!r} in `fail` can't be compared", hint=f"the rule is written '{form}'")
+    try:
+        return Rule(measure, float(match[3]))
+    except ValueError as error:
+        raise ConfigError(f"{match[3]!r} in {text!r} of `fail` is not a number") from error
+
+
+@dataclass(frozen=True, eq=False)
+class PrintReport:
+    """What was found in a stack of layers.
+
+    Attributes
+    ----------
+    numbers : mapping of str
+        The measures that the terminal, the run record and `fail` know; None where there is nothing to measure.
+    events : mapping of str to list of dict
+        ``traps``, ``cups`` and ``islands``, the largest first: layers, volume, largest section, place; and ``throats``,
+        by diameter.
+    layers : mapping of str to (n,) array
+        A column for each curve.
+    settings : mapping of str
+        Pitch, limits and assumptions.
+    """
+
+    numbers: Mapping[str, Any]
+    events: Mapping[str, Sequence[Mapping[str, Any]]]
+    layers: Mapping[str, NDArray[Any]]
+    settings: Mapping[str, Any]
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        n = self.numbers
+        said = [trapped(n) if n["traps"] else "no resin trap"]
+        if n["cups"] or n["traps"]:
+            other = "other " if n["traps"] else ""
+            said.append(f"{_count(n['cups'], f'{other}suction cup')}, sections up to {n['largest_cup_mm2']:.4g} mm2")
+        else:
+            said.append("no suction cup")
+        said.append(
+            f"{_count(n['islands'], 'island')} up to {n['largest_island_mm2']:.3g} mm2" if n["islands"] else "no island"
+        )
+        if n["floating_parts"]:
+            said.append(f"{_count(n['floating_parts'], 'part')} afloat ({n['floating_mm3']:.4g} mm3)")
+        return "; ".join(said)
+
+    def json(self) -> str:
+        """The report without the curves, as JSON."""
+        document = {"verdict": self.verdict, "numbers": self.numbers, **self.events, "settings": self.settings}
+        return json.dumps(_plain(document), indent=1, allow_nan=False) + "\n"
+
+    def csv(self) -> str:
+        """The curves, a row for each layer."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.layers)
+        columns = [[_short(value) for value in column.tolist()] for column in self.layers.values()]
+        writer.writerows(zip(*columns, strict=True))
+        return text.getvalue()
+
+
+def _short(value: float) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers to six digits, as nothing here is known better."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, (list, tuple)) else value
+
+
+def trapped(numbers: Mapping[str, Any]) -> str:
+    """What stays in traps, in words."""
+    traps, largest = numbers["traps"], numbers["largest_trap_mm3"]
+    most = f" (the largest {largest:.4g})" if traps > 1 else ""
+    return f"{_count(traps, 'resin trap')} of {numbers['trap_mm3']:.4g} mm3{most}"
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n:,} {what}{'' if n == 1 else 's'}"
+
+
+def rounded(values: NDArray[np.floating[Any]]) -> list[float]:
+    """Coordinates as they are written: to a tenth of a micrometer."""
+    return [round(float(value), 4) for value in values]
