@@ -32,6 +32,7 @@ FAMILIES: Mapping[str, str] = {
     "tileset": "a recipe is drawn for many interiors and face colors",
     "tile": "cells are laid into a part",
     "fill": "a part is cut from the tiling",
+    "fix": "a part is changed so that it can be printed",
     "extract": "a field becomes a triangle mesh or an image of voxels",
     "mesh": "a mesh becomes a better one, or a field or mesh becomes one of tetrahedra",
     "homogenize": "effective properties are computed",

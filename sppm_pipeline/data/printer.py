@@ -127,8 +127,8 @@ class Printer:
     @property
     def picture(self) -> tuple[tuple[int, int], Pair]:
         """Width and height of its pictures, in pixels and in mm."""
-        turn = -1 if self.portrait else 1
-        return self.pixels[::turn], self.display_mm[::turn]
+        (nx, ny), (x, y) = self.pixels, self.display_mm
+        return ((ny, nx), (y, x)) if self.portrait else ((nx, ny), (x, y))
 
     @property
     def volume_mm(self) -> tuple[float, float, float]:
@@ -294,13 +294,18 @@ def cards(own: Path | None = None) -> Cards:
 
     Raises
     ------
+    ConfigError
+        If the file can't be read.
     InputError
-        If the file is not one of cards; the message names card, entry and value.
+        If it is not one of cards; the message names card, entry and value.
     """
     built_in = _built_in()
     if own is None:
         return built_in
-    found = _read(own.read_bytes(), str(own))
+    try:
+        found = _read(own.read_bytes(), str(own))
+    except OSError as error:
+        raise ConfigError(f"`cards` is {own}, which can't be read: {error.strerror}") from error
     return Cards({**built_in.printers, **found.printers}, {**built_in.resins, **found.resins})
 
 

@@ -165,12 +165,10 @@ class Preview:
     """A coarse image of the part, taken from its layers as they pass, and pictures of it."""
 
     def __init__(self, stack: SliceStack) -> None:
-        sides = [n * h for n, h in zip(stack.shape, (*stack.pixel_mm, stack.layer_mm), strict=True)]
-        pitch = max(sides) / PREVIEW_SAMPLES
-        self._shape = nx, ny, nz = tuple(
-            max(1, min(n, round(s / pitch))) for s, n in zip(sides, stack.shape, strict=True)
-        )
-        self._spacing = tuple(side / count for side, count in zip(sides, self._shape, strict=True))
+        sides = np.multiply(stack.shape, (*stack.pixel_mm, stack.layer_mm))
+        nx, ny, nz = np.clip(np.rint(sides * PREVIEW_SAMPLES / sides.max()), 1, stack.shape).astype(int).tolist()
+        self._shape = nx, ny, nz
+        self._spacing = float(sides[0] / nx), float(sides[1] / ny), float(sides[2] / nz)
         self._at = {int((k + 0.5) * stack.shape[2] / nz): k for k in range(nz)}
         self._share = np.zeros((nz, ny, nx), np.float32)
 

@@ -131,6 +131,7 @@ class Tiler(Stage):
         ----------
         rng : numpy.random.Generator
         mask : (nx, ny, nz) bool
+            The cells of the part and, unless `periodic`, those around them.
         tileset : TileSet
 
         Returns

@@ -11,7 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.interpolation import BEFORE, BLOCK, TAPS, Band, band_of, interpolate_layer, stretch, taps_at
+from sppm_pipeline.numerics.interpolation import (
+    BEFORE,
+    BLOCK,
+    TAPS,
+    Band,
+    band_of,
+    interpolate_layers,
+    stretch,
+    taps_at,
+)
 
 if TYPE_CHECKING:
     from sppm_pipeline.fields.kernel_sum import KernelSum, Patches
@@ -23,8 +32,9 @@ again; that of larger ones comes fresh from the system, which takes as long as t
 LEAST_PLANES = 8
 """Coarse planes of a chunk at the least, so that kernels are not listed again for each plane."""
 
-BAND_ROWS = 64
-"""Rows that are interpolated at a time, layer after layer, so that the planes between them stay in the cache."""
+BAND_SAMPLES = 2**15
+"""Samples of a coarse plane, stretched along x, whose rows are interpolated at a time, layer after layer, so that the
+planes between them stay in the cache: the six of a layer take 768 kB."""
 
 MARGIN = BEFORE + 1
 """Coarse samples beyond the lattice that are summed with its outermost cells."""
@@ -67,6 +77,8 @@ class FineSampler:
         ]
         plane = grid.shape[0] * len(self._window[1])
         self._height = max(LEAST_PLANES, min(per_cell + 2 * MARGIN, CHUNK_SAMPLES // plane))
+        rows = max(TAPS, BAND_SAMPLES // grid.shape[0])
+        self._band_rows = max(1, rows * grid.shape[1] // len(self._window[1]))
         self._chunks: dict[int, _Chunk] = {}
 
     def sample(
@@ -83,25 +95,32 @@ class FineSampler:
         nx, ny, nz = self.of[0].shape
         if wanted is None:
             wanted = np.tile(np.array([0, nx], np.int32), (stop - start, ny, 1))
-        spans, height, level, (_, y, z) = wanted, self._height, field.solid_below, self._taps
+        spans, (_, y, z), level = wanted, self._taps, field.solid_below
         for first, last in self._groups(start, stop):
-            chunks = self._chunks_of(field, first, last, spans[first - start : last - start], threads)
+            own = slice(first - start, last - start)
+            low, *more = self._chunks_of(field, first, last, spans[own], threads)
 
-            def work(row: int, layers: range = range(first, last), chunks: dict[int, _Chunk] = chunks) -> None:
-                for layer in layers:
-                    taps = range(z.first[layer], z.first[layer] + TAPS)
-                    interpolate_layer(
-                        [chunks[(k + MARGIN) // height].plane(k) for k in taps],
-                        z.weights[layer],
-                        y,
-                        level,
-                        range(row, min(row + BAND_ROWS, ny)),
-                        spans[layer - start],
-                        None if values is None else values[layer - start],
-                        None if solid is None else solid[layer - start],
-                    )
+            def work(
+                row: int,
+                layers: slice = slice(first, last),
+                own: slice = own,
+                low: _Chunk = low,
+                high: _Chunk = more[0] if more else low,
+            ) -> None:
+                interpolate_layers(
+                    low.stretched,
+                    high.stretched,
+                    z.first[layers] - low.planes.start,
+                    z.weights[layers],
+                    y,
+                    level,
+                    range(row, min(row + self._band_rows, ny)),
+                    spans[own],
+                    None if values is None else values[own],
+                    None if solid is None else solid[own],
+                )
 
-            _in_threads(work, range(0, ny, BAND_ROWS), threads)
+            _in_threads(work, range(0, ny, self._band_rows), threads)
         if stop == nz:
             self._chunks = {}
 
@@ -113,8 +132,8 @@ class FineSampler:
 
     def _chunks_of(
         self, field: KernelSum, first: int, last: int, wanted: NDArray[np.int32], threads: int
-    ) -> dict[int, _Chunk]:
-        """The chunks for layers first <= k < last, with all samples that the wanted ones depend on."""
+    ) -> list[_Chunk]:
+        """The one or two chunks for layers first <= k < last, with all samples that the wanted ones depend on."""
         low, high = (int(self._taps[2].first[layer]) for layer in (first, last - 1))
         high += TAPS - 1
         x, y, z = self._window
@@ -131,7 +150,7 @@ class FineSampler:
             columns = self._columns(wanted)
             for chunk in chunks.values():
                 chunk.sum_columns(field, self._n, columns - chunk.done, self._spans, threads)
-        return chunks
+        return list(chunks.values())
 
     def _columns(self, wanted: NDArray[np.int32]) -> set[tuple[int, int]]:
         """Numbers of the spans along x and y whose samples the wanted ones depend on."""
@@ -158,14 +177,9 @@ class _Chunk:
 
     def __init__(self, planes: range, x: range, y: range, band: Band) -> None:
         self.planes, self.x, self.y, self.band = planes, x, y, band
-        self.stretched = np.zeros((len(planes), len(y), len(band.first) * BLOCK), np.float32)
+        self.stretched = np.empty((len(planes), len(y), len(band.first) * BLOCK), np.float32)
         self.done: set[tuple[int, int]] = set()
         self._sums = np.zeros((0, 0, 0), np.float32)
-
-    def plane(self, k: int) -> NDArray[np.float32]:
-        """Coarse plane number k."""
-        found: NDArray[np.float32] = self.stretched[k - self.planes.start]
-        return found
 
     def add_patches(self, patches: Patches, threads: int) -> None:
         """Add up patches for all of the chunk, unless that is done."""
@@ -185,6 +199,7 @@ class _Chunk:
             return
         if not self._sums.size:
             self._sums = np.zeros((len(self.planes), len(self.y), len(self.x)), np.float32)
+            self.stretched[:] = 0  # samples of other columns enter nothing that is wanted, but are read
 
         def add(column: tuple[int, int]) -> None:
             x, y = (spans[axis][number] for axis, number in enumerate(column))

@@ -110,7 +110,8 @@ class KernelSum(ScalarField):
                 return (self.own_values(grid, start, stop, threads) < 0).view(np.uint8)
             rows = None if self.periodic else wanted
             if (fine := self._fine(grid, threads)) is not None:
-                out = np.zeros((stop - start, *grid.shape[1::-1]), np.uint8)
+                shape = (stop - start, *grid.shape[1::-1])
+                out = np.empty(shape, np.uint8) if rows is None else np.zeros(shape, np.uint8)
                 fine.sample(self, start, stop, threads, rows, None, out)
                 return out
             if (placed := self._placed(grid, threads)) is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -19,6 +19,12 @@ from sppm_pipeline.numerics.grid import Grid
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.domain.crossings import Crossings
     from sppm_pipeline.numerics.domain.inside import Method
+
+COARSE_VOXELS = 2**20
+"""Voxels of the grid on which a part is looked at as a whole: a choice, for some tenths of a second."""
+
+COARSE_ALONG = 48
+"""Voxels along the longest side of a part whose skin would allow for larger ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +169,21 @@ class Part(WrappedField):
         for window, depth in depths_in_capsules(self.in_mm(grid).layers(start, stop), self.drains):
             solid[window][depth > 0] = 0
         return solid
+
+    def coarse_solid(self, threads: int = 1) -> tuple[NDArray[np.uint8], Grid]:
+        """The part on about `COARSE_VOXELS` cubes, (nz, ny, nx) uint8, and their centers in mm; a margin is void.
+
+        A skin thinner than the voxels is taken as thick as these, so that it stays closed.
+        """
+        lower, extent = np.asarray(self.domain.lower), np.asarray(self.domain.upper - self.domain.lower)
+        fine = self.skin_mm / 1.5 or math.inf
+        pitch = float(max(min(fine, extent.max() / COARSE_ALONG), math.cbrt(extent.prod() / COARSE_VOXELS)))
+        nx, ny, nz = (int(n) + 2 for n in np.ceil(extent / pitch))
+        edge = self.physical_edge()
+        x, y, z = ((lower - pitch / 2 - self.origin_mm) / edge).tolist()
+        grid = Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz))
+        thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
+        return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
 
     def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
         """Warning for voxels larger than the skin is thick, which leave it open; None for smaller ones."""

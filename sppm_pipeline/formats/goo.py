@@ -129,7 +129,7 @@ def encode_layer(block: NDArray[np.uint8], top: int, left: int, height: int, wid
     words = np.zeros((rows, -(-columns // 8) * 8), np.uint8)  # whole words, black behind the last pixel
     words[:, :columns] = block
     data, total = _runs(words, words.view("<u8"), columns, top, left, height, width)
-    return b"".join((b"\x55", data, bytes((~total & 0xFF,))))
+    return b"\x55" + data.tobytes() + bytes((~total & 0xFF,))
 
 
 _LONGEST = 2**28 - 1

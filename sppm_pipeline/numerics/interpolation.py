@@ -4,12 +4,15 @@ Between two samples of the coarse grid a line is taken from the polynomial of de
 either side (Lagrange). It passes through the coarse samples, and it is continuous. For sums of kernels, which are
 smooth but for the axes of tunnels, it is off by a fifth to an eighth of what the four taps of Catmull and Rom are off
 by on the same coarse grid. Taken axis by axis (x, z, y) the 216 taps of a fine sample cost some eight multiplications:
-`stretch` makes the rows of coarse planes fine, once for all layers near them, and `interpolate_layer` does the rest.
+`stretch` makes the rows of coarse planes fine, once for all layers near them, and `interpolate_layers` does the rest.
+
+Bounds that decide runs of samples at once do not pay. Taken from the least and largest of the six coarse rows and the
+weights' overshoot, they decide half of the blocks of sixteen samples where pixels are a quarter of the coarse spacing,
+a tenth where they are three quarters; but to look through six rows takes as long as to add them up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,9 +30,6 @@ _GRAIN = 2.0**-20
 #: Fine samples of a block of a row.
 BLOCK = 16
 _BLOCK = np.uint64(BLOCK)
-
-# Coarse rows of a layer that are kept while the rows between them are computed: at least as many as there are taps.
-_KEPT = 8
 
 
 class Taps(NamedTuple):
@@ -106,11 +106,14 @@ def stretch(coarse: NDArray[np.float32], band: Band, rows: range, out: NDArray[n
         Receives as many samples as there are in all blocks.
     """
     parts = np.uint64(band.first.shape[1])
-    _stretch(coarse, band.first.reshape(-1), parts, band.weights.reshape(-1), rows.start, rows.stop, out)
+    ends = np.uint64(rows.start), np.uint64(rows.stop)
+    _stretch(coarse, band.first.reshape(-1), parts, band.weights.reshape(-1), *ends, out)
 
 
-def interpolate_layer(
-    planes: Sequence[NDArray[np.float32]],
+def interpolate_layers(
+    low: NDArray[np.float32],
+    high: NDArray[np.float32],
+    first: NDArray[np.int64],
     weights: NDArray[np.float32],
     taps: Taps,
     level: float,
@@ -119,35 +122,33 @@ def interpolate_layer(
     field: NDArray[np.float32] | None,
     solid: NDArray[np.uint8] | None,
 ) -> None:
-    """Rows of one fine layer: the interpolated values less `level`, or whether they lie below it.
+    """Rows of fine layers: the interpolated values less `level`, or whether they lie below it.
 
     The value of a sample depends on its taps and the coarse samples alone, to the last bit, whichever rows and parts of
     rows are asked for.
 
     Parameters
     ----------
-    planes : sequence of 6 (cy, nx') float32, C-contiguous
-        The coarse planes of the taps along z, stretched along x; row 0 is the first coarse sample of the first tap.
-    weights : (6,) float32
-        Weights of the planes.
+    low, high : (n, cy, nx') and (m, cy, nx') float32, C-contiguous
+        Consecutive coarse planes, stretched along x; row 0 is the first coarse sample of the first tap along y. They
+        come in two stacks, of which the second may be empty.
+    first, weights : (layers,) int64, (layers, 6) float32
+        Taps of the layers along z, counted from the first plane of `low`.
     taps : Taps
         Of the ny fine samples along y.
     level : float
     rows : range
         Rows to compute.
-    wanted : (ny, 2) int32
+    wanted : (layers, ny, 2) int32
         First sample of each row that matters and the one after the last; others are left as they are.
-    field, solid : (ny, nx) float32 or uint8, C-contiguous
+    field, solid : (layers, ny, nx) float32 or uint8, C-contiguous
         One of them receives the result.
     """
-    p0, p1, p2, p3, p4, p5 = planes
+    coarse = int(taps.first[rows.stop - 1] - taps.first[rows.start]) + TAPS
     _interpolate_rows(
-        p0,
-        p1,
-        p2,
-        p3,
-        p4,
-        p5,
+        low,
+        high,
+        first,
         weights,
         taps.first - taps.first[0],
         taps.weights,
@@ -155,9 +156,9 @@ def interpolate_layer(
         rows.start,
         rows.stop,
         wanted,
-        np.empty((_KEPT, p0.shape[1]), np.float32),
-        np.empty((1, 1), np.float32) if field is None else field,
-        np.empty((1, 1), np.uint8) if solid is None else solid,
+        np.empty((coarse, low.shape[2]), np.float32),
+        np.empty((1, 1, 1), np.float32) if field is None else field,
+        np.empty((1, 1, 1), np.uint8) if solid is None else solid,
         solid is not None,
     )
 
@@ -167,99 +168,101 @@ def interpolate_layer(
 
 
 @fused_jit
-def _sum_rows(
-    a: NDArray[np.float32],
-    b: NDArray[np.float32],
-    c: NDArray[np.float32],
-    d: NDArray[np.float32],
-    e: NDArray[np.float32],
-    f: NDArray[np.float32],
-    w: NDArray[np.float32],
-    begin: np.float32,
-    out: NDArray[np.float32],
-    start: np.uint64,
-    stop: np.uint64,
-) -> None:
-    """A number and the weighted sum of six rows."""
-    w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
-    for i in range(start, stop):
-        out[i] = begin + w0 * a[i] + w1 * b[i] + w2 * c[i] + w3 * d[i] + w4 * e[i] + w5 * f[i]
-
-
-@fused_jit
-def _negative_rows(
-    a: NDArray[np.float32],
-    b: NDArray[np.float32],
-    c: NDArray[np.float32],
-    d: NDArray[np.float32],
-    e: NDArray[np.float32],
-    f: NDArray[np.float32],
-    w: NDArray[np.float32],
-    begin: np.float32,
-    out: NDArray[np.uint8],
-    start: np.uint64,
-    stop: np.uint64,
-) -> None:
-    """Whether a number and the weighted sum of six rows are negative."""
-    w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
-    for i in range(start, stop):
-        value = begin + w0 * a[i] + w1 * b[i] + w2 * c[i] + w3 * d[i] + w4 * e[i] + w5 * f[i]
-        out[i] = np.uint8(value < np.float32(0))
-
-
-@fused_jit
-def _add_block(
-    coarse: NDArray[np.float32],
-    k: np.uint64,
-    w: NDArray[np.float32],
-    j: np.uint64,
-    out: NDArray[np.float32],
-    x: np.uint64,
-) -> None:
-    """Add six coarse samples, from k on, to a block of fine ones, each with its own weights."""
-    a, b, c = coarse[k], coarse[k + np.uint64(1)], coarse[k + np.uint64(2)]
-    d, e, f = coarse[k + np.uint64(3)], coarse[k + np.uint64(4)], coarse[k + np.uint64(5)]
-    for i in range(_BLOCK):
-        out[x + i] = (
-            out[x + i]
-            + a * w[j + i]
-            + b * w[j + i + _BLOCK]
-            + c * w[j + i + np.uint64(2) * _BLOCK]
-            + d * w[j + i + np.uint64(3) * _BLOCK]
-            + e * w[j + i + np.uint64(4) * _BLOCK]
-            + f * w[j + i + np.uint64(5) * _BLOCK]
-        )
-
-
-@jit
-def _stretch(
-    coarse: NDArray[np.float32],
-    first: NDArray[np.uint64],
-    parts: np.uint64,
-    weights: NDArray[np.float32],
-    row_start: int,
-    row_stop: int,
-    out: NDArray[np.float32],
-) -> None:
-    """Row after row, block after block; coarse samples that are no taps add zero, which changes no sum."""
-    blocks, step = np.uint64(len(first)) // parts, np.uint64(TAPS * BLOCK)
-    for plane in range(coarse.shape[0]):
-        for row in range(row_start, row_stop):
-            source, target = coarse[plane, row], out[plane, row]
-            target[:] = np.float32(0)
-            for block in range(blocks):
-                for number in range(block * parts, (block + np.uint64(1)) * parts):
-                    _add_block(source, first[number], weights, number * step, target, block * _BLOCK)
-
-
-@jit
-def _interpolate_rows(
+def _between_planes(
     p0: NDArray[np.float32],
     p1: NDArray[np.float32],
     p2: NDArray[np.float32],
     p3: NDArray[np.float32],
     p4: NDArray[np.float32],
     p5: NDArray[np.float32],
+    row: np.uint64,
+    w: NDArray[np.float32],
+    out: NDArray[np.float32],
+    to: np.uint64,
+    start: np.uint64,
+    stop: np.uint64,
+) -> None:
+    """The weighted sum of one row of six planes."""
+    w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
+    for i in range(start, stop):
+        near = np.float32(0) + w0 * p0[row, i] + w1 * p1[row, i] + w2 * p2[row, i]
+        out[to, i] = near + w3 * p3[row, i] + w4 * p4[row, i] + w5 * p5[row, i]
+
+
+@fused_jit
+def _between_rows(
+    rows: NDArray[np.float32],
+    k: np.uint64,
+    w: NDArray[np.float32],
+    y: np.uint64,
+    begin: np.float32,
+    out: NDArray[np.float32],
+    start: np.uint64,
+    stop: np.uint64,
+) -> None:
+    """A number and the weighted sum of six rows from row k on, with the weights of fine row y."""
+    k1, k2, k3, k4, k5 = k + np.uint64(1), k + np.uint64(2), k + np.uint64(3), k + np.uint64(4), k + np.uint64(5)
+    w0, w1, w2, w3, w4, w5 = w[y, 0], w[y, 1], w[y, 2], w[y, 3], w[y, 4], w[y, 5]
+    for i in range(start, stop):
+        near = begin + w0 * rows[k, i] + w1 * rows[k1, i] + w2 * rows[k2, i]
+        out[y, i] = near + w3 * rows[k3, i] + w4 * rows[k4, i] + w5 * rows[k5, i]
+
+
+@fused_jit
+def _negative_between_rows(
+    rows: NDArray[np.float32],
+    k: np.uint64,
+    w: NDArray[np.float32],
+    y: np.uint64,
+    begin: np.float32,
+    out: NDArray[np.uint8],
+    start: np.uint64,
+    stop: np.uint64,
+) -> None:
+    """Whether the values of `_between_rows` are negative."""
+    k1, k2, k3, k4, k5 = k + np.uint64(1), k + np.uint64(2), k + np.uint64(3), k + np.uint64(4), k + np.uint64(5)
+    w0, w1, w2, w3, w4, w5 = w[y, 0], w[y, 1], w[y, 2], w[y, 3], w[y, 4], w[y, 5]
+    for i in range(start, stop):
+        near = begin + w0 * rows[k, i] + w1 * rows[k1, i] + w2 * rows[k2, i]
+        value = near + w3 * rows[k3, i] + w4 * rows[k4, i] + w5 * rows[k5, i]
+        out[y, i] = np.uint8(value < np.float32(0))
+
+
+@fused_jit
+def _stretch(
+    coarse: NDArray[np.float32],
+    first: NDArray[np.uint64],
+    parts: np.uint64,
+    weights: NDArray[np.float32],
+    row_start: np.uint64,
+    row_stop: np.uint64,
+    out: NDArray[np.float32],
+) -> None:
+    """Row after row, block after block; coarse samples that are no taps add zero, which changes no sum."""
+    blocks, step = np.uint64(len(first)) // parts, np.uint64(TAPS * BLOCK)
+    one, two, three, four, five = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(5)
+    for p in range(np.uint64(coarse.shape[0])):
+        for row in range(row_start, row_stop):
+            for block in range(blocks):
+                x = block * _BLOCK
+                for i in range(_BLOCK):
+                    out[p, row, x + i] = np.float32(0)
+                for number in range(block * parts, (block + one) * parts):
+                    k, j = first[number], number * step
+                    a, b, c = coarse[p, row, k], coarse[p, row, k + one], coarse[p, row, k + two]
+                    d, e, f = coarse[p, row, k + three], coarse[p, row, k + four], coarse[p, row, k + five]
+                    for i in range(_BLOCK):
+                        near = out[p, row, x + i] + a * weights[j + i] + b * weights[j + i + _BLOCK]
+                        near = near + c * weights[j + i + two * _BLOCK] + d * weights[j + i + three * _BLOCK]
+                        far = near + e * weights[j + i + four * _BLOCK] + f * weights[j + i + five * _BLOCK]
+                        out[p, row, x + i] = far
+
+
+@jit
+def _interpolate_rows(
+    low: NDArray[np.float32],
+    high: NDArray[np.float32],
+    first: NDArray[np.int64],
     weights: NDArray[np.float32],
     y_first: NDArray[np.int64],
     y_weights: NDArray[np.float32],
@@ -272,30 +275,32 @@ def _interpolate_rows(
     solid: NDArray[np.uint8],
     threshold: bool,
 ) -> None:
-    """Row after row; coarse row j, interpolated along z, stands in ``kept[j % 8]``, where it was wanted so far."""
-    held = np.full(8, -1, np.int64)
-    low = np.zeros(8, np.int64)
-    high = np.zeros(8, np.int64)
-    for y in range(row_start, row_stop):
-        start, stop = np.int64(wanted[y, 0]), np.int64(wanted[y, 1])
-        if start >= stop:
-            continue
-        first = y_first[y]
-        for j in range(first, first + 6):
-            slot = j % 8
-            if held[slot] != j:
-                held[slot] = j
-                low[slot] = high[slot] = start
-            for side in range(2):
-                a = np.uint64(start if side == 0 else high[slot])
-                b = np.uint64(low[slot] if side == 0 else stop)
-                if a < b:
-                    six = (p0[j], p1[j], p2[j], p3[j], p4[j], p5[j])
-                    _sum_rows(*six, weights, np.float32(0), kept[slot], a, b)
-            low[slot], high[slot] = min(low[slot], start), max(high[slot], stop)
-        near = (kept[first % 8], kept[(first + 1) % 8], kept[(first + 2) % 8])
-        far = (kept[(first + 3) % 8], kept[(first + 4) % 8], kept[(first + 5) % 8])
-        if threshold:
-            _negative_rows(*near, *far, y_weights[y], -level, solid[y], np.uint64(start), np.uint64(stop))
-        else:
-            _sum_rows(*near, *far, y_weights[y], -level, field[y], np.uint64(start), np.uint64(stop))
+    """Layer by layer: coarse rows along z, each as far as any fine row near it wants it, then the fine rows."""
+    base, planes = y_first[row_start], low.shape[0]
+    start = np.empty(kept.shape[0], np.int64)
+    stop = np.empty(kept.shape[0], np.int64)
+    for layer in range(len(first)):
+        start[:], stop[:] = kept.shape[1], 0
+        for y in range(row_start, row_stop):
+            begin, end = np.int64(wanted[layer, y, 0]), np.int64(wanted[layer, y, 1])
+            if begin < end:
+                for k in range(y_first[y] - base, y_first[y] - base + TAPS):
+                    start[k], stop[k] = min(start[k], begin), max(stop[k], end)
+        f = first[layer]
+        p0 = low[f] if f < planes else high[f - planes]
+        p1 = low[f + 1] if f + 1 < planes else high[f + 1 - planes]
+        p2 = low[f + 2] if f + 2 < planes else high[f + 2 - planes]
+        p3 = low[f + 3] if f + 3 < planes else high[f + 3 - planes]
+        p4 = low[f + 4] if f + 4 < planes else high[f + 4 - planes]
+        p5 = low[f + 5] if f + 5 < planes else high[f + 5 - planes]
+        for k in range(kept.shape[0]):
+            if start[k] < stop[k]:
+                span = np.uint64(start[k]), np.uint64(stop[k])
+                _between_planes(p0, p1, p2, p3, p4, p5, np.uint64(base + k), weights[layer], kept, np.uint64(k), *span)
+        for y in range(row_start, row_stop):
+            span = np.uint64(wanted[layer, y, 0]), np.uint64(wanted[layer, y, 1])
+            row = np.uint64(y_first[y] - base)
+            if span[0] < span[1] and threshold:
+                _negative_between_rows(kept, row, y_weights, np.uint64(y), -level, solid[layer], *span)
+            elif span[0] < span[1]:
+                _between_rows(kept, row, y_weights, np.uint64(y), -level, field[layer], *span)

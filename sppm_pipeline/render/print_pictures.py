@@ -91,9 +91,9 @@ def curves_chart(columns: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def throats_chart(rows: Sequence[Mapping[str, float]]) -> bytes:
-    """Void that does not drain over the diameter of the throat, as PNG."""
+    """Room of balls that can't leave over their diameter, as PNG."""
     from sppm_pipeline.render.charts import Series, chart
 
     x, y = ([row[name] for row in rows] for name in ("diameter_mm", "undrained_mm3"))
     series = [Series(x, y, kind="line", color="#0072b2"), Series(x, y, color="#0072b2")]
-    return chart(series, "throats.png", x_label="throat (mm)", y_label="undrained void (mm³)")
+    return chart(series, "throats.png", x_label="throat (mm)", y_label="centers of balls that can't leave (mm³)")

@@ -43,6 +43,7 @@ BUILT_IN = {
     "fill.implicit": "ImplicitFill",
     "fill.boolean": "BooleanFill",
     "fill.combine": "Combine",
+    "fix.drains": "FixDrains",
     "extract.marching_cubes": "MarchingCubes",
     "extract.voxels": "ExtractVoxels",
     "mesh.isosurface_stuffing": "IsosurfaceStuffing",

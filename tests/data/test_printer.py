@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -56,6 +57,13 @@ def test_cards_of_a_user(tmp_path):
     assert found.printer("prusa_sl1").model == "SL1"
     replaced = cards(own(tmp_path, CARD.replace("mine:", "prusa_sl1:")))
     assert replaced.printer("prusa_sl1").model == "Mine"  # one's own card wins
+
+
+def test_the_cards_of_the_manual(tmp_path):
+    page = (Path(__file__).parents[2] / "docs/howto/printer-files.md").read_text(encoding="utf-8")
+    found = cards(own(tmp_path, page.split("```text\n")[1].split("```")[0]))
+    assert found.printer("mine").pixel_mm == (0.019, 0.024)
+    assert found.resin("tough").penetration_mm == 0.12
 
 
 @pytest.mark.parametrize(

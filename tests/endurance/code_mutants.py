@@ -35,18 +35,22 @@ TARGETS = {
     "data/length": ("tests/data/test_length.py", "tests/formats/test_units.py"),
     "data/stiffness": _ELASTIC,
     "errors": ("tests/cli/test_cli.py",),
-    "numerics/grid": ("tests/numerics/test_interpolation.py", "tests/numerics/porosity/test_fractions.py"),
+    "numerics/grid": ("tests/numerics/test_grid.py",),
     "numerics/homogenization/stiffness/bounds": _ELASTIC,
     "numerics/homogenization/stiffness/convergence": _ELASTIC,
     "numerics/homogenization/stiffness/directional": _ELASTIC,
     "numerics/homogenization/stiffness/isotropy": _ELASTIC,
     "numerics/homogenization/stiffness/surrogate": _ELASTIC,
     "numerics/homogenization/stiffness/voigt": _ELASTIC,
-    "numerics/porosity/boolean_model": ("tests/numerics/porosity",),
+    "numerics/porosity/boolean_model": ("tests/numerics/porosity/test_boolean_model.py",),
     "numerics/porosity/level": ("tests/numerics/porosity/test_level.py", "tests/numerics/porosity/test_bracket.py"),
     "numerics/porosity/line": ("tests/numerics/porosity/test_line.py",),
     "numerics/sampling/spacing": ("tests/numerics/sampling/test_spacing.py",),
-    "formats/inp": ("tests/formats/test_material_card.py", "tests/formats/test_volume_meshes.py"),
+    "formats/inp": (
+        "tests/formats/test_material_card.py",
+        "tests/formats/test_volume_meshes.py",
+        "tests/stages/write/test_volume_meshes.py",
+    ),
 }  # fmt: skip
 """Modules, and the tests that should notice a change of theirs."""
 

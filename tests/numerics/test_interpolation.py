@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.interpolation import BLOCK, TAPS, band_of, interpolate_layer, stretch, taps_at
+from sppm_pipeline.numerics.interpolation import BLOCK, TAPS, band_of, interpolate_layers, stretch, taps_at
 
 
-def interpolated(coarse, x, y, z, *, level=0.0, spans=None, bands=1000, solid=False):
+def interpolated(coarse, x, y, z, *, level=0.0, spans=None, bands=1000, solid=False, cut=9):
     """The function sampled at 0, 1, 2, ... in `coarse` (nz, ny, nx), at fine positions along each axis."""
     taps = [taps_at(np.asarray(places, float)) for places in (x, y, z)]
     window = [slice(int(t.first[0]), int(t.first[-1]) + TAPS) for t in taps]
@@ -15,14 +15,12 @@ def interpolated(coarse, x, y, z, *, level=0.0, spans=None, bands=1000, solid=Fa
     wide = np.zeros((*planes.shape[:2], len(band.first) * BLOCK), np.float32)
     stretch(planes, band, range(planes.shape[1]), wide)
     ny, nx = len(y), len(x)
-    spans = np.tile(np.array([0, nx], np.int32), (ny, 1)) if spans is None else spans
+    spans = np.tile(np.array([0, nx], np.int32), (len(z), ny, 1)) if spans is None else np.tile(spans, (len(z), 1, 1))
     out = np.zeros((len(z), ny, nx), np.uint8 if solid else np.float32)
-    for k, first in enumerate(taps[2].first):
-        for row in range(0, ny, bands):
-            rows = range(row, min(row + bands, ny))
-            places = {"solid": out[k], "field": None} if solid else {"field": out[k], "solid": None}
-            planes = list(wide[first : first + TAPS])
-            interpolate_layer(planes, taps[2].weights[k], taps[1], level, rows, spans, **places)
+    for row in range(0, ny, bands):
+        rows = range(row, min(row + bands, ny))
+        places = {"solid": out, "field": None} if solid else {"field": out, "solid": None}
+        interpolate_layers(wide[:cut], wide[cut:], *taps[2], taps[1], level, rows, spans, **places)
     return out
 
 

@@ -74,6 +74,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "tile.scattered": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
     "tile.fresh": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
     "fill.implicit": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "", LAYERS),
+    "fix.drains": (
+        [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],
+        "", LAYERS),
     "extract.marching_cubes": (TILED, "resolution: 8", []),
     "extract.manifold_sdf": (TILED, "resolution: 8", []),
     "extract.unit_cell": (REPEATED, "resolution: 8", []),
@@ -97,7 +100,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "check.residual_periodicity": (TILED, "resolution: 8", []),
     "slice.field": (TILED, "pixel: 0.25", ["  - write.png"]),
     "write.png": ([*TILED, "  - {stage: slice.field, pixel: 0.25}"], "", []),
-    "slice.plate": ([BOX, "  - {stage: slice.mesh, pixel: 0.25}"], "copies: [2]", ["  - write.png"]),
+    "slice.plate": ([BOX, "  - {stage: slice.mesh, pixel: 0.25}"], "quantity: [2]", ["  - write.png"]),
     "write.sl1": ([BOX, "  - {stage: slice.mesh, printer: prusa_sl1s, layer: 0.1 mm}"], "", []),
     "write.goo": ([BOX, "  - {stage: slice.mesh, printer: elegoo_mars_4_dlp, layer: 0.2 mm}"], "", []),
     "write.nanodlp": ([BOX, "  - {stage: slice.mesh, printer: concepts3d_athena_8k, layer: 0.2 mm}"], "", []),

@@ -1,10 +1,11 @@
 """Degree-bounded subgraphs on any number of pores: the spanning tree, filled up and improved region by region.
 
 A pass cuts the box into regions that share no pore; each replaces the edges among its own pores by shorter ones, and
-leaves those that lead out of it as they are: they count for the degrees. What the edges of a region connect before,
-they connect afterwards; so a connected graph stays connected whatever the other regions do in the meantime, and
-neither their order nor their number at a time matters. The regions of the next pass are moved by half an edge along
-every axis, across the periodic border, too, so that what was a border comes to lie inside.
+leaves those that lead out of it as they are: they count for the degrees. An edge may go if its ends stay connected, be
+it by a way through the pores around the region: with A = 2 loops are long, and few lie in one region. So regions that
+touch are never worked on at a time; they have colors, and all of one color see what those before have left. Neither the
+order nor the number of regions at a time within a color matters. The regions of the next pass are moved by half an edge
+along every axis, across the periodic border, too, so that what was a border comes to lie inside.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from sppm_pipeline.numerics.connecting.relative_degrees import (
     as_tunnels,
     connected_neighbors,
     degrees_of,
+    ends_by_pore,
     tree_of,
 )
 from sppm_pipeline.numerics.connecting.trees import component_labels, edge_lengths, wrapped
@@ -44,9 +46,16 @@ WHOLE = 2000
 """Most pores that are joined by one search, and that a region of the exact modes holds: the time of an integer program
 grows steeply beyond."""
 
-GREEDY_REGION = 12_000
-"""Pores of a region in greedy mode, a choice: the larger, the fewer pores lie at a border, and the more memory a region
-takes."""
+GREEDY_REGION = 6000
+"""Pores of a region in greedy mode, a choice: the larger, the fewer pores lie around it, and the fewer regions can be
+worked on at a time."""
+
+AROUND = 5.0
+"""Mean distances of pores within which ways around a region are looked for. With 9 graphs of degrees [2, 3] come out
+the same within .2 %."""
+
+FIXED = -1e6
+"""Length, mean distances of pores, of edges that stay as they are: taking one out never gains."""
 
 PASSES = (0.0, 0.5)
 """Places of the regions in fractions of their edge."""
@@ -55,15 +64,18 @@ BORDER = 1.5
 """Mean distances from the borders of the pass before within which pores are tried again: a choice, as far as the tenth
 neighbor of evenly spread pores lies (a ball of eleven has the radius 1.4)."""
 
-DETOUR = 300
-"""Pores among which a way round a tunnel is looked for. With degrees [2, 3], where loops are long, graphs on 500 pores
-come out 3 % longer with 30, and the same with 3000."""
+DETOUR, DETOUR_OF_TREE = 3000, 300
+"""Pores among which a way round a tunnel is looked for. With degrees [2, 3] there is a loop to about 25 pores, and most
+are long: 4000 pores in regions of 700 come out 3.8, 1.6 and .4 % longer than joined at once with 300, 1000 and
+3000. In trees, where most searches end in vain, 3000 takes three times as long as 300 for .04 %."""
 
 Turns = NDArray[np.int8]
+Ends = tuple[NDArray[np.int32], NDArray[np.int64]]
+"""What `ends_by_pore` returns."""
 
 
 class Region(NamedTuple):
-    """The pores of a region, the edges among them, and what the edges that lead out leave of the degrees.
+    """The pores of a region, the edges among them, and those that stay.
 
     Attributes
     ----------
@@ -71,14 +83,17 @@ class Region(NamedTuple):
         In one piece: images of the pores where the region lies across a periodic border.
     edges : (m, 2) int64
         Pairs i < j among them.
+    fixed : (f, 2) int64
+        Edges that lead out of the region, and those among the pores around it, which have numbers from n on.
     lower, upper : (n,) int64
-        Bounds of the degrees within the region.
+        Bounds of the degrees, less the edges that are not listed here.
     waiting : (n,) bool
         Where shorter edges are looked for first.
     """
 
     points: NDArray[np.float64]
     edges: NDArray[np.int64]
+    fixed: NDArray[np.int64]
     lower: NDArray[np.int64]
     upper: NDArray[np.int64]
     waiting: NDArray[np.bool_]
@@ -102,25 +117,42 @@ class Cut(NamedTuple):
     regions: NDArray[np.int64]
     offset: float
 
+    def shape(self, period: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Regions along each axis; where nothing repeats, moved ones are one more."""
+        return np.asarray(self.regions + ((self.offset > 0) & (period <= 0)))
+
+    def in_regions(self, points: NDArray[np.float64], period: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions (n, 3) in edges of a region; region (i, j, k) lies between i and i + 1, and so on."""
+        return (points - self.origin) / self.edge + np.where(period > 0, -self.offset, self.offset)
+
     def places(self, points: NDArray[np.float64], period: NDArray[np.float64]) -> tuple[NDArray[np.int64], Turns]:
         """Number of the region of each pore, (n,), and the periods by which its image there is moved, (n, 3)."""
-        number = np.zeros(len(points), np.int64)
-        turns = np.zeros((len(points), 3), np.int8)
-        for a in range(3):
-            repeats = period[a] > 0
-            count = self.regions[a] + (self.offset > 0 and not repeats)
-            index = np.floor(
-                (points[:, a] - self.origin[a]) / self.edge[a] + (-self.offset if repeats else self.offset)
-            )
-            if repeats:
-                turns[:, a] = index < 0
-                index += self.regions[a] * turns[:, a]
-            number = number * count + np.clip(index.astype(np.int64), 0, count - 1)
-        return number, turns
+        index = np.floor(self.in_regions(points, period)).astype(np.int64)
+        turns = ((index < 0) & (period > 0)).astype(np.int8)
+        shape = self.shape(period)
+        index = np.clip(index + self.regions * turns, 0, shape - 1)
+        return np.ravel_multi_index(tuple(index.T), tuple(shape)), turns
+
+    def colors(self, period: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Colors of all regions: two that touch have different ones."""
+        parity = [np.arange(count) % 2 for count in self.shape(period)]
+        for axis in np.flatnonzero((period > 0) & (self.regions % 2 == 1) & (self.regions > 1)):
+            parity[axis][-1] = 2
+        color: NDArray[np.int64] = np.ravel_multi_index(np.meshgrid(*parity, indexing="ij"), (3, 3, 3)).ravel()
+        return color
+
+    def around(self, region: int, period: NDArray[np.float64]) -> NDArray[np.int64]:
+        """The regions that touch one, without itself."""
+        shape = self.shape(period)
+        index = np.array(np.unravel_index(region, shape)) + np.argwhere(np.ones((3, 3, 3), bool)) - 1
+        index = np.where(period > 0, index % shape, index)
+        index = index[((index >= 0) & (index < shape)).all(axis=1)]
+        beside: NDArray[np.int64] = np.setdiff1d(np.ravel_multi_index(tuple(index.T), tuple(shape)), region)
+        return beside
 
     def near_border(self, points: NDArray[np.float64], period: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
         """Which points lie at most `margin` from the border of a region."""
-        place = (points - self.origin) / self.edge + np.where(period > 0, -self.offset, self.offset)
+        place = self.in_regions(points, period)
         return np.asarray((np.abs(place - np.rint(place)) * self.edge <= margin).any(axis=1))
 
 
@@ -189,7 +221,7 @@ def regional_subgraph(
         margin = BORDER * spacing
         waiting = np.ones(n, np.bool_) if before is None else before.near_border(inside, period, margin)
         before = cut if how == "greedy" else None
-        network = _pass(inside, period, network, degree, cut, waiting, how, k, threads)
+        network = _pass(inside, period, network, degree, cut, waiting, how, k, AROUND * spacing, threads)
         progress(step + 1, max(step + 1, len(plan)))
     misfits = _misfits(network, n, degree)
     if misfits:
@@ -218,6 +250,34 @@ def _cut(inside: NDArray[np.float64], period: NDArray[np.float64], most: int, of
     return Cut(origin, extent / count, count, offset)
 
 
+class Sorted(NamedTuple):
+    """Pores by region: those of region r are ``pores[first[r] : first[r + 1]]``; `turns` are those of `Cut.places`."""
+
+    inside: NDArray[np.float64]
+    period: NDArray[np.float64]
+    cut: Cut
+    turns: Turns
+    pores: NDArray[np.int32]
+    first: NDArray[np.int64]
+
+    def own(self, region: int) -> NDArray[np.int32]:
+        """The pores of a region, ascending."""
+        return self.pores[self.first[region] : self.first[region + 1]]
+
+    def near(self, region: int, margin: float) -> NDArray[np.int32]:
+        """The pores of the regions around one that lie at most `margin` away from it along each axis."""
+        beside = np.concatenate([self.pores[:0], *(self.own(b) for b in self.cut.around(region, self.period))])
+        middle = np.array(np.unravel_index(region, self.cut.shape(self.period))) + 0.5
+        off = self.cut.in_regions(self.inside[beside], self.period) - middle
+        off -= np.where(self.period > 0, np.rint(off / self.cut.regions) * self.cut.regions, 0)
+        kept: NDArray[np.int32] = beside[((np.abs(off) - 0.5) * self.cut.edge <= margin).all(axis=1)]
+        return kept
+
+    def is_within(self, edges: NDArray[np.int32], turns: Turns) -> NDArray[np.bool_]:
+        """Whether edges between pores of one region lead to the images of these in the region."""
+        return np.asarray((self.turns[edges[:, 1]] - self.turns[edges[:, 0]] == turns).all(axis=1))
+
+
 def _pass(
     inside: NDArray[np.float64],
     period: NDArray[np.float64],
@@ -227,61 +287,98 @@ def _pass(
     waiting: NDArray[np.bool_],
     how: str,
     k: int,
+    margin: float,
     threads: int,
 ) -> Network:
-    """The network after every region was improved once."""
-    n = len(inside)
+    """The network after every region was improved once, color after color."""
     number, turns = cut.places(inside, period)
-    total = degrees_of(n, network.edges)
-    pores = np.argsort(number, kind="stable").astype(np.int32)
-    first = np.concatenate([[0], np.cumsum(np.bincount(number))])
-    place = np.empty(n, np.int32)
-    place[pores] = np.arange(n) - first[number[pores]]
-    region = number[network.edges[:, 0]]
-    leads_out = region != number[network.edges[:, 1]]
-    leads_out |= (turns[network.edges[:, 1]] - turns[network.edges[:, 0]] != network.turns).any(axis=1)
-    region[leads_out] = -1
-    within = np.argsort(region, kind="stable").astype(np.int32)
-    start = np.searchsorted(region[within], np.arange(len(first)))
+    count = np.bincount(number, minlength=int(cut.shape(period).prod()))
+    first = np.concatenate([[0], np.cumsum(count)])
+    pores = Sorted(inside, period, cut, turns, np.argsort(number, kind="stable").astype(np.int32), first)
+    colors = np.where(count > 1, cut.colors(period), -1)
+    for color in np.unique(colors[colors >= 0]):
+        before = network
+        total = degrees_of(len(inside), before.edges)
+        ends = ends_by_pore(before.edges, total)
 
-    def improved(r: int) -> NDArray[np.int32]:
-        own = pores[first[r] : first[r + 1]]
-        ends = place[network.edges[within[start[r] : start[r + 1]]]].astype(np.int64)
-        outside = total[own] - np.bincount(ends.ravel(), minlength=len(own))
-        piece = Region(
-            inside[own] + turns[own] * period,
-            ends,
-            np.maximum(degree[0] - outside, 0),
-            np.maximum(degree[1] - outside, 0),
-            waiting[own],
-        )
-        if how == "greedy" or not len(ends):
-            return own[greedily_improved(piece, k)]
-        from sppm_pipeline.numerics.connecting.exact import exactly_improved
+        def improved(
+            r: int, before: Network = before, total: NDArray[np.int32] = total, ends: Ends = ends
+        ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+            """Edges of the network that a region replaces, and those that take their place."""
+            own = pores.own(r)
+            # exact modes know of no way around
+            known = np.concatenate([own, pores.near(r, margin)]) if how == "greedy" else own
+            which, local = _edges_among(known, before.edges, ends)
+            free = (local < len(own)).all(axis=1) & pores.is_within(before.edges[which], before.turns[which])
+            fixed = local[~free] if how == "greedy" else local[:0]
+            listed = np.bincount(np.concatenate([local[free], fixed]).ravel(), minlength=len(known))
+            beyond = total[own] - listed[: len(own)]
+            low, high = (np.maximum(bound - beyond, 0) for bound in degree)
+            points = inside[own] + turns[own] * period
+            if how == "greedy" or not free.any():
+                region = Region(points, np.sort(local[free], axis=1), fixed, low, high, waiting[own])
+                made = greedily_improved(region, k, DETOUR if degree[0] > 1 else DETOUR_OF_TREE)
+            else:
+                from sppm_pipeline.numerics.connecting.exact import exactly_improved
 
-        return own[exactly_improved(piece.points, ends, piece.lower, piece.upper, degree[0] <= 1, k, how == "lp_fix")]
+                inner = np.sort(local[free], axis=1)
+                made = exactly_improved(points, inner, low, high, degree[0] <= 1, k, how == "lp_fix")
+            return which[free], own[made]
 
-    busy = [r for r in range(len(first) - 1) if first[r + 1] - first[r] > 1]
-    found = [network.edges[leads_out], *ordered_map(improved, busy, threads)]
-    images = [network.turns[leads_out], *(turns[e[:, 1]] - turns[e[:, 0]] for e in found[1:])]
-    return Network(np.concatenate(found), np.concatenate(images))
+        kept = np.ones(len(before.edges), np.bool_)
+        found, images = [], []
+        for gone, made in ordered_map(improved, np.flatnonzero(colors == color).tolist(), threads):
+            kept[gone] = False
+            found.append(made)
+            images.append(turns[made[:, 1]] - turns[made[:, 0]])
+        network = Network(np.concatenate([before.edges[kept], *found]), np.concatenate([before.turns[kept], *images]))
+    return network
 
 
-def greedily_improved(region: Region, k: int) -> NDArray[np.int64]:
+def _edges_among(
+    known: NDArray[np.int32], edges: NDArray[np.int32], ends: Ends
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Ascending indices of the edges that join two of the known pores, and their ends (m, 2) as places in `known`."""
+    around, start = ends
+    count = start[known + 1] - start[known]
+    at = np.repeat(start[known] - np.cumsum(count) + count, count) + np.arange(count.sum())
+    which, times = np.unique(around[at] // 2, return_counts=True)
+    which = which[times == 2]
+    order = np.argsort(known)
+    return which, order[np.searchsorted(known, edges[which], sorter=order)]
+
+
+def greedily_improved(region: Region, k: int, detour: int) -> NDArray[np.int64]:
     """The edges of a region after missing ones were added, superfluous ones turned away, and long ones exchanged."""
     n = len(region.points)
-    edges, chosen = candidates_of_region(region.points, region.edges, k)
-    length = edge_lengths(region.points, edges, np.zeros((1, 3), np.int64))
+    own, chosen = candidates_of_region(region.points, region.edges, k)
+    length = edge_lengths(region.points, own, np.zeros((1, 3), np.int64))
+    # in the middle of a fixed edge among the region's own pores lies one more vertex, as only vertices hold edges
+    inner = region.fixed[(region.fixed < n).all(axis=1)]
+    outer = region.fixed[(region.fixed >= n).any(axis=1)]
+    vertices = max(n, int(region.fixed.max(initial=-1)) + 1)
+    middle = vertices + np.arange(len(inner))
+    fixed = np.concatenate([outer, *(np.stack([inner[:, end], middle], axis=1) for end in range(2))])
+    vertices += len(inner)
+    edges = np.concatenate([own, fixed])
+    length = np.concatenate([length, np.full(len(fixed), FIXED * length.max(initial=1.0))])
     edge, conflict, near, order = edge_table(edges, length, np.zeros((0, 2), np.int64))
-    slots = int(max(np.bincount(region.edges.ravel()).max(initial=0), region.upper.max(initial=0)))
-    node = node_table(n, edges, region.lower, region.upper, slots, DETOUR)
+    chosen = np.concatenate([chosen, np.arange(len(own), len(edges))])
+    # no edge may go from a vertex at its lower bound
+    lower, upper = (
+        np.concatenate([bound, np.full(vertices - n, len(edges))]) for bound in (region.lower, region.upper)
+    )
+    slots = int(max(np.bincount(edges[chosen].ravel(), minlength=1).max(), region.upper.max(initial=0)))
+    node = node_table(vertices, edges, lower, upper, slots, detour)
     insert_all(edge, node, chosen)
-    waiting = region.waiting | (node[:n, DEGREE] < region.lower) | (node[:n, DEGREE] > region.upper)
+    degree = node[:n, DEGREE]
+    waiting = np.zeros(vertices, np.bool_)
+    waiting[:n] = region.waiting | (degree < region.lower) | (degree > region.upper)
     lower_degrees(edge, node, length, near)
     fill(edge, node, order)
     raise_degrees(edge, node, length, near)
     improve(edge, node, conflict, length, near, waiting, False)
-    kept: NDArray[np.int64] = edges[edge[:, CHOSEN] == 1]
+    kept: NDArray[np.int64] = own[edge[: len(own), CHOSEN] == 1]
     return kept
 
 

@@ -137,7 +137,7 @@ def cut_degrees(
     crowded = np.flatnonzero(_touching(edges, degree > upper))
     length = edge_lengths(inside, edges[crowded], turns[crowded] * period.astype(np.int64))
     order = crowded[np.argsort(-length, kind="stable")]
-    kept = _cut(edges, *_ends_by_pore(edges, degree), degree, order, lower, upper, _DETOUR)
+    kept = _cut(edges, *ends_by_pore(edges, degree), degree, order, lower, upper, _DETOUR)
     return Network(edges[kept], turns[kept]), int((degree > upper).sum())
 
 
@@ -162,9 +162,10 @@ def raise_degrees(
                 f"{len(poor)} of {n} pores find fewer than {lower} tunnels: the pores around them all have {upper}",
                 hint="widen the degree bounds, for example to [3, 5]",
             )
-        keys = np.unique(nearest_keys(sorted_into_buckets(inside, period), poor, k).ravel())
+        keys = np.sort(nearest_keys(sorted_into_buckets(inside, period), poor, k).ravel())
+        keys = keys[(keys >= 0) & (np.diff(keys, prepend=-1) > 0)]
         there = _touching(edges, degree < lower)
-        keys = np.setdiff1d(keys[keys >= 0], _keys(edges[there], turns[there], n), assume_unique=True)
+        keys = np.setdiff1d(keys, _keys(edges[there], turns[there], n), assume_unique=True)
         more, images = edges_of_keys(keys, n)
         order = np.argsort(edge_lengths(inside, more, images * period.astype(np.int64)), kind="stable")
         added = order[_raise(more, degree, order, lower, upper)]
@@ -214,7 +215,7 @@ def _touching(edges: NDArray[np.int32], marked: NDArray[np.bool_]) -> NDArray[np
 
 
 @jit
-def _ends_by_pore(edges: NDArray[np.int32], degree: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def ends_by_pore(edges: NDArray[np.int32], degree: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Numbers ``2 e + side`` of the ends of edges by pore, (2 m,), and where those of each pore begin, (n + 1,)."""
     start = np.zeros(len(degree) + 1, np.int64)
     for i in range(len(degree)):

@@ -81,7 +81,7 @@ class Coarsened:
 
     def __init__(self, shape: tuple[int, int], factors: tuple[int, int, int]) -> None:
         self._factors = factors
-        self.shape = tuple(-(-n // f) for n, f in zip(shape, factors, strict=False))
+        self.shape = (-(-shape[0] // factors[0]), -(-shape[1] // factors[1]))
         self._sum = np.zeros(self.shape[::-1], np.int32)
         self._taken = 0
 

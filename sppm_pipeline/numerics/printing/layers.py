@@ -37,49 +37,70 @@ def _unsupported(
     ny, around = rows.size - 1, reach.size // 2
     out_rows = np.empty_like(rows)
     out = np.empty(max(64, bounds.size), np.int32)
-    held = np.zeros(nx, np.uint8)
+    # what of a row is left, and what is left of that; never more runs than fit into it
+    left, rest = np.empty(nx + 2, np.int32), np.empty(nx + 2, np.int32)
     n = 0
     for y in range(ny):
         out_rows[y] = n // 2
-        if rows[y] == rows[y + 1]:
-            continue
-        held[:] = 0
-        for dy in range(-around, around + 1):
-            if 0 <= y + dy < ny:
-                wide = reach[dy + around]
-                for r in range(rows_below[y + dy], rows_below[y + dy + 1]):
-                    held[max(0, bounds_below[2 * r] - wide) : min(nx, bounds_below[2 * r + 1] + wide)] = 1
-        for r in range(rows[y], rows[y + 1]):
-            start, stop = bounds[2 * r], bounds[2 * r + 1]
-            total = 0
-            for x in range(start, stop):
-                total += held[x]
-            if total == stop - start:
-                continue
-            x = start
-            while x < stop:
-                while x < stop and held[x]:
-                    x += 1
-                if x == stop:
-                    break
-                if n + 2 > out.size:
-                    out = np.concatenate((out, np.empty(out.size, np.int32)))
-                out[n] = x
-                while x < stop and not held[x]:
-                    x += 1
-                out[n + 1] = x
-                n += 2
+        m = 2 * (rows[y + 1] - rows[y])
+        left[:m] = bounds[2 * rows[y] : 2 * rows[y + 1]]
+        for turn in range(2 * around + 1):
+            dy = (turn + 1) // 2 if turn % 2 else -(turn // 2)  # the row itself holds most
+            if m and 0 <= y + dy < ny:
+                m = _subtract(
+                    left, m, bounds_below, rows_below[y + dy], rows_below[y + dy + 1], reach[dy + around], rest
+                )
+                left, rest = rest, left
+        if n + m > out.size:
+            out = np.concatenate((out, np.empty(out.size + m, np.int32)))
+        out[n : n + m] = left[:m]
+        n += m
     out_rows[ny] = n // 2
     return out_rows, out[:n].copy()
 
 
+@jit
+def _subtract(
+    runs: NDArray[np.int32], n: int, taken: NDArray[np.int32], r: int, r_stop: int, wide: int, out: NDArray[np.int32]
+) -> int:
+    """Write what of some runs lies outside of others, which are widened at both ends; returns the bounds written."""
+    m = 0
+    for i in range(0, n, 2):
+        start, stop = runs[i], runs[i + 1]
+        while r < r_stop and taken[2 * r + 1] + wide <= start:
+            r += 1
+        other = r
+        while start < stop and other < r_stop and taken[2 * other] - wide < stop:
+            if taken[2 * other] - wide > start:
+                out[m] = start
+                out[m + 1] = taken[2 * other] - wide
+                m += 2
+            start = max(start, taken[2 * other + 1] + wide)
+            other += 1
+        if start < stop:
+            out[m] = start
+            out[m + 1] = stop
+            m += 2
+    return m
+
+
 def first_moments(runs: Runs) -> tuple[float, float]:
     """Sums of x and of y over the pixels of a layer, at their centers (x + 1/2, y + 1/2)."""
-    start, stop = runs.bounds[::2].astype(np.int64), runs.bounds[1::2].astype(np.int64)
-    per_row = np.add.reduceat(np.append(stop - start, 0), np.minimum(runs.rows[:-1], len(start)))
-    per_row[np.diff(runs.rows) == 0] = 0  # `reduceat` gives an element where a row is empty
-    along_x = float(((stop - start) * (start + stop)).sum()) / 2
-    return along_x, float(per_row @ (np.arange(runs.shape[1]) + 0.5))
+    x, y = _first_moments(runs.rows, runs.bounds)
+    return float(x) / 2, float(y) / 2
+
+
+@jit
+def _first_moments(rows: NDArray[np.int64], bounds: NDArray[np.int32]) -> tuple[np.int64, np.int64]:
+    x, y = np.int64(0), np.int64(0)
+    for line in range(rows.size - 1):
+        length = np.int64(0)
+        for r in range(rows[line], rows[line + 1]):
+            start, stop = np.int64(bounds[2 * r]), np.int64(bounds[2 * r + 1])
+            length += stop - start
+            x += (stop - start) * (start + stop)
+        y += length * (2 * line + 1)
+    return x, y
 
 
 def convex_hull(runs: Runs) -> NDArray[np.float64]:

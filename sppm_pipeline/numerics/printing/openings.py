@@ -79,7 +79,7 @@ class Throats:
         """What was found at each diameter."""
         self._follow(self._distance.finish())
         return [
-            ThroatLevel(d, room, int(tracker.finish(self._layers).total[NEVER]))
+            ThroatLevel(d, room, int(tracker.finish(self._layers).totals[NEVER]))
             for d, room, tracker in zip(self._diameters, self._room, self._trackers, strict=True)
         ]
 
@@ -110,7 +110,8 @@ class ThinFeatures:
         self._waiting: deque[NDArray[np.uint8]] = deque()
         self.thin: list[int] = []
         self.phase: list[int] = []
-        self._take(np.full(padded[::-1], self._outside, np.uint8))
+        self._beyond = np.full(padded[::-1], self._outside, np.uint8)
+        self._take(self._beyond)
 
     def add(self, phase: NDArray[np.uint8]) -> None:
         """Take in the next layer of zeros and ones."""
@@ -132,7 +133,7 @@ class ThinFeatures:
 
     def finish(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Thin voxels and voxels of the phase in each layer."""
-        self._take(np.full_like(self._waiting[-1], self._outside))
+        self._take(self._beyond)
         self._erode(self._to_rest.finish())
         self._open(self._to_core.finish())
         return np.array(self.thin[1:-1]), np.array(self.phase[1:-1])

@@ -19,6 +19,9 @@ VOID, SOLID, OVERHANG, ISLAND, CUP, TRAP = range(6)
 BANDS = 8
 """Of so many bands of the height the worst layer for each reason is remembered, so that not all are neighbors."""
 
+APART = 60
+"""Painted layers differ by more than this part of the height, as neighbors look alike."""
+
 _TRAPPED, _OPENED, _AMBIENT = -1, -2, -3
 
 CURVES = (
@@ -70,7 +73,9 @@ class _Remembered:
 
     def follow(self, void: Tracker, was_on_plate: NDArray[np.bool_]) -> None:
         """Carry the components of void over the next layer."""
-        alive = self.fate >= 0
+        alive = np.flatnonzero(self.fate >= 0)
+        if not len(alive):
+            return
         old = self.fate[alive]
         new = void.successor[old]
         ended = np.where(was_on_plate[old], _OPENED, _TRAPPED)
@@ -87,7 +92,8 @@ class _Remembered:
         code = np.select([self.fate == _AMBIENT, self.fate == _TRAPPED], [VOID, TRAP], CUP).astype(np.int32)
         shut = np.zeros_like(codes)
         paint_runs(void.rows, void.bounds, code[self.void_of_run], shut)
-        return np.where(shut[0] > 0, shut[0], codes[0]).astype(np.uint8)
+        marked: NDArray[np.uint8] = np.where(shut[0] > 0, shut[0], codes[0]).astype(np.uint8)
+        return marked
 
 
 class PrintScan:
@@ -182,7 +188,8 @@ class PrintScan:
             own = sorted((one for (_, why), one in self._worst.items() if why == reason), key=lambda one: -one.score)
             ranks += [(rank, number, one) for rank, one in enumerate(own)]
         picked: dict[int, _Remembered] = {}
+        apart = self._shape[2] // APART
         for _, _, one in sorted(ranks, key=lambda place: place[:2]):
-            if len(picked) < self._pictures:
-                picked.setdefault(one.layer, one)
+            if len(picked) < self._pictures and all(abs(one.layer - k) > apart for k in picked):
+                picked[one.layer] = one
         return [(k, one.painted()) for k, one in sorted(picked.items())]

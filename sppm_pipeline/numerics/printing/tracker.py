@@ -69,7 +69,7 @@ class Events(NamedTuple):
         Voxels before `end`, and pixels of the largest section.
     place : (n, 3) int64
         A voxel (layer, y, x) of the largest section, in the middle of its longest run.
-    count, total : (4,) int64
+    counts, totals : (4,) int64
         Number and voxels of all events by kind, listed or not.
     """
 
@@ -79,8 +79,8 @@ class Events(NamedTuple):
     volume: NDArray[np.int64]
     section: NDArray[np.int64]
     place: NDArray[np.int64]
-    count: NDArray[np.int64]
-    total: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    totals: NDArray[np.int64]
 
 
 class Tracker:
@@ -120,12 +120,12 @@ class Tracker:
 
     @property
     def grounded(self) -> NDArray[np.bool_]:
-        return self._table[:, _GROUNDED] != 0
+        return np.asarray(self._table[:, _GROUNDED], np.bool_)
 
     @property
     def plate(self) -> NDArray[np.bool_]:
         """Which open components of void meet the build plate."""
-        return self._table[:, _PLATE] != 0
+        return np.asarray(self._table[:, _PLATE], np.bool_)
 
     def add(self, runs: Runs, layer: int) -> LayerCount:
         """Take in the runs of the next layer; the first one is the first that holds solid."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import numpy as np
@@ -13,9 +14,11 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.print_report import PrintReport, parse_rule, rounded, trapped
+from sppm_pipeline.data.printer import Resin, cards
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.printer_writer import Job
 from sppm_pipeline.fields.slice_stack import SliceStack
 from sppm_pipeline.stage import Context, Headline, Rejected, Stage, option
 
@@ -53,8 +56,9 @@ class CheckPrint(Stage):
     With `drain`, throats are measured: void from which a ball of that diameter, or of half to twice of it, can't be
     moved out is undrained. With `min_feature`, walls and channels are found that no ball of that diameter fits into;
     sharp edges of solid count among them. Both look at voxels of about a quarter of the smallest size. With
-    `penetration` and `cure_depth`, resin that later layers cure in the void below them is found (Jacobs' working
-    curve): a model, not a measurement of your resin.
+    a `resin`, or its `penetration` and `cure_depth`, resin that later layers cure in the void below them is found
+    (Jacobs' working curve): a model, not a measurement of your resin. Time is that of exposures and ways of the plate,
+    if the layers were cut for a `printer`.
 
     With `fail`, a print that breaks a rule is rejected (exit code 3); without, the report is all.
     """
@@ -87,23 +91,53 @@ class CheckPrint(Stage):
         None, help="thinnest wall and channel that the printer makes; not measured if omitted", unit="mm", above=0,
         maximum=100,
     )  # fmt: skip
+    resin: str | None = option(
+        None, help="resin; `sppm printers --resins` lists them, for cure-through and, with a `printer`, time and price"
+    )
+    cards: Path | None = options.cards(None)
     penetration: Length | None = option(
-        None, help="depth D_p of the resin at which light has fallen to 1/e; with it void that cures shut is found",
-        unit="mm", minimum=1e-3, maximum=5,
-    )  # fmt: skip
-    cure_depth: Length | None = option(
-        None, help="depth C_d to which one exposure cures the resin; goes with `penetration`", unit="mm",
+        None, help="depth D_p at which light has fallen to 1/e in the resin; that of its card if omitted", unit="mm",
         minimum=1e-3, maximum=5,
     )  # fmt: skip
+    cure_depth: Length | None = option(
+        None, help="depth C_d to which one exposure cures the resin; that of its card if omitted", unit="mm",
+        minimum=1e-3, maximum=5,
+    )  # fmt: skip
+    loss: float = option(
+        0.05, help="resin that is washed away, as a fraction of what becomes solid", minimum=0, maximum=10
+    )
     pictures: int = option(6, help="worst layers that are drawn with colors", minimum=0, maximum=100)
     fail: tuple[str, ...] = option((), help="rules that reject the print, such as trap or 'cup > 100 mm2'")
 
     def check_options(self) -> None:
-        """Rules that can be read, and both depths of a resin or none."""
-        if (self.penetration is None) != (self.cure_depth is None):
-            raise ConfigError("`penetration` and `cure_depth` describe a resin together; give both or none")
+        """Rules that can be read, a resin that is known, and both of its depths or none."""
+        card = self.card()
+        if card is None and (self.penetration is None) != (self.cure_depth is None):
+            raise ConfigError("`penetration` and `cure_depth` describe a resin together; give both, none, or a `resin`")
+        if card is None and self.cards is not None:
+            raise ConfigError("`cards` holds resins, and `resin` names none of them")
         for rule in self.fail:
             parse_rule(rule)
+
+    def card(self) -> Resin | None:
+        """The card of the resin, with the depths that the options say otherwise."""
+        if self.resin is None:
+            return None
+        found = cards(self.cards).resin(self.resin)
+        return replace(
+            found,
+            penetration_mm=self.penetration.mm() if self.penetration else found.penetration_mm,
+            cure_depth_mm=self.cure_depth.mm() if self.cure_depth else found.cure_depth_mm,
+        )
+
+    def depths(self) -> tuple[float, float] | None:
+        """D_p and C_d in mm; None if they are not known."""
+        card = self.card()
+        if card is not None:
+            p, c = card.penetration_mm, card.cure_depth_mm
+        else:
+            p, c = (length.mm() if length else None for length in (self.penetration, self.cure_depth))
+        return None if p is None or c is None else (p, c)
 
     def estimate(self, palette: Palette, stack: Size) -> Size:
         return replace(stack, triangles=0.0)
@@ -125,6 +159,10 @@ class CheckPrint(Stage):
             context.warn(f"liquid resin stays inside: {trapped(report.numbers)}, that at {first['place_mm']} mm")
         if report.numbers["floating_parts"]:
             context.warn(f"{report.numbers['floating_parts']} parts never join the others: they float away in the vat")
+        if self.resin is not None and self.depths() is None:
+            context.warn(
+                f"the card of {self.resin} has no `penetration_mm` and `cure_depth_mm`: cure-through is left out"
+            )
         broken = [text for rule in self.fail if (text := parse_rule(rule).broken_by(report.numbers))]
         if broken:
             raise Rejected(
@@ -146,18 +184,18 @@ class CheckPrint(Stage):
         solid = largest > 0
         center = np.array(stack.origin_mm) + scan.center * (px, py, h)
         numbers: dict[str, Any] = {
-            "traps": int(cups.count[NEVER]),
-            "trap_mm3": float(cups.total[NEVER] * voxel),
+            "traps": int(cups.counts[NEVER]),
+            "trap_mm3": float(cups.totals[NEVER] * voxel),
             "largest_trap_mm3": float(cups.volume[cups.kind == NEVER].max(initial=0) * voxel),
-            "cups": int(cups.count[JOINED] + cups.count[AT_PLATE] + cups.count[AT_END]),
-            "cups_at_plate": int(cups.count[AT_PLATE]),
-            "cups_open_at_top": int(cups.count[AT_END]),
+            "cups": int(cups.counts[JOINED] + cups.counts[AT_PLATE] + cups.counts[AT_END]),
+            "cups_at_plate": int(cups.counts[AT_PLATE]),
+            "cups_open_at_top": int(cups.counts[AT_END]),
             "largest_cup_mm2": float(cups.section.max(initial=0) * pixel),
             "suction_n": float(curves["sealed"].max() * pixel * ATMOSPHERE),
-            "islands": int(islands.count[JOINED]),
+            "islands": int(islands.counts[JOINED]),
             "largest_island_mm2": float(islands.section[islands.kind == JOINED].max(initial=0) * pixel),
-            "floating_parts": int(islands.count[NEVER]),
-            "floating_mm3": float(islands.total[NEVER] * voxel),
+            "floating_parts": int(islands.counts[NEVER]),
+            "floating_mm3": float(islands.totals[NEVER] * voxel),
             "overhang_mm2": float(curves["overhang"].sum() * pixel),
             "largest_overhang_mm2": float(curves["overhang"].max() * pixel),
             "solid_mm3": float(area.sum() * h),
@@ -170,7 +208,7 @@ class CheckPrint(Stage):
         if solid:
             foot, (cx, cy, _) = scan.foot * (px, py), scan.center * (px, py, h)
             numbers["foot_margin_mm"] = margin_inside(foot, (float(cx), float(cy)))
-        numbers |= passes.numbers()
+        numbers |= passes.numbers() | self._job(stack, numbers["solid_mm3"])
         z = stack.origin_mm[2] + (np.arange(stack.shape[2]) + 1) * h
         layers = {
             "layer": np.arange(stack.shape[2]),
@@ -197,6 +235,17 @@ class CheckPrint(Stage):
             "coarse_voxel_mm": {name: list(pitch) for name, pitch in passes.pitches.items()},
         }  # fmt: skip
         return PrintReport(numbers, listed, layers, settings)
+
+    def _job(self, stack: SliceStack, solid_mm3: float) -> dict[str, Any]:
+        """Resin, and time and price as far as printer and resin are known."""
+        found: dict[str, Any] = {"resin_ml": solid_mm3 / 1000 * (1 + self.loss), "print_time_s": None, "price": None}
+        if (card := self.card()) is not None:
+            if card.price_per_liter is not None:
+                found["price"] = found["resin_ml"] / 1000 * card.price_per_liter
+            if stack.printer is not None:
+                job = Job("", stack.printer, card, stack.shape[2], stack.layer_mm, stack.gray, solid_mm3)
+                found["print_time_s"] = job.seconds
+        return found
 
     def _write(self, context: Context, stack: SliceStack, report: PrintReport, scan: Scan) -> None:
         from PIL import Image
@@ -258,8 +307,8 @@ class Passes:
             self._coarse.append(Coarse(coarse, (walls, False), (channels, True)))
         self._begun = False
         self._cure = self._printed = None
-        if stage.penetration is not None and stage.cure_depth is not None:
-            self._cure = CureThrough(shape[:2], h, stage.penetration.mm(), stage.cure_depth.mm())
+        if (depths := stage.depths()) is not None:
+            self._cure = CureThrough(shape[:2], h, *depths)
             self._printed = PrintScan(shape, stack.pixel_mm, reach, plate, 0)
         self._voxel_mm3 = math.prod(stack.pixel_mm) * h
         self.throat_rows: list[dict[str, float]] = []
@@ -310,7 +359,7 @@ class Passes:
             printed = self._printed.finish()
             cured = printed.curves["area"].sum() - self.scan.curves["area"].sum()
             found["clogged_mm3"] = float(cured * self._voxel_mm3)
-            found["clogged_trap_mm3"] = float(printed.cups.total[NEVER] * self._voxel_mm3)
+            found["clogged_trap_mm3"] = float(printed.cups.totals[NEVER] * self._voxel_mm3)
         return found
 
 

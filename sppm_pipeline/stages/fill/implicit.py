@@ -17,17 +17,10 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.inside_test import outward_mesh
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
 FEWEST_CELLS = 2
 """Along the longest side of a part; a smaller one is seldom meant."""
-
-COARSE_VOXELS = 2**20
-"""Voxels of the grid on which the void that a skin seals is measured: a choice, for some tenths of a second."""
-
-FEWEST_ALONG = 48
-"""Voxels along the longest side of a part whose skin would allow for larger ones."""
 
 NOTICED = 5e-3
 """Sealed void that is warned about, as a fraction of the part's bounding box; less is a voxel's doubt."""
@@ -99,21 +92,8 @@ class ImplicitFill(Stage):
 
 
 def sealed_void(part: Part, threads: int) -> float:
-    """Volume of the void of a part that opens nowhere, mm3, on a grid of at most `COARSE_VOXELS`.
+    """Volume of the void of a part that opens nowhere, mm3, on a coarse grid."""
+    from sppm_pipeline.numerics.printing.routes import find_traps
 
-    A skin thinner than the voxels is taken as thick as these, so that it stays closed.
-    """
-    from sppm_pipeline.numerics.connectivity.runs import find_runs
-    from sppm_pipeline.numerics.printing.tracker import NEVER, Tracker, complement
-
-    lower, extent = np.asarray(part.domain.lower), np.asarray(part.domain.upper - part.domain.lower)
-    pitch = max(min(part.skin_mm / 1.5, extent.max() / FEWEST_ALONG), math.cbrt(extent.prod() / COARSE_VOXELS))
-    nx, ny, nz = (int(n) + 2 for n in np.ceil(extent / pitch))  # the outermost voxels lie outside
-    edge = part.physical_edge()
-    x, y, z = ((lower - pitch / 2 - part.origin_mm) / edge).tolist()
-    closed = replace(part, skin_mm=max(part.skin_mm, 1.01 * pitch))
-    solid = closed.solid_zyx(Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz)), 0, nz, threads)
-    tracker = Tracker("void", "supports")
-    for k in range(nz):
-        tracker.add(complement(find_runs(solid[k : k + 1])), k)
-    return float(tracker.finish(nz).total[NEVER]) * pitch**3
+    solid, grid = part.coarse_solid(threads)
+    return float(find_traps(solid).sizes.sum()) * math.prod(grid.spacing)

@@ -25,17 +25,17 @@ class SlicePlate(Stage):
     name: ClassVar[str] = "slice.plate"
     advice: ClassVar[str] = "place fewer copies"
 
-    copies: tuple[int, ...] = option(
+    quantity: tuple[int, ...] = option(
         (1,), help="copies of each part, in the order of the ports; one number holds for all", minimum=1, maximum=1000
     )
-    gap: Length = option(Length(2.0), help="free space between parts", unit="mm", minimum=0, maximum=1000)
+    separation: Length = option(Length(2.0), help="free space between parts", unit="mm", minimum=0, maximum=1000)
     labels: bool = option(
         False, help="print a tag with a number below each part, which the run record explains by its place"
     )
 
     def check_options(self) -> None:
-        if not self.copies:
-            raise ConfigError("`copies` is empty", hint="one number holds for all parts")
+        if not self.quantity:
+            raise ConfigError("`quantity` is empty", hint="one number holds for all parts")
 
     def estimate(
         self, palette: Palette, part: Size, second: Size | None, third: Size | None, fourth: Size | None
@@ -46,12 +46,12 @@ class SlicePlate(Stage):
         return replace(part, pixels=1.5 * pixels, layers=max(size.layers for size in sizes))
 
     def _copies(self, parts: int) -> tuple[int, ...]:
-        if len(self.copies) not in (1, parts):
+        if len(self.quantity) not in (1, parts):
             raise ConfigError(
-                f"`copies` has {len(self.copies)} numbers for {parts} part{'s' * (parts > 1)}",
+                f"`quantity` has {len(self.quantity)} numbers for {parts} part{'s' * (parts > 1)}",
                 hint="give one for all, or one for each",
             )
-        return self.copies if len(self.copies) == parts else self.copies * parts
+        return self.quantity if len(self.quantity) == parts else self.quantity * parts
 
     def run(
         self,
@@ -71,7 +71,7 @@ class SlicePlate(Stage):
                 )
         numbers = [i for i, count in enumerate(self._copies(len(parts))) for _ in range(count)]
         pixel, printer = part.pixel_mm, part.printer
-        gap = tuple(-int(-self.gap.mm() // length) for length in pixel)
+        gap = tuple(-int(-self.separation.mm() // length) for length in pixel)
         tags = [tag(str(k), pixel) if self.labels else None for k in range(1, len(numbers) + 1)]
         sizes, feet = [], []
         for i, label in zip(numbers, tags, strict=True):
@@ -83,9 +83,9 @@ class SlicePlate(Stage):
             assert printer is not None
             x, y = printer.display_mm
             raise DesignError(
-                f"{len(numbers)} parts with gaps of {self.gap.mm():g} mm do not fit the plate of {printer.name}, "
+                f"{len(numbers)} parts {self.separation.mm():g} mm apart do not fit the plate of {printer.name}, "
                 f"{x:g} x {y:g} mm",
-                hint="place fewer `copies`, make `gap` smaller, or take a larger printer (`sppm printers`)",
+                hint="lower `quantity`, make `separation` smaller, or take a larger printer (`sppm printers`)",
             )
         corners, extent = found
         context.report(

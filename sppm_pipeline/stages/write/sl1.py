@@ -45,18 +45,15 @@ class WriteSl1(PrinterWriter):
             for number, data in enumerate(layers):
                 yield f"{name}{number:0{digits}d}.png", data
             job, printer = self.job(stack, layers.findings), self._printer(stack)
-            shared = {
-                "model": printer.model, "exposure_s": job.resin.exposure_s, "faded": job.resin.bottom_layers,
-                "layer_mm": job.layer_mm,
-            }  # fmt: skip
+            model, exposure, faded, layer = printer.model, job.resin.exposure_s, job.resin.bottom_layers, job.layer_mm
             yield "config.ini", sl1.config(
-                job=name, resin=job.resin.name, layers=job.layers, seconds=job.seconds, milliliters=job.milliliters,
-                **shared,
+                job=name, model=model, resin=job.resin.name, exposure_s=exposure, faded=faded, layers=job.layers,
+                layer_mm=layer, seconds=job.seconds, milliliters=job.milliliters,
             )  # fmt: skip
             yield "prusaslicer.ini", sl1.profile(
-                pixels=printer.pixels, display_mm=printer.display_mm, height_mm=printer.height_mm,
-                mirror=(printer.mirror_x, printer.mirror_y), portrait=printer.portrait, density=job.resin.density_g_ml,
-                **shared,
+                model=model, pixels=printer.pixels, display_mm=printer.display_mm, height_mm=printer.height_mm,
+                mirror=(printer.mirror_x, printer.mirror_y), portrait=printer.portrait, exposure_s=exposure,
+                faded=faded, layer_mm=layer, density=job.resin.density_g_ml,
             )  # fmt: skip
             for width, height in sl1.THUMBNAILS:
                 yield f"thumbnail/thumbnail{width}x{height}.png", _rgba(thumbnail(layers, width, height))

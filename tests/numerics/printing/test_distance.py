@@ -102,6 +102,17 @@ def test_thin_features_are_what_an_opening_takes_away(diameter):
     assert np.array_equal(total, solid.sum((1, 2)))
 
 
+def test_features_smaller_than_a_layer_is_high():
+    """No layer waits for another then."""
+    solid = porous((5, 12, 14))
+    thin = ThinFeatures((14, 12), (1, 1, 9), 1.0, outside=False)
+    for layer in solid:
+        thin.add(layer)
+    found, total = thin.finish()
+    assert np.array_equal(total, solid.sum((1, 2)))
+    assert len(found) == 5
+
+
 def test_a_wall_is_thin_up_to_its_width():
     for width in (1, 3, 5):
         wall = np.zeros((40, 40, 20), np.uint8)

@@ -208,6 +208,16 @@ def test_of_many_events_the_largest_are_listed(monkeypatch):
     for i in range(8):
         solid[2 * i + 1 : 2 * i + 2, 1, : i + 2] = True
     _, islands, _ = tracked(np.ascontiguousarray(solid), "sealed")
-    assert islands.count[NEVER] == 8
-    assert islands.total[NEVER] == sum(range(2, 10))
+    assert islands.counts[NEVER] == 8
+    assert islands.totals[NEVER] == sum(range(2, 10))
     assert list(islands.volume[:3]) == [9, 8, 7]
+
+
+@pytest.mark.parametrize("births", [(2, 4), (4, 2)])
+def test_cups_that_meet_are_one_from_the_first_of_them_on(births):
+    block = np.ones((9, 5, 11), bool)
+    for birth, x in zip(births, (2, 8), strict=True):
+        block[birth:7, 2, x] = False
+    block[6, 2, 2:9] = False
+    volume = sum(7 - birth for birth in births) + 5
+    assert events(block)[1] == [(NEVER, 2, 7, volume, 7)]

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.sampling import blocks
 from sppm_pipeline.numerics.sampling.blocks import (
     block_colors,
     block_quotas,
@@ -121,6 +122,20 @@ def test_threads_change_no_byte(periodic):
     for threads in (2, 5):
         assert throw_blocks(8, quotas, 0.2, periodic=periodic, threads=threads)[0].tobytes() == one.tobytes()
     assert throw_blocks(9, quotas, 0.2, periodic=periodic)[0].tobytes() != one.tobytes()
+
+
+def test_the_order_of_blocks_within_a_color_changes_no_byte(monkeypatch):
+    quotas = block_quotas(np.ones((4, 6, 3), bool), 25)
+    whole, _ = throw_blocks(8, quotas, 0.2, periodic=True)
+    asked = []
+
+    def backwards(throw, parts, threads):
+        asked.append(np.concatenate(parts))
+        return map(throw, [part[::-1] for part in reversed(parts)])
+
+    monkeypatch.setattr(blocks, "ordered_map", backwards)
+    assert throw_blocks(8, quotas, 0.2, periodic=True, threads=5)[0].tobytes() == whole.tobytes()
+    assert sorted(np.concatenate(asked)) == list(range(72))
 
 
 def test_a_lone_periodic_block_is_a_thrown_cell():

@@ -9,8 +9,9 @@ from PIL import Image
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.print_report import MEASURES, parse_rule
+from sppm_pipeline.data.printer import cards
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.fields.slice_stack import ArraySlices, SliceStack
 from sppm_pipeline.render.print_pictures import MARKS
 from sppm_pipeline.stage import Rejected
 from sppm_pipeline.stages.check.print import CheckPrint
@@ -67,7 +68,8 @@ def test_report_of_a_body_with_known_answers(vase):
 
 
 def test_files_of_the_report(vase):
-    folder = checked(vase)[0].directory / "print"
+    context, _ = checked(vase)  # the folder goes with it
+    folder = context.directory / "print"
     report = json.loads((folder / "report.json").read_text())
     assert report["traps"] == [
         {
@@ -173,6 +175,54 @@ def test_throats_walls_and_cure_through_of_a_box_with_a_hole():
         CheckPrint(fail=("clogged",), penetration=Length(0.1), cure_depth=Length(0.1)).run(PlainContext(), stack)
 
 
-def test_a_resin_has_both_depths():
+def test_a_resin_has_both_depths(tmp_path):
     with pytest.raises(ConfigError, match="cure_depth"):
         CheckPrint(penetration=Length(0.1)).check_options()
+    CheckPrint(penetration=Length(0.1), resin="generic_gray").check_options()
+    with pytest.raises(ConfigError, match="generic_grey"):
+        CheckPrint(resin="generic_grey").check_options()
+    with pytest.raises(ConfigError, match="names none"):
+        CheckPrint(cards=tmp_path / "own.yaml").check_options()
+
+
+def test_resin_time_and_price(vase, tmp_path):
+    own = tmp_path / "own.yaml"
+    own.write_text(
+        "resins:\n  plain: {density_g_ml: 1.1, exposure_s: [20, 2], bottom_layers: 3, price_per_liter: 50,"
+        " source: a test, measured: false}\n"
+    )
+    plain = checked(vase)[0].reported
+    assert plain["resin_ml"] == pytest.approx(vase.sum() * VOXEL / 1000 * 1.05)
+    assert (plain["print_time_s"], plain["price"], plain["clogged_mm3"]) == (None, None, None)
+    context, _ = checked(vase, resin="plain", cards=own, loss=0.0)
+    assert context.reported["price"] == pytest.approx(vase.sum() * VOXEL / 1e6 * 50)
+    # a card without the depths of the working curve
+    assert context.reported["clogged_mm3"] is None
+    assert "cure-through is left out" in context.warnings[-1]
+    printer = cards().printer("elegoo_mars_4")
+    stack = SliceStack.from_array(vase, pixel_mm=printer.pixel_mm, layer_mm=0.05, printer=printer)
+    timed = PlainContext()
+    CheckPrint(resin="plain", cards=own).run(timed, stack)
+    ways = [printer.motion.seconds(bottom) for bottom in (True, False)]
+    assert timed.reported["print_time_s"] == pytest.approx(3 * (20 + ways[0]) + 9 * (2 + ways[1]))
+    assert checked(vase, resin="generic_gray")[0].reported["clogged_mm3"] is not None
+
+
+def test_the_same_report_however_the_layers_come(vase):
+    """Slabs of one layer and of five, over one thread and two: the same bytes in all files."""
+
+    class Slabby(ArraySlices):
+        def read(self, threads):
+            for start in range(0, len(self.layers), 5):
+                yield start, self.layers[start : start + 5].copy()
+            return {}
+
+    layers = vase * np.uint8(255)
+    found = []
+    for kind, threads in ((ArraySlices, 1), (Slabby, 2)):
+        context = PlainContext(threads=threads)
+        CheckPrint(drain=Length(0.5), min_feature=Length(0.5)).run(context, kind(layers, (*PIXEL, LAYER)))
+        files = sorted((context.directory / "print").rglob("*.*"))
+        found.append({file.name: file.read_bytes() for file in files})
+    assert found[0].keys() == found[1].keys()
+    assert all(found[0][name] == found[1][name] for name in found[0])

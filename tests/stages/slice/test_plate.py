@@ -22,7 +22,7 @@ def stack(shape, printer=None, seed=0, pixel=(0.05, 0.1)):
 def test_copies_and_different_parts_keep_their_layers():
     (a, la), (b, lb) = stack((4, 10, 20), seed=1), stack((7, 16, 9), seed=2)
     context = PlainContext()
-    plate = SlicePlate(copies=(3, 2), gap=Length(0.3, "mm")).run(context, a, b, None, None)
+    plate = SlicePlate(quantity=(3, 2), separation=Length(0.3, "mm")).run(context, a, b, None, None)
     whole = plate.to_array()
     assert plate.shape == whole.shape[::-1]
     assert plate.shape[2] == 7
@@ -67,7 +67,7 @@ def test_rectangles_do_not_overlap_and_stay_in_the_room(seed):
 def test_tags_stand_below_their_parts():
     part, _ = stack((30, 40, 80), seed=5)
     context = PlainContext()
-    plate = SlicePlate(copies=(2,), labels=True).run(context, part, None, None, None)
+    plate = SlicePlate(quantity=(2,), labels=True).run(context, part, None, None, None)
     whole = plate.to_array()
     assert ndimage.label(whole[0] > 0)[1] == 4  # two parts, two tags, and none touches another
     assert ndimage.label(whole[5] > 0)[1] >= 4  # letters
@@ -88,13 +88,13 @@ def test_what_does_not_go_together():
     b, _ = stack((2, 20, 20), printer, pixel=(0.05, 0.05))
     with pytest.raises(DesignError, match="need the same pixels, layers and printer"):
         SlicePlate().run(PlainContext(), a, b, None, None)
-    with pytest.raises(ConfigError, match="`copies` has 3 numbers for 1 part"):
-        SlicePlate(copies=(1, 2, 3)).run(PlainContext(), a, None, None, None)
-    with pytest.raises(ConfigError, match="`copies` is empty"):
-        SlicePlate(copies=()).check_options()
+    with pytest.raises(ConfigError, match="`quantity` has 3 numbers for 1 part"):
+        SlicePlate(quantity=(1, 2, 3)).run(PlainContext(), a, None, None, None)
+    with pytest.raises(ConfigError, match="`quantity` is empty"):
+        SlicePlate(quantity=()).check_options()
     large, _ = stack((2, 800, 800), printer, pixel=(0.05, 0.05))
-    six = SlicePlate(copies=(6,), gap=Length(0)).run(PlainContext(), large, None, None, None)
+    six = SlicePlate(quantity=(6,), separation=Length(0)).run(PlainContext(), large, None, None, None)
     assert six.printer is printer
     assert (six.extent[0] <= 2560, six.extent[1] <= 1620) == (True, True)
-    with pytest.raises(DesignError, match=r"7 parts with gaps of 0 mm do not fit the plate of prusa_sl1s"):
-        SlicePlate(copies=(7,), gap=Length(0)).run(PlainContext(), large, None, None, None)
+    with pytest.raises(DesignError, match=r"7 parts 0 mm apart do not fit the plate of prusa_sl1s"):
+        SlicePlate(quantity=(7,), separation=Length(0)).run(PlainContext(), large, None, None, None)

@@ -58,3 +58,5 @@ def test_cards_without_a_printer(tmp_path):
     file.write_text("printers: {}")
     with pytest.raises(ConfigError, match="`printer` names none"):
         SliceMesh(pixel=Length(0.05, "mm"), cards=file).check_options()
+    with pytest.raises(ConfigError, match=r"which can't be read: No such file"):
+        SliceMesh(printer="prusa_sl1s", layer=LAYER, cards=tmp_path / "none.yaml").check_options()

@@ -21,7 +21,9 @@ from sppm_pipeline.numerics.kernels.kernels import concatenated
 from sppm_pipeline.stage import option
 from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity
 from sppm_pipeline.stages.check.tiling import CheckTiling
+from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
+from sppm_pipeline.stages.connect.relative_neighbors import RelativeNeighbors
 from sppm_pipeline.stages.extract.unit_cell import UnitCell
 from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
@@ -103,6 +105,21 @@ def test_all_pores_hang_together_by_few_tunnels_each(request, name):
     assert 0.2 < across.mean() < 0.8
     start, end = graph.segments()
     assert np.linalg.norm(end - start, axis=1).max() < 1.0
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+def test_degrees_hold_across_blocks(periodic):
+    for connector in (BoundedDegreeSubgraph(mode="greedy"), RelativeNeighbors()):
+        context = PlainContext(4)
+        tiling = scattered(
+            DartThrowing(total=50), connector, FIELD, cells=(3, 3, 2), periodic=periodic, context=context
+        )
+        graph = tiling.tileset.micro.graph
+        degrees = np.bincount(graph.edges.ravel(), minlength=len(graph.pores.centers))
+        assert degrees.min() >= 3
+        assert parts(tiling) == 1
+        told = [values.get("pores_over_degree", 0) for values in context.log.values.values()]
+        assert (degrees > 5).sum() == max(told, default=0) <= 0.01 * len(degrees)
 
 
 def test_totals_and_fractions():

@@ -25,3 +25,11 @@ def test_a_target_on_a_sample_and_one_outside():
     assert parameter_for(x, y, 2.0)[0] == pytest.approx(0, abs=1e-9)
     with pytest.raises(ValueError, match="outside"):
         parameter_for(x, y, 3.0)
+
+
+def test_of_several_crossings_that_between_the_nearest_samples_is_taken():
+    x, goal = np.array([0.0, 1, 2, 3]), 5.0
+    moduli = goal * np.exp([2, -0.5, -0.1, 3])  # crossed between 0 and 1, and between 2 and 3
+    guess, around = parameter_for(x, moduli, goal)
+    assert around == (2, 3)
+    assert 2 < guess < 2.5

@@ -74,10 +74,12 @@ def test_compliance_of_a_regular_matrix_is_its_inverse():
     assert np.allclose(compliance(stiffness), np.linalg.inv(stiffness), rtol=1e-8)
 
 
-def test_constants_of_an_isotropic_material():
-    found = engineering_constants(isotropic(7.0, 0.2))
-    assert found["E"] == pytest.approx([7.0] * 3)
-    assert found["G"] == pytest.approx([7.0 / 2.4] * 3)
+@pytest.mark.parametrize("young", [7.0, 7e-6, 7e11])
+def test_constants_of_an_isotropic_material(young):
+    """Whatever the unit."""
+    found = engineering_constants(isotropic(young, 0.2))
+    assert found["E"] == pytest.approx([young] * 3)
+    assert found["G"] == pytest.approx([young / 2.4] * 3)
     assert found["nu"][~np.eye(3, dtype=bool)] == pytest.approx([0.2] * 6)
     assert np.isnan(np.diag(found["nu"])).all()
 

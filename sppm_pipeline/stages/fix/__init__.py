@@ -1,0 +1,1 @@
+"""Stages that change a part so that it can be printed."""
