@@ -2,7 +2,7 @@
 
 Marching cubes finds the topology and puts vertices where linear interpolation has the zero. A sum G of exponentials is
 far from linear over a voxel; its logarithm is smooth (that of a lone pore or squared tunnel is a parabola), and the
-cubic through four samples along the grid edge has its zero within a hundredth of a voxel of the true one.
+cubic through four samples along the grid edge has its zero nearer to the true one.
 
 The intersection of two fields is their maximum, which mixes, at the two ends of a grid edge, values of fields of
 different size. Here every vertex is put where, going from the solid end, the first of the two fields reaches its zero.
