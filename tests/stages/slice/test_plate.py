@@ -64,6 +64,13 @@ def test_rectangles_do_not_overlap_and_stay_in_the_room(seed):
     assert packed([(50, 1)], gap, (49, 60)) is None
 
 
+def test_rows_end_at_the_room():
+    four = [(10, 10)] * 4
+    assert packed(four, (2, 3), (22, 23)) == ([(0, 0), (12, 0), (0, 13), (12, 13)], (22, 23))
+    assert packed(four, (2, 3), (21, 100)) == ([(0, 0), (0, 13), (0, 26), (0, 39)], (10, 49))
+    assert packed(four, (2, 3), (21, 48)) is None
+
+
 def test_tags_stand_below_their_parts():
     part, _ = stack((30, 40, 80), seed=5)
     context = PlainContext()
