@@ -16,10 +16,14 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
 from sppm_pipeline.numerics.surface.placing import DOMAIN
 
 MOST = 0.2
-"""Vertices are moved by at most this fraction of their shortest edge; a choice that keeps triangles from folding."""
+"""Vertices are moved by at most this fraction of their shortest edge; a choice that keeps triangles in shape."""
+
+LEAST_SLOPE = 0.3
+"""Least cosine between normal and grid edge that the way along the edge is reckoned with; a choice."""
 
 
 def bulge(
@@ -42,7 +46,7 @@ def bulge(
     high = low + (np.array(grid.shape) - 1) * grid.spacing
     normals = np.zeros((len(vertices), 3), np.float32)
     rise, share, room = np.zeros(free, np.float32), np.zeros(free, np.float32), np.full(free, np.inf, np.float32)
-    _bulge(vertices, faces, kinds, free, low, high, min(grid.spacing), normals, rise, share, room)
+    _bulge(vertices, faces, kinds, free, low, high, np.array(grid.spacing), normals, rise, share, room)
 
 
 @jit
@@ -69,12 +73,13 @@ def _bulge(
     free: int,
     low: NDArray[np.float64],
     high: NDArray[np.float64],
-    spacing: float,
+    spacing: NDArray[np.float64],
     normals: NDArray[np.float32],
     rise: NDArray[np.float32],
     share: NDArray[np.float32],
     room: NDArray[np.float32],
 ) -> None:
+    scale = min(spacing[0], spacing[1], spacing[2])
     for f in range(faces.shape[0]):
         if _cap(vertices, faces, f, low, high):
             continue
@@ -87,7 +92,7 @@ def _bulge(
         if not min(uu, vv, ww) > 0.0:
             continue
         # these weights give the normals of a sphere however it is cut into triangles (Max 1999)
-        for v, weight in ((a, spacing / (uu * vv)), (b, spacing / (uu * ww)), (c, spacing / (vv * ww))):
+        for v, weight in ((a, scale / (uu * vv)), (b, scale / (uu * ww)), (c, scale / (vv * ww))):
             normals[v, 0] += np.float32(x * weight)
             normals[v, 1] += np.float32(y * weight)
             normals[v, 2] += np.float32(z * weight)
@@ -139,14 +144,20 @@ def _bulge(
                 rise[v] += np.float32(area * total * 3.0 / movable)
                 share[v] += np.float32(area)
     for v in range(free):
-        border = False
-        for axis in range(3):
-            border |= abs(vertices[v, axis] - low[axis]) < 1e-9 or abs(vertices[v, axis] - high[axis]) < 1e-9
-        if border or not share[v] > 0.0:
+        axis, inside, border = 0, 0, False
+        for a in range(3):
+            place = (vertices[v, a] - low[a]) / spacing[a]
+            if abs(place - np.floor(place + 0.5)) > 0.75 * EDGE_MARGIN:
+                axis = a
+                inside += 1
+            border |= abs(vertices[v, a] - low[a]) < 1e-9 or abs(vertices[v, a] - high[a]) < 1e-9
+        if border or inside != 1 or not share[v] > 0.0:
             continue
+        slope = np.float64(normals[v, axis])
         most = MOST * room[v]
-        way = min(max(rise[v] / share[v], -most), most)
-        for axis in range(3):
-            place = vertices[v, axis] + way * normals[v, axis]
-            if low[axis] < place < high[axis]:
-                vertices[v, axis] = place
+        way = rise[v] / share[v] * slope / max(slope * slope, LEAST_SLOPE**2)
+        way = min(max(way, -most), most) / spacing[axis]
+        place = (vertices[v, axis] - low[axis]) / spacing[axis]
+        node = np.floor(place)
+        share_moved = min(max(place + way - node, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
+        vertices[v, axis] = low[axis] + (node + share_moved) * spacing[axis]

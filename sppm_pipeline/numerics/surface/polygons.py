@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.meshcheck.self_intersections import is_flat, triangles_meet
 
 
 @jit
@@ -19,46 +20,67 @@ def _area(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
 
 
 @jit
-def triangulate(
-    count: int,
+def fans_from_ends(
+    part: NDArray[np.int64],
+    length: int,
+    single: bool,
     places: NDArray[np.float64],
     masks: NDArray[np.int64],
-    cost: NDArray[np.float64],
-    middle: NDArray[np.int64],
-    stack: NDArray[np.int64],
+    made: int,
     triangles: NDArray[np.int64],
 ) -> int:
-    """Triangles of least area of a polygon, none with a diagonal in a face of the cube; 0 if there are none such."""
-    for width in range(1, count):
-        for i in range(count - width):
-            j = i + width
-            if width == 1:
-                cost[i, j] = 0.0
-                continue
-            cost[i, j] = np.inf
-            if width < count - 1 and masks[i] & masks[j]:
-                continue
-            for k in range(i + 1, j):
-                total = cost[i, k] + cost[k, j] + _area(places[i], places[k], places[j])
-                if total < cost[i, j]:
-                    cost[i, j] = total
-                    middle[i, j] = k
-    if not cost[0, count - 1] < np.inf:
-        return 0
-    n, left = 0, 1
-    stack[0, 0], stack[0, 1] = 0, count - 1
-    while left:
-        left -= 1
-        i, j = stack[left, 0], stack[left, 1]
-        if j - i < 2:
-            continue
-        k = middle[i, j]
-        triangles[n, 0], triangles[n, 1], triangles[n, 2] = i, k, j
-        n += 1
-        stack[left, 0], stack[left, 1] = i, k
-        stack[left + 1, 0], stack[left + 1, 1] = k, j
-        left += 2
-    return n
+    """Triangles of a polygon, each with its first or last corner, of least area, none with a diagonal in a face.
+
+    Parameters
+    ----------
+    part : (length,) int64
+        Corners, as rows of `places` and of `masks` (the faces of the cube on which they lie).
+    single : bool
+        Whether all triangles shall have the first corner.
+    made : int
+        Triangles before; the number with the new ones is returned, the same if there are none such.
+    triangles : (n, 3) int64
+        Gets the new ones, as rows of `places`.
+    """
+    first, last = part[0], part[length - 1]
+    least, best = np.inf, 0
+    for turn in range(length - 2 if single else 1, length - 1):  # the corner from which sides belong to the last one
+        area = _area(places[first], places[part[turn]], places[last])
+        allowed = True
+        for t in range(1, length - 2):
+            end = first if t < turn else last
+            area += _area(places[end], places[part[t]], places[part[t + 1]])
+        for t in range(2, turn + 1):
+            allowed &= not masks[first] & masks[part[t]]
+        for t in range(turn, length - 2):
+            allowed &= not masks[last] & masks[part[t]]
+        if allowed and area < least:
+            least, best = area, turn
+    if best == 0:
+        return made
+    for t in range(1, length - 2):
+        triangles[made, 0], triangles[made, 1] = part[t], part[t + 1]
+        triangles[made, 2] = first if t < best else last
+        made += 1
+    triangles[made, 0], triangles[made, 1], triangles[made, 2] = first, part[best], last
+    return made + 1
+
+
+@jit
+def crossing(triangles: NDArray[np.int64], count: int, places: NDArray[np.float64]) -> bool:
+    """Whether some of the triangles, whose corners are rows of `places`, meet beyond shared corners and edges."""
+    corners = np.empty((count, 3, 3))
+    for t in range(count):
+        for c in range(3):
+            for a in range(3):
+                corners[t, c, a] = places[triangles[t, c], a]
+        if is_flat(corners[t]):
+            return True
+    for t in range(count):
+        for s in range(t):
+            if triangles_meet(corners[t], corners[s]):
+                return True
+    return False
 
 
 @jit

@@ -64,9 +64,55 @@ def edge_node(edge: int, nx: int, ny: int, node: NDArray[np.int64]) -> int:
 
 
 @jit
+def loops_of_cube(
+    cube: NDArray[np.int64],
+    field: NDArray[np.float32],
+    domain: NDArray[np.float32],
+    skin: NDArray[np.float32],
+    shape: NDArray[np.int64],
+    loops: NDArray[np.int64],
+) -> int:
+    """In how many polygons the surface passes through a cube, islands included; none outside of the grid."""
+    for a in range(3):
+        if cube[a] < 0 or cube[a] + 1 >= shape[a]:
+            return 0
+    case = 0
+    for corner in range(8):
+        i, j, k = cube[0] + (corner & 1), cube[1] + (corner >> 1 & 1), cube[2] + (corner >> 2) - shape[3]
+        solid = field[k, j, i] < 0.0 or (skin.size > 0 and skin[k, j, i] < 0.0)
+        if solid and domain[k, j, i] < 0.0:
+            case |= 1 << corner
+    return int(loops[case])
+
+
+@jit
+def _passed_twice(
+    corner: NDArray[np.int64],
+    p: int,
+    q: int,
+    field: NDArray[np.float32],
+    domain: NDArray[np.float32],
+    skin: NDArray[np.float32],
+    shape: NDArray[np.int64],
+) -> bool:
+    """Whether the surface crosses all four sides of the face at a node that axes p and q span."""
+    case = 0
+    for turn in range(4):
+        to_p, to_q = turn & 1, turn >> 1
+        i = corner[0] + (to_p if p == 0 else (to_q if q == 0 else 0))
+        j = corner[1] + (to_p if p == 1 else (to_q if q == 1 else 0))
+        k = corner[2] + (to_p if p == 2 else (to_q if q == 2 else 0)) - shape[3]
+        solid = field[k, j, i] < 0.0 or (skin.size > 0 and skin[k, j, i] < 0.0)
+        if solid and domain[k, j, i] < 0.0:
+            case |= 1 << turn
+    return case in (6, 9)
+
+
+@jit
 def meeting_point(
     a: int,
     b: int,
+    cube: NDArray[np.int64],
     vertices: NDArray[np.float64],
     edge: NDArray[np.int64],
     on: NDArray[np.uint8],
@@ -81,10 +127,12 @@ def meeting_point(
     shares: NDArray[np.float64],
     owners: NDArray[np.int32],
     normals: NDArray[np.float64],
+    loops: NDArray[np.int64],
     point: NDArray[np.float64],
 ) -> int:
     """The point at which the surfaces of two vertices on one face of a cube meet, and that face; -1 if they do not.
 
+    Nor do they where the surface passes through the face twice, or through the cube beyond it in several polygons.
     Faces are numbered 2 * axis + side within their cube; here the side is left out.
     """
     if on[a] == on[b] and on[a] != DOMAIN:
@@ -103,6 +151,12 @@ def meeting_point(
     corner = np.empty(3, np.int64)
     for d in range(3):
         corner[d] = min(na[d], nb[d])
+    if _passed_twice(corner, p, q, field, domain, skin, shape):
+        return -1
+    beyond = cube.copy()
+    beyond[flat] += -1 if corner[flat] == cube[flat] else 1
+    if loops_of_cube(beyond, field, domain, skin, shape, loops) > 1:
+        return -1
     # places in the face, 0..1
     up = (vertices[a, p] - origin[p]) / spacing[p] - corner[p]
     uq = (vertices[a, q] - origin[q]) / spacing[q] - corner[q]

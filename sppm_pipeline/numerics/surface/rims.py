@@ -4,8 +4,13 @@ Marching cubes knows vertices on the edges of the grid only, so it cuts the corn
 cube. The polygon in which the surface passes through a cube runs on the faces of the cube, from one vertex to the next.
 Where these two lie on different surfaces, the point of the face at which both surfaces vanish is put between them
 (both cubes at the face find the same one, so the mesh stays closed), and the polygon is cut in two along the rim. Where
-three surfaces meet, or a polygon has more than two such points, it becomes a fan around the point nearest to all of its
-surfaces.
+three surfaces meet, a polygon has more than two such points, or its two parts would cross, it becomes a fan around a
+point within the cube.
+
+Nothing crosses anything: the triangles of a cube meet its faces in the sides of its polygon only, and those do not
+cross, as each face has one of them if it has a rim point. A fan around a point within a cube, whose boundary is convex,
+does not cross itself. Where the surface passes through a cube in several polygons, or through a face twice, triangles
+stay as they are.
 """
 
 from __future__ import annotations
@@ -18,9 +23,10 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
+from sppm_pipeline.numerics.surface.marching_tables import polygon_counts
 from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, SKIN, Placed, Samples
-from sppm_pipeline.numerics.surface.polygons import nearest_to_all, triangulate
-from sppm_pipeline.numerics.surface.rim_points import SHARP, edge_node, meeting_point
+from sppm_pipeline.numerics.surface.polygons import crossing, fans_from_ends, nearest_to_all
+from sppm_pipeline.numerics.surface.rim_points import SHARP, edge_node, loops_of_cube, meeting_point
 
 _CENTER = np.int64(1) << np.int64(62)
 _MOST = 48  # vertices of a polygon with its rim points: 12 edges of a cube, and as many points; pieces share the room
@@ -84,6 +90,7 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
         crossings.share,
         crossings.triangle,
         crossings.normals,
+        polygon_counts(),
         out,
         on,
         points,
@@ -136,6 +143,28 @@ def _cube(
 
 
 @jit
+def _copied(
+    faces: NDArray[np.int32],
+    start: int,
+    stop: int,
+    first: int,
+    on: NDArray[np.uint8],
+    out: NDArray[np.int32],
+    kinds: NDArray[np.uint8],
+    m: int,
+) -> int:
+    """Write triangles as they are from place m on; those with a corner on the domain belong to it."""
+    for t in range(start, stop):
+        kinds[m] = on[faces[t, 0] - first]
+        for c in range(3):
+            out[m, c] = faces[t, c]
+            if on[faces[t, c] - first] == DOMAIN:
+                kinds[m] = DOMAIN
+        m += 1
+    return m
+
+
+@jit
 def _split(
     faces: NDArray[np.int32],
     mixed: NDArray[np.bool_],
@@ -155,6 +184,7 @@ def _split(
     shares: NDArray[np.float64],
     owners: NDArray[np.int32],
     normals: NDArray[np.float64],
+    loops: NDArray[np.int64],
     out: NDArray[np.int32],
     kinds: NDArray[np.uint8],
     points: NDArray[np.float64],
@@ -169,9 +199,7 @@ def _split(
     ids, masks = np.empty(_MOST, np.int64), np.empty(_MOST, np.int64)
     places, point = np.empty((_MOST, 3)), np.empty(3)
     is_rim = np.empty(_MOST, np.bool_)
-    part_ids, part_masks, part_places = np.empty(_MOST, np.int64), np.empty(_MOST, np.int64), np.empty((_MOST, 3))
-    cost, middle = np.empty((_MOST, _MOST)), np.empty((_MOST, _MOST), np.int64)
-    stack, made = np.empty((_MOST, 2), np.int64), np.empty((_MOST, 3), np.int64)
+    part, halves, triangles = np.empty(_MOST, np.int64), np.empty(_MOST, np.uint8), np.empty((_MOST, 3), np.int64)
     plane_points, plane_normals = np.empty((_MOST, 3)), np.empty((_MOST, 3))
     f = int(np.int64(0))
     following_mixed = int(np.int64(0))
@@ -187,11 +215,7 @@ def _split(
                 if corner[0] != cube[0] or corner[1] != cube[1] or corner[2] != cube[2]:
                     break
                 begun -= 1
-        for t in range(f, begun):
-            for c in range(3):
-                out[m, c] = faces[t, c]
-            kinds[m] = on[faces[t, 0] - first]
-            m += 1
+        m = _copied(faces, f, begun, first, on, out, kinds, m)
         f = begun
         if f == faces.shape[0]:
             break
@@ -202,7 +226,11 @@ def _split(
                 break
             stop += 1
         following_mixed = stop
-        # the polygons: edges of triangles that have no partner
+        if loops_of_cube(cube, field, domain, skin, shape, loops) > 1:
+            m = _copied(faces, f, stop, first, on, out, kinds, m)
+            f = stop
+            continue
+        # the polygon: edges of triangles that have no partner
         count = 0
         for t in range(f, stop):
             for c in range(3):
@@ -218,151 +246,137 @@ def _split(
                 else:
                     starts[count], ends[count] = a, b
                     count += 1
-        loop_number = 0
+        # begin with the smallest vertex, so that nothing depends on the order above
+        here = starts[0]
+        for e in range(count):
+            here = min(here, starts[e])
+        size, rims = 0, 0
         while count > 0:
-            # begin with the smallest vertex, so that nothing depends on the order above
-            here = starts[0]
-            for e in range(count):
-                here = min(here, starts[e])
-            begin = here
-            size, rims = 0, 0
-            while True:
-                e = 0
-                while starts[e] != here:
-                    e += 1
-                following = ends[e]
-                count -= 1
-                starts[e], ends[e] = starts[count], ends[count]
-                # the vertex, and the two faces on which its grid edge lies
-                axis = edge_node(edge[here], nx, ny, node)
-                mask = 0
+            e = 0
+            while starts[e] != here:
+                e += 1
+            following = ends[e]
+            count -= 1
+            starts[e], ends[e] = starts[count], ends[count]
+            # the vertex, and the two faces on which its grid edge lies
+            axis = edge_node(edge[here], nx, ny, node)
+            mask = 0
+            for a in range(3):
+                places[size, a] = vertices[here, a]
+                if a != axis:
+                    mask |= 1 << (2 * a + int(node[a] > cube[a]))
+            ids[size], masks[size], is_rim[size] = here + first, mask, False
+            size += 1
+            flat = meeting_point(
+                here, following, cube, vertices, edge, on, triangle, field, domain, skin,
+                origin, spacing, shape, crossed, shares, owners, normals, loops, point,
+            )  # fmt: skip
+            if flat >= 0:
+                low, high = min(here, following) + first, max(here, following) + first
+                ids[size], is_rim[size] = -1 - (numbered + n), True
+                masks[size] = 1 << (2 * flat + int(node[flat] > cube[flat]))
+                keys[n] = low << 31 | high
                 for a in range(3):
-                    places[size, a] = vertices[here, a]
-                    if a != axis:
-                        mask |= 1 << (2 * a + int(node[a] > cube[a]))
-                ids[size], masks[size], is_rim[size] = here + first, mask, False
-                size += 1
-                flat = meeting_point(
-                    here, following, vertices, edge, on, triangle, field, domain, skin,
-                    origin, spacing, shape, crossed, shares, owners, normals, point,
-                )  # fmt: skip
-                if flat >= 0:
-                    low, high = min(here, following) + first, max(here, following) + first
-                    ids[size], is_rim[size] = -1 - (numbered + n), True
-                    masks[size] = 1 << (2 * flat + int(node[flat] > cube[flat]))
-                    keys[n] = low << 31 | high
-                    for a in range(3):
-                        places[size, a] = point[a]
-                        points[n, a] = point[a]
-                    size += 1
-                    rims += 1
-                    n += 1
-                here = following
-                if here == begin:
-                    break
-            if rims == 0:
-                # one surface: the triangles as they were, those of this polygon
-                for t in range(f, stop):
-                    own = False
-                    for s in range(size):
-                        own |= ids[s] == faces[t, 0]
-                    if own:
-                        for c in range(3):
-                            out[m, c] = faces[t, c]
-                        kinds[m] = on[faces[t, 0] - first]
-                        m += 1
-                loop_number += 1
-                continue
-            done = False
-            if rims <= 2:
-                # two parts along the line from one point to the other; with a single point nothing is cut
-                one, two = -1, -1
-                for s in range(size):
-                    if is_rim[s]:
-                        if one < 0:
-                            one = s
-                        two = s
-                if one == two or not masks[one] & masks[two]:
-                    done = True
-                    mark = m
-                    for half in range(rims):
-                        s = one if half == 0 else two
-                        end = (one if half else two) if rims == 2 else (one + size - 1) % size
-                        length = 0
-                        while True:
-                            part_ids[length], part_masks[length] = ids[s], masks[s]
-                            for a in range(3):
-                                part_places[length, a] = places[s, a]
-                            length += 1
-                            if s == end:
-                                break
-                            s = (s + 1) % size
-                        found = triangulate(length, part_places, part_masks, cost, middle, stack, made)
-                        if found == 0:
-                            done = False
-                            m = mark
-                            break
-                        for t in range(found):
-                            for c in range(3):
-                                out[m, c] = part_ids[made[t, c]]
-                            kinds[m] = on[part_ids[1] - first]
-                            m += 1
-            if not done:
-                for a in range(3):
-                    point[a] = 0.0
-                    for s in range(size):
-                        if is_rim[s]:
-                            point[a] += places[s, a] / rims
-                planes = 0
-                corner_there, one_of = False, np.int32(-1)
-                for s in range(size):
-                    if is_rim[s]:
-                        continue
-                    v = ids[s] - first
-                    if on[v] == DOMAIN and triangle[v] >= 0:
-                        for a in range(3):
-                            plane_points[planes, a] = places[s, a]
-                            plane_normals[planes, a] = normals[triangle[v], a]
-                        one_of = triangle[v] if one_of < 0 else one_of
-                        p, q = normals[one_of], normals[triangle[v]]
-                        corner_there |= p[0] * q[0] + p[1] * q[1] + p[2] * q[2] < SHARP
-                        planes += 1
-                    else:
-                        values = field if on[v] == FIELD else (skin if on[v] == SKIN else domain)
-                        length2 = 0.0
-                        for a in range(3):
-                            i, j, k = cube[0], cube[1], cube[2] - shape[3]
-                            slope = 0.0
-                            for c in range(4):
-                                e, g = c & 1, c >> 1
-                                if a == 0:
-                                    slope += np.float64(values[k + g, j + e, i + 1]) - values[k + g, j + e, i]
-                                elif a == 1:
-                                    slope += np.float64(values[k + g, j + 1, i + e]) - values[k + g, j, i + e]
-                                else:
-                                    slope += np.float64(values[k + 1, j + g, i + e]) - values[k, j + g, i + e]
-                            plane_normals[planes, a] = slope / spacing[a]
-                            plane_points[planes, a] = places[s, a]
-                            length2 += (slope / spacing[a]) ** 2
-                        if length2 > 0.0:
-                            for a in range(3):
-                                plane_normals[planes, a] /= math.sqrt(length2)
-                            planes += 1
-                if corner_there:  # elsewhere the middle of the points is on the rims, and within the domain
-                    nearest_to_all(planes, plane_points, plane_normals, point, spacing)
-                for a in range(3):
-                    least = origin[a] + (cube[a] + EDGE_MARGIN) * spacing[a]
-                    most = origin[a] + (cube[a] + 1.0 - EDGE_MARGIN) * spacing[a]
-                    point[a] = min(max(point[a], least), most)
+                    places[size, a] = point[a]
                     points[n, a] = point[a]
-                keys[n] = _CENTER + 16 * ((cube[2] * ny + cube[1]) * nx + cube[0]) + loop_number
-                center = -1 - (numbered + n)
+                size += 1
+                rims += 1
                 n += 1
+            here = following
+        if rims == 0:
+            m = _copied(faces, f, stop, first, on, out, kinds, m)
+            f = stop
+            continue
+        made = 0
+        if rims <= 2:
+            # two parts along the line from one point to the other; with a single point nothing is cut
+            one, two = -1, -1
+            for s in range(size):
+                if is_rim[s]:
+                    if one < 0:
+                        one = s
+                    two = s
+            if one == two or not masks[one] & masks[two]:
+                for half in range(rims):
+                    s = one if half == 0 else two
+                    end = (one if half else two) if rims == 2 else (one + size - 1) % size
+                    length = 0
+                    while True:
+                        part[length] = s
+                        length += 1
+                        if s == end:
+                            break
+                        s = (s + 1) % size
+                    before = made
+                    made = fans_from_ends(part, length, rims == 1, places, masks, made, triangles)
+                    if made == before:
+                        made = 0
+                        break
+                    for t in range(before, made):
+                        halves[t] = on[ids[part[1]] - first]
+                if crossing(triangles, made, places):
+                    made = 0
+        for t in range(made):
+            for c in range(3):
+                out[m, c] = ids[triangles[t, c]]
+            kinds[m] = halves[t]
+            m += 1
+        if made == 0:
+            # a fan around a point within the cube, which looks from there like its faces: nothing crosses
+            for a in range(3):
+                point[a] = 0.0
                 for s in range(size):
-                    t = (s + 1) % size
-                    out[m, 0], out[m, 1], out[m, 2] = center, ids[s], ids[t]
-                    kinds[m] = on[(ids[t] if is_rim[s] else ids[s]) - first]
-                    m += 1
-            loop_number += 1
+                    if is_rim[s]:
+                        point[a] += places[s, a] / rims
+            planes = 0
+            corner_there, one_of = False, np.int32(-1)
+            for s in range(size):
+                if is_rim[s]:
+                    continue
+                v = ids[s] - first
+                if on[v] == DOMAIN and triangle[v] >= 0:
+                    for a in range(3):
+                        plane_points[planes, a] = places[s, a]
+                        plane_normals[planes, a] = normals[triangle[v], a]
+                    one_of = triangle[v] if one_of < 0 else one_of
+                    p, q = normals[one_of], normals[triangle[v]]
+                    corner_there |= p[0] * q[0] + p[1] * q[1] + p[2] * q[2] < SHARP
+                    planes += 1
+                else:
+                    values = field if on[v] == FIELD else (skin if on[v] == SKIN else domain)
+                    length2 = 0.0
+                    for a in range(3):
+                        i, j, k = cube[0], cube[1], cube[2] - shape[3]
+                        slope = 0.0
+                        for c in range(4):
+                            e, g = c & 1, c >> 1
+                            if a == 0:
+                                slope += np.float64(values[k + g, j + e, i + 1]) - values[k + g, j + e, i]
+                            elif a == 1:
+                                slope += np.float64(values[k + g, j + 1, i + e]) - values[k + g, j, i + e]
+                            else:
+                                slope += np.float64(values[k + 1, j + g, i + e]) - values[k, j + g, i + e]
+                        plane_normals[planes, a] = slope / spacing[a]
+                        plane_points[planes, a] = places[s, a]
+                        length2 += (slope / spacing[a]) ** 2
+                    if length2 > 0.0:
+                        for a in range(3):
+                            plane_normals[planes, a] /= math.sqrt(length2)
+                        planes += 1
+            if corner_there:  # elsewhere the middle of the points is on the rims, and within the domain
+                nearest_to_all(planes, plane_points, plane_normals, point, spacing)
+            for a in range(3):
+                least = origin[a] + (cube[a] + EDGE_MARGIN) * spacing[a]
+                most = origin[a] + (cube[a] + 1.0 - EDGE_MARGIN) * spacing[a]
+                point[a] = min(max(point[a], least), most)
+                points[n, a] = point[a]
+            keys[n] = _CENTER + (cube[2] * ny + cube[1]) * nx + cube[0]
+            center = -1 - (numbered + n)
+            n += 1
+            for s in range(size):
+                t = (s + 1) % size
+                out[m, 0], out[m, 1], out[m, 2] = center, ids[s], ids[t]
+                kinds[m] = on[(ids[t] if is_rim[s] else ids[s]) - first]
+                m += 1
         f = stop
     return m, n
