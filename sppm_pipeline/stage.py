@@ -252,6 +252,9 @@ class Stage(ABC):
         instance on a clock or a network; it then runs every time, and so does what depends on it.
     headline : tuple of Headline
         The numbers of its summary that the terminal shows after a run; the first five if empty.
+    reported : tuple of str or None
+        Places of the numbers that it may `Context.report`, so that a column of a sweep's table which no run makes is
+        refused before the sweep; None to have none refused. See `Artifact.reported` for how they are written.
     advice : str
         What makes the work smaller, said when a run is refused because it can't fit; empty for a default.
     """
@@ -260,6 +263,7 @@ class Stage(ABC):
     version: ClassVar[int] = 1
     cacheable: ClassVar[bool] = True
     headline: ClassVar[tuple[Headline, ...]] = ()
+    reported: ClassVar[tuple[str, ...] | None] = None
     advice: ClassVar[str] = ""
 
     @abstractmethod

@@ -146,10 +146,24 @@ def run_yaml(tmp_path):
         )
         plan, folder = session.plan(), tmp_path / to
         if session.configuration.sweep is None:
-            return run_plan(plan, folder, threads=threads), folder
+            record = run_plan(plan, folder, threads=threads)
+            _numbers_are_declared(plan, record)
+            return record, folder
         return run_sweep(session, plan, folder, workers=workers, executor=executor, threads=threads), folder
 
     return run
+
+
+def _numbers_are_declared(plan, record):
+    """What a stage reports is what it declares; else columns that there are would be refused before a sweep."""
+    from sppm_pipeline.engine.plan.inputs import declared_numbers, is_declared
+    from sppm_pipeline.engine.run.sweep import numbers_of
+
+    for step, stage in zip(plan.steps, record["stages"], strict=True):
+        declared = declared_numbers(type(step.stage), step.owner.builtin, step.makes)
+        if declared is not None:
+            numbers = [name[len(step.id) + 1 :] for name in numbers_of([stage])]
+            assert not [name for name in numbers if not is_declared(name, declared)], step.id
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,9 @@ import hashlib
 import html
 import importlib
 import io
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,17 @@ def twin_rows(*columns: NDArray[Any]) -> tuple[int, int] | None:
 
 
 class Artifact:
-    """Base of everything a stage may make. Subclasses are frozen dataclasses."""
+    """Base of everything a stage may make. Subclasses are frozen dataclasses.
+
+    Attributes
+    ----------
+    reported : tuple of str or None
+        Places of the numbers that its summary may hold, as columns of sweeps are named: ``"porosity"``, ``"nu.xy"``;
+        ``"C.#6.#6"`` for the entries of a list of six lists of six numbers, ``"solver.*"`` for whatever `solver` holds.
+        None if they are not known. Subclasses state their own.
+    """
+
+    reported: ClassVar[tuple[str, ...] | None] = None
 
     def summary(self) -> dict[str, Any]:
         """Numbers that describe the artifact, JSON-ready, under plain names; they go into the run record."""
@@ -97,6 +108,12 @@ class Artifact:
 
     def check(self) -> None:
         """Raise `ValueError` if the parts contradict each other; the engine calls it on every result."""
+
+    def attribute(self, fault: Callable[[str], Exception]) -> None:
+        """Keep what makes an error that names stage and plugin, if what the artifact holds is computed when it is read.
+
+        The engine calls it on every result of a plugin.
+        """
 
     def digest(self) -> str:
         """SHA-256 of the artifact's public fields: type, names, array dtypes, shapes and bytes."""

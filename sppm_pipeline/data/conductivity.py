@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,11 @@ class ConductivityReport(Artifact):
         Whether the conductor percolates along x, y, z, across faces of voxels.
     warnings : tuple of str
     """
+
+    reported: ClassVar[tuple[str, ...]] = (
+        "k.#3.#3", "tortuosity.#3", "bulk.#6", "porosity", "grid.#3", "fractions", "iterations.#3", "residuals.#3",
+        "errors.#3", "converged", "wraps.#3",
+    )  # fmt: skip
 
     k: NDArray[np.float64]
     of: str

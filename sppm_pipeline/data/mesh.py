@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,8 @@ class SurfaceMesh(Artifact):
     name : str
         What a person would call it, for messages.
     """
+
+    reported: ClassVar[tuple[str, ...]] = ("vertices", "triangles", "size_mm.#3", "volume_mm3")
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
@@ -137,6 +139,10 @@ class RepeatedMesh(Artifact):
     offsets : (k, 3) float64, mm
         Shifts of the copies.
     """
+
+    reported: ClassVar[tuple[str, ...]] = (
+        "copies", "mesh.vertices", "mesh.triangles", "mesh.size_mm.#3", "mesh.volume_mm3",
+    )  # fmt: skip
 
     mesh: SurfaceMesh
     offsets: NDArray[np.float64]

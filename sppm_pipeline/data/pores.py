@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,8 @@ class PoreSet(Artifact):
     blocks : Blocks or None
         Where the interiors lie, if they are blocks of a lattice without faces. Pores are then sorted by interior.
     """
+
+    reported: ClassVar[tuple[str, ...]] = ("pores", "face_pores", "interiors", "colors.#3", "pores_per_cell", "spacing")
 
     cell: Cell
     centers: NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,16 @@ class StiffnessReport(Artifact):
     solver : dict
         Residuals, iterations and what else the method has to say, JSON-ready.
     """
+
+    reported: ClassVar[tuple[str, ...]] = (
+        "porosity", "C.#6.#6", "E.#3", "G.#3", "nu.xy", "nu.xz", "nu.yx", "nu.yz", "nu.zx", "nu.zy", "E_relative",
+        "isotropic.E", "isotropic.nu", "xi", "xi_relative", "deviation_invariant", "bulk.voigt", "bulk.reuss",
+        "shear.voigt", "shear.reuss", "zener", "distance_from_cubic", "universal_anisotropy",
+        "log_euclidean_anisotropy", "E_min.value", "E_min.direction.#3", "E_max.value", "E_max.direction.#3",
+        "bounds.within_voigt_and_reuss", "bounds.hashin_shtrikman_bulk.#2", "bounds.hashin_shtrikman_shear.#2",
+        "bounds.hashin_shtrikman_young.#2", "bounds.bulk_within", "bounds.shear_within", "compliance.#6.#6", "solver.*",
+        "error.#6.#6", "error_relative", "E_error.#3", "G_error.#3",
+    )  # fmt: skip
 
     stiffness: NDArray[np.float64]
     phases: tuple[tuple[float, float, float], ...]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +33,8 @@ class TunnelGraph(Artifact):
     shift : (m, 3) int64
         Whole cells; int8 from a million tunnels on, if that holds them.
     """
+
+    reported: ClassVar[tuple[str, ...]] = ("tunnels", "connectors", "mean_tunnel_length")
 
     pores: PoreSet
     edges: NDArray[np.integer]

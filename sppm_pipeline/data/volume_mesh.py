@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,8 @@ class VolumeMesh(Artifact):
     name : str
         What a person would call it, for messages.
     """
+
+    reported: ClassVar[tuple[str, ...]] = ("nodes", "cells", "order", "volume_mm3", "matched", "porosity")
 
     nodes: NDArray[np.float64]
     cells: NDArray[np.int32]

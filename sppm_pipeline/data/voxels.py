@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,8 @@ class Voxels(Artifact):
     periodic : tuple of 3 bools
         Whether opposite sides are neighbors.
     """
+
+    reported: ClassVar[tuple[str, ...]] = ("shape.#3", "spacing.#3", "porosity", "phases.#6")
 
     values: NDArray[np.uint8] | NDArray[np.float32]
     spacing: tuple[float, float, float]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.length import Cell
+from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.wrapped import WrappedField
@@ -61,6 +62,8 @@ class Microstructure(KernelSum):
     exact : bool
         Whether fine grids are summed, too, not interpolated from coarse ones.
     """
+
+    reported: ClassVar[tuple[str, ...]] = (*PoreSet.reported, *TunnelGraph.reported, "level")
 
     cell: Cell
     graph: TunnelGraph

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.data.artifact import Artifact, frozen
 from sppm_pipeline.data.printer import Printer
 from sppm_pipeline.data.size import Geometry, Size
+from sppm_pipeline.errors import SppmError
 
 Slab = tuple[int, NDArray[np.uint8]]
 """Index of the first layer, and layers indexed [layer, y, x], rows in order of increasing y."""
@@ -59,6 +60,8 @@ class SliceStack(Artifact, ABC):
         The printer that the layers were cut for.
     """
 
+    _fault: Callable[[str], Exception] | None = None
+
     @property
     @abstractmethod
     def pixel_mm(self) -> tuple[float, float]: ...
@@ -86,9 +89,56 @@ class SliceStack(Artifact, ABC):
     def slabs(self, threads: int = 1) -> Slabs:
         """The layers, bottom first: 0 (void) to 255 (solid), binary stacks hold nothing between.
 
-        Each array may be changed or reused by the stack when the next one is asked for.
+        Each array may be changed or reused by the stack when the next one is asked for. Each is checked, and an error
+        names the plugin whose stage has made the stack.
         """
-        return Slabs(self.read(threads))
+        return Slabs(self._checked(threads))
+
+    def attribute(self, fault: Callable[[str], Exception]) -> None:
+        """See `Artifact.attribute`; whoever passes a stack on has not made it."""
+        if self._fault is None:
+            object.__setattr__(self, "_fault", fault)
+
+    def _checked(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
+        """The slabs of `read`: layers one after the other, all of one size and type, as many as announced."""
+        fault = self._fault or ValueError
+        nx, ny, nz = self.shape
+        below = 0
+        slabs: Any = self.read(threads)  # whatever a subclass returns
+        if not isinstance(slabs, Generator):
+            raise fault(f"whose `read` gives {type(slabs).__name__}, expected a generator")
+        try:
+            while True:
+                try:
+                    slab = next(slabs)
+                except StopIteration as end:
+                    findings = end.value
+                    break
+                except (SppmError, MemoryError, OSError):
+                    raise
+                except Exception as error:
+                    if self._fault is None:
+                        raise
+                    raise fault(f"that raised {type(error).__name__} when it was read: {error}") from error
+                if not (isinstance(slab, tuple) and len(slab) == 2 and isinstance(slab[1], np.ndarray)):
+                    raise fault(f"that delivers {type(slab).__name__}, expected (index of the first layer, array)")
+                start, layers = slab
+                if layers.dtype != np.uint8 or layers.ndim != 3 or layers.shape[1:] != (ny, nx) or not len(layers):
+                    raise fault(
+                        f"that delivers layers as {layers.dtype} of shape {layers.shape}, expected uint8 of shape "
+                        f"(layers, {ny}, {nx}), as its `shape` is {(nx, ny, nz)}"
+                    )
+                if start != below or start + len(layers) > nz:
+                    raise fault(f"that delivers layers {start} to {start + len(layers) - 1} after {below} of {nz}")
+                below += len(layers)
+                yield start, layers
+        finally:
+            slabs.close()
+        if below != nz:
+            raise fault(f"that delivers {below} layers and announces {nz}")
+        if not isinstance(findings, dict):
+            raise fault(f"whose `read` returns {type(findings).__name__}, expected a dict of what it found out")
+        return findings
 
     def to_array(self, threads: int = 1) -> NDArray[np.uint8]:
         """All layers at once, uint8 [layer, y, x]; its transpose is the volume [x, y, z]. For what fits into memory."""

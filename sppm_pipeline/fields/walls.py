@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,8 @@ class WalledMicrostructure(Microstructure):
     rounding : float
         Radius of the fillets where walls meet and of the rims of their openings, cell sizes.
     """
+
+    reported: ClassVar[tuple[str, ...]] = (*Microstructure.reported, "thickness", "tunnel_radius")
 
     rounding: float = 0.0
 

@@ -27,6 +27,14 @@ ENDINGS = (".png", ".tif", ".tiff")
 MAX_LAYERS = 1 << 16
 
 _DESCRIPTION, _X_RESOLUTION, _Y_RESOLUTION, _UNIT, _CENTIMETER = 270, 282, 283, 296, 3  # tags of TIFF
+_MM = {
+    "nm": 1e-6, "nanometer": 1e-6, "um": 1e-3, "micron": 1e-3, "microns": 1e-3, "micrometer": 1e-3, "mm": 1.0,
+    "millimeter": 1.0, "cm": 10.0, "centimeter": 10.0, "m": 1e3, "meter": 1e3, "in": 25.4, "inch": 25.4,
+}  # fmt: skip
+"""Millimeters of the units that ImageJ writes; any other, such as "pixel", is none of length."""
+_RESOLUTION_UNITS = {2: 25.4, _CENTIMETER: 10.0}
+_ROUNDED = 1e-4
+"""Relative difference of edges up to which they are taken as equal: files round pixels per unit. A choice."""
 
 _DEFLATED = (8, 32946)  # compression schemes of TIFF
 _HIGHEST_RATIO, _ALWAYS_ALLOWED = 1032, 2**26
@@ -34,7 +42,7 @@ _HIGHEST_RATIO, _ALWAYS_ALLOWED = 1032, 2**26
 
 
 def decode_tiff(data: bytes, name: str) -> VoxelImage:
-    """Read a TIFF file of one or many pages.
+    """Read a TIFF file of one or many pages, and the size of its voxels in mm where it states all three edges.
 
     Raises
     ------
@@ -61,9 +69,32 @@ def decode_tiff(data: bytes, name: str) -> VoxelImage:
             for page in series.pages:
                 _require_bounded(page, data, name)
         pages = np.concatenate([series.asarray().reshape(-1, height, width) for series in file.series])
+        spacing = _spacing(file)
     if photometric == 0:  # white is zero
         pages = ~pages if pages.dtype.kind in "bu" else -pages
-    return _stacked(pages, layers, name)
+    return _stacked(pages, layers, name, spacing)
+
+
+def _spacing(file: Any) -> tuple[float, float, float] | None:
+    """Edges of a voxel, mm, of a file that states all three: the resolution of pages, and the distance of layers.
+
+    TIFF has no tag for that distance, so ImageJ's is needed; the resolution alone is often one for a printer or a
+    screen that some program has put in.
+    """
+    about, tags = file.imagej_metadata or {}, file.pages[0].tags
+    unit = str(about.get("unit", "")).replace("\\u00B5", "u").replace("\u00b5", "u").replace("\u03bc", "u")
+    code = tags[_UNIT].value if _UNIT in tags else 0
+    mm = _MM.get(unit.lower()) if unit else _RESOLUTION_UNITS.get(code)
+    if mm is None:
+        return None
+    try:
+        (nx, dx), (ny, dy) = tags[_X_RESOLUTION].value, tags[_Y_RESOLUTION].value
+        x, y, z = (float(edge) * mm for edge in (dx / nx, dy / ny, about["spacing"]))
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    if not all(0 < edge < math.inf for edge in (x, y, z)):
+        return None
+    return (z, z, z) if max(x, y, z) <= (1 + _ROUNDED) * min(x, y, z) else (x, y, z)
 
 
 def _require_gray(series: Any, name: str) -> None:
@@ -165,7 +196,9 @@ def _picture(path: Path) -> NDArray[Any]:
             return np.asarray(image)
 
 
-def _stacked(pages: Iterable[NDArray[Any]], count: int, name: str) -> VoxelImage:
+def _stacked(
+    pages: Iterable[NDArray[Any]], count: int, name: str, spacing: tuple[float, float, float] | None = None
+) -> VoxelImage:
     values: NDArray[Any] | None = None
     for k, page in enumerate(pages):
         if values is None:
@@ -180,4 +213,4 @@ def _stacked(pages: Iterable[NDArray[Any]], count: int, name: str) -> VoxelImage
         values[:, :, k] = page[::-1].T
     if values is None:
         raise InputError(f"{name} holds no layers")
-    return VoxelImage(values, None)
+    return VoxelImage(values, spacing)

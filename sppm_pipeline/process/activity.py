@@ -14,6 +14,7 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 from sppm_pipeline.errors import ConfigError, Position
@@ -59,10 +60,16 @@ _lock = threading.Lock()
 _active: list[tuple[Activity, float]] = []
 
 
-def share() -> None:
-    """Share what is noted from now on with children forked from this process."""
+def share(file: Path | None = None) -> None:
+    """Share what is noted from now on with children forked from this process, or with whoever reads `file`."""
     global _shared
-    _shared = mmap.mmap(-1, _HEAD.size + 2 * _AREA)
+    size = _HEAD.size + 2 * _AREA
+    if file is None:
+        _shared = mmap.mmap(-1, size)
+    else:
+        with file.open("w+b") as opened:
+            opened.truncate(size)
+            _shared = mmap.mmap(opened.fileno(), size)
     _HEAD.pack_into(_shared, 0, 0, math.inf, math.inf)
 
 
@@ -106,16 +113,19 @@ def _write(at: int, text: str) -> None:
     _shared[at : at + 2 + len(data)] = struct.pack("<H", len(data)) + data
 
 
-def _read(at: int) -> str:
-    if _shared is None:
+def _read(at: int, data: mmap.mmap | bytes | None) -> str:
+    if not data:
         return ""
-    (length,) = struct.unpack_from("<H", _shared, at)
-    return _shared[at + 2 : at + 2 + length].decode("utf-8", "replace")
+    (length,) = struct.unpack_from("<H", data, at)
+    return data[at + 2 : at + 2 + length].decode("utf-8", "replace")
 
 
-def current() -> Activity | None:
-    """What is being done, of several things what was begun last; None if nothing was noted."""
-    what, _, rest = _read(_TEXT).partition("\0")
+def current(file: Path | None = None) -> Activity | None:
+    """What is being done, of several things what was begun last; None if nothing was noted.
+
+    With `file`, what the process that shared it was doing when it wrote there last.
+    """
+    what, _, rest = _read(_TEXT, _shared if file is None else file.read_bytes()).partition("\0")
     builtin, where, stage = rest.split("\0") if rest.count("\0") == 2 else ("", "", "")
     return Activity(what, bool(builtin), where, stage) if what else None
 
@@ -161,4 +171,4 @@ def leave_message(text: str) -> None:
 
 def last_message() -> str:
     """What the process could not print."""
-    return _read(_WORDS)
+    return _read(_WORDS, _shared)

@@ -19,6 +19,7 @@ from sppm_pipeline.engine.files import FolderLock, digest_of
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
+from sppm_pipeline.testing.synthetic import Number
 
 STAGES = Path(__file__).with_name("slow_stages.py")
 
@@ -395,6 +396,31 @@ def test_two_that_make_the_same_entry_do_not_disturb_each_other(tmp_path):
     for store in (a, b):
         store.close()
     assert not list((tmp_path / "c" / "tmp").iterdir())
+
+
+@pytest.mark.parametrize("durable", [True, False])
+def test_a_durable_entry_is_on_the_disk_before_it_gets_its_name(tmp_path, monkeypatch, durable):
+    """Otherwise the name may outlive the content when the machine stops."""
+    synced, seen = set(), []
+    fsync, rename = os.fsync, os.rename
+
+    def noted(descriptor):
+        synced.add((os.fstat(descriptor).st_ino, os.fstat(descriptor).st_size))
+        fsync(descriptor)
+
+    def renamed(source, target):
+        seen.append(
+            {(file.name, (file.stat().st_ino, file.stat().st_size) in synced) for file in Path(source).iterdir()}
+        )
+        rename(source, target)
+
+    (tmp_path / "written").write_bytes(b"bytes")
+    monkeypatch.setattr(os, "fsync", noted)
+    monkeypatch.setattr(os, "rename", renamed)
+    store = Store(tmp_path / "cache")
+    store.put("0" * 64, {"facts": {}}, value=Number(3.0), outputs=[("a", tmp_path / "written")], durable=durable)
+    assert seen == [{(name, durable) for name in ("manifest.json", "outputs.bin", "value.json")}]
+    store.close()
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from sppm_pipeline.errors import ConfigError
 
 @pytest.fixture
 def check(tmp_path):
-    def check(text: str, until: str | None = None) -> None:
+    def check(text: str, until: str | None = None, plugins: tuple[str, ...] = ()) -> None:
         file = tmp_path / "config.yaml"
         file.write_text(f"sppm: 1\n{text}", encoding="utf-8")
-        checked(open_session(RunRequest(str(file), distributions=False)), until)
+        checked(open_session(RunRequest(str(file), plugins=plugins, distributions=False)), until)
 
     return check
 
@@ -65,7 +65,82 @@ def test_columns_that_no_run_makes_are_found_before_the_sweep(check):
     for column in ("'sise'", "'prat.volume_mm3'", "'porosity'"):
         assert f"the table has no column {column}" in told
     assert "did you mean size?" in told
-    assert "did you mean part?" in told
+    assert "did you mean part.volume_mm3?" in told
+
+
+NUMBERS = """
+params: {size: 2, which: a}
+sweep: {size: [2, 3]%s}
+recipes:
+  a: [{stage: sample.dart_throwing, total: 5}, {stage: connect.mst}, {stage: field.walls}]
+  b: [{stage: sample.dart_throwing, total: 5}, {stage: connect.mst}, {stage: field.gaussian, omega: 30, mu: 30}]
+pipeline:
+  - {stage: tune.retry, id: cell, recipe: '${which}'}
+  - {stage: extract.voxels, resolution: 8}
+  - {stage: homogenize.voxel, id: elastic, grids: 2, from: cell}
+after:
+  - {stage: write.chart, x: elastic.porosity, y: %s, bound: elastic.bounds.hashin_shtrikman_young.2, group: %s}
+"""
+
+
+@pytest.mark.parametrize(
+    ("column", "hint"),
+    [
+        ("elastic.E", "did you mean elastic.E.1?"),
+        ("elastic.E.4", "did you mean elastic.E."),
+        ("elastic.porsity", "did you mean elastic.porosity?"),
+        ("elastic.isotropic.e", "did you mean elastic.isotropic.E?"),
+        ("elastic.qqqqqqqqqqqqqqqqqqqqqqqqqqq", "numbers of elastic: C.1.1, C.1.2"),
+    ],
+)
+def test_numbers_that_a_stage_does_not_report_are_found_before_the_sweep(check, column, hint):
+    with pytest.raises(ConfigError, match=re.escape(f"the table has no column '{column}'")) as caught:
+        check(NUMBERS % ("", column, "size"))
+    assert hint in str(caught.value)
+
+
+def test_numbers_that_a_stage_reports_are_columns(check):
+    for known in ("elastic.C.6.1", "elastic.nu.xy", "elastic.convergence.limit.1.1", "elastic.solver.unknowns"):
+        check(NUMBERS % ("", known, "extract.voxels.phases.1"))
+
+
+def test_numbers_of_whatever_recipe_a_row_chooses_are_columns(check):
+    with pytest.raises(ConfigError, match=r"no column 'cell\.omega'"):
+        check(NUMBERS % ("", "cell.thickness", "cell.omega"))
+    with pytest.raises(ConfigError, match=r"no column 'cell\.levels'"):
+        check(NUMBERS % (", which: [a, b]", "cell.attempts", "cell.levels"))
+    check(NUMBERS.replace("which: a", "which: b") % (", which: [b, a]", "cell.thickness", "cell.level"))
+
+
+FURTHER = '''
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.stiffness import StiffnessReport
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.stage import Context
+from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
+
+@dataclass(frozen=True, kw_only=True)
+class Further(HomogenizeVoxel):
+    """Report more."""
+    name: ClassVar[str] = "homogenize.further"
+    %s
+    def run(self, context: Context, source: ScalarField) -> StiffnessReport:
+        context.report(damping=1.0)
+        return self.stiffness_of(context, source)
+'''
+
+
+def test_numbers_of_plugins_are_refused_only_if_they_declare_them(check, tmp_path):
+    text = NUMBERS.replace("homogenize.voxel", "homogenize.further")
+    plugin = tmp_path / "further.py"
+    plugin.write_text(FURTHER % "", encoding="utf-8")
+    check(text % ("", "elastic.damping", "elastic.anything"), plugins=(str(plugin),))
+    plugin.write_text(FURTHER % "reported: ClassVar[tuple[str, ...]] = ('damping',)", encoding="utf-8")
+    check(text % ("", "elastic.damping", "elastic.E.1"), plugins=(str(plugin),))
+    with pytest.raises(ConfigError, match=r"no column 'elastic\.anything'"):
+        check(text % ("", "elastic.damping", "elastic.anything"), plugins=(str(plugin),))
 
 
 def test_only_recipes_that_run_are_looked_at(check):

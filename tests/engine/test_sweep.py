@@ -177,17 +177,31 @@ from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.testing.synthetic import Number
 
+class Cluster(ThreadPoolExecutor):
+    def shutdown(self, wait=True):  # Dask's knows no `cancel_futures` either
+        super().shutdown(wait)
+
 @hookimpl
 def sppm_executors():
-    return {"pool": lambda workers: ThreadPoolExecutor(workers), "nonsense": lambda workers: 3}
+    return {"pool": Cluster, "nonsense": lambda workers: 3}
 
 @dataclass(frozen=True, kw_only=True)
 class Die(Stage):
     '''Die as a native library does.'''
     name: ClassVar[str] = "check.die"
     value: int = option(1, help="a number")
-    def run(self, context: Context) -> Number:
-        os._exit(11)
+    def run(self, context: Context, number: Number) -> Number:
+        if self.value < 0:
+            os.kill(os.getpid(), -self.value)
+        elif self.value == 1000:  # the first time only
+            try:
+                open(os.path.join(os.path.dirname(__file__), "once"), "x").close()
+            except FileExistsError:
+                return number
+            os.kill(os.getpid(), 9)
+        elif self.value:
+            os._exit(self.value % 256)
+        return number
 """
 
 
@@ -198,11 +212,55 @@ def test_executors_can_come_from_plugins(work):
         run(work, plugins=[path], executor="nonsense", to="b")
 
 
-def test_a_worker_that_dies_is_a_native_crash(work):
+DEADLY = """params: {v: 0}
+pipeline: [{stage: sample.random, count: 3}, field.scale, {stage: check.die, id: grave, value: '${v}'}]
+sweep: {v: [0, 11, 0, -11, 256]}
+after: [{stage: write.column, column: field.scale.value}]
+"""
+
+
+def test_a_row_that_takes_its_process_down_has_failed_and_the_others_go_on(work):
     path = work.write(PLUGIN, "plugin.py")
-    text = "params: {v: 1}\npipeline: [{stage: check.die, value: '${v}'}]\nsweep: {v: [1]}\n"
-    with pytest.raises(NativeCrash):
-        run(work, text, plugins=[path], executor="processes")
+    record = run(work, DEADLY, plugins=[path], workers=2)
+    assert record["status"] == "failed"
+    assert [row["status"] for row in record["runs"]] == ["done", "failed", "done", "failed", "failed"]
+    left, killed, quiet = (record["runs"][row]["error"] for row in (1, 3, 4))
+    assert (left["kind"], killed["kind"]) == ("PluginError", "NativeCrash")
+    assert "run '0001' was ended by its own code (exit code 11)" in left["message"]
+    assert "run '0003' was taken down by SIGSEGV" in killed["message"]
+    assert "run '0004' was ended by its own code (exit code 0)" in quiet["message"]
+    for error in (left, killed, quiet):
+        assert error["stage"] == "grave"
+        assert "plugin.py" in error["message"]
+        assert "'check.die'" in error["message"]
+        assert ":3:" in error["where"]
+    out = work.folder / "out"
+    for name, error in (("0001", left), ("0003", killed)):
+        alone = json.loads((out / "runs" / name / "run.json").read_text())
+        assert (alone["status"], alone["error"]) == ("failed", error)
+    table = table_of(out)
+    assert [row["error"] for row in table] == ["", left["message"], "", killed["message"], quiet["message"]]
+    assert [row["field.scale.value"] != "" for row in table] == [True, False, True, False, False]
+    assert record["stages"][0]["summary"]["rows"] == 5
+
+
+def test_a_row_whose_process_somebody_ends_is_run_again(work):
+    path = work.write(PLUGIN, "plugin.py")
+    text = DEADLY.replace("[0, 11, 0, -11, 256]", "[1000, 0, 0]")
+    record = run(work, text, plugins=[path], executor="processes", workers=2)
+    assert [row["status"] for row in record["runs"]] == ["done"] * 3
+    assert (work.folder / "once").exists()
+
+
+def test_workers_that_die_before_their_first_run_end_the_sweep(work):
+    path = work.write(
+        PLUGIN.replace(
+            "import os\n", "import os\nimport multiprocessing\nif multiprocessing.parent_process(): os._exit(3)\n"
+        ),
+        "plugin.py",
+    )
+    with pytest.raises(NativeCrash, match="0 of 5 runs had ended"):
+        run(work, DEADLY, plugins=[path], executor="processes", workers=2)
     assert json.loads((work.folder / "out" / "run.json").read_text())["error"]["exit_code"] == 6
 
 

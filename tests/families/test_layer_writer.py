@@ -10,6 +10,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.run.runner import run_plan
+from sppm_pipeline.errors import PluginError
 from sppm_pipeline.families import LayerWriter
 from sppm_pipeline.stage import option
 from sppm_pipeline.stages.slice.field import SliceField
@@ -95,3 +98,72 @@ def test_a_container_holds_all_layers_and_what_is_known_at_the_end(stack, tmp_pa
 def test_a_writer_that_leaves_layers_out_is_found(stack, tmp_path):
     with pytest.raises(RuntimeError, match=r"write\.raw has taken 1 of 21 layers"):
         write(Forgetful(), stack, tmp_path)
+
+
+STACK = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.fields.slice_stack import SliceStack
+from sppm_pipeline.stage import Context, Stage
+
+@dataclass(frozen=True, eq=False)
+class Layers(SliceStack):
+    pixel_mm = (0.1, 0.1)
+    layer_mm = 0.1
+    shape = (4, 3, 5)
+    origin_mm = (0.0, 0.0, 0.0)
+
+    def read(self, threads):
+        layer = np.full((2, 3, 4), 255, np.uint8)
+        %s
+
+@dataclass(frozen=True, kw_only=True)
+class Sliced(Stage):
+    '''Make layers.'''
+    name: ClassVar[str] = "slice.own"
+
+    def run(self, context: Context) -> SliceStack:
+        return Layers()
+"""
+END = "yield 4, layer[:1]\n        return {}"
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (
+            "yield 0, layer.astype(float)",
+            r"layers as float64 of shape \(2, 3, 4\), expected uint8 of shape \(layers, 3, 4\)",
+        ),
+        ("yield 0, layer > 0", "layers as bool"),
+        ("yield 0, layer.transpose(0, 2, 1)", r"uint8 of shape \(2, 4, 3\), expected .*`shape` is \(4, 3, 5\)"),
+        ("yield 0, layer[0]", r"of shape \(3, 4\)"),
+        ("yield 0, layer[:0]", r"of shape \(0, 3, 4\)"),
+        ("yield layer", "delivers ndarray, expected"),
+        ("yield 0, [layer]", "delivers tuple, expected"),
+        ("yield 0, layer\n        yield 3, layer", "delivers layers 3 to 4 after 2 of 5"),
+        ("yield 0, layer\n        yield 2, layer\n        yield 4, layer", "delivers layers 4 to 5 after 4 of 5"),
+        ("yield 0, layer\n        return {}", "delivers 2 layers and announces 5"),
+        (f"yield 0, layer\n        yield 2, layer\n        {END[:-10]}", "returns NoneType, expected a dict"),
+        ("yield 0, layer\n        1 / 0", "raised ZeroDivisionError when it was read: division by zero"),
+        ("return [(0, layer)]", "gives list, expected a generator"),
+        (f"yield 0, layer\n        yield 2, layer\n        {END}", None),
+    ],
+)
+def test_layers_of_plugins_are_checked_while_they_are_read(tmp_path, body, words):
+    plugin, file = tmp_path / "own_layers.py", tmp_path / "config.yaml"
+    plugin.write_text(STACK % body, encoding="utf-8")
+    file.write_text("sppm: 1\npipeline:\n  - {stage: slice.own, id: mine}\n  - write.png\n", encoding="utf-8")
+    plan = open_session(RunRequest(str(file), plugins=(str(plugin),), distributions=False)).plan()
+    if words is None:
+        assert run_plan(plan, tmp_path / "out", threads=1)["status"] == "done"
+        return
+    with pytest.raises(PluginError, match=words) as caught:
+        run_plan(plan, tmp_path / "out", threads=1)
+    assert caught.value.stage == "mine"
+    assert caught.value.where.line == 3
+    assert "own_layers.py" in caught.value.message
+    assert "made a Layers" in caught.value.message

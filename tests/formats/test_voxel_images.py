@@ -108,7 +108,53 @@ def test_a_tiff_states_the_size_of_a_voxel_on_every_page():
         assert file.imagej_metadata["spacing"] == pytest.approx(0.0125)
         assert file.imagej_metadata["slices"] == IMAGE.shape[2]
         assert (file.asarray()[:, ::-1].transpose(2, 1, 0) == IMAGE).all()
-    assert (image_stack.decode_tiff(data, "a.tif").values == IMAGE).all()
+    found = image_stack.decode_tiff(data, "a.tif")
+    assert (found.values == IMAGE).all()
+    assert found.spacing == pytest.approx((0.05, 0.04, 0.125))
+
+
+@pytest.mark.parametrize("edge", [0.02, 0.07, 1 / 3, 7.5 / 64, 1e-4, 25.4])
+def test_cubic_voxels_of_a_tiff_stay_cubic(edge):
+    spacing = image_stack.decode_tiff(image_stack.encode_tiff(IMAGE, (edge,) * 3), "a.tif").spacing
+    assert len(set(spacing)) == 1
+    assert spacing == pytest.approx((edge,) * 3)
+
+
+def imagej_of(resolution=(20.0, 25.0), resolutionunit=1, **about):
+    stream = io.BytesIO()
+    pages = np.ascontiguousarray(IMAGE.T)
+    metadata = {"axes": "ZYX", **about}
+    tifffile.imwrite(
+        stream, pages, imagej=True, resolution=resolution, resolutionunit=resolutionunit, metadata=metadata
+    )
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("about", "mm"),
+    [
+        ({"unit": "mm"}, 1), ({"unit": "cm"}, 10), ({"unit": "um"}, 1e-3), ({"unit": "micron"}, 1e-3),
+        ({"unit": "\\u00B5m"}, 1e-3), ({"unit": "nm"}, 1e-6), ({"unit": "inch"}, 25.4), ({"resolutionunit": 2}, 25.4),
+        ({"resolutionunit": 3}, 10), ({"unit": "mm", "resolutionunit": 3}, 1),
+    ],
+)  # fmt: skip
+def test_voxels_of_imagej_have_the_size_that_it_states(about, mm):
+    found = image_stack.decode_tiff(imagej_of(spacing=0.5, **about), "a.tif")
+    assert found.spacing == pytest.approx((0.05 * mm, 0.04 * mm, 0.5 * mm), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        {"unit": "mm"}, {"resolutionunit": 3}, {"spacing": 0.5}, {"unit": "pixel", "spacing": 0.5, "resolutionunit": 3},
+        {"unit": "mm", "spacing": 0.0}, {"unit": "mm", "spacing": -1.0}, {"unit": "mm", "spacing": "wide"},
+        {"unit": "mm", "spacing": float("inf")},
+    ],
+)  # fmt: skip
+def test_a_tiff_that_does_not_state_all_edges_of_a_voxel_states_none(about):
+    found = image_stack.decode_tiff(imagej_of(**about), "a.tif")
+    assert found.spacing is None
+    assert found.values.shape == IMAGE.shape
 
 
 @pytest.mark.parametrize("values", [IMAGE, GRAY])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from sppm_pipeline.engine.config.problems import did_you_mean, nearest, shown
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.stage import Stage
 
 OWN_COLUMNS = ("run", "status", "error")
 """Columns of a sweep's table besides the parameters and the numbers of stages."""
@@ -46,32 +49,77 @@ def _near(path: Path) -> str | None:
     return did_you_mean(path.name, [other.name for other in path.parent.iterdir() if other.suffix == path.suffix])
 
 
-def impossible_columns(plan: Plan, parameters: tuple[str, ...]) -> Iterator[ConfigError]:
-    """An error for each column of the sweep's table that stages of `after` name and no run can make.
+class Columns:
+    """Which columns the table of a sweep can have, as far as stages and the types of their results declare it.
 
     Parameters
     ----------
-    plan : Plan
     parameters : tuple of str
         Axes of the sweep.
     """
-    known = (*OWN_COLUMNS, *parameters)
-    stages = [step.id for step in plan.steps]
-    for step in plan.after:
-        if SWEEP_ID not in step.inputs.values():
-            continue
-        for option, value in _values(step):
-            if not option.spec.column or not value or value in known:
+
+    def __init__(self, parameters: tuple[str, ...]) -> None:
+        self._own = (*OWN_COLUMNS, *parameters)
+        self._numbers: dict[str, frozenset[str] | None] = {}
+
+    def add(self, plan: Plan) -> None:
+        """The plan of a row; rows may choose other stages and recipes."""
+        for step in plan.steps:
+            found = declared_numbers(type(step.stage), step.owner.builtin, step.makes)
+            before = self._numbers.get(step.id, found)
+            self._numbers[step.id] = None if found is None or before is None else before | found
+
+    def impossible(self, plan: Plan) -> Iterator[ConfigError]:
+        """An error for each column of the sweep's table that stages of `after` name and no run can make."""
+        for step in plan.after:
+            if SWEEP_ID not in step.inputs.values():
                 continue
-            if not any(str(value).startswith(f"{stage}.") for stage in stages):
-                near = nearest(str(value), known) or nearest(str(value).partition(".")[0], stages)
-                hint = f"did you mean {near[0]}?" if near else None
-                yield _error(
-                    step,
-                    option,
-                    f"the table has no column {shown(value)}",
-                    hint or f"there are {', '.join(known)}, and numbers of stages as STAGE.NAME: {', '.join(stages)}",
-                )
+            for option, value in _values(step):
+                if option.spec.column and value and not self._has(str(value)):
+                    yield _error(step, option, f"the table has no column {shown(value)}", self._hint(str(value)))
+
+    def _has(self, column: str) -> bool:
+        ids = [id_ for id_ in self._numbers if column.startswith(f"{id_}.")]
+        return column in self._own or any(
+            (declared := self._numbers[id_]) is None or is_declared(column[len(id_) + 1 :], declared) for id_ in ids
+        )
+
+    def _hint(self, column: str) -> str:
+        numbers = sorted(f"{id_}.{name}" for id_, names in self._numbers.items() for name in names or ())
+        below = [name for name in numbers if name.startswith(f"{column}.")]
+        if near := below or nearest(column, (*self._own, *numbers)):
+            return f"did you mean {near[0]}?"
+        id_ = next((id_ for id_ in self._numbers if column.startswith(f"{id_}.")), None)
+        if id_ is not None:
+            return f"numbers of {id_}: {', '.join(sorted(self._numbers[id_] or ()))}"
+        if near := nearest(column.partition(".")[0], self._numbers):
+            return f"did you mean {near[0]}?"
+        return f"there are {', '.join(self._own)}, and numbers of stages as STAGE.NAME: {', '.join(self._numbers)}"
+
+
+@functools.cache
+def declared_numbers(cls: type[Stage], builtin: bool, makes: tuple[type, ...]) -> frozenset[str] | None:
+    """Places of the numbers in the summary of a stage; None if the stage or a type of its result declares none.
+
+    A plugin's stage may report more than the class that it derives from, so what it inherits does not count.
+    """
+    stated = [cls.reported if builtin else vars(cls).get("reported"), *(vars(kind).get("reported") for kind in makes)]
+    found: set[str] = set()
+    for places in stated:
+        if places is None:
+            return None
+        for place in places:
+            parts = [
+                [str(i + 1) for i in range(int(part[1:]))] if part.startswith("#") else [part]
+                for part in place.split(".")
+            ]
+            found.update(map(".".join, itertools.product(*parts)))
+    return frozenset(found)
+
+
+def is_declared(number: str, declared: frozenset[str]) -> bool:
+    """Whether a place in a summary is among those of `declared_numbers`."""
+    return number in declared or any(place.endswith("*") and number.startswith(place[:-1]) for place in declared)
 
 
 def _values(step: Step) -> Iterator[tuple[Option, object]]:

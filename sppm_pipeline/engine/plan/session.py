@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean
 from sppm_pipeline.engine.plan.estimate import PlanEstimate, estimate_plan, refuse_what_cannot_fit
-from sppm_pipeline.engine.plan.inputs import impossible_columns, missing_inputs
+from sppm_pipeline.engine.plan.inputs import Columns, missing_inputs
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.plugins import BUILTINS, Plugins, load_plugins
 from sppm_pipeline.engine.plan.rates import Speed
@@ -164,8 +164,9 @@ def checked(session: Session, until: str | None = None, *, inputs: bool = True) 
         try:
             rows = sweep_rows(session.configuration.sweep, session.configuration.params)
             if plan is not None:
-                check_sweep(session, rows, until, inputs=inputs)
-                for impossible in impossible_columns(plan, tuple(rows[0])):
+                columns = Columns(tuple(rows[0]))
+                check_sweep(session, rows, until, inputs=inputs, planned=columns.add)
+                for impossible in columns.impossible(plan):
                     problems.add(impossible)
         except ConfigError as error:
             problems.add(error)
@@ -206,8 +207,15 @@ def check_until(plan: Plan, until: str | None) -> None:
         raise ConfigError(f"--until: the pipeline has no stage {until!r}", hint=did_you_mean(until, ids))
 
 
-def check_sweep(session: Session, rows: Sequence[Row], until: str | None = None, *, inputs: bool = True) -> None:
-    """Plan with every value that occurs, so that a bad one is found before any work.
+def check_sweep(
+    session: Session,
+    rows: Sequence[Row],
+    until: str | None = None,
+    *,
+    inputs: bool = True,
+    planned: Callable[[Plan], object] = lambda plan: None,
+) -> None:
+    """Plan with every value that occurs, so that a bad one is found before any work; each plan is shown to `planned`.
 
     In a grid each value is tried once, with the first values of the other parameters; in a table each row. Of more
     than `MAX_CHECKED` a part is tried.
@@ -222,6 +230,7 @@ def check_sweep(session: Session, rows: Sequence[Row], until: str | None = None,
     for row in rows:
         try:
             plan = session.plan(row)
+            planned(plan)
             for missing in missing_inputs(plan, until) if inputs else ():
                 problems.add(missing)
         except ConfigError as error:

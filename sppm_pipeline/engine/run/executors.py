@@ -75,6 +75,11 @@ def sppm_executors() -> Mapping[str, Callable[[int], Executor]]:
     return {"serial": _serial, "threads": _threads, "processes": _processes}
 
 
+def default_executor(workers: int) -> str:
+    """The name of the executor that is used unless another one is asked for."""
+    return "processes" if workers > 1 else "serial"
+
+
 def make_executor(name: str | None, workers: int, plugins: Plugins) -> Executor:
     """The executor called `name`; without a name, processes if there is more than one worker.
 
@@ -86,7 +91,7 @@ def make_executor(name: str | None, workers: int, plugins: Plugins) -> Executor:
         If a plugin's function does not return an executor.
     """
     there = {key: (make, plugin) for plugin in plugins.plugins for key, make in plugin.executors.items()}
-    name = name or ("processes" if workers > 1 else "serial")
+    name = name or default_executor(workers)
     if name not in there:
         raise ConfigError(f"there is no executor {name!r}", hint=did_you_mean(name, there))
     make, plugin = there[name]

@@ -108,6 +108,8 @@ def _check_result(step: Step, made: Any) -> None:
         except Exception as error:
             words = f"made a {type(made).__name__} that can't be checked: {type(error).__name__}: {error}"
             raise _fault_of(step, words) from error
+    if not step.owner.builtin and isinstance(made, Artifact):
+        made.attribute(lambda message: _fault_of(step, f"made a {type(made).__name__} {message}"))
     if (not step.owner.builtin or is_strict()) and (place := no_numbers(made)) is not None:
         raise _fault_of(step, f"made a {type(made).__name__} with {place}")
 

@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import functools
 import io
 import json
+import os
+import signal
+import sys
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.config.parameters import sweep_rows
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
-from sppm_pipeline.engine.plan.session import RunRequest, Session, check_sweep, check_until, open_session
+from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, check_sweep, check_until, open_session
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.engine.run.executors import make_executor
-from sppm_pipeline.engine.run.outputs import SWEEP_RUNS, remove_stale_runs
+from sppm_pipeline.engine.run.executors import default_executor, make_executor
+from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, remove_stale_runs
 from sppm_pipeline.engine.run.record import Recorder, error_entry, mark_ended
 from sppm_pipeline.engine.run.runner import StepRunner, run_plan
 from sppm_pipeline.engine.strict_json import json_text
-from sppm_pipeline.errors import NativeCrash, SppmError
+from sppm_pipeline.errors import NativeCrash, PluginError, SppmError
+from sppm_pipeline.process.activity import current, share
 from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor, Future
+
     from sppm_pipeline.data.table import Table
     from sppm_pipeline.engine.cache.store import Store
 
@@ -76,9 +84,8 @@ def run_sweep(
         What stopped the sweep as a whole; its attribute ``record`` holds the record.
     """
     monitor = monitor or Monitor()
-    assert session.configuration.sweep is not None
     check_until(plan, until)
-    rows = sweep_rows(session.configuration.sweep, session.configuration.params)
+    rows = _rows(session)
     check_sweep(session, rows, until)
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
@@ -156,9 +163,11 @@ def _run_rows(
     monitor: Monitor,
     cache: Path | None,
 ) -> list[dict[str, Any]]:
-    """Hand the rows to an executor; results in the order of the rows."""
-    from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+    """Hand the rows to an executor; results in the order of the rows.
 
+    Where a worker process dies, the rows that were running are run again, each alone: a row that takes its process down
+    once more has failed, and the others go on.
+    """
     common = {
         "request": session.request.absolute(),
         "sweep": uuid.uuid4().hex,
@@ -166,35 +175,116 @@ def _run_rows(
         "until": until,
         "cache": cache,
     }
-    tasks = [{**common, "row": i, "path": str(path / SWEEP_RUNS / name)} for i, name in enumerate(names)]
-    pool = make_executor(executor, workers, session.plugins)
+    executor = executor or default_executor(workers)  # also of rows that are run alone
+    results: dict[int, dict[str, Any]] = {}
+    notes: list[Path] = []
+
+    def ended(number: int, result: dict[str, Any]) -> None:
+        results[number] = result
+        with contextlib.suppress(OSError):  # there is none of a row that ran in this process
+            notes[number].unlink()
+        monitor.row_finished(len(results), len(names), result)
+
     try:
-        futures = {}
-        for number, task in enumerate(tasks):
+        with TemporaryDirectory(prefix="sppm-sweep-") as folder:
+            notes += [Path(folder) / name for name in names]
+            tasks = [
+                {**common, "row": i, "path": str(path / SWEEP_RUNS / name), "notes": str(notes[i]), "from": os.getpid()}
+                for i, name in enumerate(names)
+            ]
+            while left := {i: task for i, task in enumerate(tasks) if i not in results}:
+                if not _serve(make_executor(executor, workers, session.plugins), left, ended)[0]:
+                    break
+                running = {i: task for i, task in left.items() if i not in results and notes[i].exists()}
+                if not running:
+                    raise NativeCrash(
+                        f"a worker process died before it began a run; {len(results)} of {len(tasks)} runs had ended",
+                        hint="a native library crashed, or memory ran out; try fewer workers with -j, or "
+                        "--executor serial",
+                    )
+                for i, task in running.items():
+                    died, codes = _serve(make_executor(executor, 1, session.plugins), {i: task}, ended)
+                    if died:
+                        ended(i, _taken_down(session, task, notes[i], codes))
+    finally:
+        for name in names:
+            mark_ended(path / SWEEP_RUNS / name)
+    return [results[number] for number in range(len(names))]
+
+
+def _serve(
+    pool: Executor, tasks: Mapping[int, Mapping[str, Any]], ended: Callable[[int, dict[str, Any]], None]
+) -> tuple[bool, list[int]]:
+    """Run rows until all have ended or a worker process has died.
+
+    Returns
+    -------
+    died : bool
+        Whether one has.
+    codes : list of int
+        The exit codes of worker processes, negative for a signal; those of other machines are not known.
+    """
+    from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+
+    before, workers = set(_children()), []
+    futures: dict[Future[dict[str, Any]], int] = {}
+    died = False
+    try:
+        for number, task in tasks.items():
             check()
-            futures[pool.submit(run_row, task)] = number
-        results: dict[int, dict[str, Any]] = {}
+            try:
+                futures[pool.submit(run_row, task)] = number
+            except BrokenExecutor:
+                died = True
+                break
+        workers = [process for process in _children() if process not in before]
         waiting = set(futures)
         while waiting:
             # not for ever, so that whoever is asked to stop hears of it
-            ended, waiting = wait(waiting, timeout=LISTENING, return_when=FIRST_COMPLETED)
+            done, waiting = wait(waiting, timeout=LISTENING, return_when=FIRST_COMPLETED)
             check()
-            for future in sorted(ended, key=lambda f: futures[f]):
-                row = results[futures[future]] = future.result()
-                monitor.row_finished(len(results), len(tasks), row)
-    except BrokenExecutor as error:
-        raise NativeCrash(
-            f"a worker process died during the sweep; {len(results)} of {len(tasks)} runs had ended",
-            hint="a native library crashed, or memory ran out; try fewer workers with -j, or --executor serial",
-        ) from error
+            for future in sorted(done, key=lambda f: futures[f]):
+                if isinstance(future.exception(), BrokenExecutor):
+                    died = True
+                else:
+                    ended(futures[future], future.result())
     except BaseException:
         _stop_workers()
         raise
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        for name in names:
-            mark_ended(path / SWEEP_RUNS / name)
-    return [results[number] for number in range(len(tasks))]
+        for future in futures:  # `shutdown` of a cluster's executor may not know how to
+            future.cancel()
+        pool.shutdown(wait=True)
+    return died, [process.exitcode for process in workers if process.exitcode is not None]
+
+
+def _taken_down(session: Session, task: Mapping[str, Any], notes: Path, codes: Sequence[int]) -> dict[str, Any]:
+    """The result of a row whose process has died, by what it was doing."""
+    path, now = Path(task["path"]), current(notes)
+    place: dict[str, Any] = {} if now is None else {"where": now.place, "stage": now.stage or None}
+    doing = "" if now is None else f", while this was running: {now.what}"
+    code = codes[0] if len(codes) == 1 else None
+    run = f"the process of run {path.name!r}"
+    error: SppmError
+    if code is not None and code >= 0:
+        kind = SppmError if now is None or now.builtin else PluginError
+        error = kind(f"{run} was ended by its own code (exit code {code}){doing}", **place)
+    else:
+        name = f" by {signal.Signals(-code).name}" if code else ""
+        memory = ", perhaps because memory ran out" if code == -signal.SIGKILL else ""
+        hint = "run this row alone with --debug; if memory ran out, try a coarser resolution"
+        error = NativeCrash(f"{run} was taken down{name}{memory}{doing}", hint=hint, **place)
+    mark_ended(path, "failed", error)
+    try:
+        record = json.loads((path / RECORD).read_bytes())
+    except (OSError, ValueError):
+        record = {}
+    row = _rows(session)[task["row"]]
+    return _result(path, row, record, record.get("error") or error_entry(error))
+
+
+def _children() -> list[Any]:
+    return sys.modules["multiprocessing"].active_children() if "multiprocessing" in sys.modules else []
 
 
 def _stop_workers() -> None:
@@ -202,11 +292,8 @@ def _stop_workers() -> None:
 
     Runs in threads do not hear of the interruption; the native code that they wait for is ended for them.
     """
-    import sys
-
-    if "multiprocessing" in sys.modules:
-        for process in sys.modules["multiprocessing"].active_children():
-            process.terminate()
+    for process in _children():
+        process.terminate()
     if "sppm_pipeline.process.native" in sys.modules:
         sys.modules["sppm_pipeline.process.native"].stop_all()
 
@@ -224,7 +311,8 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     ----------
     task : mapping
         ``request`` (a `RunRequest`), ``sweep`` (a string that no other sweep has), ``row`` (number of the row),
-        ``path`` (run directory), ``threads``, ``until`` and ``cache`` (folder of the cache, or None).
+        ``path`` (run directory), ``threads``, ``until``, ``cache`` (folder of the cache, or None), ``notes`` (a file in
+        which a worker process notes what it is doing) and ``from`` (number of the process that has made the task).
 
     Returns
     -------
@@ -233,10 +321,11 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         digests), and as ``record`` the digest of the row's record.
     """
     session = _session(task["request"], task["sweep"])
-    assert session.configuration.sweep is not None
-    row = sweep_rows(session.configuration.sweep, session.configuration.params)[task["row"]]
+    row = _rows(session)[task["row"]]
     path = Path(task["path"])
-    result = {"run": path.name, "params": {name: plain(entry.node) for name, entry in row.items()}}
+    if os.getpid() != task["from"]:
+        with contextlib.suppress(OSError):  # on another machine
+            share(Path(task["notes"]))
     try:
         from sppm_pipeline.engine.cache.keys import run_key
 
@@ -244,24 +333,27 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         key = run_key(plan, task["until"])
         record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
     except SppmError as error:
-        record = getattr(error, "record", {})
-        return result | {
-            "status": "failed",
-            "error": error_entry(error),
-            "seconds": record.get("seconds"),
-            "warnings": _warnings(record),
-            "columns": numbers_of(record.get("stages", ())),
-            "files": _files(record),
-            "record": record.get("sha256"),
-        }
-    return result | {
-        "status": "done",
-        "error": None,
-        "seconds": record["seconds"],
+        return _result(path, row, getattr(error, "record", {}), error_entry(error))
+    return _result(path, row, record, None)
+
+
+def _rows(session: Session) -> Sequence[Row]:
+    assert session.configuration.sweep is not None
+    return sweep_rows(session.configuration.sweep, session.configuration.params)
+
+
+def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str, Any] | None) -> dict[str, Any]:
+    """What the sweep keeps of a row, from its record."""
+    return {
+        "run": path.name,
+        "params": {name: plain(entry.node) for name, entry in row.items()},
+        "status": "done" if error is None else "failed",
+        "error": error,
+        "seconds": record.get("seconds"),
         "warnings": _warnings(record),
-        "columns": numbers_of(record["stages"]),
+        "columns": numbers_of(record.get("stages", ())),
         "files": _files(record),
-        "record": record["sha256"],
+        "record": record.get("sha256"),
     }
 
 

@@ -160,3 +160,15 @@ def _insert_bucket(
             slot -= 1
         best[slot], who[slot], how[slot] = d, j, code
     return count
+
+
+def candidates_of_region(
+    points: NDArray[np.float64], chosen: NDArray[np.int64], k: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Edges to the k nearest pores and those chosen, (m, 2), by (i, j), and the positions of those chosen."""
+    n = len(points)
+    near = nearest_keys(sorted_into_buckets(points, np.zeros(3)), np.arange(n), k).ravel()
+    # without periodic axes the image code is that of no shift
+    keys = (chosen[:, 0] * n + chosen[:, 1]) * 27 + 13
+    together = np.unique(np.concatenate([near[near >= 0], keys]))
+    return edges_of_keys(together, n)[0], np.searchsorted(together, keys)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.connecting.candidates import candidate_graph
+from sppm_pipeline.numerics.connecting.candidates import candidate_graph, candidates_of_region
 from sppm_pipeline.numerics.connecting.clearance import close_pairs
 from sppm_pipeline.numerics.connecting.greedy import Edges, all_images, greedy_subgraph, merged_edges
 from sppm_pipeline.numerics.connecting.trees import (
@@ -110,8 +110,6 @@ def exactly_improved(
 
     With `tree` no more edges than are given may be used.
     """
-    from sppm_pipeline.numerics.connecting.regional import candidates_of_region
-
     both, chosen = candidates_of_region(points, edges, k)
     incumbent = np.zeros(len(both), np.bool_)
     incumbent[chosen] = True

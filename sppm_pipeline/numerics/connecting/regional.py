@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.connecting.buckets import sorted_into_buckets
-from sppm_pipeline.numerics.connecting.candidates import edges_of_keys, nearest_keys
+from sppm_pipeline.numerics.connecting.candidates import candidates_of_region
 from sppm_pipeline.numerics.connecting.exchange import (
     CHOSEN,
     DEGREE,
@@ -380,15 +379,3 @@ def greedily_improved(region: Region, k: int, detour: int) -> NDArray[np.int64]:
     improve(edge, node, conflict, length, near, waiting, False)
     kept: NDArray[np.int64] = own[edge[: len(own), CHOSEN] == 1]
     return kept
-
-
-def candidates_of_region(
-    points: NDArray[np.float64], chosen: NDArray[np.int64], k: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Edges to the k nearest pores and those chosen, (m, 2), by (i, j), and the positions of those chosen."""
-    n = len(points)
-    near = nearest_keys(sorted_into_buckets(points, np.zeros(3)), np.arange(n), k).ravel()
-    # without periodic axes the image code is that of no shift
-    keys = (chosen[:, 0] * n + chosen[:, 1]) * 27 + 13
-    together = np.unique(np.concatenate([near[near >= 0], keys]))
-    return edges_of_keys(together, n)[0], np.searchsorted(together, keys)

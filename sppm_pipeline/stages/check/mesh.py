@@ -33,6 +33,16 @@ class CheckMesh(Stage):
     """
 
     name: ClassVar[str] = "check.mesh"
+    reported: ClassVar[tuple[str, ...]] = (
+        "triangles", "vertices", "unused_vertices", "watertight", "manifold", "non_manifold_edges",
+        "non_manifold_vertices", "winding_consistent", "winding_outward", "triangles_to_turn", "one_sided_surfaces",
+        "open_edges", "unmerged_vertices", "holes", "hole_edges.#6", "hole_lengths_mm.#6", "hole_sizes_mm.#6",
+        "components", "euler_number", "genus", "degenerate_triangles", "duplicate_triangles",
+        "self_intersecting_triangles", "self_intersecting_pairs", "self_intersections_complete", "volume_mm3",
+        "area_mm2", "lower_mm.#3", "upper_mm.#3", "genus_of_surfaces.#6", "component_volumes_mm3.#6", "cavities",
+        "cavity_mm3", "shells_inside_others", "shells_inside_out", "thickness_minimum_mm", "thickness_5_percent_mm",
+        "thickness_median_mm", "thickness_unknown_share", "thin_share",
+    )  # fmt: skip
     advice: ClassVar[str] = "extract with a lower `resolution`"
 
     thin: Length | None = option(None, help="walls thinner than this are thin", unit="mm", above=0, maximum=1e6)

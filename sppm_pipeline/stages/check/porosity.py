@@ -18,6 +18,7 @@ class CheckPorosity(Stage):
     """Measure the porosity of a field on a grid of voxel centers; reject it outside of given bounds."""
 
     name: ClassVar[str] = "check.porosity"
+    reported: ClassVar[tuple[str, ...]] = ("porosity",)
 
     resolution: int = options.resolution(48)
     minimum: float = option(0.0, help="smallest porosity accepted", minimum=0, maximum=1)

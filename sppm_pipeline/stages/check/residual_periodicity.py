@@ -27,6 +27,10 @@ class CheckResidualPeriodicity(Stage):
     """
 
     name: ClassVar[str] = "check.residual_periodicity"
+    reported: ClassVar[tuple[str, ...]] = (
+        "bragg_share", "axis_correlation", "folded_corner", "folded_edge", "folded_face", "folded_center",
+        "folded_deviation", "folded_expected",
+    )  # fmt: skip
 
     resolution: int = options.resolution(16, minimum=4, maximum=128)
     path: str | None = options.write_path(

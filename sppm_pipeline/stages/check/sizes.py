@@ -39,6 +39,11 @@ class CheckSizes(Stage):
     """
 
     name: ClassVar[str] = "check.sizes"
+    reported: ClassVar[tuple[str, ...]] = (
+        "specific_surface", "voxel", "thinnest_wall", "narrowest_tunnel", "solid.mean", "solid.deviation",
+        "solid.smallest", "solid.largest", "solid.quantiles.#3", "void.mean", "void.deviation", "void.smallest",
+        "void.largest", "void.quantiles.#3",
+    )  # fmt: skip
 
     resolution: int = options.resolution(64, note="of a field", minimum=8, maximum=512)
     printable: Length | None = option(

@@ -24,6 +24,10 @@ class CheckTiling(Stage):
     """
 
     name: ClassVar[str] = "check.tiling"
+    reported: ClassVar[tuple[str, ...]] = (
+        "rule1_violations", "rule2_score", "rule2_fraction", "alike_across_faces", "alike_across_edges",
+        "alike_across_corners", "interiors", "colors.#3", "interior_entropy", "entropy_per_cell",
+    )  # fmt: skip
 
     violations: int = option(
         0, help="maximum number of faces that may break Rule 1; more are an error", minimum=0, maximum=10**9

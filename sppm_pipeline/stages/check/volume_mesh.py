@@ -26,6 +26,11 @@ class CheckVolumeMesh(Stage):
     """
 
     name: ClassVar[str] = "check.volume_mesh"
+    reported: ClassVar[tuple[str, ...]] = (
+        "minimum_dihedral_degrees", "maximum_dihedral_degrees", "maximum_radius_ratio", "maximum_edge_ratio",
+        "minimum_volume_mm3", "inverted", "folded", "non_manifold_faces", "boundary_closed", "non_manifold_edges",
+        "unused_nodes", "matched_triangles.#3", "free_triangles.#3", "mismatched_triangles.#3", "components",
+    )  # fmt: skip
 
     minimum_angle: float = option(
         5.0,

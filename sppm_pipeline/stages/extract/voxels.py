@@ -24,6 +24,7 @@ class ExtractVoxels(Stage):
     """Sample a field at voxel centers: 1 where it is solid, 0 elsewhere, over all its cells."""
 
     name: ClassVar[str] = "extract.voxels"
+    reported: ClassVar[tuple[str, ...]] = ()
 
     resolution: int = options.resolution(32)
     exact: bool = options.exact(False)

@@ -34,6 +34,7 @@ class GaussianField(Stage):
     """
 
     name: ClassVar[str] = "field.gaussian"
+    reported: ClassVar[tuple[str, ...]] = ("pore_radius", "tunnel_radius", "omega", "mu")
 
     pore_radius: Length | None = options.pore_radius(None)
     tunnel_radius: Length | None = options.tunnel_radius(None)

@@ -39,9 +39,15 @@ class WallsField(Stage):
     Solid is what lies within half a thickness of the faces of the pores' Voronoi cells and in no tunnel. A target
     porosity (`tune.porosity`, a tile set's or an assembly's `porosity`) is reached by the thickness. An extension of
     the paper, for any of its pores and tunnels.
+
+    Where a cell is repeated, its void opens into the next one through tunnels alone. A spanning tree of pores that do
+    not lie on faces has none that lead there, which is warned about.
     """
 
     name: ClassVar[str] = "field.walls"
+    reported: ClassVar[tuple[str, ...]] = (
+        "thickness", "tunnel_radius", "thinnest_tunnel", "rounding", "mean_pore_distance", "missed",
+    )  # fmt: skip
 
     thickness: Length | None = option(
         None, help="thickness of the walls; a tenth of the mean distance of pores if omitted", unit="cell size",
@@ -72,6 +78,7 @@ class WallsField(Stage):
         pores = graph.pores
         if not len(pores.centers):
             raise DesignError("there are no pores to put walls between", hint="sample some, for example `total: 70`")
+        _warn_if_closed(context, graph)
         length, half, radius, rounding = self._sizes(pores.cell, pores.per_cell)
         radii = radius * log_normal_factors(lambda: context.rng(1), self.tunnel_spread, len(graph.edges))
         context.report(
@@ -96,6 +103,21 @@ class WallsField(Stage):
 
         half, radius = given("thickness", THICKNESS_SHARE) / 2, given("tunnel_radius", TUNNEL_SHARE)
         return length, half, radius, given("rounding", ROUNDING_SHARE)
+
+
+def _warn_if_closed(context: Context, graph: TunnelGraph) -> None:
+    """Warn if the tunnels of a cell do not lead to the next one: walls leave no other way."""
+    from sppm_pipeline.numerics.connecting.statistics import wraps
+
+    if graph.pores.interiors > 1 or graph.pores.blocks is not None:
+        return
+    through = wraps(len(graph.pores.centers), graph.edges, graph.shift)
+    closed = ", ".join(axis for axis, open_ in zip("xyz", through, strict=True) if not open_)
+    if closed:
+        context.warn(
+            f"no tunnel leads from cell to cell along {closed}: where this cell is repeated, walls close its void off; "
+            "put pores on its faces by `sample.mirrored_faces`, or join by `connect.relative_neighbors` or `.mbdst`"
+        )
 
 
 def joined_to_nearest(graph: TunnelGraph) -> tuple[TunnelGraph, int]:

@@ -32,6 +32,7 @@ class HomogenizeTet(Stage):
     """
 
     name: ClassVar[str] = "homogenize.tet"
+    reported: ClassVar[tuple[str, ...]] = ()
     headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
     advice: ClassVar[str] = "mesh with a lower `resolution`, or with `order: 1`"
 

@@ -144,6 +144,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.voxel"
+    reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
     headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
 
     grids: int = option(

@@ -20,6 +20,7 @@ class Boundary(Stage):
     """
 
     name: ClassVar[str] = "mesh.boundary"
+    reported: ClassVar[tuple[str, ...]] = ("closed", "non_manifold_edges")
     advice: ClassVar[str] = "mesh with a lower `resolution`"
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:

@@ -31,6 +31,9 @@ class IsosurfaceStuffing(Stage):
     """
 
     name: ClassVar[str] = "mesh.isosurface_stuffing"
+    reported: ClassVar[tuple[str, ...]] = (
+        "removed_share", "put_back", "minimum_dihedral_degrees", "maximum_dihedral_degrees", "maximum_radius_ratio",
+    )  # fmt: skip
 
     resolution: int = options.resolution(32, note="here cubes of a lattice", minimum=4, maximum=512)
     islands: str = options.islands("remove", note="that is, solid that shares no face with the rest")

@@ -23,6 +23,7 @@ class ReadPrimitive(Stage):
     """Make a watertight mesh of a simple body standing on the build plate, centered on the z axis."""
 
     name: ClassVar[str] = "read.primitive"
+    reported: ClassVar[tuple[str, ...]] = ()
     advice: ClassVar[str] = "lower `facets`"
 
     shape: str = option(help="which body", choices=SHAPES)

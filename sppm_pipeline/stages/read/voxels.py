@@ -25,6 +25,8 @@ class ReadVoxels(Stage):
 
     The image becomes phases (0 is void) or solid fractions. An image of two values is void and solid; one with the
     values 0, 1, 2 ... holds phases; a gray one needs a threshold, or the statement that its values are fractions.
+    The size of a voxel is read from .nrrd, and from a TIFF file that states pixels per unit and, as ImageJ does, the
+    distance of layers.
     """
 
     name: ClassVar[str] = "read.voxels"

@@ -41,6 +41,11 @@ class TunePorosity(Stage):
     """
 
     name: ClassVar[str] = "tune.porosity"
+    reported: ClassVar[tuple[str, ...]] = (
+        "count", "line.slope", "line.intercept", "line.r_squared", "line.residual_sd", "line.largest_residual",
+        "line.n_min", "line.n_max", "line.samples", "porosity", "porosity_error", "checked_at", "level",
+        "gap_evaluations", "gap",
+    )  # fmt: skip
 
     target: float = options.target(note="the porosity", below=1)
     by: str = option("level", help="what is tuned at last", choices=("level", "gap"))

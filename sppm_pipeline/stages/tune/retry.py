@@ -20,6 +20,7 @@ class Retry(Stage):
     """
 
     name: ClassVar[str] = "tune.retry"
+    reported: ClassVar[tuple[str, ...]] = ("attempts",)
 
     attempts: int = option(20, help="maximum number of draws", minimum=1, maximum=100_000)
 

@@ -32,6 +32,10 @@ class TuneStiffness(ElasticHomogenizer):
     """
 
     name: ClassVar[str] = "tune.stiffness"
+    reported: ClassVar[tuple[str, ...]] = (
+        "value", "modulus", "modulus_error", "modulus_grid_error", "modulus_extrapolated", "homogenizations",
+        "curve.#6.#2",
+    )  # fmt: skip
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("modulus", error="modulus_grid_error"), Headline("modulus_extrapolated", "on fine grids"),
         Headline("value"), Headline("homogenizations"),

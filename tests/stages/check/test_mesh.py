@@ -5,7 +5,9 @@ import pytest
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.engine.strict_json import json_text
+from sppm_pipeline.engine.plan.inputs import declared_numbers, is_declared
+from sppm_pipeline.engine.run.sweep import numbers_of
+from sppm_pipeline.engine.strict_json import json_text, jsonable
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_mesh
 from sppm_pipeline.stage import Rejected
@@ -22,6 +24,9 @@ def check(vertices, faces, **options):
     stage.check_options()
     assert stage.run(context, mesh) is mesh
     json_text(context.reported)
+    declared = declared_numbers(CheckMesh, True, (SurfaceMesh,))
+    for place in numbers_of([{"id": "mesh", "summary": jsonable(context.reported)}]):
+        assert is_declared(place.removeprefix("mesh."), declared)
     assert len(context.warnings) == len(context.reported["problems"]) + bool(context.reported.get("cavities"))
     return context.reported
 

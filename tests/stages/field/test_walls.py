@@ -15,6 +15,7 @@ from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 from sppm_pipeline.numerics.meshcheck.self_intersections import self_intersections
 from sppm_pipeline.stages.check.sizes import CheckSizes
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
 from sppm_pipeline.stages.extract.manifold_sdf import ManifoldSdf
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
 from sppm_pipeline.stages.field.walls import WallsField
@@ -117,6 +118,28 @@ def test_pores_without_a_tunnel_get_one():
     assert told["missed"] == 1
     assert field.graph.shift.tolist() == [[1, 0, 0]]
     assert phase_report((field.sample(24) >= 0).astype(np.uint8)).components == 1
+
+
+def test_a_cell_that_its_walls_close_is_told():
+    """A tree leads to the next cell through pores on faces only; loops may lead around the torus."""
+
+    def warned(*stages):
+        context = PlainContext(2)
+        recipe_of(*stages, WallsField()).run(context)
+        return [text for text in context.warnings if "from cell to cell" in text]
+
+    inside = DartThrowing(count=30, spacing=Length(0.2))
+    assert "along x, y, z:" in warned(inside, MinimumSpanningTree())[0]
+    assert not warned(MirroredFaces(count=9, spacing=Length(0.2)), inside, MinimumSpanningTree())
+    assert not warned(inside, BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"))
+    assert "along y, z:" in " ".join(_closed_by_walls(((0, 4), (4, 0)), ((0, 0, 0), (1, 0, 0))))
+
+
+def _closed_by_walls(edges, shifts):
+    pores = PoreSet(Cell(), LATTICE, np.zeros(8, np.int32))
+    context = PlainContext(1)
+    WallsField().run(context, TunnelGraph(pores, np.array(edges), np.array(shifts)))
+    return context.warnings
 
 
 def test_no_pores_and_huge_lengths_are_refused():

@@ -131,6 +131,9 @@ def test_a_cell_goes_out_and_comes_back(cell, tmp_path, name):
     WriteVoxels(path=name).run(context, fractions)
     back, _ = read(tmp_path / name, values="fractions")
     assert (back.values == fractions.values).all()
+    if name != "v.npy":
+        assert (back.physical, back.spacing) == (True, pytest.approx((1, 2, 3)))
+        assert read(tmp_path / name, values="fractions", voxel=Length(5, "mm"))[0].spacing == (5, 5, 5)
 
 
 def test_layers_of_a_part_and_its_image_agree(wang_tiling):
