@@ -125,3 +125,29 @@ def test_a_cell_holds_what_its_voxels_hold(cell):
     solid = thin.solid(160).mean()
     vertices, faces, _ = FieldSurface(thin, cell_nodes(32), "keep").mesh()
     assert volume(vertices, faces) == pytest.approx(solid, rel=5e-3)
+
+
+@pytest.mark.parametrize("skin", [0.0, 0.3])
+@pytest.mark.parametrize("domain", ["ball", "turned box"])
+def test_nothing_crosses_where_thin_walls_end(domain, skin):
+    """Walls of about a voxel: cubes that the surface passes several times, rims at every angle."""
+
+    def walls(x, y, z):
+        x, y, z = 2.4 * x, 2.4 * y, 2.4 * z
+        return np.abs(np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)) - 0.25
+
+    body = ball_mesh((5.03, 4.98, 5.01), 2.2, 4) if domain == "ball" else placed("turned")
+    for n in (6, 8):
+        vertices, faces, _ = mesh(Formula(walls), body, n, skin)
+        assert self_intersections(box_tree(vertices[faces])).pairs == 0
+
+
+def test_nothing_crosses_in_noise():
+    """All cases of marching cubes beside a rim, faces that the surface crosses twice among them."""
+    noise = Formula(
+        lambda x, y, z: np.sin(991 * x + 37 * y * z) + np.sin(883 * y + 41 * z) + np.sin(787 * z + 53 * x * x)
+    )
+    for skin in (0.0, 0.3):
+        vertices, faces, _ = mesh(noise, placed("turned"), 5, skin)
+        assert len(faces) > 10_000
+        assert self_intersections(box_tree(vertices[faces])).pairs == 0

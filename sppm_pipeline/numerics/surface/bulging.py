@@ -3,8 +3,9 @@
 A mesh whose vertices all lie on a curved surface is too thin where the solid is convex and too thick where it is
 concave, by a volume that falls with the square of the spacing only. Over an edge the surface rises by ``s^2 k / 8``,
 with the length s and the curvature k, which is the turn of the normals along the edge over its length; a parabolic
-patch rises over a triangle by a third of the sum of its three edges on average. Every vertex is moved along its normal
-by the mean rise of its triangles, so that the mesh encloses what the surface does.
+patch rises over a triangle by a third of the sum of its three edges on average. Every vertex is moved by the
+mean rise of its triangles, so that the mesh encloses what the surface does: along its edge of the grid, not its normal,
+so that the surface in a cube stays in it and runs into no other sheet nearby.
 """
 
 from __future__ import annotations
