@@ -223,7 +223,12 @@ class FieldSurface:
                 yield vertices, faces
                 continue
             if before is not None:
-                joined = Placed(*(np.concatenate(pair) for pair in zip(before, placed, strict=True)))
+                joined = Placed(
+                    np.concatenate([before.vertices, placed.vertices]),
+                    np.concatenate([before.edge, placed.edge]),
+                    np.concatenate([before.on, placed.on]),
+                    np.concatenate([before.triangle, placed.triangle]),
+                )
             else:
                 joined = placed
             yield vertices, rims.add(split_rims(faces, first, joined, samples, rims.points))
@@ -360,8 +365,8 @@ def _emptied(items: deque[Item]) -> Iterator[Item]:
 def _from_plane(old: Crossings, start: int, grid: Grid, new: Crossings) -> Crossings:
     """The crossings of edges that begin at plane `start` or above, and those of the planes that follow."""
     first = int(np.searchsorted(old.edge, 3 * start * grid.shape[0] * grid.shape[1]))
-    joined = (np.concatenate([a[first:], b]) for a, b in zip(old[:3], new[:3], strict=True))
-    return Crossings(*joined, new.normals)
+    edge, share = np.concatenate([old.edge[first:], new.edge]), np.concatenate([old.share[first:], new.share])
+    return Crossings(edge, share, np.concatenate([old.triangle[first:], new.triangle]), new.normals)
 
 
 def _told(

@@ -82,7 +82,7 @@ def _surface_picture(surface: FieldSurface, size: tuple[int, int], camera: Camer
     if not isinstance(surface.source, Part):
         place = (vertices - surface.grid.origin) / surface.grid.spacing
         border = np.concatenate([place < 1e-6, np.array(surface.grid.shape) - 1 - place < 1e-6], axis=1)
-        cut = border[faces].all(1).any(1)
+        cut = np.any(np.all(border[faces], axis=1), axis=1)
     colors = np.where(cut[:, None], np.array(CUT, np.uint8), np.array(BONE, np.uint8))
     return render_mesh(vertices, faces, camera=camera, size=size, face_colors=colors)
 

@@ -39,9 +39,10 @@ NO_CROSSINGS = Crossings(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int3
 
 def unit_normals(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit normals of triangles (m, 3, 3), zero for those without area."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals: NDArray[np.float64] = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    np.divide(normals, length, out=normals, where=length > 0)
+    return normals
 
 
 def grid_crossings(

@@ -140,7 +140,7 @@ def sample_line(values: NDArray[np.float32], k: int, j: int, i: int, axis: int, 
 def _cubic_zero(line: NDArray[np.float64]) -> float:
     """Where the cubic vanishes between its two middle values, which differ in sign (regula falsi, Illinois)."""
     a, b, c, d = line[0], line[1], line[2], line[3]
-    t = b / (b - c)
+    t: float = b / (b - c)
     if not (np.isfinite(a) and np.isfinite(d) and np.isfinite(t)):
         return t
     low, high, at_low, at_high = 0.0, 1.0, b, c

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.meshcheck.self_intersections import is_flat, triangles_meet
 
 
 @jit
@@ -67,19 +66,33 @@ def fans_from_ends(
 
 
 @jit
+def _volume(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], d: NDArray[np.float64]) -> float:
+    """Six times the signed volume of a tetrahedron."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return float(x * (d[0] - a[0]) + y * (d[1] - a[1]) + z * (d[2] - a[2]))
+
+
+@jit
 def crossing(triangles: NDArray[np.int64], count: int, places: NDArray[np.float64]) -> bool:
-    """Whether some of the triangles, whose corners are rows of `places`, meet beyond shared corners and edges."""
-    corners = np.empty((count, 3, 3))
+    """Whether a side of one of the triangles, whose corners are rows of `places`, passes through another one."""
     for t in range(count):
-        for c in range(3):
-            for a in range(3):
-                corners[t, c, a] = places[triangles[t, c], a]
-        if is_flat(corners[t]):
-            return True
-    for t in range(count):
-        for s in range(t):
-            if triangles_meet(corners[t], corners[s]):
-                return True
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        for s in range(count):
+            for e in range(3):
+                p, q = triangles[s, e], triangles[s, (e + 1) % 3]
+                if p in (a, b, c) or q in (a, b, c):
+                    continue
+                of_p = _volume(places[a], places[b], places[c], places[p])
+                of_q = _volume(places[a], places[b], places[c], places[q])
+                if not of_p * of_q < 0.0:
+                    continue
+                one = _volume(places[p], places[q], places[a], places[b])
+                two = _volume(places[p], places[q], places[b], places[c])
+                three = _volume(places[p], places[q], places[c], places[a])
+                if min(one, two, three) >= 0.0 or max(one, two, three) <= 0.0:
+                    return True
     return False
 
 

@@ -234,17 +234,17 @@ def _split(
         count = 0
         for t in range(f, stop):
             for c in range(3):
-                a, b = np.int64(faces[t, c]) - first, np.int64(faces[t, (c + 1) % 3]) - first
+                tail, head = np.int64(faces[t, c]) - first, np.int64(faces[t, (c + 1) % 3]) - first
                 partner = -1
                 for e in range(count):
-                    if starts[e] == b and ends[e] == a:
+                    if starts[e] == head and ends[e] == tail:
                         partner = e
                         break
                 if partner >= 0:
                     count -= 1
                     starts[partner], ends[partner] = starts[count], ends[count]
                 else:
-                    starts[count], ends[count] = a, b
+                    starts[count], ends[count] = tail, head
                     count += 1
         # begin with the smallest vertex, so that nothing depends on the order above
         here = starts[0]
