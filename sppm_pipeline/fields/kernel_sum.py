@@ -80,6 +80,11 @@ class KernelSum(ScalarField):
         """
         return None
 
+    @property
+    def patches_last(self) -> bool:
+        """Whether patches are used so often that sampling them finely costs less than to interpolate everywhere."""
+        return False
+
     def sums(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
         """G at the points of a grid, (nx, ny, nz) float32; `sample` is this less the level, but may be interpolated."""
 
@@ -150,6 +155,8 @@ class KernelSum(ScalarField):
         n = max(2, math.ceil(1.0 / pitch - 1e-9))
         share = math.prod(min(TAPS, spacing * n) for spacing in grid.spacing)
         if share > PAYING_SHARE and (share > PAYING_SHARE_OF_PATCHES or self.patches(n, 0.0, threads) is None):
+            return None
+        if self.patches_last and self._placed(grid, threads) is not None:
             return None
         sampler = _SAMPLERS.get(self)
         if sampler is None or sampler.of != (grid, n):
