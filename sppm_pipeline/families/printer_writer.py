@@ -183,13 +183,14 @@ class Preview:
 
     def picture(self, width: int, height: int) -> NDArray[np.uint8]:
         """The part seen from the front and above, (height, width, 3); the background alone if nothing is solid."""
-        from sppm_pipeline.numerics.grid import Grid
-        from sppm_pipeline.render.mesh_view import render_field
+        from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
+        from sppm_pipeline.render.mesh_view import render_mesh
 
         if not (self._share >= 0.5).any():
             return np.full((height, width, 3), 255, np.uint8)
         field = np.pad(np.float32(0.5) - self._share, 1, constant_values=0.5)
-        return render_field(field, None, Grid((0.0, 0.0, 0.0), self._spacing, field.shape[::-1]), size=(width, height))
+        vertices, faces = capped_marching_cubes(field, spacing=self._spacing)
+        return render_mesh(vertices, faces, size=(width, height))
 
 
 def thumbnail(layers: EncodedLayers, width: int, height: int) -> NDArray[np.uint8]:

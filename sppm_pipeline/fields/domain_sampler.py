@@ -12,6 +12,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
+    from sppm_pipeline.numerics.domain.crossings import Crossings
     from sppm_pipeline.numerics.domain.inside import Method
     from sppm_pipeline.numerics.domain.scanline import Scan
     from sppm_pipeline.numerics.domain.spanned import SpannedScan
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
 DISTANCE_SAMPLES = 2**22
 """Samples whose distance from the domain is found at a time."""
+
+ROUNDING = 2.0**-20
+"""Distances from the domain below this fraction of the spacing are taken for zero; a choice, far above rounding."""
 
 VOTED_LAYERS = 64
 """Layers that are decided together where rays along all axes vote."""
@@ -50,6 +54,7 @@ class DomainSampler:
         self._scan: Scan | SpannedScan | ThreeAxisScan | None = None
         self._voted: tuple[int, int, NDArray[np.uint8]] | None = None
         self._triangles: NDArray[np.float64] | None = None
+        self._normals: NDArray[np.float64] | None = None
         self._distance: tuple[int, NDArray[np.float32]] | None = None
 
     def inside(self, start: int, stop: int) -> NDArray[np.uint8]:
@@ -89,9 +94,7 @@ class DomainSampler:
 
         spacing = self._world.spacing
         reach = max(spacing) + self._skin_mm
-        if self._triangles is None:
-            self._triangles = self._domain.vertices[self._domain.faces]
-        distance = distance_layers(self._triangles, self._world, first, last, reach)
+        distance = distance_layers(self._corners(), self._world, first, last, reach)
         halo = 0 if self._method == "scanline" else math.ceil(reach / spacing[2])
         low, high = max(0, first - halo), min(self._world.shape[2], last + halo)
         around = self.inside(low, high)
@@ -99,4 +102,20 @@ class DomainSampler:
             reach_bare_borders(distance, around, first - low, spacing)
         inside = around[first - low : last - low].view(bool)
         np.negative(distance, out=distance, where=inside)
+        # Nodes on the surface itself, as those of a box often are, are void whatever way their distance is rounded: a
+        # face of the part is then flat.
+        distance[np.abs(distance) < ROUNDING * min(spacing)] = 0.0
         return distance
+
+    def crossings(self, start: int, stop: int) -> Crossings:
+        """Where grid edges that begin in the layers start <= k < stop pierce the triangles of the domain."""
+        from sppm_pipeline.numerics.domain.crossings import grid_crossings, unit_normals
+
+        if self._normals is None:
+            self._normals = unit_normals(self._corners())
+        return grid_crossings(self._corners(), self._normals, self._world, start, stop)
+
+    def _corners(self) -> NDArray[np.float64]:
+        if self._triangles is None:
+            self._triangles = self._domain.vertices[self._domain.faces]
+        return self._triangles

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,12 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.numerics.domain.crossings import NO_CROSSINGS, Crossings
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.threads import computed_ahead
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.surface.rims import Split
 
 SLAB_SAMPLES = 2**20
 """Samples taken at a time; a slab holds at least two planes."""
@@ -26,6 +30,9 @@ KEPT_SAMPLES = 2**25
 
 MIN_VOXELS, MAX_VOXELS = 4, 2048
 """Voxels along a cell edge."""
+
+PLANES_BACK = 4
+"""Planes of samples that are kept when a slab is done."""
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 Item = TypeVar("Item")
@@ -90,11 +97,14 @@ class SampledSlab(NamedTuple):
         Negative in the solid.
     apart : tuple of (planes, ny, nx) float32, or None
         Of a part: the fields of the microstructure, of the domain, and of the skin if there is one.
+    crossings : Crossings
+        Of a part's domain with edges that begin in these planes.
     """
 
     start: int
     values: NDArray[np.float32]
     apart: tuple[NDArray[np.float32], ...] | None
+    crossings: Crossings = NO_CROSSINGS
 
 
 @dataclass(frozen=True)
@@ -135,6 +145,8 @@ class FieldSurface:
     cut : bool
         Whether a part ends at the surface of its domain. Otherwise it ends at least a voxel outside of it, without
         regard to shape, and is there to be cut by the mesh of the domain; `islands` are then to be kept.
+    section : float, optional
+        Of a part, only what lies beyond this y, in cell sizes, is shown; islands are those of the whole part.
     """
 
     source: ScalarField
@@ -142,6 +154,7 @@ class FieldSurface:
     islands: str = "remove"
     caps: bool = True
     cut: bool = True
+    section: float | None = None
 
     def mesh(
         self, threads: int = 1, progress: Callable[[float, float], None] | None = None
@@ -150,45 +163,78 @@ class FieldSurface:
 
         The bytes are the same whatever the number of threads.
         """
+        return self.mesh_with_kinds(threads, progress)[:3]
+
+    def mesh_with_kinds(
+        self, threads: int = 1, progress: Callable[[float, float], None] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any], NDArray[np.uint8]]:
+        """`mesh`, and of a part what each face lies on, (m,) uint8: FIELD, DOMAIN or SKIN; else without elements."""
+        from sppm_pipeline.numerics.surface.bulging import bulge
         from sppm_pipeline.numerics.surface.marching_cubes import joined_mesh
 
-        slabs = self.slabs(threads)
-        vertices, faces = joined_mesh(self._pieces(slabs, progress), lambda: slabs.expected)
-        return vertices, faces, slabs.findings
+        slabs, rims = self.slabs(threads), _Rims()
+        vertices, faces = joined_mesh(self._pieces(slabs, rims, progress), lambda: slabs.expected)
+        fixed = len(vertices)
+        vertices, faces = rims.joined(vertices, faces)
+        kinds = rims.joined_kinds()
+        bulge(vertices, faces, self.grid, fixed, kinds)
+        return vertices, faces, slabs.findings, kinds
 
-    def _pieces(self, slabs: SampledSlabs, progress: Callable[[float, float], None] | None) -> Iterator[Mesh]:
+    def _pieces(
+        self, slabs: SampledSlabs, rims: _Rims, progress: Callable[[float, float], None] | None
+    ) -> Iterator[Mesh]:
         """The mesh piece by piece; vertices and faces follow upon those of the pieces before."""
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes_slabs
-        from sppm_pipeline.numerics.surface.intersection import on_both_fields
-        from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes_slabs
+        from sppm_pipeline.numerics.surface.placing import Placed, Samples, place_vertices
+        from sppm_pipeline.numerics.surface.rims import split_rims
 
         origin, spacing, (_, _, nz) = self.grid
-        if not isinstance(self.source, Part):
-            values = (slab.values for slab in _told(slabs, nz, progress))
-            if self.caps:
-                yield from capped_marching_cubes_slabs(values, 0.0, origin, spacing)
-            else:
-                yield from marching_cubes_slabs(values, 0.0, origin, spacing)
-            return
-        # The domain ends within the grid, so nothing is left to be capped, and a piece belongs to a slab and the plane
-        # before it.
-        current: list[SampledSlab] = []
+        part = self.source if isinstance(self.source, Part) else None
+        nothing = np.empty((0, 0, 0), np.float32)
+        planes: list[tuple[NDArray[np.float32], ...]] = []
+        crossings = NO_CROSSINGS
+        start = 0
 
-        def values_of_part() -> Iterator[NDArray[np.float32]]:
+        def values() -> Iterator[NDArray[np.float32]]:
+            # a piece ends a plane before its slab, and what is done to it looks two planes back
+            nonlocal start, crossings
             for slab in _told(slabs, nz, progress):
-                current.append(slab)
+                if self.section is not None:
+                    slab = self._beyond(slab, self.section)
+                slab = self._smooth(slab)
+                fields = (slab.values,) if slab.apart is None else slab.apart
+                kept = tuple(np.concatenate(pair) for pair in zip(planes[0], fields, strict=True)) if planes else fields
+                start = slab.start - (len(kept[0]) - len(fields[0]))
+                planes[:] = [kept]
+                crossings = _from_plane(crossings, start, self.grid, slab.crossings)
                 yield slab.values
+                drop = max(0, len(kept[0]) - PLANES_BACK)
+                planes[:] = [tuple(field[drop:].copy() for field in kept)]
+                start += drop
 
-        below: tuple[NDArray[np.float32], ...] | None = None
-        for vertices, faces in marching_cubes_slabs(values_of_part(), 0.0, origin, spacing):
-            slab = current.pop()
-            assert slab.apart is not None
-            fields = slab.apart
-            if below is not None:
-                fields = tuple(np.concatenate(pair) for pair in zip(below, slab.apart, strict=True))
-            start = slab.start - (below is not None)
-            below = tuple(part[-1:].copy() for part in slab.apart)
-            yield on_both_fields(vertices, fields[0], fields[1], self.grid, start, *fields[2:]), faces
+        before: Placed | None = None
+        first = 0
+        caps = self.caps and part is None
+        for vertices, faces in capped_marching_cubes_slabs(values(), 0.0, origin, spacing, axes=(caps,) * 3):
+            field, domain, skin = (*planes[0], nothing, nothing)[:3]
+            samples = Samples(self.grid, start, field, domain, skin, crossings)
+            placed = place_vertices(vertices, samples)
+            if part is None or not self.cut:
+                yield vertices, faces
+                continue
+            if before is not None:
+                joined = Placed(
+                    np.concatenate([before.vertices, placed.vertices]),
+                    np.concatenate([before.edge, placed.edge]),
+                    np.concatenate([before.on, placed.on]),
+                    np.concatenate([before.triangle, placed.triangle]),
+                )
+            else:
+                joined = placed
+            yield vertices, rims.add(split_rims(faces, first, joined, samples, rims.points))
+            if len(vertices):
+                first += len(joined.vertices) - len(vertices)
+                before = placed
 
     def slabs(self, threads: int = 1) -> SampledSlabs:
         """The samples, without islands if they are to be removed, which is found out in a pass of its own."""
@@ -235,8 +281,11 @@ class FieldSurface:
     def _planes(self, start: int, stop: int, threads: int) -> SampledSlab:
         if not isinstance(self.source, Part):
             return SampledSlab(start, self.source.sample_zyx(self.grid, start, stop, threads), None)
-        inner, skin, outer = self.source.fields_zyx(self.grid, threads, start, stop)
-        if not self.cut:
+        if self.cut:
+            inner, skin, outer, crossings = self.source.cut_zyx(self.grid, threads, start, stop)
+        else:
+            inner, skin, outer = self.source.fields_zyx(self.grid, threads, start, stop)
+            crossings = NO_CROSSINGS
             # All nodes a voxel or more outside are void, by so little that the surface lies at them: a point of the
             # domain is nearer than that to some corner of its cube of nodes, so the surface never passes through the
             # domain.
@@ -244,7 +293,24 @@ class FieldSurface:
             outer = np.where(outside, np.float32(1e-30), np.float32(-1e30))
         united = inner if skin is None else np.minimum(inner, skin)
         fields = (inner, outer) if skin is None else (inner, outer, skin)
-        return SampledSlab(start, np.maximum(united, outer), fields)
+        return SampledSlab(start, np.maximum(united, outer), fields, crossings)
+
+    def _beyond(self, slab: SampledSlab, section: float) -> SampledSlab:
+        assert slab.apart is not None
+        before = (section - self.grid.axis(1)).astype(np.float32)[:, None]
+        field, domain, *skin = slab.apart
+        return slab._replace(
+            values=np.maximum(slab.values, before), apart=(field, np.maximum(domain, before), *skin)
+        )  # fmt: skip
+
+    def _smooth(self, slab: SampledSlab) -> SampledSlab:
+        """Logarithms in place of sums of kernels, as less happens between their samples; in place."""
+        from sppm_pipeline.numerics.surface.placing import log_of_sums
+
+        level = self.source.base.sum_level if isinstance(self.source, Part) else self.source.sum_level
+        if level is not None:
+            log_of_sums(slab.values if slab.apart is None else slab.apart[0], level)
+        return slab
 
     def expected_triangles(self, threads: int = 1, layers: int = 24) -> int:
         """About how many triangles the surface will have, from some layers of cubes spread over the grid."""
@@ -261,9 +327,46 @@ class FieldSurface:
         return int(2 * vertices * (nz - 1) / len(looked))  # a closed surface has two triangles for each vertex
 
 
+class _Rims:
+    """Points on the rims of a mesh, which are numbered when all of them are known."""
+
+    def __init__(self) -> None:
+        self.points = 0
+        self._points: list[NDArray[np.float64]] = []
+        self._keys: list[NDArray[np.int64]] = []
+        self._kinds: list[NDArray[np.uint8]] = []
+
+    def add(self, split: Split) -> NDArray[np.int32]:
+        """Keep the points of a piece, and return its faces."""
+        self._points.append(split.points)
+        self._keys.append(split.keys)
+        self._kinds.append(split.on)
+        self.points += len(split.points)
+        return split.faces
+
+    def joined(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
+        """The mesh with its points behind the other vertices, in the order of their keys."""
+        if not self.points:
+            return vertices, faces
+        _, chosen, number = np.unique(np.concatenate(self._keys), return_index=True, return_inverse=True)
+        rim = faces < 0
+        faces[rim] = (len(vertices) + number.reshape(-1))[-1 - faces[rim]]
+        return np.concatenate([vertices, np.concatenate(self._points)[chosen]]), faces
+
+    def joined_kinds(self) -> NDArray[np.uint8]:
+        return np.concatenate([np.empty(0, np.uint8), *self._kinds])
+
+
 def _emptied(items: deque[Item]) -> Iterator[Item]:
     while items:
         yield items.popleft()
+
+
+def _from_plane(old: Crossings, start: int, grid: Grid, new: Crossings) -> Crossings:
+    """The crossings of edges that begin at plane `start` or above, and those of the planes that follow."""
+    first = int(np.searchsorted(old.edge, 3 * start * grid.shape[0] * grid.shape[1]))
+    edge, share = np.concatenate([old.edge[first:], new.edge]), np.concatenate([old.share[first:], new.share])
+    return Crossings(edge, share, np.concatenate([old.triangle[first:], new.triangle]), new.normals)
 
 
 def _told(

@@ -58,6 +58,10 @@ class KernelSum(ScalarField):
         """Whether G is the sum of those of its parts, and continuous; else `own_values` is what is sampled."""
         return True
 
+    @property
+    def sum_level(self) -> float | None:
+        return self.solid_below if self.additive else None
+
     def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
         """A continuous field with the sign of G - C in the layers start <= k < stop of any grid."""
         values = self.kernel_sums(grid, start, stop, threads)

@@ -17,6 +17,7 @@ from sppm_pipeline.numerics.domain.capsules import depths_in_capsules
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
+    from sppm_pipeline.numerics.domain.crossings import Crossings
     from sppm_pipeline.numerics.domain.inside import Method
 
 COARSE_VOXELS = 2**20
@@ -121,6 +122,26 @@ class Part(WrappedField):
                 if field is not None:
                     np.maximum(field[window], depth / edge, out=field[window])
         return inner, skin, outer
+
+    def cut_zyx(
+        self, grid: Grid, threads: int, start: int, stop: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32], Crossings]:
+        """`fields_zyx`, and where grid edges that begin in these layers pierce the triangles of the domain.
+
+        Of the domain's field only the sign counts where these are known: without a skin and drains, a closed domain is
+        -1 inside and 1 outside. Nodes on its surface are outside, whatever way their place is rounded, so that faces
+        are flat.
+        """
+        from sppm_pipeline.numerics.domain.crossings import on_surface
+
+        domain = self._in_domain(grid)
+        crossings = domain.crossings(start, stop)
+        if self.skin_mm or self.drains or self.method != "scanline":
+            return *self.fields_zyx(grid, threads, start, stop), crossings
+        inside = domain.inside(start, stop).view(np.bool_)
+        inside &= ~on_surface(crossings, grid, start, stop)
+        outer = np.where(inside, np.float32(-1), np.float32(1))
+        return self.base.sample_zyx(grid, start, stop, threads), None, outer, crossings
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.artifact import NOTEBOOK_SIZE, png_of
+from sppm_pipeline.fields.field_surface import FieldSurface, node_grid
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
@@ -45,29 +46,45 @@ def field_picture(
     size : (width, height)
     camera : Camera
     section : float, optional
-        Keep only this fraction along y, the far side, to look inside.
+        Keep only this fraction along y, the far side, to look inside; islands are those of the whole part.
     threads, max_samples : int
     """
-    from sppm_pipeline.render.mesh_view import render_field
-
     low, high = np.zeros(3), np.array(field.cells, float)
     if isinstance(field, Part):
         edge = field.physical_edge()
         low = (field.domain.lower - field.origin_mm) / edge
         high = (field.domain.upper - field.origin_mm) / edge
-    if section is not None:
-        low[1] = high[1] - section * (high[1] - low[1])
+    at = None if section is None else float(high[1] - section * (high[1] - low[1]))
+    if at is not None and not isinstance(field, Part):
+        low[1] = at
     n = resolution
     while n > 4 and np.prod((high - low) * n + 1) > max_samples:
         n -= 1
+    if isinstance(field, Part):
+        return _surface_picture(
+            FieldSurface(field, node_grid(field, n), field.islands, section=at), size, camera, threads
+        )
     first, last = np.floor(low * n + 1e-6).astype(int), np.ceil(high * n - 1e-6).astype(int)
     nx, ny, nz = (int(v) for v in last - first + 1)
     x, y, z = (float(v) / n for v in first)
     grid = Grid((x, y, z), (1 / n,) * 3, (nx, ny, nz))
-    if isinstance(field, Part):
-        inner, outer = field.apart_zyx(grid, threads)
-        return render_field(inner, outer, grid, camera=camera, size=size)
-    return render_field(field.sample(grid, threads).T, None, grid, camera=camera, size=size)
+    return _surface_picture(FieldSurface(field, grid, "keep"), size, camera, threads)
+
+
+def _surface_picture(surface: FieldSurface, size: tuple[int, int], camera: Camera, threads: int) -> NDArray[np.uint8]:
+    """Picture of a surface; what lies on the domain of a part or on the border of the grid is colored as a cut."""
+    from sppm_pipeline.numerics.surface.placing import DOMAIN
+    from sppm_pipeline.render.mesh_view import render_mesh
+    from sppm_pipeline.render.shading import BONE, CUT
+
+    vertices, faces, _, kinds = surface.mesh_with_kinds(threads)
+    cut = kinds == DOMAIN
+    if not isinstance(surface.source, Part):
+        place = (vertices - surface.grid.origin) / surface.grid.spacing
+        border = np.concatenate([place < 1e-6, np.array(surface.grid.shape) - 1 - place < 1e-6], axis=1)
+        cut = np.any(np.all(border[faces], axis=1), axis=1)
+    colors = np.where(cut[:, None], np.array(CUT, np.uint8), np.array(BONE, np.uint8))
+    return render_mesh(vertices, faces, camera=camera, size=size, face_colors=colors)
 
 
 def tile_sheet(
@@ -79,7 +96,6 @@ def tile_sheet(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.uint8]:
     """Pictures of the tiles of a set, up to `MAX_TILES`, with their colors and porosities."""
-    from sppm_pipeline.render.mesh_view import render_field
     from sppm_pipeline.render.sheets import contact_sheet
 
     pictures, labels = [], []
@@ -87,9 +103,8 @@ def tile_sheet(
     shown = min(tileset.micro.interiors, MAX_TILES)
     for t in range(shown):
         colors = (t // c**2, t // c % c, t % c) if tileset.kind == "wang" else (0, 0, 0)
-        grid = cell_nodes(resolution)
-        values = tileset.micro.alone(t, colors).sample(grid, threads).T
-        pictures.append(render_field(values, None, grid, camera=camera, size=(300, 270)))
+        surface = FieldSurface(tileset.micro.alone(t, colors), cell_nodes(resolution), "keep")
+        pictures.append(_surface_picture(surface, (300, 270), camera, threads))
         share = f"  {tileset.porosity[t]:.1%}" if t < len(tileset.porosity) else ""
         name = "".join("xyz"[a] + str(colors[a] + 1) for a in range(3)) if tileset.kind == "wang" else str(t)
         labels.append(name + share)

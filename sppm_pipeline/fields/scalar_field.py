@@ -137,6 +137,11 @@ class ScalarField(Artifact, ABC):
         return CutField(self, value)
 
     @property
+    def sum_level(self) -> float | None:
+        """The level C if the field is ``G - C`` with a sum G of kernels that are not negative; else None."""
+        return None
+
+    @property
     def finest_radius(self) -> float | None:
         """Radius of the thinnest tunnel, cell sizes; None if it is unknown."""
         return None

@@ -37,6 +37,10 @@ class WrappedField(ScalarField):
         return self.base.periodic
 
     @property
+    def sum_level(self) -> float | None:
+        return self.base.sum_level
+
+    @property
     def finest_radius(self) -> float | None:
         return self.base.finest_radius
 
@@ -74,6 +78,11 @@ class CutField(WrappedField):
     """
 
     value: float
+
+    @property
+    def sum_level(self) -> float | None:
+        level = self.base.sum_level
+        return level + self.value if level is not None and level + self.value > 0 else None
 
     @property
     def finest_radius(self) -> float | None:

@@ -1,4 +1,4 @@
-"""Pictures of triangle meshes and of the surfaces of fields, by a z-buffer."""
+"""Pictures of triangle meshes, by a z-buffer."""
 
 from __future__ import annotations
 
@@ -9,15 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.render.camera import Camera, Frame, framed, projected
-from sppm_pipeline.render.shading import BONE, CUT, Color, Seen, empty_seen, shaded
+from sppm_pipeline.render.shading import BONE, Color, Seen, empty_seen, shaded
 
 # Corners at which a triangle and the mean of its neighbors differ by more are edges (of a cut, of a box), not noise.
 _CREASE_COSINE = math.cos(math.radians(38.0))
-
-BORDER = 0.02
-"""How far from the border of the grid, in samples, a surface counts as cut by it."""
 
 
 @jit
@@ -100,8 +96,6 @@ def _resolve(
     distance: float,
     scale: float,
     colors: NDArray[np.uint8],
-    cut: NDArray[np.float64],
-    cut_color: NDArray[np.uint8],
     nearness: NDArray[np.float32],
     owner: NDArray[np.int32],
     depth: NDArray[np.float32],
@@ -125,8 +119,7 @@ def _resolve(
             if length > 0.0:
                 flat /= length
             mean[:] = flat
-            is_cut = False
-            if smooth or cut.shape[0] > 1:
+            if smooth:
                 ax, ay = places[a, 0], places[a, 1]
                 bx, by = places[b, 0] - ax, places[b, 1] - ay
                 cx, cy = places[c, 0] - ax, places[c, 1] - ay
@@ -134,9 +127,6 @@ def _resolve(
                 dx, dy = col + 0.5 - ax, r + 0.5 - ay
                 wb = (dx * cy - dy * cx) / area
                 wc = (dy * bx - dx * by) / area
-                if cut.shape[0] > 1:
-                    is_cut = (1.0 - wb - wc) * cut[a] + wb * cut[b] + wc * cut[c] > 0.0
-            if smooth:
                 mean[:] = 0.0
                 for vertex, weight in ((a, 1.0 - wb - wc), (b, wb), (c, wc)):
                     cosine = normals[vertex, 0] * flat[0] + normals[vertex, 1] * flat[1] + normals[vertex, 2] * flat[2]
@@ -151,7 +141,7 @@ def _resolve(
             for axis in range(3):
                 along = mean[0] * axes[axis, 0] + mean[1] * axes[axis, 1] + mean[2] * axes[axis, 2]
                 normal[r, col, axis] = side * along
-                color[r, col, axis] = cut_color[axis] if is_cut else colors[f if colors.shape[0] > 1 else 0, axis]
+                color[r, col, axis] = colors[f if colors.shape[0] > 1 else 0, axis]
             near = np.float64(nearness[r, col])
             depth[r, col] = scale * (near if distance == 0.0 else distance - 1.0 / near)
 
@@ -163,8 +153,6 @@ def _seen_mesh(
     size: tuple[int, int],
     smooth: bool,
     colors: NDArray[np.uint8],
-    cut: NDArray[np.float64],
-    cut_color: NDArray[np.uint8],
 ) -> Seen:
     width, height = size
     places = projected(frame, vertices)
@@ -184,8 +172,6 @@ def _seen_mesh(
         frame.distance,
         frame.scale,
         colors,
-        cut,
-        cut_color,
         nearness,
         owner,
         seen.depth,
@@ -204,8 +190,6 @@ def render_mesh(
     smooth: bool = True,
     color: Color = BONE,
     face_colors: ArrayLike | None = None,
-    cut: ArrayLike | None = None,
-    cut_color: Color = CUT,
     supersampling: int = 2,
     occlusion: float = 1.0,
     background: Color | None = None,
@@ -232,10 +216,6 @@ def render_mesh(
         Color of the surface (sRGB).
     face_colors : (m, 3) uint8, optional
         Color of each triangle instead.
-    cut : (n,) float, optional
-        A value at each vertex; where its interpolation is positive the surface has `cut_color`.
-    cut_color : (r, g, b)
-        Color of cut surfaces (sRGB).
     supersampling : int
         Samples per pixel along each axis, 1..8.
     occlusion : float
@@ -268,9 +248,6 @@ def render_mesh(
     colors = np.array([color], np.uint8) if face_colors is None else np.ascontiguousarray(face_colors, np.uint8)
     if face_colors is not None and colors.shape != corners.shape:
         raise ValueError(f"face_colors must have shape {corners.shape}, got {colors.shape}")
-    values = np.zeros(1) if cut is None else np.ascontiguousarray(cut, np.float64)
-    if cut is not None and values.shape != (len(points),):
-        raise ValueError(f"cut must have shape ({len(points)},), got {values.shape}")
     if not 1 <= supersampling <= 8:
         raise DesignError(f"supersampling is {supersampling}, allowed are 1 to 8")
     fine = (size[0] * supersampling, size[1] * supersampling)
@@ -278,85 +255,5 @@ def render_mesh(
         return shaded(empty_seen(*fine), supersampling, occlusion, background)
     used = points if len(points) < 3 * len(corners) else points[np.unique(corners)]
     frame = framed(camera or Camera(), used, fine, margin)
-    seen = _seen_mesh(points, corners, frame, fine, smooth, colors, values, np.array(cut_color, np.uint8))
+    seen = _seen_mesh(points, corners, frame, fine, smooth, colors)
     return shaded(seen, supersampling, occlusion, background)
-
-
-def render_field(
-    inner: NDArray[np.float32],
-    outer: NDArray[np.float32] | None,
-    grid: Grid,
-    *,
-    camera: Camera | None = None,
-    size: tuple[int, int] = (1200, 900),
-) -> NDArray[np.uint8]:
-    """Picture of the solid where fields are negative, its cuts in a color of their own.
-
-    Parameters
-    ----------
-    inner : (nz, ny, nx) float32
-        Field of the microstructure.
-    outer : (nz, ny, nx) float32 or None
-        Field of the domain that it is cut to.
-    grid : Grid
-        Where the fields were sampled; the solid is closed at its border.
-    camera : Camera, optional
-        Direction of view; z is up.
-    size : (width, height)
-        Size of the picture in pixels.
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        The picture (sRGB).
-    """
-    from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
-    from sppm_pipeline.numerics.surface.intersection import on_both_fields
-
-    values = inner if outer is None else np.maximum(inner, outer)
-    vertices, faces = capped_marching_cubes(values, 0.0, grid.origin, grid.spacing)
-    if outer is not None:
-        vertices = on_both_fields(vertices, inner, outer, grid)
-    return render_mesh(vertices, faces, camera=camera, size=size, cut=cut_values(vertices, inner, outer, grid))
-
-
-def cut_values(
-    vertices: NDArray[np.float64], inner: NDArray[np.float32], outer: NDArray[np.float32] | None, grid: Grid
-) -> NDArray[np.float64]:
-    """A value at each vertex that is positive where the surface is a cut; its zero line is the border of the cut.
-
-    A cut lies on the border of the grid, or where the domain's field is zero and not that of the microstructure.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Of the surface of the larger of the two fields, capped at the border.
-    inner : (nz, ny, nx) float32
-        Field of the microstructure.
-    outer : (nz, ny, nx) float32 or None
-        Field of the domain.
-    grid : Grid
-        Where the fields were sampled.
-
-    Returns
-    -------
-    (n,) float64
-    """
-    place = (vertices - grid.origin) / grid.spacing
-    last = np.array(grid.shape) - 1
-    value: NDArray[np.float64] = BORDER - np.minimum(place, last - place).min(1)
-    if outer is not None:
-        value = np.maximum(value, _at(outer, place, last) - _at(inner, place, last))
-    return value
-
-
-def _at(field: NDArray[np.float32], place: NDArray[np.float64], last: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Trilinear interpolation at `place` (m, 3), in samples."""
-    low = np.clip(np.floor(place).astype(np.int64), 0, last - 1)
-    share = place - low
-    total = np.zeros(len(place))
-    for corner in range(8):
-        offset = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
-        i, j, k = (low + offset).T
-        total += np.where(offset, share, 1 - share).prod(1) * field[k, j, i]
-    return total

@@ -39,7 +39,7 @@ class MarchingCubes(Stage):
 
     name: ClassVar[str] = "extract.marching_cubes"
     advice: ClassVar[str] = "lower `resolution`, or slice without a mesh (`slice.field`)"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     resolution: int | None = options.resolution(
         None, note="32 if `voxel` is not given either", minimum=MIN_VOXELS, maximum=MAX_VOXELS
@@ -99,16 +99,23 @@ class MarchingCubes(Stage):
 def _by_reference(
     surface: FieldSurface, context: Context
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
-    from sppm_pipeline.numerics.surface.intersection import on_both_fields
+    from sppm_pipeline.numerics.domain.crossings import Crossings
+    from sppm_pipeline.numerics.surface.placing import Samples, place_vertices
     from sppm_pipeline.numerics.surface.reference import marching_cubes_reference
 
     (x, y, z), (h, _, _), _ = grid = surface.grid
     sampled = surface.slabs(context.threads)
     slabs = list(sampled)
-    padded = np.pad(np.concatenate([slab.values for slab in slabs]), 1, constant_values=1.0)
+    values = np.concatenate([slab.values for slab in slabs])
+    padded = np.pad(values, 1, constant_values=1.0)
     vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
+    nothing = np.empty((0, 0, 0), np.float32)
+    samples = Samples(grid, 0, values, nothing, nothing)
     if isinstance(surface.source, Part):
         fields = zip(*(slab.apart for slab in slabs if slab.apart is not None), strict=True)
-        first, second, *skin = (np.concatenate(planes) for planes in fields)
-        vertices = on_both_fields(vertices, first, second, grid, 0, *skin)
+        field, domain, skin = (*(np.concatenate(planes) for planes in fields), nothing)[:3]
+        found = [slab.crossings for slab in slabs]
+        edge, share, triangle = (np.concatenate([c[a] for c in found]) for a in range(3))
+        samples = Samples(grid, 0, field, domain, skin, Crossings(edge, share, triangle, found[0].normals))
+    place_vertices(vertices, samples)
     return vertices, faces, sampled.findings

@@ -21,6 +21,7 @@ class WritePicture(Stage):
 
     name: ClassVar[str] = "write.picture"
     advice: ClassVar[str] = "lower `resolution` or `image_size`"
+    version: ClassVar[int] = 2
 
     path: str = options.write_path("picture.png", suffixes=(".png",))
     resolution: int = options.resolution(32, note="fewer where the picture could not show them", minimum=4, maximum=512)

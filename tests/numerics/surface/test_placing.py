@@ -8,7 +8,7 @@ import pytest
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
-from sppm_pipeline.numerics.surface.intersection import on_both_fields
+from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, SKIN, Samples, log_of_sums, place_vertices
 
 
 def fields(n, steepness):
@@ -22,6 +22,13 @@ def fields(n, steepness):
     return ball, plane, grid
 
 
+NOTHING = np.empty((0, 0, 0), np.float32)
+
+
+def on_both_fields(vertices, first, second, grid, start=0, third=NOTHING):
+    return place_vertices(vertices.copy(), Samples(grid, start, first, second, third)).vertices
+
+
 def surface(n, steepness):
     ball, plane, grid = fields(n, steepness)
     vertices, faces = capped_marching_cubes(np.maximum(ball, plane), 0.0, grid.origin, grid.spacing)
@@ -33,7 +40,7 @@ def test_vertices_lie_on_the_zero_of_one_of_the_fields(steepness):
     vertices, _, grid = surface(31, steepness)
     off_ball = np.abs(np.sqrt((vertices**2).sum(1)) - 0.8)
     off_plane = np.abs(vertices[:, 2] - 0.3)
-    assert np.minimum(off_ball, off_plane).max() < 0.05 * grid.spacing[0]
+    assert np.minimum(off_ball, off_plane).max() < 0.005 * grid.spacing[0]
 
 
 def test_the_size_of_a_field_does_not_matter():
@@ -95,7 +102,48 @@ def test_planes_of_a_slab_are_enough():
     whole = on_both_fields(vertices, ball, plane, grid)
     place = (vertices[:, 2] - grid.origin[2]) / grid.spacing[2]
     within = (place > 6) & (place < 11)
-    part = on_both_fields(vertices, ball[6:12], plane[6:12], grid, 6)
+    part = on_both_fields(vertices, ball[5:13], plane[5:13], grid, 5)  # a plane more for the cubic
     assert np.array_equal(part[within], whole[within])
-    beyond = (place < 5) | (place > 12)
+    beyond = (place < 4) | (place > 13)
     assert np.array_equal(part[beyond], vertices[beyond])
+
+
+def test_vertices_know_what_they_lie_on():
+    ball, plane, grid = fields(24, 3.0)
+    x = grid.axis(0)
+    slab = np.broadcast_to((np.abs(x) - 0.2).astype(np.float32), ball.shape).copy()
+    vertices, _ = capped_marching_cubes(np.maximum(np.minimum(ball, slab), plane), 0.0, grid.origin, grid.spacing)
+    placed = place_vertices(vertices, Samples(grid, 0, ball, plane, slab))
+    off = {
+        FIELD: np.abs(np.linalg.norm(vertices, axis=1) - 0.8),
+        DOMAIN: np.abs(vertices[:, 2] - 0.3),
+        SKIN: np.abs(np.abs(vertices[:, 0]) - 0.2),
+    }
+    for kind, distance in off.items():
+        assert (placed.on == kind).sum() > 50
+        assert distance[placed.on == kind].max() < 0.01 * grid.spacing[0]
+    axis = placed.edge[placed.edge >= 0] % 3
+    place = ((vertices - grid.origin) / grid.spacing)[placed.edge >= 0]
+    assert np.array_equal(np.abs(place - place.round()).argmax(1), axis)
+
+
+def test_the_cubic_through_logarithms_of_a_gaussian_is_exact():
+    """A Gaussian two voxels wide: its logarithm is a parabola, which the cubic is equal to."""
+    ball, _, grid = fields(12, 1.0)
+    r2 = (ball + 0.8) ** 2
+    sums = np.exp(-2.0 * r2).astype(np.float32)
+    level = float(np.exp(-2.0 * 0.6**2))
+    linear, _ = capped_marching_cubes(level - sums, 0.0, grid.origin, grid.spacing)
+    smooth = -log_of_sums(sums - np.float32(level), level)
+    vertices, _ = capped_marching_cubes(smooth, 0.0, grid.origin, grid.spacing)
+    place_vertices(vertices, Samples(grid, 0, smooth, NOTHING, NOTHING))
+    errors = [np.abs(np.linalg.norm(v, axis=1) - 0.6).max() / grid.spacing[0] for v in (linear, vertices)]
+    assert errors[0] > 0.02
+    assert errors[1] < 1e-3
+
+
+def test_logarithms_have_the_signs_of_what_they_are_of():
+    values = np.array([-0.25, -0.2499, -1e-9, -0.0, 0.0, 1e-9, 3.0], np.float32)
+    found = log_of_sums(values.copy(), 0.25)
+    assert np.isfinite(found).all()
+    assert np.array_equal(found < 0, values < 0)

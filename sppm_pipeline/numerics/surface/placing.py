@@ -1,0 +1,241 @@
+"""Vertices of marching cubes put where the fields that make the surface have their zeros.
+
+Marching cubes finds the topology and puts vertices where linear interpolation has the zero. A sum G of exponentials is
+far from linear over a voxel; its logarithm is smooth (that of a lone pore or squared tunnel is a parabola), and the
+cubic through four samples along the grid edge has its zero nearer to the true one.
+
+The intersection of two fields is their maximum, which mixes, at the two ends of a grid edge, values of fields of
+different size. Here every vertex is put where, going from the solid end, the first of the two fields reaches its zero.
+With a third solid, the skin, united with the first one beforehand, that is where the last of the two has its zero. The
+zero of the domain is where the grid edge pierces its triangles, if it does (`Crossings`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.domain.crossings import NO_CROSSINGS, Crossings
+from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
+
+FIELD, DOMAIN, SKIN, BORDER = 0, 1, 2, 3
+"""What a vertex or triangle lies on: the surface of the microstructure, of the domain, of the skin, or a cap."""
+
+LEAST_SUM = 1e-5
+"""Sums below this are the cut-off of the kernels, not data."""
+
+
+class Samples(NamedTuple):
+    """Consecutive planes of the fields that make a surface.
+
+    Attributes
+    ----------
+    grid : Grid
+        All planes.
+    start : int
+        Number of the first plane in the arrays.
+    field : (planes, ny, nx) float32
+        The microstructure, negative in the solid.
+    domain, skin : (planes, ny, nx) float32, or without elements
+        Distances, negative inside, in the unit of the grid.
+    crossings : Crossings
+        Of the domain with the edges between these planes.
+    """
+
+    grid: Grid
+    start: int
+    field: NDArray[np.float32]
+    domain: NDArray[np.float32]
+    skin: NDArray[np.float32]
+    crossings: Crossings = NO_CROSSINGS
+
+
+class Placed(NamedTuple):
+    """Where vertices lie.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64
+    edge : (n,) int64
+        The grid edge, numbered as in `Crossings`; -1 for vertices of caps.
+    on : (n,) uint8
+        FIELD, DOMAIN, SKIN or BORDER.
+    triangle : (n,) int32
+        Of the domain; -1 where the vertex lies on none.
+    """
+
+    vertices: NDArray[np.float64]
+    edge: NDArray[np.int64]
+    on: NDArray[np.uint8]
+    triangle: NDArray[np.int32]
+
+
+def log_of_sums(values: NDArray[np.float32], level: float) -> NDArray[np.float32]:
+    """``ln(G / C)`` of samples of ``G - C``, with the same signs; in place."""
+    values *= np.float32(1 / level)
+    np.maximum(values, np.float32(LEAST_SUM / level - 1), out=values)
+    return np.log1p(values, out=values)
+
+
+def place_vertices(vertices: NDArray[np.float64], samples: Samples) -> Placed:
+    """Move vertices of marching cubes, in place, along their grid edges to the zeros of the fields.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        As marching cubes gives them for the field, for ``max(field, domain)``, or with a skin for
+        ``max(min(field, skin), domain)``. Those on caps at the border, or beyond the planes of the samples, stay.
+    samples : Samples
+    """
+    n = len(vertices)
+    placed = Placed(vertices, np.full(n, -1, np.int64), np.full(n, BORDER, np.uint8), np.full(n, -1, np.int32))
+    grid, crossings = samples.grid, samples.crossings
+    _place(
+        *placed,
+        samples.field,
+        samples.domain,
+        samples.skin,
+        np.array(grid.origin),
+        np.array(grid.spacing),
+        np.array([*grid.shape, samples.start]),
+        crossings.edge,
+        crossings.share,
+        crossings.triangle,
+    )
+    return placed
+
+
+@jit
+def cubic(a: float, b: float, c: float, d: float, t: float) -> float:
+    """The polynomial that has the values a, b, c, d at -1, 0, 1, 2."""
+    return (b * ((t + 1.0) * (t - 1.0) * (t - 2.0)) - c * ((t + 1.0) * t * (t - 2.0))) * 0.5 + (
+        d * ((t + 1.0) * t * (t - 1.0)) - a * (t * (t - 1.0) * (t - 2.0))
+    ) / 6.0
+
+
+@jit
+def sample_line(values: NDArray[np.float32], k: int, j: int, i: int, axis: int, line: NDArray[np.float64]) -> None:
+    """Four samples in a row, from one before (k, j, i); at the border a parabola is continued."""
+    at = (i, j, k)[axis]
+    n = values.shape[2 - axis]
+    for s in range(4):
+        place = min(max(at + s - 1, 0), n - 1)
+        if axis == 0:
+            line[s] = values[k, j, place]
+        elif axis == 1:
+            line[s] = values[k, place, i]
+        else:
+            line[s] = values[place, j, i]
+    if at == 0:
+        line[0] = 3.0 * line[1] - 3.0 * line[2] + line[3] if n > 2 else 2.0 * line[1] - line[2]
+    if at + 2 >= n:
+        line[3] = 3.0 * line[2] - 3.0 * line[1] + line[0] if n > 2 else 2.0 * line[2] - line[1]
+
+
+@jit
+def _cubic_zero(line: NDArray[np.float64]) -> float:
+    """Where the cubic vanishes between its two middle values, which differ in sign (regula falsi, Illinois)."""
+    a, b, c, d = line[0], line[1], line[2], line[3]
+    t: float = b / (b - c)
+    if not (np.isfinite(a) and np.isfinite(d) and np.isfinite(t)):
+        return t
+    low, high, at_low, at_high = 0.0, 1.0, b, c
+    for _ in range(30):
+        value = cubic(a, b, c, d, t)
+        if value == 0.0:
+            break
+        if (value < 0.0) == (at_low < 0.0):
+            low, at_low = t, value
+            at_high *= 0.5
+        else:
+            high, at_high = t, value
+            at_low *= 0.5
+        last = t
+        t = low + (high - low) * at_low / (at_low - at_high)
+        if abs(t - last) < 1e-4:
+            break
+    return t
+
+
+@jit
+def _place(
+    vertices: NDArray[np.float64],
+    edge: NDArray[np.int64],
+    on: NDArray[np.uint8],
+    triangle: NDArray[np.int32],
+    field: NDArray[np.float32],
+    domain: NDArray[np.float32],
+    skin: NDArray[np.float32],
+    origin: NDArray[np.float64],
+    spacing: NDArray[np.float64],
+    shape: NDArray[np.int64],
+    crossed: NDArray[np.int64],
+    shares: NDArray[np.float64],
+    owners: NDArray[np.int32],
+) -> None:
+    node, line = np.empty(3, np.int64), np.empty(4)
+    start = shape[3]
+    for v in range(vertices.shape[0]):
+        axis, inside = 0, 0
+        for a in range(3):
+            place = (vertices[v, a] - origin[a]) / spacing[a]
+            whole = np.floor(place + 0.5)
+            # vertices keep EDGE_MARGIN from the ends of their edge; the bevels of caps lie at half of it
+            if abs(place - whole) > 0.75 * EDGE_MARGIN:
+                axis = a
+                inside += 1
+                whole = np.floor(place)
+            node[a] = np.int64(whole)
+        k, j, i = node[2] - start, node[1], node[0]
+        kk, jj, ii = k + (axis == 2), j + (axis == 1), i + (axis == 0)
+        known = min(k, j, i) >= 0 and kk < field.shape[0] and jj < field.shape[1] and ii < field.shape[2]
+        if inside != 1 or not known:
+            continue
+        key = 3 * ((node[2] * shape[1] + j) * shape[0] + i) + axis
+        f0, f1 = np.float64(field[k, j, i]), np.float64(field[kk, jj, ii])
+        turned = False  # whether the void is at the node
+        if domain.size > 0:
+            d0, d1 = np.float64(domain[k, j, i]), np.float64(domain[kk, jj, ii])
+            turned = not (d0 < 0.0 and (f0 < 0.0 or (skin.size > 0 and skin[k, j, i] < 0.0)))
+        else:
+            turned = not f0 < 0.0
+        # shares from the solid end: -1 where a field is not solid there, 2 where it stays solid
+        at_solid, at_void = (f1, f0) if turned else (f0, f1)
+        share = -1.0
+        if at_solid < 0.0:
+            share = 2.0
+            if not at_void < 0.0:
+                sample_line(field, k, j, i, axis, line)
+                share = _cubic_zero(line)
+                share = 1.0 - share if turned else share
+        kind = FIELD
+        if skin.size > 0:
+            s0, s1 = np.float64(skin[k, j, i]), np.float64(skin[kk, jj, ii])
+            at_solid, at_void = (s1, s0) if turned else (s0, s1)
+            if at_solid < 0.0:
+                own = 2.0 if at_void < 0.0 else at_solid / (at_solid - at_void)
+                if own > share:
+                    share, kind = own, SKIN
+        if domain.size > 0:
+            at_solid, at_void = (d1, d0) if turned else (d0, d1)
+            if not at_void < 0.0:
+                own = at_solid / (at_solid - at_void)
+                owner = -1
+                r = np.searchsorted(crossed, key)
+                while r < crossed.size and crossed[r] == key:
+                    # the last one from the solid end: the end of all shells that overlap
+                    place = 1.0 - shares[r] if turned else shares[r]
+                    if owner < 0 or place > own:
+                        own, owner = place, owners[r]
+                    r += 1
+                if own < share:
+                    share, kind = own, DOMAIN
+                    triangle[v] = owner
+        share = min(max(share, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
+        edge[v] = key
+        on[v] = kind
+        vertices[v, axis] = origin[axis] + (node[axis] + (1.0 - share if turned else share)) * spacing[axis]
