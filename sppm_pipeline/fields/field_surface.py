@@ -15,11 +15,11 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.domain.crossings import NO_CROSSINGS, Crossings
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.threads import computed_ahead
 
 if TYPE_CHECKING:
+    from sppm_pipeline.numerics.domain.crossings import Crossings
     from sppm_pipeline.numerics.surface.rims import Split
 
 SLAB_SAMPLES = 2**20
@@ -104,7 +104,7 @@ class SampledSlab(NamedTuple):
     start: int
     values: NDArray[np.float32]
     apart: tuple[NDArray[np.float32], ...] | None
-    crossings: Crossings = NO_CROSSINGS
+    crossings: Crossings
 
 
 @dataclass(frozen=True)
@@ -184,6 +184,7 @@ class FieldSurface:
         self, slabs: SampledSlabs, rims: _Rims, progress: Callable[[float, float], None] | None
     ) -> Iterator[Mesh]:
         """The mesh piece by piece; vertices and faces follow upon those of the pieces before."""
+        from sppm_pipeline.numerics.domain.crossings import NO_CROSSINGS
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes_slabs
         from sppm_pipeline.numerics.surface.placing import Placed, Samples, place_vertices
         from sppm_pipeline.numerics.surface.rims import split_rims
@@ -279,8 +280,10 @@ class FieldSurface:
             yield self._planes(start, min(start + step, nz), threads)
 
     def _planes(self, start: int, stop: int, threads: int) -> SampledSlab:
+        from sppm_pipeline.numerics.domain.crossings import NO_CROSSINGS
+
         if not isinstance(self.source, Part):
-            return SampledSlab(start, self.source.sample_zyx(self.grid, start, stop, threads), None)
+            return SampledSlab(start, self.source.sample_zyx(self.grid, start, stop, threads), None, NO_CROSSINGS)
         if self.cut:
             inner, skin, outer, crossings = self.source.cut_zyx(self.grid, threads, start, stop)
         else:
@@ -366,7 +369,7 @@ def _from_plane(old: Crossings, start: int, grid: Grid, new: Crossings) -> Cross
     """The crossings of edges that begin at plane `start` or above, and those of the planes that follow."""
     first = int(np.searchsorted(old.edge, 3 * start * grid.shape[0] * grid.shape[1]))
     edge, share = np.concatenate([old.edge[first:], new.edge]), np.concatenate([old.share[first:], new.share])
-    return Crossings(edge, share, np.concatenate([old.triangle[first:], new.triangle]), new.normals)
+    return new._replace(edge=edge, share=share, triangle=np.concatenate([old.triangle[first:], new.triangle]))
 
 
 def _told(
