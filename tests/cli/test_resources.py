@@ -135,7 +135,7 @@ def small_disk(tmp_path):
                                        capture_output=True).returncode:  # fmt: skip
         pytest.skip("no right to mount a small file system")
     yield place
-    subprocess.run(["umount", place], check=False)
+    subprocess.run(["umount", "--lazy", place], check=False)  # a store may have a file open
 
 
 @pytest.mark.parametrize("name", ["part", "layers"])
