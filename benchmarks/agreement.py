@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmarks.measure import Run, median, run, table
+from benchmarks.measure import Run, median, pipeline_command, run, table
 from sppm_pipeline.formats.detect import decode_mesh
 from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
 from sppm_pipeline.numerics.grid import Grid
@@ -218,17 +218,7 @@ def main() -> None:
             config = folder / f"{name}.yaml"
             head = CONFIG.read_text().split("  - {stage: slice.field")[0]
             config.write_text(head.replace("{stage: fill.implicit}", "{stage: fill.implicit, islands: keep}") + tail)
-            made = [
-                sys.executable,
-                "-m",
-                "sppm_pipeline",
-                "run",
-                str(config),
-                "-q",
-                "--no-cache",
-                "-o",
-                str(folder / name),
-            ]
+            made = pipeline_command(config, folder / name)
             return [*made, "-p", f"mesh={source}", "-p", f"voxels={resolution}", "-p", f"height={height} mm"]
 
         direct = median(command("layers", LAYERS, voxels), runs=3)

@@ -10,24 +10,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.measure import median, table
+from benchmarks.measure import median, pipeline_command, table
 
 CONFIG = Path(__file__).parent.parent / "configs" / "bunny.yaml"
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
-        command = [
-            sys.executable,
-            "-m",
-            "sppm_pipeline",
-            "run",
-            str(CONFIG),
-            "-q",
-            "--no-cache",
-            "-o",
-            scratch + "/run",
-        ]
+        command = pipeline_command(CONFIG, scratch + "/run")
         result = median([*command, "-p", f"mesh={sys.argv[1]}"], runs=3)
         manifest = json.loads((Path(scratch) / "run" / "slices" / "manifest.json").read_text())
         voxels = manifest["layers"] * manifest["width_px"] * manifest["height_px"]

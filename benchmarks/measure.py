@@ -8,9 +8,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["Run", "median", "repeat_in_process", "run", "table"]
+__all__ = ["Run", "median", "pipeline_command", "repeat_in_process", "run", "table"]
 
 
 class Run(NamedTuple):
@@ -19,6 +20,11 @@ class Run(NamedTuple):
     wall: float  # s
     cpu: float  # s, user and system
     peak: float  # MB resident
+
+
+def pipeline_command(config: Path | str, out: Path | str) -> list[str]:
+    """The command that runs a configuration quietly, with nothing kept from earlier runs: the work is measured."""
+    return [sys.executable, "-m", "sppm_pipeline", "run", str(config), "-q", "--no-cache", "-o", str(out)]
 
 
 def run(command: Sequence[str], *, limit_bytes: int | None = None) -> Run:

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.measure import run, table
+from benchmarks.measure import pipeline_command, run, table
 
 CONFIG = """
 sppm: 1
@@ -38,17 +38,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as scratch:
                 config = Path(scratch) / "plate.yaml"
                 config.write_text(CONFIG.format(height=layers * 0.05, islands=islands))
-                command = [
-                    sys.executable,
-                    "-m",
-                    "sppm_pipeline",
-                    "run",
-                    str(config),
-                    "-q",
-                    "--no-cache",
-                    "-o",
-                    scratch + "/run",
-                ]
+                command = pipeline_command(config, scratch + "/run")
                 command += ["--threads", "1"]  # so that processor time is that of the work, not of waiting
                 result = run(command, limit_bytes=ADDRESS_SPACE)
             voxels = layers * 3840 * 2400

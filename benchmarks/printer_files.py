@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.measure import repeat_in_process, run, table
+from benchmarks.measure import pipeline_command, repeat_in_process, run, table
 
 CONFIG = """
 sppm: 1
@@ -59,17 +59,7 @@ def files() -> None:
             with tempfile.TemporaryDirectory() as scratch:
                 config = Path(scratch) / "plate.yaml"
                 config.write_text(CONFIG.format(height=layers * 0.05, writer=writer))
-                command = [
-                    sys.executable,
-                    "-m",
-                    "sppm_pipeline",
-                    "run",
-                    str(config),
-                    "-q",
-                    "--no-cache",
-                    "-o",
-                    scratch + "/run",
-                ]
+                command = pipeline_command(config, scratch + "/run")
                 rows.append([layers, writer, *run([*command, "--threads", "1"])])
     table("2560 x 1440 plate", ["layers", "writer", "wall s", "CPU s", "peak MB"], rows)
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.measure import run, table
+from benchmarks.measure import pipeline_command, run, table
 from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Blocks, Palette
@@ -81,8 +81,8 @@ def part(mesh: str) -> None:
             for name, tiler in (("27 tiles", TILES), ("scattered", SCATTERED)):
                 path = Path(folder) / "part.yaml"
                 path.write_text(PART % (RECIPE % connector, tiler % (MESH % mesh)))
-                command = [sys.executable, "-m", "sppm_pipeline", "run", str(path), "-q", "--no-cache", "-o"]
-                done = min((run([*command, f"{folder}/{len(rows)}-{k}"]) for k in range(3)), key=lambda one: one.cpu)
+                out = f"{folder}/{len(rows)}"
+                done = min((run(pipeline_command(path, f"{out}-{k}")) for k in range(3)), key=lambda one: one.cpu)
                 rows.append([f"{name}, {connector.split(',')[0]}", done.wall, done.cpu, done.peak])
     table(f"{mesh}, 60 mm high, cells of 7.5 mm, 100^3 voxels a cell", ["way", "wall s", "CPU s", "peak MB"], rows)
 

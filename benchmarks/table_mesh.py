@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.measure import Run, run, table
+from benchmarks.measure import Run, pipeline_command, run, table
 
 CONFIGS = Path(__file__).parent.parent / "configs"
 # the paper's own figures, on its machine: seconds and megabytes
@@ -36,7 +36,7 @@ def measure(scratch: Path, name: str, config: str, runs: int, *parameters: str) 
     """Time, memory and megabytes on disk of one way."""
     file, folder = scratch / f"{name}.yaml", scratch / name
     file.write_text(config)
-    command = [sys.executable, "-m", "sppm_pipeline", "run", str(file), "-q", "--no-cache", "-o", str(folder)]
+    command = pipeline_command(file, folder)
     for parameter in parameters:
         command += ["-p", parameter]
     spent = best(command, runs)

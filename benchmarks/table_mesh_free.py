@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.measure import median, table
+from benchmarks.measure import median, pipeline_command, table
 
 CONFIG = Path(__file__).parent.parent / "configs" / "table_mesh_free.yaml"
 PAPER = {27: (0.811, 1.48), 216: (1.955, 5.49), 512: (3.274, 10.5)}
@@ -29,17 +29,7 @@ def main() -> None:
             for mode in ("greedy", "exact"):
                 out = Path(scratch) / f"{units}-{mode}"
                 size = f"cells=[{cells}, {cells}, {cells}]"
-                command = [
-                    sys.executable,
-                    "-m",
-                    "sppm_pipeline",
-                    "run",
-                    str(config),
-                    "-q",
-                    "--no-cache",
-                    "-o",
-                    str(out),
-                ]
+                command = pipeline_command(config, out)
                 ours = median([*command, "-p", size, "-p", f"mode={mode}"])
                 rows.append([units, f"sppm, {mode}", *ours, stored(out)])
             out = Path(scratch) / f"{units}-obvious"
