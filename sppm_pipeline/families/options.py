@@ -90,6 +90,7 @@ printer = _shared("printer that the layers are cut for; `sppm printers` lists th
 cards = _shared("YAML file with printers and resins of your own")
 
 # files, pictures and tables
+size = _shared("box that the body just fills, along x, y, z", unit="mm", minimum=1e-3, maximum=1e5)
 read_path = _shared("file or folder to read")
 write_path = _shared("file or folder to write", output=True)
 unit = _shared("unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))

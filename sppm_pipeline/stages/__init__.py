@@ -19,6 +19,7 @@ BUILT_IN = {
     "read.primitive": "ReadPrimitive",
     "read.voxels": "ReadVoxels",
     "read.volume_mesh": "ReadVolumeMesh",
+    "read.compression": "ReadCompression",
     "sample.mirrored_faces": "MirroredFaces",
     "sample.dart_throwing": "DartThrowing",
     "sample.elimination": "Elimination",
