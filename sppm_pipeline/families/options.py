@@ -63,6 +63,10 @@ young = _shared("Young's modulus of the solid", above=0, maximum=1e15)
 poisson = _shared("Poisson's ratio of the solid", above=-1, below=0.5)
 stress_unit = _shared("unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
 
+# curves of compression
+plateau = _shared("strains between which the plateau stress is taken", minimum=0, maximum=1)
+energy_to = _shared("strain up to which energy is taken", above=0, maximum=1)
+
 # parts and meshes
 accept = _shared("which meshes are accepted")
 inside = _shared(

@@ -63,6 +63,7 @@ BUILT_IN = {
     "check.tiling": "CheckTiling",
     "check.volume_mesh": "CheckVolumeMesh",
     "homogenize.voxel": "HomogenizeVoxel",
+    "measure.compression": "MeasureCompression",
     "homogenize.conductivity": "HomogenizeConductivity",
     "slice.field": "SliceField",
     "slice.mesh": "SliceMesh",
