@@ -50,6 +50,7 @@ class MeasureCompression(Stage):
         help="yield strength (MPa), effective displacement (mm) and energy (J) that a paper states of this specimen; "
         "flagged if the energy is more than force times displacement",
         above=0,
+        maximum=1e9,
     )
 
     def check_options(self) -> None:
