@@ -65,7 +65,7 @@ stress_unit = _shared("unit of Young's modulus and of the result", choices=("rel
 
 # curves of compression
 plateau = _shared("strains between which the plateau stress is taken", minimum=0, maximum=1)
-energy_to = _shared("strain up to which energy is taken", above=0, maximum=1)
+energy_to = _shared("strain up to which energy is taken", minimum=0.01, maximum=1)
 
 # parts and meshes
 accept = _shared("which meshes are accepted")

@@ -49,7 +49,7 @@ class MeasureCompression(Stage):
         None,
         help="yield strength (MPa), effective displacement (mm) and energy (J) that a paper states of this specimen; "
         "flagged if the energy is more than force times displacement",
-        above=0,
+        minimum=1e-9,
         maximum=1e9,
     )
 
