@@ -176,7 +176,8 @@ class BoundStage:
         """A plan of this stage alone."""
         entry: dict[str, Any] = {"stage": self.name, **self.options}
         if available:
-            entry["from"] = sources = {}
+            sources: dict[str, Any] = {}
+            entry["from"] = sources
             for place in available:
                 port, bracket, _ = place.partition("[")
                 if bracket:
