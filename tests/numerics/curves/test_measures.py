@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.curves.compression import loading, mean_and_spread, work_ratio
+from sppm_pipeline.numerics.curves.compression import loading, loading_branch, mean_and_spread, work_ratio
 from sppm_pipeline.numerics.curves.measures import Specimen, measures
 
 SPECIMEN = Specimen("MPa", area=2025.0, height=45.0, density=0.4)
@@ -148,3 +148,9 @@ def test_a_curve_that_begins_late_rises_from_zero():
     curve = loading([0.01, 0.02], [1.0, 1.0])
     assert curve.stress_at(0.005) == pytest.approx(0.5)
     assert curve.work_to(0.02) == pytest.approx(0.015)
+
+
+def test_readings_behind_the_farthest_one_are_no_loading():
+    strain, stress = loading_branch([0, 0.1, 0.05, 0.1, 0.2], [0, 1, 5, 5, 2])
+    assert strain.tolist() == [0, 0.1, 0.2]
+    assert stress.tolist() == [0, 1, 2]
