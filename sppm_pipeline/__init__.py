@@ -45,6 +45,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         field,
         fill,
         homogenize,
+        measure,
         mesh,
         read,
         sample,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.api.pipeline import Pipeline, load, run
     from sppm_pipeline.api.run import Run
     from sppm_pipeline.data.artifact import Artifact, frozen
+    from sppm_pipeline.data.compression import CompressionCurve, CrushedBody
     from sppm_pipeline.data.conductivity import ConductivityReport
     from sppm_pipeline.data.length import Cell, Length
     from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
@@ -126,11 +128,12 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.stage import Context, Headline, Recipe, Rejected, Stage, option
 
 _PLACES = {
-    "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize mesh read sample "
-    "slice step tile tileset tune write",
+    "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize measure mesh read "
+    "sample slice step tile tileset tune write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
     "data.artifact": "Artifact frozen",
+    "data.compression": "CompressionCurve CrushedBody",
     "data.conductivity": "ConductivityReport",
     "data.length": "Cell Length",
     "data.mesh": "RepeatedMesh SurfaceMesh",
@@ -187,11 +190,13 @@ __all__ = [
     "Cell",
     "CellIndex",
     "CellwiseField",
+    "CompressionCurve",
     "ConductivityReport",
     "ConfigError",
     "ConfigErrors",
     "Connector",
     "Context",
+    "CrushedBody",
     "DesignError",
     "FieldMaker",
     "FormulaField",
@@ -261,6 +266,7 @@ __all__ = [
     "lattice_for",
     "load",
     "make_catalog",
+    "measure",
     "mesh",
     "mesh_area",
     "mesh_components",
