@@ -1,4 +1,4 @@
-"""Annotation of pictures: sheets of several of them, labels, and color bars."""
+"""Annotation of pictures: sheets of several of them, labels, color bars, axes and scale bars."""
 
 from __future__ import annotations
 
@@ -14,12 +14,22 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.render.shading import Color
 
 if TYPE_CHECKING:
+    from PIL.Image import Image
     from PIL.ImageFont import FreeTypeFont, ImageFont
+
+    from sppm_pipeline.render.camera import Frame
 
 _INK: Color = (52, 58, 66)
 _PAPER: Color = (255, 255, 255)
 _SOLID: Color = (64, 74, 88)
 _VOID: Color = (238, 240, 243)
+
+AXES: tuple[Color, ...] = ((213, 94, 0), (0, 158, 115), (0, 114, 178))
+"""Colors of the axes x, y, z, which all kinds of color vision tell apart (Okabe and Ito 2008)."""
+
+_LIGHT_INK: Color = (226, 230, 235)
+
+_FINE = 4  # lines are drawn larger by this, and averaged down
 
 _ANCHORS = np.array(
     [[42, 46, 112], [38, 92, 150], [36, 138, 152], [72, 178, 128], [160, 208, 96], [246, 226, 104]], np.float64
@@ -237,3 +247,82 @@ def with_scale(picture: NDArray[np.uint8], low: float, high: float, title: str, 
             pen.text((right + 9, y), f"{tick:.6g}", fill=(30, 30, 30), font=letters, anchor="lm")
     pen.text((left, top - 16), printable(title), fill=(30, 30, 30), font=letters, anchor="ls")
     return np.concatenate([picture, np.asarray(panel)], axis=1)
+
+
+def annotated(
+    picture: NDArray[np.uint8], frame: Frame, unit_mm: float | None, *, dark: bool = False
+) -> NDArray[np.uint8]:
+    """A picture with the directions of the axes at its lower left, and a scale bar at its lower right.
+
+    Parameters
+    ----------
+    picture : (h, w, 3) or (h, w, 4) uint8
+    frame : Frame
+        Of the camera; the bar is as long as it says at the middle of the part.
+    unit_mm : float or None
+        Unit of length of the frame, mm; None for cells without a physical size.
+    dark : bool
+        Whether the background is dark.
+
+    Returns
+    -------
+    array of the shape of `picture`
+    """
+    from PIL import Image
+
+    canvas = Image.fromarray(picture)
+    ink, halo = (_LIGHT_INK, _INK) if dark else (_INK, _PAPER)
+    _draw_axes(canvas, frame, ink)
+    _draw_bar(canvas, frame.scale / (unit_mm or 1.0), "mm" if unit_mm else "cell sizes", ink, halo)
+    return np.asarray(canvas, np.uint8).copy()
+
+
+def bar_length(pixels_per_unit: float, width: int) -> float:
+    """The longest of 1, 2, 5, 10, ... units that takes at most a fifth of a picture's width."""
+    power = 10.0 ** math.floor(math.log10(0.2 * width / pixels_per_unit))
+    return max(m * power for m in (1.0, 2.0, 5.0) if m * power * pixels_per_unit <= 0.2 * width)
+
+
+def _draw_bar(canvas: Image, pixels_per_unit: float, unit: str, ink: Color, halo: Color) -> None:
+    from PIL import ImageDraw
+
+    width, height = canvas.size
+    length = bar_length(pixels_per_unit, width)
+    thick, edge = max(2, round(height / 200)), max(4, round(0.025 * height))
+    right, bottom = width - 1 - edge, height - 1 - edge
+    left = right - round(length * pixels_per_unit) + 1
+    pen = ImageDraw.Draw(canvas)
+    pen.rectangle((left - 1, bottom - thick, right + 1, bottom + 1), fill=halo)
+    pen.rectangle((left, bottom - thick + 1, right, bottom), fill=ink)
+    place = ((left + right) / 2, bottom - thick - max(2, height // 150))
+    letters = font(max(9, round(height / 40)))
+    pen.text(place, f"{length:g} {unit}", fill=ink, font=letters, anchor="mb", stroke_width=2, stroke_fill=halo)
+
+
+def _draw_axes(canvas: Image, frame: Frame, ink: Color) -> None:
+    from PIL import Image, ImageDraw
+
+    width, height = canvas.size
+    arm = max(8.0, 0.055 * min(width, height))
+    side = round(3.2 * arm)
+    patch = Image.new("RGBA", (side * _FINE, side * _FINE), (*ink, 0))
+    pen = ImageDraw.Draw(patch)
+    middle = side / 2
+    line, head = max(1.5, arm / 18), max(3.0, arm / 6)
+    for axis in np.argsort(frame.axes[2]):  # those that point away first
+        along = np.array([frame.axes[0, axis], -frame.axes[1, axis]])
+        tip, size = middle + arm * along, float(np.hypot(*along))
+        pen.line([*(np.array([middle] * 2) * _FINE), *(tip * _FINE)], fill=AXES[axis], width=round(line * _FINE))
+        if size > 0.15:  # else it points at the viewer, or away
+            back, across = along / size * head, np.array([-along[1], along[0]]) / size * head / 2.2
+            corners = [tip + back / 3, tip - back + across, tip - back - across]
+            pen.polygon([tuple(corner * _FINE) for corner in corners], fill=AXES[axis])
+        place = tip + (along / size if size > 0.15 else np.array([-0.7, 0.7])) * 1.3 * head
+        letters = font(round(max(9.0, arm / 3) * _FINE))
+        pen.text(tuple(place * _FINE), "xyz"[axis], fill=AXES[axis], font=letters, anchor="mm")
+    patch = patch.resize((side, side), Image.Resampling.BOX)
+    left, top = round(0.01 * width), height - side - round(0.01 * height)
+    if canvas.mode == "RGBA":
+        canvas.alpha_composite(patch, (left, top))
+    else:
+        canvas.paste(patch, (left, top), patch)
