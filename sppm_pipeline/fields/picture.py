@@ -247,6 +247,27 @@ def field_picture(
     return scene.picture(size, camera, section=section, threads=threads)
 
 
+def mesh_picture(
+    mesh: SurfaceMesh,
+    size: tuple[int, int],
+    camera: Camera,
+    *,
+    annotate: bool = False,
+    background: Background = "light",
+    threads: int = 1,
+) -> NDArray[np.uint8]:
+    """The triangles of a mesh, seen from both sides; (height, width, 3), or 4 with a transparent background."""
+    from sppm_pipeline.render.camera import framed
+    from sppm_pipeline.render.mesh_view import render_mesh
+    from sppm_pipeline.render.sheets import annotated
+
+    picture = render_mesh(mesh.vertices, mesh.faces, camera=camera, size=size, background=background, threads=threads)
+    if not (annotate and len(mesh.faces)):
+        return picture
+    frame = framed(camera, mesh.vertices[np.unique(mesh.faces)], size)
+    return annotated(picture, frame, 1.0, dark=background == "dark")
+
+
 def tile_sheet(
     tileset: TileSet,
     resolution: int,
@@ -257,7 +278,7 @@ def tile_sheet(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.uint8]:
     """Pictures of the tiles of a set, up to `MAX_TILES`, with their colors and porosities."""
-    from sppm_pipeline.render.sheets import contact_sheet
+    from sppm_pipeline.render.sheets import DARK_PAPER, LIGHT_INK, contact_sheet
 
     pictures, labels = [], []
     c = tileset.palette_colors
@@ -270,7 +291,8 @@ def tile_sheet(
         name = "".join("xyz"[a] + str(colors[a] + 1) for a in range(3)) if tileset.kind == "wang" else str(t)
         labels.append(name + share)
         progress(t + 1, shown)
-    return contact_sheet(pictures, labels, columns=9 if len(pictures) > 16 else 4)
+    given = {"background": DARK_PAPER, "ink": LIGHT_INK} if background == "dark" else {}
+    return contact_sheet(pictures, labels, columns=9 if len(pictures) > 16 else 4, **given)
 
 
 NOTEBOOK_SAMPLES = 1_500_000

@@ -213,6 +213,7 @@ def render_mesh(
     occlusion: float = 1.0,
     background: Background = "light",
     margin: float = 0.04,
+    threads: int = 1,
 ) -> NDArray[np.uint8]:
     """Picture of a triangle mesh.
 
@@ -243,6 +244,7 @@ def render_mesh(
         "light" or "dark", which are gradients, "transparent", or one color.
     margin : float
         Fraction of the picture left free on each side.
+    threads : int
 
     Returns
     -------
@@ -276,5 +278,5 @@ def render_mesh(
     used = points if len(points) < 3 * len(corners) else points[np.unique(corners)]
     frame = framed(camera or Camera(), used, fine, margin)
     seen = _seen_mesh(points, corners, frame, fine, smooth, colors)
-    hidden = hidden_sky(seen) if occlusion > 0.0 else None
+    hidden = hidden_sky(seen, threads) if occlusion > 0.0 else None
     return on_background(lit(seen, hidden, occlusion, supersampling), background)

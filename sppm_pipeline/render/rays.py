@@ -9,7 +9,7 @@ has one ray; those on edges, of which a neighbor has another depth, normal or co
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -38,7 +38,12 @@ from sppm_pipeline.render.shading import (
 )
 
 STEP = 0.6
-"""Steps along a ray, in spacings of the samples: a choice. A strut that is missed is thinner than a voxel."""
+"""Steps along a ray near the solid, in spacings of the samples: a choice. What is missed is thinner than a voxel."""
+
+_BATCH = 2**15  # pixels that are traced at a time
+_BAND = 64  # rows
+_FAR = 3  # blocks without solid around one that are looked for
+_PAST = 1e-4  # spacings by which a ray enters the next block, so that rounding does not keep it where it is
 
 _NO_VALUES = np.empty((0, 0, 0), np.float32)
 _FIELD, _DOMAIN, _SKIN, _SECTION = 0, 1, 2, 3
@@ -50,6 +55,7 @@ _ASIDE = (3.1e-5, 1.7e-5)
 _PLACES = (np.stack([np.arange(8), np.array([3, 6, 2, 7, 1, 4, 0, 5])], axis=1) + 0.5) / 8
 
 _SAME_NORMAL = 0.85  # cosine; a choice
+_FLAT = np.float32(0.2)  # cosine; surfaces seen at a smaller angle are as good as steep
 _SAME_DEPTH = 0.75  # pixels by which a neighbor may be off the plane of a sample; a choice
 
 
@@ -98,6 +104,7 @@ class _Scene(NamedTuple):
     field: NDArray[np.float32]
     skin: NDArray[np.float32]
     outer: NDArray[np.float32]
+    void: NDArray[np.uint8]
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     normals: NDArray[np.float64]
@@ -105,7 +112,8 @@ class _Scene(NamedTuple):
     starts: NDArray[np.int64]
     owners: NDArray[np.int32]
     axes: NDArray[np.float64]
-    # target (3), distance, scale, column and row of the frame, then the plane: normal (3), place
+    # target (3), distance, scale, column and row of the frame, then the plane: normal (3), place;
+    # and the width of the picture
     numbers: NDArray[np.float64]
     colors: NDArray[np.uint8]
 
@@ -121,7 +129,8 @@ def _overlaps(
 ) -> None:
     """List for each pixel the triangles that may cover some of it; with no room for owners, count them only.
 
-    `starts` holds at p + 1 the number of triangles of pixel p, or where the list of pixel p has its next free place.
+    `starts` holds at p + 1 the number of triangles of pixel p, or where the list of pixel p has its next free place,
+    which is in the end where the list of pixel p + 1 begins.
     """
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -163,6 +172,16 @@ def _left(places: NDArray[np.float64], tail: int, head: int, x: float, y: float)
 
 
 @jit
+def _weights(places: NDArray[np.float64], a: int, b: int, c: int, x: float, y: float) -> tuple[float, float]:
+    """Weights of the second and third corner of a triangle at a point of the picture."""
+    ax, ay = places[a, 0], places[a, 1]
+    bx, by = places[b, 0] - ax, places[b, 1] - ay
+    cx, cy = places[c, 0] - ax, places[c, 1] - ay
+    area = bx * cy - by * cx
+    return ((x - ax) * cy - (y - ay) * cx) / area, ((y - ay) * bx - (x - ax) * by) / area
+
+
+@jit
 def _trilinear(values: NDArray[np.float32], x: float, y: float, z: float) -> float:
     """Interpolated sample; the border is continued."""
     nz, ny, nx = values.shape
@@ -179,14 +198,75 @@ def _trilinear(values: NDArray[np.float32], x: float, y: float, z: float) -> flo
 
 
 @jit
-def _value(scene: _Scene, x: float, y: float, z: float) -> float:
+def _value(
+    field: NDArray[np.float32], skin: NDArray[np.float32], outer: NDArray[np.float32], x: float, y: float, z: float
+) -> float:
     """Negative in the solid."""
-    value = _trilinear(scene.field, x, y, z)
-    if scene.skin.size > 0:
-        value = min(value, _trilinear(scene.skin, x, y, z))
-    if scene.outer.size > 0:
-        value = max(value, _trilinear(scene.outer, x, y, z))
+    value = _trilinear(field, x, y, z)
+    if skin.size > 0:
+        value = min(value, _trilinear(skin, x, y, z))
+    if outer.size > 0:
+        value = max(value, _trilinear(outer, x, y, z))
     return value
+
+
+@jit
+def _march(
+    field: NDArray[np.float32],
+    skin: NDArray[np.float32],
+    outer: NDArray[np.float32],
+    void: NDArray[np.uint8],
+    line: NDArray[np.float64],
+    begin: float,
+    end: float,
+) -> float:
+    """Where the line `line[:3] + d * line[3:]` enters the solid, going back from d = `begin` to `end`; else -inf.
+
+    Blocks without any solid are crossed at once.
+    """
+    nz, ny, nx = void.shape
+    x, y, z, u, v, w = line[0], line[1], line[2], line[3], line[4], line[5]
+    step = STEP / math.sqrt(u * u + v * v + w * w)
+    d, last, at_last = begin, begin, -1.0
+    while True:
+        px, py, pz = x + d * u, y + d * v, z + d * w
+        i = min(max(int(0.5 * px), 0), nx - 1)
+        j = min(max(int(0.5 * py), 0), ny - 1)
+        k = min(max(int(0.5 * pz), 0), nz - 1)
+        reach = void[k, j, i]
+        if reach > 0:
+            d -= max(min(_way_out(px, u, i, reach), _way_out(py, v, j, reach), _way_out(pz, w, k, reach)), 0.0) + _PAST
+            at_last = -1.0
+            if d < end:
+                return -np.inf
+            continue
+        value = _value(field, skin, outer, px, py, pz)
+        if value < 0.0:
+            if at_last < 0.0:  # at the beginning, or where a block of void ends
+                return d
+            low, at_low = d, value
+            for _ in range(4):  # regula falsi, Illinois
+                d = low + (last - low) * at_low / (at_low - at_last)
+                value = _value(field, skin, outer, x + d * u, y + d * v, z + d * w)
+                if value < 0.0:
+                    low, at_low = d, value
+                    at_last *= 0.5
+                else:
+                    last, at_last = d, value
+                    at_low *= 0.5
+            return d
+        if d == end:
+            return -np.inf
+        last, at_last = d, value
+        d = max(d - step, end)
+
+
+@jit
+def _way_out(x: float, along: float, i: int, reach: int) -> float:
+    """How far a line that goes back has to go to leave the blocks less than `reach` away from block i, on one axis."""
+    if along > 0.0:
+        return (x - 2 * (i - reach + 1)) / along
+    return (x - 2 * (i + reach)) / along if along < 0.0 else np.inf
 
 
 @jit
@@ -203,235 +283,197 @@ def _slope(values: NDArray[np.float32], x: float, y: float, z: float, out: NDArr
 
 @jit
 def _crossings(
-    scene: _Scene, pixel: int, x: float, y: float, depths: NDArray[np.float64], found: NDArray[np.int64]
+    places: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    owners: NDArray[np.int32],
+    first: int,
+    last: int,
+    x: float,
+    y: float,
+    depths: NDArray[np.float64],
+    found: NDArray[np.int64],
 ) -> int:
-    """The triangles that a ray pierces, the nearest one first; those that face away are found as -1 - f."""
+    """The listed triangles that a ray pierces, the nearest one first; those that face away are found as -1 - f."""
     n = 0
-    for place in range(scene.starts[pixel], scene.starts[pixel + 1]):
-        f = np.int64(scene.owners[place])
-        a, b, c = scene.faces[f, 0], scene.faces[f, 1], scene.faces[f, 2]
-        side = _left(scene.places, a, b, x, y)
-        if _left(scene.places, b, c, x, y) != side or _left(scene.places, c, a, x, y) != side or n == depths.size:
+    for place in range(first, last):
+        f = np.int64(owners[place])
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        side = _left(places, a, b, x, y)
+        if _left(places, b, c, x, y) != side or _left(places, c, a, x, y) != side:
             continue
-        ax, ay, an = scene.places[a, 0], scene.places[a, 1], scene.places[a, 2]
-        bx, by = scene.places[b, 0] - ax, scene.places[b, 1] - ay
-        cx, cy = scene.places[c, 0] - ax, scene.places[c, 1] - ay
-        area = bx * cy - by * cx
-        wb, wc = ((x - ax) * cy - (y - ay) * cx) / area, ((y - ay) * bx - (x - ax) * by) / area
-        depth = an + wb * (scene.places[b, 2] - an) + wc * (scene.places[c, 2] - an)
-        if scene.numbers[3] > 0.0:
-            depth = scene.numbers[3] - 1.0 / depth
+        wb, wc = _weights(places, a, b, c, x, y)
+        near = places[a, 2] + wb * (places[b, 2] - places[a, 2]) + wc * (places[c, 2] - places[a, 2])
         s = n
-        while s > 0 and depths[s - 1] < depth:
+        while s > 0 and depths[s - 1] < near:
             depths[s], found[s] = depths[s - 1], found[s - 1]
             s -= 1
         # rows count downwards, so what is wound to the left in space turns to the right
-        depths[s], found[s] = depth, -1 - f if side else f
+        depths[s], found[s] = near, -1 - f if side else f
         n += 1
     return n
 
 
 @jit
-def _ray(
+def _trace(
     scene: _Scene,
-    pixel: int,
-    x: float,
-    y: float,
-    depths: NDArray[np.float64],
-    found: NDArray[np.int64],
-    flat: NDArray[np.float64],
-    normal: NDArray[np.float64],
-) -> tuple[float, int]:
-    """Depth of the first solid along the ray through a point of the picture, and its color; normal in `normal`."""
-    n = _crossings(scene, pixel, x, y, depths, found)
-    if n == 0:
-        return -np.inf, 0
-    numbers, axes = scene.numbers, scene.axes
-    right, up = (x - numbers[5]) / numbers[4], (numbers[6] - y) / numbers[4]
-    # the point at depth d is at + d * along
-    lean = 1.0 / numbers[3] if numbers[3] > 0.0 else 0.0
-    sx, sy = right * axes[0, 0] + up * axes[1, 0], right * axes[0, 1] + up * axes[1, 1]
-    sz = right * axes[0, 2] + up * axes[1, 2]
-    at_x, at_y, at_z = numbers[0] + sx, numbers[1] + sy, numbers[2] + sz
-    along_x, along_y, along_z = axes[2, 0] - lean * sx, axes[2, 1] - lean * sy, axes[2, 2] - lean * sz
-    step = STEP / math.sqrt(along_x**2 + along_y**2 + along_z**2)
-    # the section keeps the depths between these
-    front, back = np.inf, -np.inf
-    toward = numbers[7] * along_x + numbers[8] * along_y + numbers[9] * along_z
-    ahead = numbers[10] - (numbers[7] * at_x + numbers[8] * at_y + numbers[9] * at_z)
-    if toward > 0.0:
-        front = ahead / toward
-    elif toward < 0.0:
-        back = ahead / toward
-    elif ahead < 0.0:
-        return -np.inf, 0
-    winding = 0
-    for s in range(n - 1):
-        before = winding
-        winding += 1 if found[s] >= 0 else -1
-        if winding <= 0:
-            continue
-        d, end = depths[s], max(depths[s + 1], back)
-        if end >= min(d, front):
-            continue
-        # shells may overlap; what begins within one is its microstructure
-        kind, f = _DOMAIN if before <= 0 else _FIELD, found[s]
-        if d > front:
-            d, kind = front, _SECTION
-        value = _value(scene, at_x + d * along_x, at_y + d * along_y, at_z + d * along_z)
-        if not value < 0.0:
-            kind = _FIELD
-            while d > end:
-                last, at_last = d, value
-                d = max(d - step, end)
-                value = _value(scene, at_x + d * along_x, at_y + d * along_y, at_z + d * along_z)
-                if value < 0.0:
-                    low, at_low = d, value
-                    for _ in range(6):  # regula falsi, Illinois
-                        d = low + (last - low) * at_low / (at_low - at_last)
-                        value = _value(scene, at_x + d * along_x, at_y + d * along_y, at_z + d * along_z)
-                        if value < 0.0:
-                            low, at_low = d, value
-                            at_last *= 0.5
-                        else:
-                            last, at_last = d, value
-                            at_low *= 0.5
-                    value = -1.0
-                    break
-            if not value < 0.0:
-                continue
-        px, py, pz = at_x + d * along_x, at_y + d * along_y, at_z + d * along_z
-        color = kind
-        if kind == _SECTION:
-            for axis in range(3):
-                normal[axis] = numbers[7 + axis]
-        elif kind == _DOMAIN:
-            a, b, c = scene.faces[f, 0], scene.faces[f, 1], scene.faces[f, 2]
-            ax, ay = scene.places[a, 0], scene.places[a, 1]
-            bx, by = scene.places[b, 0] - ax, scene.places[b, 1] - ay
-            cx, cy = scene.places[c, 0] - ax, scene.places[c, 1] - ay
-            area = bx * cy - by * cx
-            wb, wc = ((x - ax) * cy - (y - ay) * cx) / area, ((y - ay) * bx - (x - ax) * by) / area
-            normal_on(scene.vertices, scene.faces, scene.normals, f, wb, wc, True, flat, normal)
-        if scene.skin.size > 0:
-            inner, skin = _trilinear(scene.field, px, py, pz), _trilinear(scene.skin, px, py, pz)
-            if skin < (inner if kind == _FIELD else 0.0):
-                color = _SKIN
-        if kind == _FIELD:
-            if scene.outer.size > 0 and _trilinear(scene.outer, px, py, pz) > -1e-3:
-                _slope(scene.outer, px, py, pz, normal)
-                color = _SKIN if color == _SKIN else _DOMAIN
-            else:
-                _slope(scene.skin if color == _SKIN else scene.field, px, py, pz, normal)
-        return d, color
-    return -np.inf, 0
-
-
-@jit
-def _turned(scene: _Scene, normal: NDArray[np.float64], out: NDArray[np.float32]) -> None:
-    """The normal in the frame right, up, towards the viewer."""
-    for axis in range(3):
-        out[axis] = normal[0] * scene.axes[axis, 0] + normal[1] * scene.axes[axis, 1] + normal[2] * scene.axes[axis, 2]
-
-
-@jit
-def _see(
-    scene: _Scene,
-    aside: tuple[float, float],
+    pixels: NDArray[np.int64],
+    offsets: NDArray[np.float64],
     depth: NDArray[np.float32],
     normal: NDArray[np.float32],
     color: NDArray[np.uint8],
-    most: int,
     start: int,
     stop: int,
 ) -> None:
-    """What the middles of the pixels of some rows show."""
-    depths, found, flat, mean = np.empty(most), np.empty(most, np.int64), np.zeros(3), np.zeros(3)
-    width = depth.shape[1]
-    for r in range(start, stop):
-        for c in range(width):
-            d, kind = _ray(
-                scene, r * width + c, c + 0.5 + aside[0], r + 0.5 + aside[1], depths, found, flat, mean
-            )  # fmt: skip
-            if d == -np.inf:
+    """What rays through some places of each pixel see; depth, normal and color are (pixels, places) as in `Seen`."""
+    field, skin, outer, void, vertices, faces, normals, places, starts, owners, axes, numbers, colors = scene
+    distance, scale = numbers[3], numbers[4]
+    depths, found, line = np.empty(owners.size), np.empty(owners.size, np.int64), np.empty(6)
+    flat, mean = np.zeros(3), np.zeros(3)
+    width = np.int64(numbers[11])
+    for p in range(start, stop):
+        pixel = pixels[p]
+        for place in range(offsets.shape[0]):
+            depth[p, place] = -np.inf
+            x, y = pixel % width + offsets[place, 0], pixel // width + offsets[place, 1]
+            n = _crossings(places, faces, owners, starts[pixel], starts[pixel + 1], x, y, depths, found)
+            if n < 2:
                 continue
-            depth[r, c] = d * scene.numbers[4]
-            _turned(scene, mean, normal[r, c])
-            for channel in range(3):
-                color[r, c, channel] = scene.colors[kind, channel]
+            # the point at depth d is line[:3] + d * line[3:]
+            right, up = (x - numbers[5]) / scale, (numbers[6] - y) / scale
+            toward, ahead = 0.0, numbers[10]
+            for axis in range(3):
+                aside = right * axes[0, axis] + up * axes[1, axis]
+                line[axis] = numbers[axis] + aside
+                line[3 + axis] = axes[2, axis] - (aside / distance if distance > 0.0 else 0.0)
+                toward += numbers[7 + axis] * line[3 + axis]
+                ahead -= numbers[7 + axis] * line[axis]
+            # the section keeps the depths between these
+            front = ahead / toward if toward > 0.0 else np.inf
+            back = ahead / toward if toward < 0.0 else -np.inf
+            if toward == 0.0 and ahead < 0.0:
+                continue
+            winding = 0
+            for s in range(n - 1):
+                before = winding
+                winding += 1 if found[s] >= 0 else -1
+                if winding <= 0:
+                    continue
+                d, end = depths[s], depths[s + 1]
+                if distance > 0.0:
+                    d, end = distance - 1.0 / d, distance - 1.0 / end
+                end = max(end, back)
+                if end >= min(d, front):
+                    continue
+                # shells may overlap; what begins within one is its microstructure
+                kind, f = _DOMAIN if before <= 0 else _FIELD, found[s]
+                if d > front:
+                    d, kind = front, _SECTION
+                begin, d = d, _march(field, skin, outer, void, line, d, end)
+                if d == -np.inf:
+                    continue
+                if d != begin:
+                    kind = _FIELD
+                px, py, pz = line[0] + d * line[3], line[1] + d * line[4], line[2] + d * line[5]
+                shown = kind
+                if skin.size > 0:
+                    at_most = _trilinear(field, px, py, pz) if kind == _FIELD else 0.0
+                    if _trilinear(skin, px, py, pz) < at_most:
+                        shown = _SKIN
+                if kind == _SECTION:
+                    for axis in range(3):
+                        mean[axis] = numbers[7 + axis]
+                elif kind == _DOMAIN:
+                    wb, wc = _weights(places, faces[f, 0], faces[f, 1], faces[f, 2], x, y)
+                    normal_on(vertices, faces, normals, f, wb, wc, True, flat, mean)
+                elif outer.size > 0 and _trilinear(outer, px, py, pz) > -1e-3:
+                    _slope(outer, px, py, pz, mean)
+                    shown = _SKIN if shown == _SKIN else _DOMAIN
+                else:
+                    _slope(skin if shown == _SKIN else field, px, py, pz, mean)
+                depth[p, place] = d * scale
+                for axis in range(3):
+                    normal[p, place, axis] = mean[0] * axes[axis, 0] + mean[1] * axes[axis, 1] + mean[2] * axes[axis, 2]
+                    color[p, place, axis] = colors[shown, axis]
+                break
 
 
 @jit
-def _refine(
-    scene: _Scene,
-    offsets: NDArray[np.float64],
-    edges: NDArray[np.bool_],
+def _add_light(
+    pixels: NDArray[np.int64],
+    depths: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    colors: NDArray[np.uint8],
     depth: NDArray[np.float32],
     creases: NDArray[np.float32],
     pores: NDArray[np.float32],
     strength: np.float32,
     linear: NDArray[np.float32],
     light: NDArray[np.float32],
-    most: int,
     start: int,
     stop: int,
 ) -> None:
-    """Add the light of more rays where there are edges; what hides the sky is that of the pixel nearest in depth."""
-    depths, found, flat, mean = np.empty(most), np.empty(most, np.int64), np.zeros(3), np.zeros(3)
-    turned = np.zeros(3, np.float32)
+    """Add the light of more rays to some pixels; what hides the sky is that of the pixel nearest in depth."""
     height, width = depth.shape
-    share = np.float32(1.0 / (offsets.shape[0] + 1))
-    for r in range(start, stop):
-        for c in range(width):
-            if not edges[r, c]:
+    share = np.float32(1.0 / (depths.shape[1] + 1))
+    for p in range(start, stop):
+        r, c = pixels[p] // width, pixels[p] % width
+        for s in range(depths.shape[1]):
+            if depths[p, s] == -np.inf:
                 continue
-            for s in range(offsets.shape[0]):
-                d, kind = _ray(
-                    scene, r * width + c, c + offsets[s, 0], r + offsets[s, 1], depths, found, flat, mean
-                )  # fmt: skip
-                if d == -np.inf:
-                    continue
-                _turned(scene, mean, turned)
-                near = np.inf
-                crease, pore = np.float32(0.0), np.float32(0.0)
-                for rr in range(max(r - 1, 0), min(r + 2, height)):
-                    for cc in range(max(c - 1, 0), min(c + 2, width)):
-                        gap = abs(depth[rr, cc] - d * scene.numbers[4])
-                        if gap < near:
-                            near = gap
-                            crease, pore = creases[rr, cc], pores[rr, cc]
-                red, green, blue = light_of(
-                    turned[0], turned[1], turned[2], scene.colors[kind], crease, pore, strength, linear
-                )  # fmt: skip
-                light[r, c, 0] += red
-                light[r, c, 1] += green
-                light[r, c, 2] += blue
-                light[r, c, 3] += np.float32(1.0)
-            for channel in range(4):
-                light[r, c, channel] *= share
+            near = np.inf
+            crease, pore = np.float32(0.0), np.float32(0.0)
+            for rr in range(max(r - 1, 0), min(r + 2, height)):
+                for cc in range(max(c - 1, 0), min(c + 2, width)):
+                    gap = abs(depth[rr, cc] - depths[p, s])
+                    if gap < near:
+                        near = gap
+                        crease, pore = creases[rr, cc], pores[rr, cc]
+            red, green, blue = light_of(
+                normals[p, s, 0], normals[p, s, 1], normals[p, s, 2], colors[p, s], crease, pore, strength, linear
+            )  # fmt: skip
+            light[r, c, 0] += red
+            light[r, c, 1] += green
+            light[r, c, 2] += blue
+            light[r, c, 3] += np.float32(1.0)
+        for channel in range(4):
+            light[r, c, channel] *= share
 
 
-def _edges(seen: Seen) -> NDArray[np.bool_]:
-    """Pixels whose depth, normal or color jumps to a neighbor in their row or column."""
+def _traced(
+    scene: _Scene, pixels: NDArray[np.int64], offsets: NDArray[np.float64], threads: int
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]]:
+    """Some of the pixels at a time, and of rays through some places of each what `_trace` finds."""
+    for start in range(0, len(pixels), _BATCH):
+        some = pixels[start : start + _BATCH]
+        shape = len(some), len(offsets)
+        found = np.empty(shape, np.float32), np.zeros((*shape, 3), np.float32), np.zeros((*shape, 3), np.uint8)
+        in_bands(partial(_trace, scene, some, offsets, *found), len(some), threads)
+        yield some, *found
+
+
+def _edges(seen: Seen) -> NDArray[np.int64]:
+    """Pixels whose depth, normal or color jumps to a neighbor in their row or column, by number."""
     edges = np.zeros(seen.depth.shape, np.bool_)
-    there = np.isfinite(seen.depth)
-    for axis in (0, 1):
-        one = tuple(slice(None, -1) if a == axis else slice(None) for a in (0, 1))
-        two = tuple(slice(1, None) if a == axis else slice(None) for a in (0, 1))
-        both = there[one] & there[two]
-        jump = there[one] != there[two]
-        jump |= both & (seen.color[one] != seen.color[two]).any(2)
-        m, n = seen.normal[one], seen.normal[two]
-        jump |= both & (np.einsum("...i,...i", m, n) < np.float32(_SAME_NORMAL))
-        # a neighbor in the plane of a sample: right is the first coordinate, and rows count downwards
-        mean = m + n
-        rise = mean[..., 0] if axis == 1 else -mean[..., 1]
-        step = np.where(both, seen.depth[two], 0) - np.where(both, seen.depth[one], 0)
-        room = np.float32(_SAME_DEPTH) * np.maximum(np.abs(mean[..., 2]), np.float32(0.2))
-        jump |= both & (np.abs(step * mean[..., 2] + rise) > room)
-        edges[one] |= jump
-        edges[two] |= jump
-    return edges
+    for start in range(0, len(edges), _BAND):  # a band at a time, for memory
+        rows = slice(max(0, start - 1), start + _BAND)
+        depth, normal, color = seen.depth[rows], seen.normal[rows], seen.color[rows]
+        there = np.isfinite(depth)
+        for axis in (0, 1):
+            one = tuple(slice(None, -1) if a == axis else slice(None) for a in (0, 1))
+            two = tuple(slice(1, None) if a == axis else slice(None) for a in (0, 1))
+            both = there[one] & there[two]
+            jump = there[one] != there[two]
+            jump |= both & (color[one] != color[two]).any(2)
+            m, n = normal[one], normal[two]
+            jump |= both & (np.einsum("...i,...i", m, n) < np.float32(_SAME_NORMAL))
+            # a neighbor in the plane of a sample: right is the first coordinate, and rows count downwards
+            toward = m[..., 2] + n[..., 2]
+            rise = m[..., 0] + n[..., 0] if axis == 1 else -m[..., 1] - n[..., 1]
+            step = np.where(both, depth[two], 0) - np.where(both, depth[one], 0)
+            jump |= both & (np.abs(step * toward + rise) > np.float32(_SAME_DEPTH) * np.maximum(np.abs(toward), _FLAT))
+            edges[rows][one] |= jump
+            edges[rows][two] |= jump
+    return np.flatnonzero(edges)
 
 
 def render_solid(
@@ -473,20 +515,19 @@ def render_solid(
         The picture (sRGB); with a fourth channel, the opacity, if the background is transparent.
     """
     width, height = size
-    scene, most = _scene(solid, frame, size, section, colors)
+    scene = _scene(solid, frame, size, section, colors)
     seen = empty_seen(width, height)
-    in_bands(partial(_see, scene, _ASIDE, *seen, most), height, threads)
+    middle = np.array([[0.5, 0.5]]) + _ASIDE
+    for pixels, *found in _traced(scene, np.flatnonzero(np.diff(scene.starts)), middle, threads):
+        for whole, part in zip(seen, found, strict=True):
+            whole.reshape(width * height, -1)[pixels] = part.reshape(len(pixels), -1)
     hidden = hidden_sky(seen, threads) if occlusion > 0.0 else Hidden(*(np.zeros_like(seen.depth),) * 2)
     light = lit(seen, hidden, occlusion)
     if antialias:
-        offsets = _PLACES + _ASIDE
-        in_bands(
-            partial(
-                _refine, scene, offsets, _edges(seen), seen.depth, *hidden, np.float32(occlusion), LINEAR, light, most
-            ),
-            height,
-            threads,
-        )  # fmt: skip
+        strength = np.float32(occlusion)
+        for pixels, *more in _traced(scene, _edges(seen), _PLACES + _ASIDE, threads):
+            add = partial(_add_light, pixels, *more, seen.depth, *hidden, strength, LINEAR, light)
+            in_bands(add, len(pixels), threads)
     return on_background(light, background)
 
 
@@ -496,28 +537,54 @@ def _scene(
     size: tuple[int, int],
     section: tuple[Sequence[float], float] | None,
     colors: Colors,
-) -> tuple[_Scene, int]:
-    """The scene, and the largest number of triangles that a ray may pierce."""
+) -> _Scene:
     width, height = size
     origin, h = np.array(solid.grid.origin), solid.grid.spacing[0]
     faces = np.ascontiguousarray(solid.faces, np.int64)
     places = projected(frame, np.ascontiguousarray(solid.vertices, np.float64))
     vertices = (solid.vertices - origin) / h
-    starts = np.zeros(width * height + 1, np.int64)
-    _overlaps(places, faces, width, height, starts, np.empty(0, np.int32))
-    most = int(starts.max())
+    starts = np.zeros(width * height + 2, np.int64)
+    _overlaps(places, faces, width, height, starts[1:], np.empty(0, np.int32))
     np.cumsum(starts, out=starts)
     owners = np.empty(max(1, int(starts[-1])), np.int32)
-    following = np.concatenate([starts[:1], starts[:-1]])
-    _overlaps(places, faces, width, height, following, owners)
+    _overlaps(places, faces, width, height, starts, owners)
     # lengths of the frame in spacings; nearness becomes the reciprocal of such a length
     places[:, 2] *= h if frame.distance > 0.0 else 1 / h
     normal, place = section or ((0.0, 0.0, 0.0), 0.0)
     target = (np.asarray(frame.target) - origin) / h
     cut = (place - float(np.dot(normal, origin))) / h
-    numbers = [*target, frame.distance / h, frame.scale * h, frame.column, frame.row, *normal, cut]
-    scene = _Scene(
-        solid.field, solid.skin, solid.outer, vertices, faces, vertex_normals(vertices, faces), places, starts, owners,
-        np.asarray(frame.axes), np.array(numbers, np.float64), np.array(colors, np.uint8),
+    numbers = [*target, frame.distance / h, frame.scale * h, frame.column, frame.row, *normal, cut, width]
+    return _Scene(
+        solid.field, solid.skin, solid.outer, _void(solid), vertices, faces, vertex_normals(vertices, faces), places,
+        starts, owners, np.asarray(frame.axes), np.array(numbers, np.float64), np.array(colors, np.uint8),
     )  # fmt: skip
-    return scene, most
+
+
+def _void(solid: Solid) -> NDArray[np.uint8]:
+    """How many blocks away from each block, at least, the next one is that may hold some solid; up to `_FAR`.
+
+    Blocks are 2 x 2 x 2 cubes of samples; distances are the largest difference of indices, 0 is the block itself.
+    """
+    near = _in_blocks(solid.field < 0 if not solid.skin.size else (solid.field < 0) | (solid.skin < 0))
+    if solid.outer.size:
+        near &= _in_blocks(solid.outer < 0)
+    void = np.zeros(near.shape, np.uint8)
+    for _ in range(_FAR):
+        void += ~near
+        for axis in range(3):
+            along = np.moveaxis(near, axis, 0)
+            grown = along.copy()
+            grown[1:] |= along[:-1]
+            grown[:-1] |= along[1:]
+            near = np.moveaxis(grown, 0, axis)
+    return void
+
+
+def _in_blocks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Blocks of 2 x 2 x 2 cubes with any of their 27 samples in the mask."""
+    for axis in range(3):
+        low = np.arange(0, max(1, mask.shape[axis] - 1), 2)
+        ends = (np.minimum(low + step, mask.shape[axis] - 1) for step in range(3))
+        first, second, third = (mask.take(end, axis) for end in ends)
+        mask = first | second | third
+    return mask

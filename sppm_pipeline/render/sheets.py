@@ -27,7 +27,8 @@ _VOID: Color = (238, 240, 243)
 AXES: tuple[Color, ...] = ((213, 94, 0), (0, 158, 115), (0, 114, 178))
 """Colors of the axes x, y, z, which all kinds of color vision tell apart (Okabe and Ito 2008)."""
 
-_LIGHT_INK: Color = (226, 230, 235)
+DARK_PAPER: Color = (32, 36, 43)
+LIGHT_INK: Color = (226, 230, 235)
 
 _FINE = 4  # lines are drawn larger by this, and averaged down
 
@@ -71,13 +72,15 @@ def contact_sheet(
     gap: int = 20,
     text_size: int = 20,
     background: Color = _PAPER,
+    ink: Color = _INK,
 ) -> NDArray[np.uint8]:
     """Place pictures in a grid, row by row, with labels beneath.
 
     Parameters
     ----------
-    images : sequence of (h, w, 3) uint8
-        Pictures; smaller ones stand in the middle of their place.
+    images : sequence of (h, w, 3) or (h, w, 4) uint8
+        Pictures; smaller ones stand in the middle of their place. With a fourth channel, the opacity, the sheet is
+        transparent, too.
     labels : sequence of str, optional
         One for each picture; a label wider than its picture is set smaller.
     columns : int, optional
@@ -88,12 +91,12 @@ def contact_sheet(
         Free pixels around each picture.
     text_size : int
         Size of the labels in pixels; the title is larger by half.
-    background : (r, g, b)
-        Color of the sheet.
+    background, ink : (r, g, b)
+        Colors of the sheet and of the letters.
 
     Returns
     -------
-    (height, width, 3) uint8
+    (height, width, 3) or (height, width, 4) uint8
         The sheet.
 
     Raises
@@ -108,8 +111,11 @@ def contact_sheet(
     pictures = [np.asarray(image, np.uint8) for image in images]
     if not pictures:
         raise DesignError("there is no picture to place on the sheet")
-    if any(picture.ndim != 3 or picture.shape[2] != 3 for picture in pictures):
-        raise ValueError(f"pictures must have shape (h, w, 3), got {[picture.shape for picture in pictures]}")
+    channels = pictures[0].shape[-1]
+    if channels not in (3, 4) or any(picture.ndim != 3 or picture.shape[2] != channels for picture in pictures):
+        raise ValueError(
+            f"pictures must have shape (h, w, 3) or all (h, w, 4), got {[picture.shape for picture in pictures]}"
+        )
     if labels is not None and len(labels) != len(pictures):
         raise ValueError(f"{len(pictures)} pictures have {len(labels)} labels")
     high = max(picture.shape[0] for picture in pictures)
@@ -122,8 +128,8 @@ def contact_sheet(
     rows = -(-len(pictures) // columns)
     caption = int(text_size * 1.7) if labels is not None else 0
     head = int(text_size * 2.4) if title else 0
-    sheet = np.empty((head + gap + rows * (high + caption + gap), gap + columns * (wide + gap), 3), np.uint8)
-    sheet[:] = background
+    sheet = np.empty((head + gap + rows * (high + caption + gap), gap + columns * (wide + gap), channels), np.uint8)
+    sheet[:] = background if channels == 3 else (*background, 0)
     corners = []
     for number, picture in enumerate(pictures):
         top = head + gap + number // columns * (high + caption + gap)
@@ -139,7 +145,7 @@ def contact_sheet(
     def write(text: str, middle: float, line: float, size: int, room: int) -> None:
         while size > 8 and text_width(text, size) > room:
             size -= 1
-        pen.text((middle, line), printable(text), fill=_INK, font=font(size), anchor="mm")
+        pen.text((middle, line), printable(text), fill=ink, font=font(size), anchor="mm")
 
     for (top, left), label in zip(corners, labels or (), strict=False):
         write(label, left + wide / 2, top + high + caption / 2, text_size, wide + gap // 2)
@@ -271,7 +277,7 @@ def annotated(
     from PIL import Image
 
     canvas = Image.fromarray(picture)
-    ink, halo = (_LIGHT_INK, _INK) if dark else (_INK, _PAPER)
+    ink, halo = (LIGHT_INK, _INK) if dark else (_INK, _PAPER)
     _draw_axes(canvas, frame, ink)
     _draw_bar(canvas, frame.scale / (unit_mm or 1.0), "mm" if unit_mm else "cell sizes", ink, halo)
     return np.asarray(canvas, np.uint8).copy()
