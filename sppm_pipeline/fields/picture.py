@@ -20,7 +20,6 @@ from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
-    from sppm_pipeline.numerics.connectivity.runs import Runs
     from sppm_pipeline.render.camera import Camera, Frame
     from sppm_pipeline.render.rays import Colors, Solid
     from sppm_pipeline.render.shading import Background
@@ -33,6 +32,8 @@ MAX_TILES = 64
 
 SLAB_SAMPLES = 2**20
 """Samples taken at a time."""
+
+_BEYOND = 2  # samples; a choice
 
 _BOX_FACES = np.array(
     [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6],
@@ -159,7 +160,6 @@ def _smooth(field: ScalarField, values: NDArray[np.float32]) -> NDArray[np.float
 
 def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     """What is solid of a part, without islands if it has none, and the share of these."""
-    from sppm_pipeline.numerics.connectivity.runs import find_runs, stack_runs
     from sppm_pipeline.render.rays import Solid
 
     nx, ny, nz = grid.shape
@@ -167,7 +167,8 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     field = np.empty((nz, ny, nx), np.float32)
     skin = np.empty_like(field) if part.skin_mm else None
     outer = None if closed else np.empty_like(field)
-    runs, step = [], max(1, SLAB_SAMPLES // (nx * ny))
+    held = np.empty(field.shape if part.islands == "remove" else (0, 0, 0), np.uint8)
+    step = max(1, SLAB_SAMPLES // (nx * ny))
     for start in range(0, nz, step):
         layers = slice(start, min(start + step, nz))
         if outer is None:
@@ -175,16 +176,12 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
         else:
             inner, shell, outer[layers] = part.fields_zyx(grid, threads, layers.start, layers.stop)
             inside = outer[layers] < 0
-        solid = (inner < 0) if shell is None else (np.minimum(inner, shell) < 0)
-        if part.islands == "remove":
-            runs.append(find_runs((solid & inside).view(np.uint8)))
+        if held.size:
+            held[layers] = ((inner < 0) if shell is None else (np.minimum(inner, shell) < 0)) & inside
         field[layers] = _smooth(part.base, inner)
         if skin is not None:
             skin[layers] = shell
-    removed = 0.0
-    if part.islands == "remove":
-        fields = (field,) if skin is None else (field, skin)
-        removed = _remove_islands(fields, stack_runs(runs))
+    removed = _remove_islands((field,) if skin is None else (field, skin), held) if held.size else 0.0
     given = {name: values for name, values in (("skin", skin), ("outer", outer)) if values is not None}
     if not closed:
         return Solid(grid, *_box(grid), field, **given), removed
@@ -192,44 +189,29 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     return Solid(grid, vertices, part.domain.faces, field, **given), removed
 
 
-def _remove_islands(fields: tuple[NDArray[np.float32], ...], runs: Runs) -> float:
-    """Make void what is not connected to the largest component of the runs, in place, and return its share.
+def _remove_islands(fields: tuple[NDArray[np.float32], ...], held: NDArray[np.uint8]) -> float:
+    """Make void what is not connected to the largest component of the samples held by the part; return its share.
 
-    Samples beyond the surface of the part belong to an island if it is beside them and nothing that stays is.
+    The fields are changed in place. They go on beyond the surface of the part, where solid stays that is within
+    `_BEYOND` samples of what does: enough for the edges of the part, while chips, of which the part holds no sample,
+    vanish.
     """
-    from sppm_pipeline.numerics.connectivity.components import components_of_runs
+    from sppm_pipeline.numerics.connectivity.components import find_components
+    from sppm_pipeline.numerics.connectivity.islands import clear_runs, grown
 
-    found = components_of_runs(runs)
+    found = find_components(held)
     total, largest = int(found.sizes.sum()), int(found.sizes[:1].sum())
-    if largest == total:
-        return 0.0
-    _, ny, nx = runs.shape
-    # samples by number, with one between rows that belongs to none
-    row = np.repeat(np.arange(len(runs.rows) - 1), np.diff(runs.rows)) * (nx + 1)
-    first, last = row + runs.bounds[::2], row + runs.bounds[1::2]
-    steps = np.array([-1, 0, 1])
-    around = (steps[:, None, None] * ny + steps[:, None]) * (nx + 1) + steps
-
-    def run_at(samples: NDArray[np.int64]) -> NDArray[np.int64]:
-        run = np.searchsorted(first, samples, "right") - 1
-        return np.where((run >= 0) & (samples < last[run]), run, -1)
-
-    stays = np.append(found.of_run == 0, False)  # the last one for no run
-    lengths = runs.lengths[~stays[:-1]]
-    ends = np.cumsum(lengths)
-    loose = np.repeat(first[~stays[:-1]] - ends + lengths, lengths) + np.arange(ends[-1])
-    beside = np.unique(loose[:, None] + around.ravel())
-    beside = beside[run_at(beside) < 0]
-    kept = np.zeros(len(beside), np.bool_)
-    for step in around.ravel():
-        kept |= stays[run_at(beside + step)]
-    samples = np.concatenate([loose, beside[~kept]])
-    z, y, x = samples // (nx + 1) // ny, samples // (nx + 1) % ny, samples % (nx + 1)
-    there = x < nx
-    place = z[there], y[there], x[there]
-    for values in fields:
-        values[place] = np.abs(values[place])
-    return (total - largest) / total
+    beyond = np.logical_and.reduce([field >= 0 for field in fields])
+    np.logical_not(beyond, out=beyond)
+    beyond &= held == 0
+    if largest < total:
+        clear_runs(found.runs.rows, found.runs.bounds, found.of_run == 0, held)
+    stays = held.view(np.bool_)
+    for _ in range(_BEYOND):
+        stays = (grown(stays) & beyond) | held.view(np.bool_)
+    for field in fields:
+        np.negative(field, out=field, where=(field < 0) & ~stays)
+    return (total - largest) / max(1, total)
 
 
 def field_picture(

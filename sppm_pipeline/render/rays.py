@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.connectivity.islands import grown
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.threads import in_bands
 from sppm_pipeline.render.camera import Frame, projected
@@ -43,6 +44,7 @@ STEP = 0.6
 _BATCH = 2**15  # pixels that are traced at a time
 _BAND = 64  # rows
 _FAR = 3  # blocks without solid around one that are looked for
+_BEHIND = 0.25  # spacings behind a surface at which it is told whose it is
 _PAST = 1e-4  # spacings by which a ray enters the next block, so that rounding does not keep it where it is
 
 _NO_VALUES = np.empty((0, 0, 0), np.float32)
@@ -376,8 +378,10 @@ def _trace(
                 px, py, pz = line[0] + d * line[3], line[1] + d * line[4], line[2] + d * line[5]
                 shown = kind
                 if skin.size > 0:
-                    at_most = _trilinear(field, px, py, pz) if kind == _FIELD else 0.0
-                    if _trilinear(skin, px, py, pz) < at_most:
+                    # a little behind the surface, as the skin's field and the other one have different units
+                    qx, qy, qz = px - _BEHIND * line[3], py - _BEHIND * line[4], pz - _BEHIND * line[5]
+                    at_most = min(_trilinear(field, qx, qy, qz), 0.0) if kind == _FIELD else 0.0
+                    if _trilinear(skin, qx, qy, qz) < at_most:
                         shown = _SKIN
                 if kind == _SECTION:
                     for axis in range(3):
@@ -571,12 +575,7 @@ def _void(solid: Solid) -> NDArray[np.uint8]:
     void = np.zeros(near.shape, np.uint8)
     for _ in range(_FAR):
         void += ~near
-        for axis in range(3):
-            along = np.moveaxis(near, axis, 0)
-            grown = along.copy()
-            grown[1:] |= along[:-1]
-            grown[:-1] |= along[1:]
-            near = np.moveaxis(grown, 0, axis)
+        near = grown(near)
     return void
 
 

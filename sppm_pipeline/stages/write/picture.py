@@ -87,7 +87,7 @@ class WritePicture(Stage):
             if isinstance(what, SurfaceMesh) and not what.bounds_solid:
                 raise ConfigError(
                     "`section` cuts solids, and this mesh has a border, so that nothing is inside of it",
-                    hint="leave out `section`, or close the mesh with `mesh.repair`",
+                    hint="leave out `section`, or close the mesh",
                 )
             scene = scene_of(what, self.resolution, threads=threads)
             if scene.removed_share:
