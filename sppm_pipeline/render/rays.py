@@ -354,7 +354,7 @@ def _trace(
             back = ahead / toward if toward < 0.0 else -np.inf
             if toward == 0.0 and ahead < 0.0:
                 continue
-            winding = 0
+            winding, entry, f = 0, 0.0, np.int64(0)
             for s in range(n - 1):
                 before = winding
                 winding += 1 if found[s] >= 0 else -1
@@ -363,11 +363,13 @@ def _trace(
                 d, end = depths[s], depths[s + 1]
                 if distance > 0.0:
                     d, end = distance - 1.0 / d, distance - 1.0 / end
+                if before <= 0:
+                    entry, f = d, found[s]
                 end = max(end, back)
                 if end >= min(d, front):
                     continue
-                # shells may overlap; what begins within one is its microstructure
-                kind, f = _DOMAIN if before <= 0 else _FIELD, found[s]
+                # shells may overlap: what begins within one is its microstructure, unless they begin together
+                kind = _DOMAIN if d > entry - _PAST else _FIELD
                 if d > front:
                     d, kind = front, _SECTION
                 begin, d = d, _march(field, skin, outer, void, line, d, end)
