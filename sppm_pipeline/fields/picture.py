@@ -129,11 +129,9 @@ def scene_of(
     from sppm_pipeline.render.rays import COLORS, Solid
 
     if isinstance(what, SurfaceMesh):
-        solid = np.full((2, 2, 2), -1, np.float32)
         grid = Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (2, 2, 2))
-        return Scene(
-            Solid(grid, what.vertices, what.faces, solid), 1.0, 0.0, COLORS._replace(domain=COLORS.field)
-        )  # fmt: skip
+        filled = Solid(grid, what.vertices, what.faces, np.full((2, 2, 2), -1, np.float32))
+        return Scene(filled, 1.0, 0.0, COLORS._replace(domain=COLORS.field))
     n, grid = resolution, node_grid(what, resolution)
     while n > 4 and math.prod(grid.shape) > max_samples:
         n -= 1
@@ -145,7 +143,7 @@ def scene_of(
     return Scene(solid, what.edge_mm, removed, COLORS)
 
 
-def _box(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _box(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
     """Vertices and triangles of the box that a grid fills, wound outwards."""
     ends = [(grid.origin[a], grid.origin[a] + (grid.shape[a] - 1) * grid.spacing[a]) for a in range(3)]
     return np.array([[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]]), _BOX_FACES
@@ -182,11 +180,11 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
         if skin is not None:
             skin[layers] = shell
     removed = _remove_islands((field,) if skin is None else (field, skin), held) if held.size else 0.0
-    given = {name: values for name, values in (("skin", skin), ("outer", outer)) if values is not None}
-    if not closed:
-        return Solid(grid, *_box(grid), field, **given), removed
-    vertices = (part.domain.vertices - part.origin_mm) / part.physical_edge()
-    return Solid(grid, vertices, part.domain.faces, field, **given), removed
+    vertices, faces = (part.domain.vertices - part.origin_mm) / part.physical_edge(), part.domain.faces
+    solid = Solid(grid, *((vertices, faces) if closed else _box(grid)), field)
+    if skin is not None:
+        solid = solid._replace(skin=skin)
+    return solid if outer is None else solid._replace(outer=outer), removed
 
 
 def _remove_islands(fields: tuple[NDArray[np.float32], ...], held: NDArray[np.uint8]) -> float:
@@ -260,7 +258,7 @@ def tile_sheet(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.uint8]:
     """Pictures of the tiles of a set, up to `MAX_TILES`, with their colors and porosities."""
-    from sppm_pipeline.render.sheets import DARK_PAPER, LIGHT_INK, contact_sheet
+    from sppm_pipeline.render.sheets import DARK_PAPER, INK, LIGHT_INK, PAPER, contact_sheet
 
     pictures, labels = [], []
     c = tileset.palette_colors
@@ -273,8 +271,9 @@ def tile_sheet(
         name = "".join("xyz"[a] + str(colors[a] + 1) for a in range(3)) if tileset.kind == "wang" else str(t)
         labels.append(name + share)
         progress(t + 1, shown)
-    given = {"background": DARK_PAPER, "ink": LIGHT_INK} if background == "dark" else {}
-    return contact_sheet(pictures, labels, columns=9 if len(pictures) > 16 else 4, **given)
+    paper, ink = (DARK_PAPER, LIGHT_INK) if background == "dark" else (PAPER, INK)
+    columns = 9 if len(pictures) > 16 else 4
+    return contact_sheet(pictures, labels, columns=columns, background=paper, ink=ink)
 
 
 NOTEBOOK_SAMPLES = 1_500_000

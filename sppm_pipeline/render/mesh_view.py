@@ -79,8 +79,8 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
             normals[vertex, 2] += z * angle / size
     for n in range(normals.shape[0]):
         length = math.sqrt(normals[n, 0] ** 2 + normals[n, 1] ** 2 + normals[n, 2] ** 2)
-        if length > 0.0:
-            normals[n] /= length
+        for axis in range(3):  # dividing the row would compile an array expression, for seconds
+            normals[n, axis] /= max(length, 1e-300)
     return normals
 
 

@@ -82,7 +82,7 @@ class Solid(NamedTuple):
 
     grid: Grid
     vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    faces: NDArray[np.integer]
     field: NDArray[np.float32]
     skin: NDArray[np.float32] = _NO_VALUES
     outer: NDArray[np.float32] = _NO_VALUES
@@ -169,7 +169,7 @@ def _left(places: NDArray[np.float64], tail: int, head: int, x: float, y: float)
     """Whether a point is to the left of an edge; the triangles at both sides of it get the same answer."""
     low, high = min(tail, head), max(tail, head)
     ax, ay = places[low, 0], places[low, 1]
-    left = (places[high, 0] - ax) * (y - ay) - (places[high, 1] - ay) * (x - ax) >= 0.0
+    left: bool = (places[high, 0] - ax) * (y - ay) - (places[high, 1] - ay) * (x - ax) >= 0.0
     return left == (tail < head)
 
 
@@ -196,7 +196,8 @@ def _trilinear(values: NDArray[np.float32], x: float, y: float, z: float) -> flo
     d = values[k + 1, j + 1, i] + x * (values[k + 1, j + 1, i + 1] - values[k + 1, j + 1, i])
     a += y * (b - a)
     c += y * (d - c)
-    return a + z * (c - a)
+    value: float = a + z * (c - a)
+    return value
 
 
 @jit
@@ -335,7 +336,6 @@ def _trace(
     for p in range(start, stop):
         pixel = pixels[p]
         for place in range(offsets.shape[0]):
-            depth[p, place] = -np.inf
             x, y = pixel % width + offsets[place, 0], pixel // width + offsets[place, 1]
             n = _crossings(places, faces, owners, starts[pixel], starts[pixel + 1], x, y, depths, found)
             if n < 2:
@@ -447,14 +447,14 @@ def _add_light(
 
 def _traced(
     scene: _Scene, pixels: NDArray[np.int64], offsets: NDArray[np.float64], threads: int
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]]:
-    """Some of the pixels at a time, and of rays through some places of each what `_trace` finds."""
+) -> Iterator[tuple[NDArray[np.int64], Seen]]:
+    """Some of the pixels at a time, and what rays through some places of each see, (pixels, places)."""
     for start in range(0, len(pixels), _BATCH):
         some = pixels[start : start + _BATCH]
         shape = len(some), len(offsets)
-        found = np.empty(shape, np.float32), np.zeros((*shape, 3), np.float32), np.zeros((*shape, 3), np.uint8)
+        found = empty_seen(shape[1], shape[0])
         in_bands(partial(_trace, scene, some, offsets, *found), len(some), threads)
-        yield some, *found
+        yield some, found
 
 
 def _edges(seen: Seen) -> NDArray[np.int64]:
@@ -524,14 +524,14 @@ def render_solid(
     scene = _scene(solid, frame, size, section, colors)
     seen = empty_seen(width, height)
     middle = np.array([[0.5, 0.5]]) + _ASIDE
-    for pixels, *found in _traced(scene, np.flatnonzero(np.diff(scene.starts)), middle, threads):
+    for pixels, found in _traced(scene, np.flatnonzero(np.diff(scene.starts)), middle, threads):
         for whole, part in zip(seen, found, strict=True):
             whole.reshape(width * height, -1)[pixels] = part.reshape(len(pixels), -1)
     hidden = hidden_sky(seen, threads) if occlusion > 0.0 else Hidden(*(np.zeros_like(seen.depth),) * 2)
     light = lit(seen, hidden, occlusion)
     if antialias:
         strength = np.float32(occlusion)
-        for pixels, *more in _traced(scene, _edges(seen), _PLACES + _ASIDE, threads):
+        for pixels, more in _traced(scene, _edges(seen), _PLACES + _ASIDE, threads):
             add = partial(_add_light, pixels, *more, seen.depth, *hidden, strength, LINEAR, light)
             in_bands(add, len(pixels), threads)
     return on_background(light, background)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from sppm_pipeline.render.camera import Frame
 
-_INK: Color = (52, 58, 66)
-_PAPER: Color = (255, 255, 255)
+INK: Color = (52, 58, 66)
+PAPER: Color = (255, 255, 255)
 _SOLID: Color = (64, 74, 88)
 _VOID: Color = (238, 240, 243)
 
@@ -71,8 +71,8 @@ def contact_sheet(
     title: str = "",
     gap: int = 20,
     text_size: int = 20,
-    background: Color = _PAPER,
-    ink: Color = _INK,
+    background: Color = PAPER,
+    ink: Color = INK,
 ) -> NDArray[np.uint8]:
     """Place pictures in a grid, row by row, with labels beneath.
 
@@ -277,7 +277,7 @@ def annotated(
     from PIL import Image
 
     canvas = Image.fromarray(picture)
-    ink, halo = (LIGHT_INK, _INK) if dark else (_INK, _PAPER)
+    ink, halo = (LIGHT_INK, INK) if dark else (INK, PAPER)
     _draw_axes(canvas, frame, ink)
     _draw_bar(canvas, frame.scale / (unit_mm or 1.0), "mm" if unit_mm else "cell sizes", ink, halo)
     return np.asarray(canvas, np.uint8).copy()
