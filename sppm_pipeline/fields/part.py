@@ -116,12 +116,29 @@ class Part(WrappedField):
         edge = np.float32(self.physical_edge())
         outer /= edge
         skin = -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None
-        world = self.in_mm(grid)
+        self._drain(inner, skin, grid, start, stop)
+        return inner, skin, outer
+
+    def within_zyx(
+        self, grid: Grid, threads: int, start: int, stop: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.bool_]]:
+        """The fields of the microstructure and of the skin as in `fields_zyx`, and which samples the domain holds."""
+        inside = self._in_domain(grid).inside(start, stop).view(np.bool_)
+        if self.skin_mm:
+            return *self.fields_zyx(grid, threads, start, stop)[:2], inside
+        inner = self.base.sample_zyx(grid, start, stop, threads)
+        self._drain(inner, None, grid, start, stop)
+        return inner, None, inside
+
+    def _drain(
+        self, inner: NDArray[np.float32], skin: NDArray[np.float32] | None, grid: Grid, start: int, stop: int
+    ) -> None:
+        """Make the fields of microstructure and skin void in the drains, in place."""
+        edge, world = np.float32(self.physical_edge()), self.in_mm(grid)
         for window, depth in depths_in_capsules(world.layers(start, stop), self.drains, 2 * max(world.spacing)):
             for field in (inner, skin):
                 if field is not None:
                     np.maximum(field[window], depth / edge, out=field[window])
-        return inner, skin, outer
 
     def cut_zyx(
         self, grid: Grid, threads: int, start: int, stop: int
