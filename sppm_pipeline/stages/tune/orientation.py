@@ -15,7 +15,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.part import Part, coarse_size
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
 COSTS = ("supports_mm2", "cups_mm2", "height_mm", "area_mm2")
@@ -68,7 +68,7 @@ class TuneOrientation(Stage):
             raise ConfigError("all `cost_weights` are 0, so that every orientation is the best")
 
     def estimate(self, palette: Palette, part: Size) -> Size:
-        return part
+        return coarse_size(part)
 
     def run(self, context: Context, part: Part) -> Part:
         """Sample, then turn and scan."""
