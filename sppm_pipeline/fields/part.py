@@ -42,6 +42,8 @@ class Part(WrappedField):
         The part to fill, mm.
     skin_mm : float
         Thickness of the solid skin inside the domain's surface; 0 for none.
+    skin_faces : (n,) int32 or None
+        The triangles of the domain that have the skin: what is within its thickness of one of them. None for all.
     islands : {"remove", "keep"}
         Whether solid that is not connected to the largest component is left out where the part is sliced or meshed.
     inside : {"scanline", "winding", "vote"} or None
@@ -57,10 +59,13 @@ class Part(WrappedField):
     islands: str = "remove"
     inside: Method | None = None
     drains: tuple[tuple[float, ...], ...] = ()
+    skin_faces: NDArray[np.int32] | None = None
     fills: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fills", frozen(np.asarray(self.fills, np.float64)))
+        if self.skin_faces is not None:
+            object.__setattr__(self, "skin_faces", frozen(np.asarray(self.skin_faces, np.int32)))
 
     @property
     def periodic(self) -> bool:
@@ -79,6 +84,9 @@ class Part(WrappedField):
         for drain in self.drains:
             if len(drain) != 7 or not all(math.isfinite(number) for number in drain) or drain[6] <= 0:
                 raise ValueError(f"a drain is two ends (x, y, z) and a positive radius, 7 numbers in mm, not {drain}")
+        chosen = self.skin_faces
+        if chosen is not None and len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(self.domain.faces):
+            raise ValueError("the skin is on a triangle that the domain does not have")
         if self.fills.shape[1:] != (7,) or not np.isfinite(self.fills).all() or not (self.fills[:, 6] > 0).all():
             raise ValueError("fills are rows of two ends (x, y, z) and a positive radius, 7 numbers in mm")
 
@@ -109,7 +117,7 @@ class Part(WrappedField):
         inner, skin, outer = self.fields_zyx(grid, threads, start, stop)
         if skin is not None:
             # farther in, the microstructure decides alone; a distance cut off would lie between
-            deep = outer <= np.float32(-0.999 * (self.skin_mm / self.physical_edge() + max(grid.spacing)))
+            deep = skin >= np.float32(0.999 * max(grid.spacing) - 0.001 * self.skin_mm / self.physical_edge())
             np.minimum(inner, skin, out=inner, where=~deep)
         return inner, outer
 
@@ -126,7 +134,10 @@ class Part(WrappedField):
         outer = self._in_domain(grid).distance(start, stop)
         edge = np.float32(self.physical_edge())
         outer /= edge
-        skin = -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None
+        skin = None
+        if self.skin_mm:
+            away = -outer if self.skin_faces is None else self._in_domain(grid).skin_distance(start, stop) / edge
+            skin = away - np.float32(self.skin_mm) / edge
         self._fill_and_drain(inner, skin, grid, start, stop)
         return inner, skin, outer
 
@@ -170,10 +181,13 @@ class Part(WrappedField):
     ) -> NDArray[np.uint8]:
         from sppm_pipeline.numerics.domain.occupancy import row_spans
 
-        if not self.skin_mm:
-            inside = self._in_domain(grid).inside(start, stop)
+        if not self.skin_mm or self.skin_faces is not None:
+            domain = self._in_domain(grid)
+            inside = domain.inside(start, stop)
             solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
             solid &= inside
+            if self.skin_mm:
+                domain.add_skin(start, inside, solid)
             return self._filled_and_drained(solid, inside, grid, start, stop).T
         from sppm_pipeline.numerics.domain.skin import halo_layers, skin_layers
 
@@ -233,7 +247,9 @@ class Part(WrappedField):
         """The sampler of the domain on a grid; the last one is kept, as slab after slab asks for the same grid."""
         sampler = _SAMPLERS.get(self)
         if sampler is None or sampler.of != grid:
-            sampler = _SAMPLERS[self] = DomainSampler(self.domain, grid, self.in_mm(grid), self.skin_mm, self.method)
+            world = self.in_mm(grid)
+            sampler = DomainSampler(self.domain, grid, world, self.skin_mm, self.method, self.skin_faces)
+            _SAMPLERS[self] = sampler
         return sampler
 
     def summary(self) -> dict[str, Any]:
@@ -241,6 +257,7 @@ class Part(WrappedField):
         return {
             "domain": self.domain.summary(),
             "skin_mm": self.skin_mm,
+            **({} if self.skin_faces is None else {"skin_triangles": len(self.skin_faces)}),
             "drains": len(self.drains),
             "fills": len(self.fills),
             "islands": self.islands,

@@ -93,7 +93,7 @@ class FixFill(Stage):
         self._write(context, found.places, found.sizes * voxel, world)
         return made
 
-    def _write(self, context: Context, places: NDArray[np.int32], volumes: NDArray[np.float64], world: Grid) -> None:
+    def _write(self, context: Context, places: NDArray[np.int32], volumes: NDArray[np.floating], world: Grid) -> None:
         at = np.array(world.origin) + places[:LISTED, ::-1] * world.spacing
         fills: list[dict[str, Any]] = [
             {"place_mm": rounded(place), "volume_mm3": float(f"{volume:.6g}")}
