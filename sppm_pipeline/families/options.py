@@ -76,6 +76,8 @@ turn = _shared("angles about x, then y, then z", unit="degrees", minimum=-360, m
 rounds = _shared("number of rounds", minimum=1)
 time_limit = _shared("each child process is ended after this time", unit="s", above=0, maximum=1e7)
 
+fail = _shared("rules that reject what is checked (exit code 3)")
+
 # layers
 gray = _shared(
     "samples along a pixel's edge for gray by area coverage; 1 for black and white",

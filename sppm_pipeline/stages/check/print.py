@@ -114,7 +114,7 @@ class CheckPrint(Stage):
         0.05, help="resin that is washed away, as a fraction of what becomes solid", minimum=0, maximum=10
     )
     pictures: int = option(6, help="worst layers that are drawn with colors", minimum=0, maximum=100)
-    fail: tuple[str, ...] = option((), help="rules that reject the print, such as trap or 'cup > 100 mm2'")
+    fail: tuple[str, ...] = options.fail((), note="such as trap or 'cup > 100 mm2'")
 
     def check_options(self) -> None:
         """Rules that can be read, a resin that is known, and both of its depths or none."""
