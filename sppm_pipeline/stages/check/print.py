@@ -83,13 +83,7 @@ class CheckPrint(Stage):
         help="what closes the part from below: the build plate, or nothing, as it stands on supports",
         choices=("sealed", "supports"),
     )
-    overhang_angle: float = option(
-        45.0,
-        help="solid is held by what lies below it within this angle from upright, and within a pixel",
-        unit="degrees",
-        minimum=0,
-        maximum=89,
-    )
+    overhang_angle: float = options.overhang_angle(45.0)
     drain: Length | None = option(
         None, help="narrowest throat through which resin or powder leaves; not measured if omitted", unit="mm", above=0,
         maximum=100,
