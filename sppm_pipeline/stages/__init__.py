@@ -46,6 +46,7 @@ BUILT_IN = {
     "fill.boolean": "BooleanFill",
     "fill.combine": "Combine",
     "fix.drains": "FixDrains",
+    "fix.fill": "FixFill",
     "extract.marching_cubes": "MarchingCubes",
     "extract.voxels": "ExtractVoxels",
     "mesh.isosurface_stuffing": "IsosurfaceStuffing",

@@ -83,6 +83,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "fix.drains": (
         [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],
         "", LAYERS),
+    "fix.fill": (
+        [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],
+        "", LAYERS),
     "extract.marching_cubes": (TILED, "resolution: 8", []),
     "extract.manifold_sdf": (TILED, "resolution: 8", []),
     "extract.unit_cell": (REPEATED, "resolution: 8", []),
