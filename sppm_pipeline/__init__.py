@@ -44,6 +44,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         extract,
         field,
         fill,
+        grade,
         homogenize,
         mesh,
         read,
@@ -59,6 +60,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.api.run import Run
     from sppm_pipeline.data.artifact import Artifact, frozen
     from sppm_pipeline.data.conductivity import ConductivityReport
+    from sppm_pipeline.data.grading import Grading
     from sppm_pipeline.data.length import Cell, Length
     from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
     from sppm_pipeline.data.palette import Palette
@@ -83,6 +85,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.families import (
         Connector,
         FieldMaker,
+        Grader,
         Homogenizer,
         InteriorBox,
         Lattice,
@@ -126,12 +129,13 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.stage import Context, Headline, Recipe, Rejected, Stage, option
 
 _PLACES = {
-    "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize mesh read sample "
-    "slice step tile tileset tune write",
+    "api.functions": "SppmWarning StageFunction check connect extract field fill grade homogenize mesh read "
+    "sample slice step tile tileset tune write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
     "data.artifact": "Artifact frozen",
     "data.conductivity": "ConductivityReport",
+    "data.grading": "Grading",
     "data.length": "Cell Length",
     "data.mesh": "RepeatedMesh SurfaceMesh",
     "data.palette": "Palette",
@@ -144,7 +148,7 @@ _PLACES = {
     "data.voxels": "Voxels",
     "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError ResourceError "
     "SppmError WiringError",
-    "families": "Connector FieldMaker InteriorBox Lattice LayerWriter MeshWriter PartFieldMaker Piece "
+    "families": "Connector FieldMaker Grader InteriorBox Lattice LayerWriter MeshWriter PartFieldMaker Piece "
     "Sampler TileSetMaker Tiler Homogenizer lattice_for options",
     "fields.formula": "CellIndex CellwiseField FormulaField PlacedField",
     "fields.microstructure": "Microstructure",
@@ -195,6 +199,8 @@ __all__ = [
     "DesignError",
     "FieldMaker",
     "FormulaField",
+    "Grader",
+    "Grading",
     "Grid",
     "Headline",
     "Homogenizer",
@@ -252,6 +258,7 @@ __all__ = [
     "field",
     "fill",
     "frozen",
+    "grade",
     "hash_places",
     "homogenize",
     "hookimpl",

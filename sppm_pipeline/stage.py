@@ -25,6 +25,7 @@ from sppm_pipeline.errors import DesignError, Position
 
 FAMILIES: Mapping[str, str] = {
     "read": "a file or a primitive becomes an artifact",
+    "grade": "a parameter is made a function of place",
     "sample": "pores are thrown",
     "connect": "pores are joined by tunnels",
     "field": "pores and tunnels become a field",

@@ -92,7 +92,7 @@ cards = _shared("YAML file with printers and resins of your own")
 # files, pictures and tables
 read_path = _shared("file or folder to read")
 write_path = _shared("file or folder to write", output=True)
-unit = _shared("unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))
+unit = _shared("unit of the coordinates", choices=tuple(UNITS_IN_MM))
 image_size = _shared("width and height of the picture", unit="pixels", maximum=8192)
 title = _shared("title of what is written")
 label = _shared("column that names the rows", column=True)

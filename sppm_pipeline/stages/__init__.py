@@ -19,6 +19,8 @@ BUILT_IN = {
     "read.primitive": "ReadPrimitive",
     "read.voxels": "ReadVoxels",
     "read.volume_mesh": "ReadVolumeMesh",
+    "grade.formula": "GradeFormula",
+    "grade.table": "GradeTable",
     "sample.mirrored_faces": "MirroredFaces",
     "sample.dart_throwing": "DartThrowing",
     "sample.elimination": "Elimination",

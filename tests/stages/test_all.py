@@ -14,6 +14,8 @@ REQUIRED = {
     "read.voxels": {"path": "a.npy"},
     "read.volume_mesh": {"path": "a.vtu"},
     "read.primitive": {"shape": "box", "size": ()},
+    "grade.formula": {"of": "porosity", "formula": "x"},
+    "grade.table": {"of": "porosity", "values": ((0.0, 0.5),)},
     "sample.elimination": {"count": 3},
     "slice.mesh": {"pixel": Length(0.1)},
     "fill.combine": {"operation": "union"},

@@ -50,6 +50,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "read.primitive": ([], "shape: torus, size: [3, 3, 3]", []),
     "read.voxels": ([], "path: image.npy", []),
     "read.volume_mesh": ([], "path: part.vtu", []),
+    "grade.formula": ([], "of: porosity, formula: 0.5 + 0*x", []),
+    "grade.table": ([], "of: porosity, values: [[0, 0.5], [1, 0.6]]", []),
     "sample.mirrored_faces": ([], "count: 6, spacing: 0.25", AS_CELL[1:]),
     "sample.dart_throwing": (AS_CELL[:1], "count: 5, spacing: 0.25", AS_CELL[2:]),
     "sample.elimination": (AS_CELL[:1], "count: 5", AS_CELL[2:]),
