@@ -56,7 +56,8 @@ QUANTITIES = {
 COORDINATES = ("x", "y", "z")
 BOX_COORDINATES = ("u", "v", "w")
 CELL_COORDINATES = ("cell_x", "cell_y", "cell_z")
-RESERVED = frozenset({*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, "distance", *FUNCTIONS, *CONSTANTS, *WORDS})
+DISTANCE = "distance"
+RESERVED = frozenset({*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE, *FUNCTIONS, *CONSTANTS, *WORDS})
 
 
 class CellFrame(NamedTuple):
@@ -183,19 +184,23 @@ class FormulaLaw(Law):
     constants : tuple of (name, value)
     box : (2, 3) float64, mm, or None
         Low and high corner of the part, of which u, v, w are shares.
+    surface : Law or None
+        The distance from the part.
     """
 
     text: str
     names: tuple[str, ...]
     constants: tuple[tuple[str, float], ...]
     box: NDArray[np.float64] | None
+    surface: Law | None
 
     @cached_property
     def expression(self) -> Expression:
         """The compiled formula."""
         constants = [name for name, _ in self.constants]
         box = () if self.box is None else BOX_COORDINATES
-        return Expression(self.text, (*COORDINATES, *CELL_COORDINATES, *box, *constants, *self.names))
+        depth = () if self.surface is None else (DISTANCE,)
+        return Expression(self.text, (*COORDINATES, *CELL_COORDINATES, *box, *depth, *constants, *self.names))
 
     def at(self, place: Place) -> NDArray[np.float64]:
         constants = dict(self.constants)
@@ -207,6 +212,8 @@ class FormulaLaw(Law):
                 axis = BOX_COORDINATES.index(name)
                 low, high = self.box[:, axis]
                 values[name] = (place.points[:, axis] - low) / (high - low)
+            elif name == DISTANCE and self.surface is not None:
+                values[name] = self.surface.at(place)
             else:
                 values[name] = place.values(name)
         return self.expression.evaluate(values, len(place.points))

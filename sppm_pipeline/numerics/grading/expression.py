@@ -319,7 +319,7 @@ def _chain(makes: list[Callable[[Values, Values], Values]]) -> Callable[..., Val
 def nearest(word: str, known: Iterable[str]) -> str:
     """What a name may have been meant to be."""
     known = sorted(known)
-    close = get_close_matches(word, known, 1)
+    close = [name for name in known if name.lower() == word.lower()] or get_close_matches(word, known, 1)
     return f"did you mean {close[0]!r}?" if close else "known are " + ", ".join(known)
 
 
