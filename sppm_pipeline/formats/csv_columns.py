@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,11 +63,11 @@ def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> NDA
         separator = next((mark for mark in (";", "\t", ",") if mark in line), None)
         found = [word.strip().strip('"').lower() for word in (line.split(separator) if separator else line.split())]
         places = [_place(path.name, found, name) for name in names]
-        converters = dict.fromkeys(places, _with_gaps) if gaps else None
+        converters: Any = dict.fromkeys(places, _with_gaps) if gaps else None
         try:
             with warnings.catch_warnings():  # of lines without data
                 warnings.simplefilter("ignore")
-                rows = np.loadtxt(
+                rows: NDArray[np.float64] = np.loadtxt(
                     file, delimiter=separator, comments="#", usecols=places, ndmin=2, max_rows=MOST_ROWS + 1,
                     quotechar='"', converters=converters,
                 )  # fmt: skip
