@@ -250,8 +250,10 @@ class TableLaw(Law):
             return np.interp(t, self.places, self.values)
         from scipy.interpolate import PchipInterpolator
 
-        found = PchipInterpolator(self.places, self.values)(np.clip(t, self.places[0], self.places[-1]))
-        return np.clip(found, self.values.min(), self.values.max())
+        curve = PchipInterpolator(self.places, self.values)
+        # the curve does not leave the values but for rounding
+        found: NDArray[np.float64] = np.clip(curve(np.clip(t, self.places[0], self.places[-1])), *self.bounds)
+        return found
 
     @property
     def needs(self) -> tuple[str, ...]:

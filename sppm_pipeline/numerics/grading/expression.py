@@ -100,13 +100,13 @@ class Operation(NamedTuple):
 
     Attributes
     ----------
-    count : int
+    takes : int
         How many values it takes from the stack.
     make : function, float64, or str
         What computes the new value of them; a number or the name of a variable if it takes none.
     """
 
-    count: int
+    takes: int
     make: Any
 
 
@@ -148,8 +148,13 @@ _HINTS = {
 def fault(text: str, at: int, what: str, hint: str | None = None) -> ConfigError:
     """An error that names the position in a formula, counted from 1, and shows what stands there."""
     shown = "".join(c if c.isprintable() else "?" for c in text[max(0, at - 20) : at + 20])
-    place = f"at character {at + 1}" if at < len(text) else "at its end"
+    place = f"at character {at + 1}" if at < len(text.rstrip()) else "at its end"
     return ConfigError(f"`formula` is wrong {place}, near {shown!r}: {what}", hint=hint)
+
+
+def brief(word: str) -> str:
+    """A word as messages show it."""
+    return repr(word) if len(word) <= 40 else f"{word[:37]!r}..."
 
 
 class _Parser:
@@ -178,7 +183,7 @@ class _Parser:
 
     def need(self, text: str) -> None:
         if not self.took(text):
-            found = repr(self.token.text) if self.token.kind != "end" else "nothing"
+            found = brief(self.token.text) if self.token.kind != "end" else "nothing"
             raise self.fault(f"expected {text!r}, got {found}")
 
     def add(self, count: int, make: Any) -> None:
@@ -196,7 +201,7 @@ class _Parser:
     def formula(self) -> None:
         self.condition()
         if self.token.kind != "end":
-            raise self.fault(f"expected an operator, got {self.token.text!r}", hint=_HINTS.get(self.token.text))
+            raise self.fault(f"expected an operator, got {brief(self.token.text)}", hint=_HINTS.get(self.token.text))
 
     def condition(self) -> None:
         self.either()
@@ -262,7 +267,7 @@ class _Parser:
         self.next += 1
         if token.kind == "number":
             if self.token.kind == "name" and self.token.at == token.at + len(token.text):
-                raise self.fault(f"{token.text + self.token.text!r} is no number", token)
+                raise self.fault(f"{brief(token.text + self.token.text)} is no number", token)
             self.add(0, np.float64(token.text))
         elif token.kind == "sign" and token.text == "(":
             self.deeper(self.condition)
@@ -271,24 +276,26 @@ class _Parser:
             self.name(token)
         else:
             self.next -= 1
-            found = repr(token.text) if token.kind != "end" else "nothing"
+            found = brief(token.text) if token.kind != "end" else "nothing"
             raise self.fault(f"expected a number, a name or a bracket, got {found}", token)
 
     def name(self, token: Token) -> None:
         called = self.token.kind == "sign" and self.token.text == "("
         if token.text in FUNCTIONS:
             if not called:
-                raise self.fault(f"{token.text!r} is a function", token, f"write {token.text}(...)")
+                raise self.fault(f"{brief(token.text)} is a function", token, f"write {token.text}(...)")
             self.call(token)
         elif called:
-            raise self.fault(f"there is no function {token.text!r}", token, nearest(token.text, FUNCTIONS))
+            raise self.fault(f"there is no function {brief(token.text)}", token, nearest(token.text, FUNCTIONS))
         elif token.text in CONSTANTS:
             self.add(0, CONSTANTS[token.text])
         elif token.text in self.names:
             self.used.setdefault(token.text, token.at)
             self.add(0, token.text)
         else:
-            raise self.fault(f"there is no name {token.text!r}", token, nearest(token.text, [*self.names, *CONSTANTS]))
+            raise self.fault(
+                f"there is no name {brief(token.text)}", token, nearest(token.text, [*self.names, *CONSTANTS])
+            )
 
     def call(self, token: Token) -> None:
         make, wanted, what = FUNCTIONS[token.text]
