@@ -54,6 +54,7 @@ tolerance = _shared("largest error of the porosity, checked on a finer grid", ab
 colors = _shared("number of colors c", minimum=1)
 interiors = _shared("number of interiors K", minimum=1, maximum=1024)
 target = _shared("target value", above=0)
+trials = _shared("trial cells for each number of pores", minimum=1, maximum=200)
 evaluations = _shared("maximum number of evaluations", minimum=3, maximum=1000)
 
 # solvers and materials

@@ -30,6 +30,13 @@ RECIPE = """  cell:
     - {stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.06}
 """
 CELL = RECIPE.splitlines()[1:]
+GRADED = """  counted:
+    - {stage: sample.mirrored_faces, total: 24, share: 0.5}
+    - {stage: sample.dart_throwing, total: 24}
+    - {stage: connect.mbdst, degree: [3, 5], mode: greedy}
+    - {stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.06}
+"""
+MAP = "  - {stage: grade.table, of: porosity, values: [[0, 0.5], [4, 0.6]], along: x}"
 SET = "  - {stage: tileset.wang_3color, recipe: cell, colors: 1, resolution: 8}"
 FREE = "  - {stage: tileset.free_faces, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
 CORNER = "  - {stage: tileset.corner_colors, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
@@ -70,6 +77,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
         [], "recipe: cell, target: 0.3, vary: field.gaussian.level, low: 0.2, high: 0.5, resolution: 6, evaluations: 4",
         []),
     "tune.retry": ([], "recipe: cell", []),
+    "tune.local_porosity": ([MAP, *TILED], "resolution: 8, tolerance: 0.1", []),
     "tileset.wang_3color": ([], SMALL, []),
     "tileset.free_faces": ([], SMALL + ", interiors: 2", []),
     "tileset.corner_colors": ([], SMALL + ", interiors: 2", []),
@@ -78,6 +86,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "tile.free_faces": ([FREE], "cells: [2, 1, 1], cell: 2 mm", []),
     "tile.corner_colors": ([CORNER], "cells: [2, 1, 1], cell: 2 mm", []),
     "tile.scattered": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
+    "tile.graded": ([MAP], "recipe: counted, cells: [2, 1, 1], cell: 2 mm, resolution: 8, trials: 1, rounds: 1", []),
     "tile.fresh": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
     "fill.implicit": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "", LAYERS),
     "tune.orientation": (
@@ -104,6 +113,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "check.volume_mesh": (VOLUME, "", []),
     "slice.mesh": ([BOX], "pixel: 0.25", ["  - write.png"]),
     "check.connectivity": (TILED, "resolution: 8", []),
+    "check.local_porosity": ([MAP, *TILED], "resolution: 8", []),
     "check.porosity": (TILED, "resolution: 8", []),
     "check.tiling": (TILED, "", []),
     "check.residual_periodicity": (TILED, "resolution: 8", []),
@@ -170,7 +180,7 @@ def document(name: str, option: str, value: str) -> tuple[str, int]:
     before, given, after = PLACES[name]
     options = [] if not given else [part for part in _split(given) if part.split(":")[0].strip() != option]
     entry = "  - {" + ", ".join([f"stage: {name}", *options, f"{option}: {value}"]) + "}"
-    head = ["sppm: 1", "recipes:", *RECIPE.splitlines(), "pipeline:"]
+    head = ["sppm: 1", "recipes:", *RECIPE.splitlines(), *GRADED.splitlines(), "pipeline:"]
     return "\n".join([*head, *before, entry, *after]) + "\n", len(head) + len(before) + 1
 
 

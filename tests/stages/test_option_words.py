@@ -28,6 +28,7 @@ UNITS = {
 SENTENCES = {
     "path": "the direction, to read or to write, is that of the stage",
     "of": "says whose property the stage makes: that of a phase, or a parameter of the design",
+    "faces": "says what the stage does with the faces that cells share: what lies on them, or what they are held at",
     "values": "what stands in an image, or in a table",
 }
 """Names that have several units or sentences, and why."""
