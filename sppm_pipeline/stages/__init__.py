@@ -34,6 +34,7 @@ BUILT_IN = {
     "connect.relative_neighbors": "RelativeNeighbors",
     "field.gaussian": "GaussianField",
     "field.walls": "WallsField",
+    "field.blend": "BlendFields",
     "tune.porosity": "TunePorosity",
     "tune.stiffness": "TuneStiffness",
     "tune.local_porosity": "TuneLocalPorosity",

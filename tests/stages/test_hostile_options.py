@@ -70,6 +70,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "connect.mst": (AS_CELL[:2], "", AS_CELL[3:]),
     "connect.relative_neighbors": (AS_CELL[:2], "degree: [1, 4]", AS_CELL[3:]),
     "connect.mbdst": (AS_CELL[:2], "degree: [1, 4], mode: greedy", AS_CELL[3:]),
+    "field.blend": (
+        [*TILED, "  - {stage: grade.formula, of: weight, formula: 0.5 + 0*x}"], "samples: 10000",
+        ["  - {stage: check.porosity, resolution: 4}"]),
     "field.walls": (AS_CELL[:3], "thickness: 0.05, tunnel_radius: 0.04", CHECKED),
     "field.gaussian": (AS_CELL[:3], "pore_radius: 0.16, tunnel_radius: 0.06", CHECKED),
     "tune.porosity": ([], "recipe: cell, target: 0.5, resolution: 16, tolerance: 0.05, trials: 1, evaluations: 4", []),
