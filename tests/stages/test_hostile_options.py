@@ -71,7 +71,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "connect.relative_neighbors": (AS_CELL[:2], "degree: [1, 4]", AS_CELL[3:]),
     "connect.mbdst": (AS_CELL[:2], "degree: [1, 4], mode: greedy", AS_CELL[3:]),
     "field.blend": (
-        [*TILED, "  - {stage: grade.formula, of: weight, formula: 0.5 + 0*x}"], "samples: 10000",
+        [*TILED, "  - {stage: grade.formula, of: weight, formula: 0.5 + 0*x}"], "probes: 10000",
         ["  - {stage: check.porosity, resolution: 4}"]),
     "field.walls": (AS_CELL[:3], "thickness: 0.05, tunnel_radius: 0.04", CHECKED),
     "field.gaussian": (AS_CELL[:3], "pore_radius: 0.16, tunnel_radius: 0.06", CHECKED),
@@ -90,6 +90,11 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "tile.corner_colors": ([CORNER], "cells: [2, 1, 1], cell: 2 mm", []),
     "tile.scattered": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
     "tile.graded": ([MAP], "recipe: counted, cells: [2, 1, 1], cell: 2 mm, resolution: 8, trials: 1, rounds: 1", []),
+    "tileset.join": ([FREE, CORNER], "from: {first: tileset.free_faces, second: tileset.corner_colors}", []),
+    "tile.joined": (
+        [FREE, CORNER, "  - {stage: tileset.join, from: {first: tileset.free_faces, second: tileset.corner_colors}}",
+         "  - {stage: grade.formula, of: weight, formula: 'step(2, x)'}"],
+        "cells: [2, 1, 1], cell: 2 mm, resolution: 8, rounds: 1", []),
     "tile.fresh": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
     "fill.implicit": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "", LAYERS),
     "tune.orientation": (
