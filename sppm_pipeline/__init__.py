@@ -54,6 +54,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         tile,
         tileset,
         tune,
+        warp,
         write,
     )
     from sppm_pipeline.api.pipeline import Pipeline, load, run
@@ -130,7 +131,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
 
 _PLACES = {
     "api.functions": "SppmWarning StageFunction check connect extract field fill grade homogenize mesh read "
-    "sample slice step tile tileset tune write",
+    "sample slice step tile tileset tune warp write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
     "data.artifact": "Artifact frozen",
@@ -292,6 +293,7 @@ __all__ = [
     "tile_hashed",
     "tileset",
     "tune",
+    "warp",
     "write",
 ]
 

@@ -32,6 +32,7 @@ FAMILIES: Mapping[str, str] = {
     "tune": "a recipe is repeated until it meets a target",
     "tileset": "a recipe is drawn for many interiors and face colors",
     "tile": "cells are laid into a part",
+    "warp": "a tiling is bent to another shape",
     "fill": "a part is cut from the tiling",
     "fix": "a part is changed so that it can be printed",
     "extract": "a field becomes a triangle mesh or an image of voxels",

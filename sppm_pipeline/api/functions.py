@@ -374,10 +374,10 @@ class Steps:
 
 step = Steps()
 check = CheckFamily("check", StageFunction)
-connect, extract, field, fill, grade, homogenize, mesh, read, sample, slice, tile, tileset, tune, write = (
+connect, extract, field, fill, grade, homogenize, mesh, read, sample, slice, tile, tileset, tune, warp, write = (
     Family(name, StageFunction)
     for name in (
         "connect", "extract", "field", "fill", "grade", "homogenize", "mesh", "read", "sample", "slice", "tile",
-        "tileset", "tune", "write",
+        "tileset", "tune", "warp", "write",
     )
 )  # fmt: skip

@@ -90,6 +90,9 @@ pixel = _shared(
 printer = _shared("printer that the layers are cut for; `sppm printers` lists them")
 cards = _shared("YAML file with printers and resins of your own")
 
+# mappings
+inner_radius = _shared("inner radius", unit="mm", above=0, maximum=1e6)
+
 # files, pictures and tables
 read_path = _shared("file or folder to read")
 write_path = _shared("file or folder to write", output=True)

@@ -96,6 +96,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
          "  - {stage: grade.formula, of: weight, formula: 'step(2, x)'}"],
         "cells: [2, 1, 1], cell: 2 mm, resolution: 8, rounds: 1", []),
     "tile.fresh": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
+    "warp.cylinder": (TILED, "inner_radius: 5 mm, around: 90", CHECKED),
+    "warp.sphere": (TILED, "inner_radius: 5 mm, around: 90", CHECKED),
+    "warp.hexahedra": (TILED, "path: part.vtu", []),
     "fill.implicit": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "", LAYERS),
     "tune.orientation": (
         [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],
