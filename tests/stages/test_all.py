@@ -13,6 +13,7 @@ REQUIRED = {
     "read.mesh": {"path": "a.stl"},
     "read.voxels": {"path": "a.npy"},
     "read.volume_mesh": {"path": "a.vtu"},
+    "read.compression": {"path": "a.csv"},
     "read.primitive": {"shape": "box", "size": ()},
     "grade.formula": {"of": "porosity", "formula": "x"},
     "grade.table": {"of": "porosity", "values": ((0.0, 0.5),)},
