@@ -243,6 +243,10 @@ class Part(WrappedField):
         thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
         return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
 
+    def inside_zyx(self, grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+        """Which samples of a grid lie in the domain, skin included, (stop - start, ny, nx) uint8."""
+        return self._in_domain(grid).inside(start, stop)
+
     def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
         """Warning for voxels larger than the skin is thick, which leave it open; None for smaller ones."""
         largest = max(voxel_mm)
