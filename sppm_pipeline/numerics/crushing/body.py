@@ -115,11 +115,7 @@ def _exposed(solid: NDArray[np.bool_], confined: bool) -> NDArray[np.bool_]:
     if confined:
         padded = np.pad(np.pad(solid, ((0, 0), (1, 1), (1, 1)), mode="edge"), ((1, 1), (0, 0), (0, 0)))
     inner = (slice(1, -1),) * 3
-    found = []
-    for axis in (2, 1, 0):
-        for shift in (-1, 1):
-            found.append(solid & ~np.roll(padded, shift, axis)[inner])
-    return np.stack(found)
+    return np.stack([solid & ~np.roll(padded, shift, axis)[inner] for axis in (2, 1, 0) for shift in (-1, 1)])
 
 
 def wave_speed(materials: tuple[Material, ...]) -> float:

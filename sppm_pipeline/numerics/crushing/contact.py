@@ -37,24 +37,17 @@ CHUNK = 128
 
 
 @jit
-def _balls_of(x: NDArray[Any], corners: NDArray[Any], back: NDArray[Any], dt: float, out: NDArray[Any]) -> None:
-    """The eight balls of a voxel, at a time `dt` ago."""
-    for a in range(8):
-        n = corners[a]
-        for c in range(3):
-            out[a, c] = x[n, c] - dt * back[n, c]
-    _split(out)
-
-
-@jit
 def _split(p: NDArray[Any]) -> None:
     """Weigh the corners by 3/4 and 1/4 along each axis, in place."""
     for c in range(3):
-        for bit in (1, 2, 4):
-            for a in range(8):
-                if not a & bit:
-                    low, high = p[a, c], p[a | bit, c]
-                    p[a, c], p[a | bit, c] = 0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high
+        a0, a1, a2, a3, a4, a5, a6, a7 = p[0, c], p[1, c], p[2, c], p[3, c], p[4, c], p[5, c], p[6, c], p[7, c]
+        d0, d1, d2, d3 = 0.25 * (a1 - a0), 0.25 * (a3 - a2), 0.25 * (a5 - a4), 0.25 * (a7 - a6)
+        a0, a1, a2, a3, a4, a5, a6, a7 = a0 + d0, a1 - d0, a2 + d1, a3 - d1, a4 + d2, a5 - d2, a6 + d3, a7 - d3
+        d0, d1, d2, d3 = 0.25 * (a2 - a0), 0.25 * (a3 - a1), 0.25 * (a6 - a4), 0.25 * (a7 - a5)
+        a0, a1, a2, a3, a4, a5, a6, a7 = a0 + d0, a1 + d1, a2 - d0, a3 - d1, a4 + d2, a5 + d3, a6 - d2, a7 - d3
+        d0, d1, d2, d3 = 0.25 * (a4 - a0), 0.25 * (a5 - a1), 0.25 * (a6 - a2), 0.25 * (a7 - a3)
+        p[0, c], p[1, c], p[2, c], p[3, c] = a0 + d0, a1 + d1, a2 + d2, a3 + d3
+        p[4, c], p[5, c], p[6, c], p[7, c] = a4 - d0, a5 - d1, a6 - d2, a7 - d3
 
 
 @jit
@@ -68,7 +61,7 @@ def place(
     ----------
     x, v : (nodes, 3) float64
     dt : float
-    corners : (voxels, 8) int32
+    corners : (voxels, 8) uint32
     active : (n,) int32
         Voxels whose balls are placed, of which `first` to `last` are taken.
     first, last : int
@@ -77,28 +70,77 @@ def place(
     """
     for at in range(first, last):
         voxel = active[at]
-        _balls_of(x, corners[voxel], v, dt, balls[voxel])
+        for a in range(8):
+            n = corners[voxel, a]
+            for c in range(3):
+                balls[voxel, a, c] = x[n, c] - dt * v[n, c]
+        _split(balls[voxel])
+
+
+@jit
+def sort_voxels(
+    centers: NDArray[Any], radii: NDArray[Any], places: NDArray[Any], origin: NDArray[Any], width: float,
+    shape: NDArray[Any], starts: NDArray[Any], names: NDArray[Any], points: NDArray[Any], homes: NDArray[Any],
+) -> None:  # fmt: skip
+    """Sort voxels into the cells of a grid.
+
+    Parameters
+    ----------
+    centers : (voxels, 3) float64
+    radii : (voxels,) float64
+        Of a voxel, to the farthest of its balls.
+    places : (voxels, 3) int32
+        In the undeformed body.
+    origin : (3,) float64
+    width : float
+        Of the cells.
+    shape : (3,) int64
+        Cells of the grid; voxels beyond count to those at its border.
+    starts : (cells + 2,) int32
+        Zeros; where the voxels of each cell begin is written.
+    names : (voxels,) int32
+    points : (voxels, 4) float64
+    homes : (voxels, 3) int32
+        Written: numbers, centers with radii, and places in the order of the cells.
+    """
+    nx, ny, nz = shape
+    cells = np.empty(len(centers), np.int32)
+    for voxel in range(len(centers)):
+        i = min(max(int((centers[voxel, 0] - origin[0]) / width), 0), nx - 1)
+        j = min(max(int((centers[voxel, 1] - origin[1]) / width), 0), ny - 1)
+        k = min(max(int((centers[voxel, 2] - origin[2]) / width), 0), nz - 1)
+        cells[voxel] = i + nx * (j + ny * k)
+        starts[cells[voxel] + 2] += 1
+    for cell in range(1, len(starts)):
+        starts[cell] += starts[cell - 1]
+    for voxel in range(len(centers)):
+        to = starts[cells[voxel] + 1]
+        starts[cells[voxel] + 1] = to + 1
+        names[to] = voxel
+        points[to, 3] = radii[voxel]
+        for c in range(3):
+            points[to, c] = centers[voxel, c]
+            homes[to, c] = places[voxel, c]
 
 
 @jit
 def search(
-    balls: NDArray[Any], carried: NDArray[Any], places: NDArray[Any], origin: NDArray[Any], shape: NDArray[Any],
-    pairs: NDArray[Any],
+    starts: NDArray[Any], names: NDArray[Any], points: NDArray[Any], homes: NDArray[Any], shape: NDArray[Any],
+    first: int, last: int, balls: NDArray[Any], carried: NDArray[Any], pairs: NDArray[Any],
 ) -> int:  # fmt: skip
-    """List the pairs of balls within reach whose voxels are no neighbors.
+    """List the pairs of balls within reach whose voxels are no neighbors, for some layers of cells.
 
     Parameters
     ----------
+    starts, names, points, homes, shape
+        See `sort_voxels`; cells must be as wide as the largest distance of two voxels with balls within reach.
+    first, last : int
+        Layers of cells; a pair belongs to the lower of its two.
     balls : (voxels, 8, 3) float64
     carried : (voxels,) uint8
         Bits of the corners that have a ball.
-    places : (voxels, 3) int32
-        Of the voxels in the undeformed body.
-    origin : (3,) float64
-    shape : (3,) int64
-        Cells of a grid that the balls are sorted into; balls beyond count to the cells at its border.
     pairs : (room, 2) int32
-        Written, in an order that the positions determine.
+        Written: eight times the voxel and the corner, in an order that the positions determine.
 
     Returns
     -------
@@ -106,84 +148,70 @@ def search(
         Number of pairs; more than fit were not written.
     """
     nx, ny, nz = shape
-    start = np.zeros(nx * ny * nz + 2, np.int32)
-    cells = np.empty(len(balls) * 8, np.int32)
-    for voxel in range(len(balls)):
-        for a in range(8):
-            if carried[voxel] >> a & 1:
-                i = min(max(int((balls[voxel, a, 0] - origin[0]) / REACH), 0), nx - 1)
-                j = min(max(int((balls[voxel, a, 1] - origin[1]) / REACH), 0), ny - 1)
-                k = min(max(int((balls[voxel, a, 2] - origin[2]) / REACH), 0), nz - 1)
-                cell = i + nx * (j + ny * k)
-                cells[8 * voxel + a] = cell
-                start[cell + 2] += 1
-    for cell in range(1, nx * ny * nz + 2):
-        start[cell] += start[cell - 1]
-    count = start[nx * ny * nz + 1]
-    names = np.empty(count, np.int32)
-    sorted_balls = np.empty((count, 3))
-    for voxel in range(len(balls)):
-        for a in range(8):
-            if carried[voxel] >> a & 1:
-                to = start[cells[8 * voxel + a] + 1]
-                start[cells[8 * voxel + a] + 1] = to + 1
-                names[to] = 8 * voxel + a
-                for c in range(3):
-                    sorted_balls[to, c] = balls[voxel, a, c]
     found = 0
-    for k in range(nz):
+    for k in range(first, last):
         for j in range(ny):
             for i in range(nx):
                 cell = i + nx * (j + ny * k)
+                begin, end = starts[cell], starts[cell + 1]
+                if begin == end:
+                    continue
                 for row in range(5):
                     # the rest of its own row, then the rows of which each pair is met once
-                    dy, dz = (0, 1, -1, 0, 1)[row], (0, 0, 1, 1, 1)[row]
-                    if j + dy < 0 or j + dy >= ny or k + dz >= nz:
+                    dj, dk = (0, 1, -1, 0, 1)[row], (0, 0, 1, 1, 1)[row]
+                    if j + dj < 0 or j + dj >= ny or k + dk >= nz:
                         continue
-                    there = nx * (j + dy + ny * (k + dz))
-                    low = start[there + max(i - 1, 0)]
-                    high = start[there + min(i + 1, nx - 1) + 1]
-                    for one in range(start[cell], start[cell + 1]):
-                        x, y, z = sorted_balls[one, 0], sorted_balls[one, 1], sorted_balls[one, 2]
+                    there = nx * (j + dj + ny * (k + dk))
+                    low, high = starts[there + max(i - 1, 0)], starts[there + min(i + 1, nx - 1) + 1]
+                    for one in range(begin, end):
+                        x, y, z, reach = points[one, 0], points[one, 1], points[one, 2], REACH + points[one, 3]
+                        hx, hy, hz = homes[one, 0], homes[one, 1], homes[one, 2]
+                        p = names[one]
                         for other in range(one + 1 if row == 0 else low, high):
-                            dx, dy_, dz_ = sorted_balls[other, 0] - x, sorted_balls[other, 1] - y, sorted_balls[other, 2] - z
-                            if dx * dx + dy_ * dy_ + dz_ * dz_ >= REACH * REACH:
+                            dx, dy, dz = points[other, 0] - x, points[other, 1] - y, points[other, 2] - z
+                            near = dx * dx + dy * dy + dz * dz < (reach + points[other, 3]) ** 2
+                            away = max(abs(homes[other, 0] - hx), abs(homes[other, 1] - hy), abs(homes[other, 2] - hz))
+                            # one condition: most voxels nearby are neighbors, and two branches would be hard to guess
+                            if not (near & (away > 1)):
                                 continue
-                            p, q = names[one] >> 3, names[other] >> 3
-                            if (
-                                abs(places[p, 0] - places[q, 0]) <= 1
-                                and abs(places[p, 1] - places[q, 1]) <= 1
-                                and abs(places[p, 2] - places[q, 2]) <= 1
-                            ):
-                                continue
-                            if found < len(pairs):
-                                pairs[found, 0], pairs[found, 1] = names[one], names[other]
-                            found += 1
+                            q = names[other]
+                            x1, y1, z1, limit = x + dx, y + dy, z + dz, (REACH + points[other, 3]) ** 2
+                            for a in range(8):
+                                dx, dy, dz = balls[p, a, 0] - x1, balls[p, a, 1] - y1, balls[p, a, 2] - z1
+                                near = dx * dx + dy * dy + dz * dz < limit
+                                if not (near & (carried[p] >> a & 1 > 0)):
+                                    continue
+                                for b in range(8):
+                                    dx, dy = balls[p, a, 0] - balls[q, b, 0], balls[p, a, 1] - balls[q, b, 1]
+                                    dz = balls[p, a, 2] - balls[q, b, 2]
+                                    near = dx * dx + dy * dy + dz * dz < REACH * REACH
+                                    if near & (carried[q] >> b & 1 > 0):
+                                        if found < len(pairs):
+                                            pairs[found, 0], pairs[found, 1] = 8 * p + a, 8 * q + b
+                                        found += 1
     return found
 
 
 @jit
-def list_partners(pairs: NDArray[Any], count: int, starts: NDArray[Any], partners: NDArray[Any]) -> None:
+def list_partners(pairs: NDArray[Any], starts: NDArray[Any], partners: NDArray[Any]) -> None:
     """The partners of each ball, from pairs of balls.
 
     Parameters
     ----------
-    pairs : (room, 2) int32
-    count : int
-        Pairs that there are.
+    pairs : (n, 2) int32
     starts : (balls + 1,) int32
         Written: where the partners of each ball begin.
-    partners : (2 * count,) int32
+    partners : (2 n,) int32
         Written.
     """
     starts[:] = 0
-    for pair in range(count):
+    for pair in range(len(pairs)):
         starts[pairs[pair, 0] + 1] += 1
         starts[pairs[pair, 1] + 1] += 1
     for ball in range(1, len(starts)):
         starts[ball] += starts[ball - 1]
     filled = starts[:-1].copy()
-    for pair in range(count):
+    for pair in range(len(pairs)):
         one, other = pairs[pair, 0], pairs[pair, 1]
         partners[filled[one]] = other
         filled[one] += 1
@@ -256,7 +284,11 @@ def repel(
                     damper = min(max(-2 * DAMPING * np.sqrt(k * m) * vn, -spring), spring)
                     drag = min(friction * spring, STABLE * m * slip / dt) / slip
                     fx, fy, fz = fx + spring * dx, fy + spring * dy, fz + spring * dz
-                    lx, ly, lz = lx + damper * dx - drag * vx, ly + damper * dy - drag * vy, lz + damper * dz - drag * vz
+                    lx, ly, lz = (
+                        lx + damper * dx - drag * vx,
+                        ly + damper * dy - drag * vy,
+                        lz + damper * dz - drag * vz,
+                    )
                 lost -= 0.5 * (
                     lossy[p, a, 0] * (x - earlier[p, a, 0])
                     + lossy[p, a, 1] * (y - earlier[p, a, 1])

@@ -21,34 +21,28 @@ from sppm_pipeline.numerics.compiled import inline_jit, jit
 from sppm_pipeline.numerics.crushing.material import (
     ALPHA,
     DISSIPATED,
-    GRADIENT,
     LANES,
     PLASTIC,
     STORED,
-    STRESS,
     YIELD,
     stresses,
 )
 
 #: Rows of scratch: 24 of corners or modes, 9 deformation gradient, 10 state, 9 stress, yield stress, hardening,
-#: energies stored and dissipated, bending energy, work of bending in this step, 12 generalized forces of bending, strain.
+#: energies stored and dissipated, bending energy, its work in this step, 12 generalized forces of bending, strain.
 ROWS = 71
 STATE = 10
 """Numbers kept of an element: 6 of the plastic metric, equivalent plastic strain, energy of bending were it elastic,
 the share of its stiffness, and by how much the element has stiffened."""
 
-_BENT, _SHARE = 40, 41
-_WORK, _FORCE, _SIZE = 57, 58, 70
+_BENT, _SHARE, _WORK = 40, 41, 57
 _LANES = np.uint64(LANES)
 _R = tuple(np.uint64(LANES * row) for row in range(ROWS))
-_24 = np.uint64(24 * LANES)
 _8 = np.uint64(8 * LANES)
-_FIRST = np.uint64(LANES * PLASTIC)
-_KEPT = np.uint64(LANES * STATE)
-_0 = np.uint64(0)
 
-#: What `forces` adds up for each slab: energy stored, dissipated by plastic flow, work of bending.
-SUMS = 3
+#: What `forces` adds up for each slab: energy stored in the mean strain and in bending, dissipated by plastic flow,
+#: work of bending.
+SUMS = 4
 
 
 @inline_jit
@@ -191,10 +185,10 @@ def forces(
     f : (nodes, 3) float64
         Added to.
     sums : (slabs, SUMS) float64
-        The energy stored is set; what was dissipated, and the work of bending, are added to.
+        The energies stored are set; what was dissipated, and the work of bending, are added to.
     """
     for slab in range(first, last, 2):
-        stored, dissipated, bending = 0.0, 0.0, 0.0
+        stored, bent, dissipated, bending = 0.0, 0.0, 0.0, 0.0
         for block in range(slabs[slab], slabs[slab + 1]):
             width = 0
             for e in range(LANES):
@@ -224,9 +218,10 @@ def forces(
                 for e in range(LANES):
                     own[row, e] = s[(PLASTIC + row) * LANES + e]
             for e in range(width):
+                bent += s[_BENT * LANES + e] * s[_SHARE * LANES + e]
                 stored += s[STORED * LANES + e]
                 dissipated += s[DISSIPATED * LANES + e]
-                bending += s[57 * LANES + e]
+                bending += s[_WORK * LANES + e]
                 for a in range(8):
                     n = corners[block, e, a]
                     for c in range(3):
@@ -238,5 +233,6 @@ def forces(
                         for c in range(3):
                             f[n, c] += push[at, a, c]
         sums[slab, 0] = stored
-        sums[slab, 1] += dissipated
-        sums[slab, 2] += bending
+        sums[slab, 1] = bent
+        sums[slab, 2] += dissipated
+        sums[slab, 3] += bending

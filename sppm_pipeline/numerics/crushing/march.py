@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ RESCALED = 20
 POINTS = 600
 """Points of a curve to 60 % strain: one for each .1 %."""
 
-ENERGIES = ("stored", "plastic", "bending", "contact", "friction", "kinetic", "damping", "plates", "mass")
+ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
 
 
 class Failed(ArithmeticError):
@@ -73,8 +73,8 @@ class History(NamedTuple):
     work : (n,) float64
         Of the upper plate.
     energies : mapping of the names in `ENERGIES` to (n,) float64
-        Of the elements, stored, dissipated and of bending; of contacts, stored and lost; kinetic; lost to damping and
-        at the plates; given to the body by mass that was added.
+        Of the elements, stored in their mean strain, stored in bending and dissipated; of contacts, stored and lost;
+        kinetic; lost to damping and at the plates; given to the body by mass that was added.
     """
 
     strain: NDArray[np.float64]
@@ -101,7 +101,7 @@ class March:
         self.body, self.load = body, load
         self._threads = max(1, threads)
         self._pool = ThreadPoolExecutor(self._threads) if threads > 1 else None
-        nx, ny, nz = body.shape
+        nz = body.shape[2]
         self._table = constants(materials)
         self._modulus = np.array([m.wave_modulus for m in materials]) / materials[0].wave_modulus
         self.steps = max(RESCALED, math.ceil(load.strain * nz * wave_speed(materials) / (load.rate * COURANT)))
@@ -144,7 +144,7 @@ class March:
     def _begin_contact(self, materials: tuple[Material, ...]) -> None:
         body = self.body
         shape = (len(body.surface), 8, 3)
-        self._touching = body.corners[body.surface]
+        self._touching = body.corners[body.surface].astype(np.uint32)
         self._places = body.voxels[body.surface]
         phase = body.phases[body.surface]
         k = min(contact.STIFFNESS, contact.STABLE / (wave_speed(materials) * self.dt) ** 2)
@@ -154,29 +154,45 @@ class March:
         self._balls = [np.zeros(shape) for _ in range(3)]
         self._lossy, self._push = np.zeros(shape), np.zeros(shape)
         self._pushed = np.zeros(len(body.surface), np.uint8)
-        self._pairs = np.zeros((1024, 2), np.int32)
+        self._room = 64
         self._starts = np.zeros(8 * len(body.surface) + 1, np.int32)
         self._everything = np.arange(len(body.surface), dtype=np.int32)
         self._list()
 
     def _list(self) -> None:
         """Search the pairs that may come to touch, and what touches now."""
-        height = self._height(self.step)
-        self._listed, self._listed_height = self.x.copy(), height
-        if self._contact_sums_lost():
-            pass
+        self._listed, self._listed_height = self.x.copy(), self._height(self.step)
+        if self.step:
+            self._contact_lost += float(self._contact_sums[:, 1].sum())
         now, before, _ = self._balls
         self._place(now, self._everything, 0.0)
-        origin = np.maximum(now.min((0, 1)), [-nx for nx in self.body.shape])
-        far = np.minimum(now.max((0, 1)), [2 * nx for nx in self.body.shape])
-        shape = np.floor((far - origin) / contact.REACH).astype(np.int64) + 1
-        while True:
-            count = contact.search(now, self.body.carried, self._places, origin, shape, self._pairs)
-            if count <= len(self._pairs):
-                break
-            self._pairs = np.zeros((count + count // 4, 2), np.int32)
-        self._partners = np.zeros(2 * count, np.int32)
-        contact.list_partners(self._pairs, count, self._starts, self._partners)
+        centers = now.mean(1)
+        radii = np.sqrt(((now - centers[:, None]) ** 2).sum(2).max(1))
+        width = contact.REACH + 2 * float(radii.max())
+        # a piece that has flown off counts to the border of the grid
+        origin = np.maximum(centers.min(0), [-n for n in self.body.shape])
+        far = np.minimum(centers.max(0), [2 * n for n in self.body.shape])
+        shape = np.maximum(np.floor((far - origin) / width).astype(np.int64), 0) + 1
+        starts = np.zeros(int(np.prod(shape)) + 2, np.int32)
+        names, points, homes = np.empty(len(now), np.int32), np.empty((len(now), 4)), np.empty((len(now), 3), np.int32)
+        contact.sort_voxels(centers, radii, self._places, origin, width, shape, starts, names, points, homes)
+        found: dict[int, NDArray[np.int32]] = {}
+
+        def layers(first: int, last: int) -> None:
+            room = 1 + self._room * (last - first)
+            while True:
+                pairs = np.empty((room, 2), np.int32)
+                count = contact.search(starts, names, points, homes, shape, first, last, now, self.body.carried, pairs)
+                if count <= room:
+                    found[first] = pairs[:count]
+                    return
+                room = count
+
+        self._share(int(shape[2]), layers)
+        pairs = np.concatenate([found[first] for first in sorted(found)])
+        self._room = 1 + 2 * len(pairs) // int(shape[2])
+        self._partners = np.empty(2 * len(pairs), np.int32)
+        contact.list_partners(pairs, self._starts, self._partners)
         self._active = np.flatnonzero(np.diff(self._starts[::8])).astype(np.int32)
         self._contact_sums = np.zeros((-(-len(self._active) // contact.CHUNK), contact.SUMS))
         self._place(before, self._active, self.dt)
@@ -184,16 +200,8 @@ class March:
         self._pushed[:] = 0
         self._repel()
 
-    def _contact_sums_lost(self) -> float:
-        """Keep what contacts have lost before their list is made anew."""
-        if hasattr(self, "_contact_sums"):
-            self._contact_lost += float(self._contact_sums[:, 1].sum())
-        return self._contact_lost
-
     def _place(self, balls: NDArray[np.float64], active: NDArray[np.int32], ago: float) -> None:
-        self._share(
-            len(active), lambda a, b: contact.place(self.x, self._v, ago, self._touching, active, a, b, balls)
-        )
+        self._share(len(active), lambda a, b: contact.place(self.x, self._v, ago, self._touching, active, a, b, balls))
 
     def _repel(self) -> None:
         now, before, earlier = self._balls
@@ -307,10 +315,12 @@ class March:
         elements, nodes = self._sums.sum(0), self._node_sums.sum(0)
         work = self.load.rate * nodes[plates.TOP]
         touching = self._contact_sums.sum(0)
+        kinetic = nodes[plates.KINETIC] if self.step else self._given
+        plastic = elements[2] + elements[3] - elements[1]
         return [
-            self.strain, self.step * self.dt, nodes[plates.TOP], nodes[plates.BOTTOM], work, elements[0], elements[1],
-            elements[2], touching[0], self._contact_lost + touching[1], nodes[plates.KINETIC] if self.step else
-            self._given, nodes[plates.DAMPED], work - nodes[plates.WORK], self._from_mass,
+            self.strain, self.step * self.dt, nodes[plates.TOP], nodes[plates.BOTTOM], work,
+            elements[0], elements[1], plastic, touching[0], self._contact_lost + touching[1], kinetic,
+            nodes[plates.DAMPED], work - nodes[plates.WORK], self._from_mass,
         ]  # fmt: skip
 
     def _record(self) -> None:

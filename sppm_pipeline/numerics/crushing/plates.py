@@ -58,26 +58,28 @@ def move(
         Added to, but for the kinetic energy and the distance, which are set.
     """
     dt, height, lower, speed, damping, friction, before, wide_x, wide_y = step
+    often, shrink, stretch = 1 / dt, speed / height, lower / before
     for chunk in range(first, last):
         bottom, top, work, damped, kinetic, moved = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(x))):
             m = mass[i]
             d = dt / m
+            rx, ry, rz = x[i, 0], x[i, 1], x[i, 2]
             vx, vy, vz = v[i, 0], v[i, 1], v[i, 2]
             # damping acts on what is beside uniform compression, and on known velocities: were it to act on new ones,
             # it would take a share of the force that a plate is about to balance
-            cx, cy, cz = damping * vx, damping * vy, damping * (vz + speed * x[i, 2] / height)
+            cx, cy, cz = damping * vx, damping * vy, damping * (vz + shrink * rz)
             wx, wy, wz = vx + d * f[i, 0] - cx, vy + d * f[i, 1] - cy, vz + d * f[i, 2] - cz
             px, py, pz = wx, wy, wz
             if held[i] & ROLLS_X:
                 px = 0.0
             elif wide_x > 0:
-                px = min(max(px, -x[i, 0] / dt), (wide_x - x[i, 0]) / dt)
+                px = min(max(px, -rx * often), (wide_x - rx) * often)
             if held[i] & ROLLS_Y:
                 py = 0.0
             elif wide_y > 0:
-                py = min(max(py, -x[i, 1] / dt), (wide_y - x[i, 1]) / dt)
-            low, high = -x[i, 2] / dt, (lower - x[i, 2]) / dt
+                py = min(max(py, -ry * often), (wide_y - ry) * often)
+            low, high = -rz * often, (lower - rz) * often
             if pz < low or pz > high:
                 pz = low if pz < low else high
                 push = abs(pz - wz)
@@ -91,20 +93,19 @@ def move(
                 elif slip > 0:
                     stays = max(0.0, 1 - friction * push / slip)
                     px, py = stays * px, stays * py
-            ax, ay, az = 0.5 * m * (vx + px), 0.5 * m * (vy + py), 0.5 * m * (vz + pz)
-            work += (px - wx) * ax + (py - wy) * ay + (pz - wz) * az
-            damped += cx * ax + cy * ay + cz * az
-            kinetic += 0.5 * m * (px * px + py * py + pz * pz)
+            ax, ay, az = vx + px, vy + py, vz + pz
+            work += m * ((px - wx) * ax + (py - wy) * ay + (pz - wz) * az)
+            damped += m * (cx * ax + cy * ay + cz * az)
+            kinetic += m * (px * px + py * py + pz * pz)
+            rx, ry, rz = rx + dt * px, ry + dt * py, rz + dt * pz
             v[i, 0], v[i, 1], v[i, 2] = px, py, pz
-            x[i, 0] += dt * px
-            x[i, 1] += dt * py
-            x[i, 2] += dt * pz
+            x[i, 0], x[i, 1], x[i, 2] = rx, ry, rz
             f[i, 0], f[i, 1], f[i, 2] = 0.0, 0.0, 0.0
-            wx, wy, wz = x[i, 0] - listed[i, 0], x[i, 1] - listed[i, 1], x[i, 2] - listed[i, 2] * lower / before
+            wx, wy, wz = rx - listed[i, 0], ry - listed[i, 1], rz - listed[i, 2] * stretch
             moved = max(moved, wx * wx + wy * wy + wz * wz)
         sums[chunk, BOTTOM] += bottom
         sums[chunk, TOP] += top
-        sums[chunk, WORK] += work
-        sums[chunk, DAMPED] += damped
-        sums[chunk, KINETIC] = kinetic
+        sums[chunk, WORK] += 0.5 * work
+        sums[chunk, DAMPED] += 0.5 * damped
+        sums[chunk, KINETIC] = 0.5 * kinetic
         sums[chunk, MOVED] = moved
