@@ -58,6 +58,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.api.pipeline import Pipeline, load, run
     from sppm_pipeline.api.run import Run
     from sppm_pipeline.data.artifact import Artifact, frozen
+    from sppm_pipeline.data.compression import CompressionCurve, CrushedBody
     from sppm_pipeline.data.conductivity import ConductivityReport
     from sppm_pipeline.data.length import Cell, Length
     from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
@@ -131,6 +132,7 @@ _PLACES = {
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
     "data.artifact": "Artifact frozen",
+    "data.compression": "CompressionCurve CrushedBody",
     "data.conductivity": "ConductivityReport",
     "data.length": "Cell Length",
     "data.mesh": "RepeatedMesh SurfaceMesh",
@@ -187,11 +189,13 @@ __all__ = [
     "Cell",
     "CellIndex",
     "CellwiseField",
+    "CompressionCurve",
     "ConductivityReport",
     "ConfigError",
     "ConfigErrors",
     "Connector",
     "Context",
+    "CrushedBody",
     "DesignError",
     "FieldMaker",
     "FormulaField",

@@ -3,9 +3,9 @@
 A stage is a frozen, keyword-only dataclass. Its fields are its options, each declared once with `option`; the parser,
 the command line help, the reference pages and the JSON Schema all come from there. The annotated signature of `run` is
 its list of ports: a required port is annotated with an artifact type, an optional one with ``Artifact | None``, a port
-that takes one of several types with ``A | B``, a recipe with ``Recipe``. What `run` returns is what the stage makes; a
-stage annotated ``-> Any`` makes what its recipe makes, and a type variable on a port and on the result passes the type
-through.
+that takes one of several types with ``A | B``, one that takes the results of one or more stages with ``tuple[A, ...]``,
+a recipe with ``Recipe``. What `run` returns is what the stage makes; a stage annotated ``-> Any`` makes what its recipe
+makes, and a type variable on a port and on the result passes the type through.
 """
 
 from __future__ import annotations
