@@ -20,7 +20,7 @@ CHUNK = 1024
 ROLLS_X, ROLLS_Y = 1, 2
 
 #: What is added up for each chunk: impulse on the lower and upper plate, work of the plates on the body, work lost to
-#: damping, kinetic energy, and the largest squared distance that a node has moved within the body.
+#: damping and to setting the body in motion, kinetic energy, and the largest squared distance that a node has moved within the body.
 BOTTOM, TOP, WORK, DAMPED, KINETIC, MOVED = range(6)
 SUMS = 6
 
@@ -50,15 +50,16 @@ def move(
         Positions when contacts were last searched.
     first, last : int
         Chunks.
-    step : (9,) float64
+    step : (10,) float64
         Length of the step; height of the body before and after it; speed of the upper plate; the damping rate times
         the length of the step; friction of the plates, negative if they stick; height when contacts were last
-        searched; widths along x and y of a container, 0 for none.
+        searched; widths along x and y of a container, 0 for none; by how much
+        the plate moves faster than in the step before, which sets the whole body in motion uniformly.
     sums : (chunks, SUMS) float64
         Added to, but for the kinetic energy and the distance, which are set.
     """
-    dt, height, lower, speed, damping, friction, before, wide_x, wide_y = step
-    often, shrink, stretch = 1 / dt, speed / height, lower / before
+    dt, height, lower, speed, damping, friction, before, wide_x, wide_y, faster = step
+    often, shrink, stretch, kick = 1 / dt, speed / height, lower / before, faster / height
     for chunk in range(first, last):
         bottom, top, work, damped, kinetic, moved = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(x))):
@@ -68,7 +69,7 @@ def move(
             vx, vy, vz = v[i, 0], v[i, 1], v[i, 2]
             # damping acts on what is beside uniform compression, and on known velocities: were it to act on new ones,
             # it would take a share of the force that a plate is about to balance
-            cx, cy, cz = damping * vx, damping * vy, damping * (vz + shrink * rz)
+            cx, cy, cz = damping * vx, damping * vy, damping * (vz + shrink * rz) + kick * rz
             wx, wy, wz = vx + d * f[i, 0] - cx, vy + d * f[i, 1] - cy, vz + d * f[i, 2] - cz
             px, py, pz = wx, wy, wz
             if held[i] & ROLLS_X:
