@@ -45,6 +45,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         field,
         fill,
         homogenize,
+        measure,
         mesh,
         read,
         sample,
@@ -127,8 +128,8 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.stage import Context, Headline, Recipe, Rejected, Stage, option
 
 _PLACES = {
-    "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize mesh read sample "
-    "slice step tile tileset tune write",
+    "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize measure mesh read "
+    "sample slice step tile tileset tune write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
     "data.artifact": "Artifact frozen",
@@ -265,6 +266,7 @@ __all__ = [
     "lattice_for",
     "load",
     "make_catalog",
+    "measure",
     "mesh",
     "mesh_area",
     "mesh_components",

@@ -36,6 +36,7 @@ FAMILIES: Mapping[str, str] = {
     "extract": "a field becomes a triangle mesh or an image of voxels",
     "mesh": "a mesh becomes a better one, or a field or mesh becomes one of tetrahedra",
     "homogenize": "effective properties are computed",
+    "measure": "numbers are read off a curve",
     "check": "something is measured, and may be rejected",
     "slice": "a field or mesh becomes a stack of layers",
     "write": "an artifact becomes files",

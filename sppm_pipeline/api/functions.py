@@ -393,10 +393,10 @@ class Steps:
 
 step = Steps()
 check = CheckFamily("check", StageFunction)
-connect, extract, field, fill, homogenize, mesh, read, sample, slice, tile, tileset, tune, write = (
+connect, extract, field, fill, homogenize, measure, mesh, read, sample, slice, tile, tileset, tune, write = (
     Family(name, StageFunction)
     for name in (
-        "connect", "extract", "field", "fill", "homogenize", "mesh", "read", "sample", "slice", "tile", "tileset",
-        "tune", "write",
+        "connect", "extract", "field", "fill", "homogenize", "measure", "mesh", "read", "sample", "slice", "tile",
+        "tileset", "tune", "write",
     )
 )  # fmt: skip

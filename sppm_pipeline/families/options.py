@@ -63,6 +63,10 @@ young = _shared("Young's modulus of the solid", above=0, maximum=1e15)
 poisson = _shared("Poisson's ratio of the solid", above=-1, below=0.5)
 stress_unit = _shared("unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
 
+# curves of compression
+plateau = _shared("strains between which the plateau stress is taken", minimum=0, maximum=1)
+energy_to = _shared("strain up to which energy is taken", above=0, maximum=1)
+
 # parts and meshes
 accept = _shared("which meshes are accepted")
 inside = _shared(
@@ -90,6 +94,7 @@ printer = _shared("printer that the layers are cut for; `sppm printers` lists th
 cards = _shared("YAML file with printers and resins of your own")
 
 # files, pictures and tables
+size = _shared("box that the body just fills, along x, y, z", unit="mm", minimum=1e-3, maximum=1e5)
 read_path = _shared("file or folder to read")
 write_path = _shared("file or folder to write", output=True)
 unit = _shared("unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))

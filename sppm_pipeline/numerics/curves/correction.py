@@ -102,3 +102,29 @@ def without_toe(strain: ArrayLike, stress: ArrayLike, within: float = 0.2) -> tu
         raise ValueError(f"the stress does not rise up to a strain of {within:g}")
     kept = int(np.argmax(e >= max(line.first, line.root)))
     return np.concatenate([[0.0], e[kept:] - line.root]), np.concatenate([[0.0], s[kept:]]), line
+
+
+def turned(load: ArrayLike, way: ArrayLike) -> tuple[Array, Array, tuple[bool, bool]]:
+    """Load and way with signs such that compression is positive, and which of them were negative.
+
+    The load is positive where it is largest, and the way has grown by then.
+    """
+    f, d = np.asarray(load, np.float64), np.asarray(way, np.float64)
+    peak = int(np.argmax(np.abs(f)))
+    negative = bool(f[peak] < 0), bool(d[peak] < d[0])
+    return -f if negative[0] else f, -d if negative[1] else d, negative
+
+
+def goes_back(way: ArrayLike, by: float, until: float = np.inf) -> float | None:
+    """Way from which a test goes back by more than `by` before it goes on, up to `until`; None if it does not."""
+    d = np.asarray(way, np.float64)
+    farthest = np.maximum.accumulate(d)
+    last = int(np.argmax(farthest >= min(until, farthest[-1])))
+    back = farthest[: last + 1] - d[: last + 1] > by
+    return float(farthest[int(np.argmax(back))]) if back.any() else None
+
+
+def count_up_to(strain: ArrayLike, limit: float) -> int:
+    """Readings up to the largest strain, or to the first beyond a limit."""
+    e = np.asarray(strain, np.float64)
+    return int(np.argmax(e > limit)) if e.max() > limit else int(np.argmax(e)) + 1
