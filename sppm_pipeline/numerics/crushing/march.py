@@ -384,7 +384,7 @@ class March:
 
 
 def _strains(load: Load, way: float) -> NDArray[np.float64]:
-    """Strain after each step, in which waves in a bar go this part of the height: slowly at first, then at full speed."""
+    """Strain after each step, in which waves in a bar go this part of the height: slowly at first, then faster."""
     found = [0.0]
     while found[-1] < load.strain:
         share = SLOW + (1 - SLOW) * (found[-1] - SLOW_TO) / (FULL_FROM - SLOW_TO)

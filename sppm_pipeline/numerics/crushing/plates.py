@@ -20,7 +20,8 @@ CHUNK = 1024
 ROLLS_X, ROLLS_Y = 1, 2
 
 #: What is added up for each chunk: impulse on the lower and upper plate, work of the plates on the body, work lost to
-#: damping and to setting the body in motion, kinetic energy, and the largest squared distance that a node has moved within the body.
+#: damping and to setting the body in motion, kinetic energy, and the largest squared distance that a node has moved
+#: within the body.
 BOTTOM, TOP, WORK, DAMPED, KINETIC, MOVED = range(6)
 SUMS = 6
 
