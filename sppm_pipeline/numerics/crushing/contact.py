@@ -25,11 +25,17 @@ SLACK = 0.22
 """How far nodes may move before candidates are searched again; less than half of what lies between diameter and reach,
 by a share for the compression that all distances undergo meanwhile."""
 
-DAMPING = 0.3
-"""Share of critical damping along the line of centers."""
+STIFFNESS, STABLE = 0.25, 0.09
+"""Stiffness of a contact over the wave modulus, or over the mass of a voxel by the squared step if that is less."""
 
-STIFFNESS, STABLE = 0.25, 0.05
-"""Stiffness of a contact over the wave modulus, and over the reduced mass of a voxel by the squared step."""
+HARDENING = 4.0
+"""Share of the cubic term of the repulsion. Balls of opposite surfaces can slip between each other when their pressure
+is beyond .3 of Young's modulus."""
+
+DAMPING, DRAG = 0.05, 0.02
+"""Share of critical damping along the line of centers, and of the momentum that friction may take in a step. Half as
+much again of both, and blocks pressed on each other at a tenth of Young's modulus begin to tremble: they act on
+velocities half a step old."""
 
 #: What `repel` adds up for each chunk: stored in contacts, lost to damping and friction.
 SUMS = 2
@@ -272,8 +278,8 @@ def repel(
                     overlap = 1 - distance / DIAMETER
                     k = min(stiffness[p], stiffness[q])
                     m = 0.5 * min(mass[p], mass[q])
-                    spring = k * DIAMETER * (overlap + 4 * overlap**3)
-                    stored += 0.5 * k * DIAMETER**2 * (0.5 * overlap**2 + overlap**4)
+                    spring = k * DIAMETER * (overlap + HARDENING * overlap**3)
+                    stored += 0.5 * k * DIAMETER**2 * (0.5 * overlap**2 + 0.25 * HARDENING * overlap**4)
                     dx, dy, dz = dx / distance, dy / distance, dz / distance
                     vx = ((x - before[p, a, 0]) - (balls[q, b, 0] - before[q, b, 0])) / dt
                     vy = ((y - before[p, a, 1]) - (balls[q, b, 1] - before[q, b, 1])) / dt
@@ -282,7 +288,7 @@ def repel(
                     vx, vy, vz = vx - vn * dx, vy - vn * dy, vz - vn * dz
                     slip = np.sqrt(vx * vx + vy * vy + vz * vz) + 1e-30
                     damper = min(max(-2 * DAMPING * np.sqrt(k * m) * vn, -spring), spring)
-                    drag = min(friction * spring, STABLE * m * slip / dt) / slip
+                    drag = min(friction * spring, DRAG * m * slip / dt) / slip
                     fx, fy, fz = fx + spring * dx, fy + spring * dy, fz + spring * dz
                     lx, ly, lz = (
                         lx + damper * dx - drag * vx,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -206,7 +205,6 @@ class CrushVoxel(Stage):
         load = Load(self.strain, rate, plates, self.sides == "confined", self.friction)
         frames = sorted({min(f, self.strain) for f in self.frames} | {0.0, self.strain})
         kept: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
-        started = time.monotonic()
         march = March(body, self._materials(), load, context.threads)
 
         def told(strain: float) -> None:
@@ -223,7 +221,7 @@ class CrushVoxel(Stage):
             ) from None
         finally:
             march.close()
-        context.report(steps=march.steps, elements=len(body.corners), seconds=round(time.monotonic() - started, 1))
+        context.report(steps=march.steps, elements=len(body.corners))
         history = march.history()
         area = float(body.shape[0] * body.shape[1])
         numbers = _numbers(history, march, area, rate, self._young()[0])
