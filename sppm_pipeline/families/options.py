@@ -65,7 +65,7 @@ stress_unit = _shared("unit of Young's modulus and of the result", choices=("rel
 
 # curves of compression
 plateau = _shared("strains between which the plateau stress is taken", minimum=0, maximum=1)
-energy_to = _shared("strain up to which energy is taken", above=0, maximum=1)
+energy_to = _shared("strain up to which energy is taken", minimum=0.01, maximum=1)
 
 # parts and meshes
 accept = _shared("which meshes are accepted")
@@ -98,6 +98,9 @@ size = _shared("box that the body just fills, along x, y, z", unit="mm", minimum
 read_path = _shared("file or folder to read")
 write_path = _shared("file or folder to write", output=True)
 unit = _shared("unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))
+azimuth = _shared("direction of view around z", unit="degrees", minimum=-360, maximum=360)
+elevation = _shared("height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90)
+section = _shared("keep only this share along y, the far side, to look inside", above=0, maximum=1)
 image_size = _shared("width and height of the picture", unit="pixels", maximum=8192)
 title = _shared("title of what is written")
 label = _shared("column that names the rows", column=True)

@@ -81,6 +81,8 @@ BUILT_IN = {
     "write.picture": "WritePicture",
     "write.chart": "WriteChart",
     "write.bars": "WriteBars",
+    "write.curves": "WriteCurves",
+    "write.frames": "WriteFrames",
     "write.sheet": "WriteSheet",
     "write.table": "WriteTable",
 }

@@ -13,6 +13,7 @@ REQUIRED = {
     "read.mesh": {"path": "a.stl"},
     "read.voxels": {"path": "a.npy"},
     "read.volume_mesh": {"path": "a.vtu"},
+    "read.compression": {"path": "a.csv"},
     "read.primitive": {"shape": "box", "size": ()},
     "sample.elimination": {"count": 3},
     "slice.mesh": {"pixel": Length(0.1)},

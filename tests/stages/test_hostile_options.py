@@ -41,6 +41,8 @@ REPEATED = [*AS_CELL, "  - {stage: tile.periodic, cells: [1, 1, 1], cell: 2 mm}"
 VOLUME = [*REPEATED, "  - {stage: mesh.isosurface_stuffing, resolution: 6}"]
 IMAGE = [*REPEATED, "  - {stage: extract.voxels, resolution: 6}"]
 
+TEST = ["  - {stage: read.compression, path: test.csv, size: [20, 20, 20]}"]
+
 CHECKED = ["  - {stage: check.porosity, resolution: 8}"]
 LAYERS = ["  - {stage: slice.field, pixel: 0.5}", "  - write.png"]
 SMALL = "recipe: cell, porosity: 0.5, colors: 1, resolution: 8, tolerance: 0.1"
@@ -50,6 +52,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "read.primitive": ([], "shape: torus, size: [3, 3, 3]", []),
     "read.voxels": ([], "path: image.npy", []),
     "read.volume_mesh": ([], "path: part.vtu", []),
+    "read.compression": ([], "path: test.csv, size: [20, 20, 20]", []),
     "sample.mirrored_faces": ([], "count: 6, spacing: 0.25", AS_CELL[1:]),
     "sample.dart_throwing": (AS_CELL[:1], "count: 5, spacing: 0.25", AS_CELL[2:]),
     "sample.elimination": (AS_CELL[:1], "count: 5", AS_CELL[2:]),
@@ -96,6 +99,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "check.print": ([*TILED, "  - {stage: slice.field, pixel: 0.5}"], "", []),
     "check.sizes": (TILED, "resolution: 8", []),
     "check.volume_mesh": (VOLUME, "", []),
+    "measure.compression": (TEST, "", []),
     "slice.mesh": ([BOX], "pixel: 0.25", ["  - write.png"]),
     "check.connectivity": (TILED, "resolution: 8", []),
     "check.porosity": (TILED, "resolution: 8", []),
@@ -111,12 +115,13 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.volume_mesh": (VOLUME, "", []),
     "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "image_size: [300, 300]", []),
+    "write.curves": (TEST, "", []),
     "write.graph": (AS_CELL[:3], "", []),
     "write.picture": ([BOX], "image_size: [32, 32], resolution: 4", []),
 }  # fmt: skip
 """What comes before a stage, the options it gets, and what comes after."""
 
-NO_PIPELINE = {"write.bars", "write.chart", "write.sheet", "write.table"}
+NO_PIPELINE = {"write.bars", "write.chart", "write.sheet", "write.table", "write.frames"}
 """Stand only after a sweep."""
 
 HOSTILE = [
@@ -249,6 +254,8 @@ def too_slow(number, frame):
 def test_the_ends_of_what_is_allowed_give_results_or_errors_that_can_be_cured(name, tmp_path, ball):
     from sppm_pipeline.formats import stl
 
+    readings = "".join(f"{min(400 * d, 800 + 20 * d)},{d}\n" for d in (i / 50 for i in range(500)))
+    (tmp_path / "test.csv").write_text(f"Force (N),Displacement (mm)\n{readings}", encoding="utf-8")
     (tmp_path / "part.stl").write_bytes(b"".join(stl.encode(ball.vertices, ball.faces)))
     path = tmp_path / "config.yaml"
     for option in options_of(stage_class(name)).values():

@@ -187,25 +187,30 @@ def plateau_end(curve: Loading, plateau: float, beyond: float) -> float | None:
     return float(curve.strain[i] + STEP * above[i] / (above[i] - above[i + 1]))
 
 
-def efficiency(curve: Loading) -> Array:
-    """Work up to each strain over the stress there, (n,); NaN where there is no stress."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(curve.stress > 0, curve.work / curve.stress, np.nan)
+def efficiency(curve: Loading, within: float) -> Array:
+    """Work up to each strain over the stress there, (n,); NaN where there is no stress, and before it has risen.
+
+    It has where it first reaches half of its largest value up to the strain `within`, which is a choice: before that,
+    in the toe, the efficiency has no meaning.
+    """
+    start = int(np.argmax(curve.stress >= 0.5 * curve.highest_to(within)))
+    known = (np.arange(len(curve.stress)) >= start) & (curve.stress > 0)
+    return np.where(known, curve.work / np.where(known, curve.stress, 1.0), np.nan)
 
 
 def densification(curve: Loading, within: float) -> tuple[float, float] | None:
     """Strain at which `efficiency` is largest, and the efficiency there; None if it still grows where the curve ends.
 
-    Looked for from where the stress first reaches half of its largest value up to the strain `within`: before that,
-    in the toe, the efficiency has no meaning. It must lie 1 % strain before the end; both are choices. On a straight
-    line the efficiency grows, or falls and then grows, so that it is largest at a step.
+    It must lie 1 % strain before the end, a choice. On a straight line the efficiency grows, or falls and then grows,
+    so that it is largest at a step.
     """
-    start = int(np.argmax(curve.stress >= 0.5 * curve.highest_to(within)))
-    eta = efficiency(curve)[start:]
-    at = start + int(np.nanargmax(eta))
-    if at == start or curve.end - curve.strain[at] < WINDOW:
+    eta = efficiency(curve, within)
+    if np.isnan(eta).all():
         return None
-    return float(curve.strain[at]), float(eta[at - start])
+    at = int(np.nanargmax(eta))
+    if at == int(np.argmin(np.isnan(eta))) or curve.end - curve.strain[at] < WINDOW:
+        return None
+    return float(curve.strain[at]), float(eta[at])
 
 
 def work_ratio(energy: float, stress: float, area: float, displacement: float) -> float:

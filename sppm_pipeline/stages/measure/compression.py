@@ -46,9 +46,12 @@ class MeasureCompression(Stage):
     plateau: tuple[float, float] = options.plateau((0.2, 0.4))
     energy_to: float = options.energy_to(0.5)
     published: tuple[float, float, float] | None = option(
-        None, help="yield strength (MPa), effective displacement (mm) and energy (J) that a paper states of this specimen; "
-        "flagged if the energy is more than force times displacement", above=0
-    )  # fmt: skip
+        None,
+        help="yield strength (MPa), effective displacement (mm) and energy (J) that a paper states of this specimen; "
+        "flagged if the energy is more than force times displacement",
+        minimum=1e-9,
+        maximum=1e9,
+    )
 
     def check_options(self) -> None:
         """A plateau with a beginning and an end."""

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.compression import CompressionCurve
 from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.families import options
 from sppm_pipeline.formats.machine_csv import LARGEST_FILE, UNITS, Readings, read_readings
@@ -85,6 +87,9 @@ class ReadCompression(Stage):
             raise ConfigError(
                 "a specimen without a size can't be compressed", hint="give `size` three positive lengths"
             )
+
+    def estimate(self, palette: Palette) -> Size:
+        return Size(samples=self.path.stat().st_size / 16)  # two numbers of seven digits, and what is between them
 
     def run(self, context: Context) -> CompressionCurve:
         """Read, correct, divide by area and height."""
