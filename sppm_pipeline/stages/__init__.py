@@ -81,6 +81,7 @@ BUILT_IN = {
     "homogenize.voxel": "HomogenizeVoxel",
     "measure.compression": "MeasureCompression",
     "homogenize.conductivity": "HomogenizeConductivity",
+    "crush.voxel": "CrushVoxel",
     "slice.field": "SliceField",
     "slice.mesh": "SliceMesh",
     "slice.plate": "SlicePlate",
