@@ -394,10 +394,13 @@ class Steps:
 
 step = Steps()
 check = CheckFamily("check", StageFunction)
-connect, extract, field, fill, homogenize, measure, mesh, read, sample, slice, tile, tileset, tune, write = (
+(
+    connect, extract, field, fill, grade, homogenize, measure, mesh, read, sample, slice, tile, tileset, tune, warp,
+    write,
+) = (
     Family(name, StageFunction)
     for name in (
-        "connect", "extract", "field", "fill", "homogenize", "measure", "mesh", "read", "sample", "slice", "tile",
-        "tileset", "tune", "write",
+        "connect", "extract", "field", "fill", "grade", "homogenize", "measure", "mesh", "read", "sample", "slice",
+        "tile", "tileset", "tune", "warp", "write",
     )
 )  # fmt: skip
