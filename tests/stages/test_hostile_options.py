@@ -146,12 +146,15 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "image_size: [300, 300]", []),
     "write.curves": (TEST, "", []),
+    "write.frames": (
+        [*REPEATED, "  - {stage: crush.voxel, resolution: 8, rate: 0.05, strain: 0.05, frames: [0, 0.05]}"],
+        "image_size: [40, 40]", []),
     "write.graph": (AS_CELL[:3], "", []),
     "write.picture": ([BOX], "image_size: [32, 32], resolution: 4", []),
 }  # fmt: skip
 """What comes before a stage, the options it gets, and what comes after."""
 
-NO_PIPELINE = {"write.bars", "write.chart", "write.sheet", "write.table", "write.frames"}
+NO_PIPELINE = {"write.bars", "write.chart", "write.sheet", "write.table"}
 """Stand only after a sweep."""
 
 HOSTILE = [
