@@ -62,6 +62,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.data.length import Cell, Length
     from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
     from sppm_pipeline.data.palette import Palette
+    from sppm_pipeline.data.permeability import PermeabilityReport
     from sppm_pipeline.data.pores import PoreSet
     from sppm_pipeline.data.size import Size
     from sppm_pipeline.data.stiffness import StiffnessReport
@@ -135,6 +136,7 @@ _PLACES = {
     "data.length": "Cell Length",
     "data.mesh": "RepeatedMesh SurfaceMesh",
     "data.palette": "Palette",
+    "data.permeability": "PermeabilityReport",
     "data.pores": "PoreSet",
     "data.size": "Size",
     "data.stiffness": "StiffnessReport",

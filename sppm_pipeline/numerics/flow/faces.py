@@ -29,11 +29,17 @@ class Faces(NamedTuple):
         voxel, of ``1 / (theta h^2)``, the wall being ``theta h`` away.
     edges : (hx, hy, hz)
         Of a voxel.
+    porosity : float
+        Fraction of the cell that is fluid.
+    surface : float or None
+        Area of the walls over the volume of the cell; None for whole voxels, which have only stairs.
     """
 
     active: tuple[NDArray[np.bool_], ...]
     walls: tuple[NDArray[np.float32], ...]
     edges: tuple[float, float, float]
+    porosity: float
+    surface: float | None
 
     def voxels(self) -> NDArray[np.bool_]:
         """Voxels with an active face, (nz, ny, nx)."""
@@ -65,7 +71,10 @@ def faces_of_field(
     for d in range(3):
         x, y, z = (0.0 if axis == d else spacing / 2 for axis in range(3))
         levels.append(sample(Grid((x, y, z), (spacing,) * 3, shape)))
-    return _faces(levels, theta, (1.0, 1.0, 1.0))
+    edges = (1.0, 1.0, 1.0)
+    measured = [_porosity_and_surface(level, d, edges) for d, level in enumerate(levels)]
+    porosity, surface = np.mean([p for p, _ in measured]), sum(s for _, s in measured)
+    return _faces(levels, theta, edges, float(porosity), surface)
 
 
 def faces_of_fractions(solid: NDArray[Any], edges: tuple[float, float, float]) -> Faces:
@@ -81,7 +90,8 @@ def faces_of_fractions(solid: NDArray[Any], edges: tuple[float, float, float]) -
     fraction = np.asarray(solid, np.float32)
     # 1/2 less the fraction of the face: positive in the fluid
     levels = [np.float32(0.5) - (fraction + np.roll(fraction, 1, 2 - d)) / 2 for d in range(3)]
-    return _faces(levels, theta, edges)
+    surface = sum(_porosity_and_surface(level, d, edges)[1] for d, level in enumerate(levels))
+    return _faces(levels, theta, edges, 1 - float(fraction.mean(dtype=np.float64)), surface)
 
 
 def faces_of_voxels(void: NDArray[Any], edges: tuple[float, float, float]) -> Faces:
@@ -91,10 +101,36 @@ def faces_of_voxels(void: NDArray[Any], edges: tuple[float, float, float]) -> Fa
         return np.full_like(here, 1.0 if along else 0.5)
 
     levels = [np.where(void & np.roll(void, 1, 2 - d), np.float32(1), np.float32(-1)) for d in range(3)]
-    return _faces(levels, theta, edges)
+    return _faces(levels, theta, edges, float(np.count_nonzero(void)) / void.size, None)
 
 
-def _faces(levels: list[NDArray[np.float32]], theta: Callable[..., NDArray[Any]], edges: Any) -> Faces:
+def _porosity_and_surface(
+    level: NDArray[np.float32], d: int, edges: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Fraction where a field is positive, and the share of axis d of the area of its zeros over the volume.
+
+    A wall of area A and unit normal n meets ``A |n_d|`` lines along d in each unit of area across, and the three
+    ``n_d^2`` sum to 1; so each crossing of a line counts ``|n_d|``, as the slopes on both sides of it have it.
+    """
+    slopes = [(np.roll(level, -1, 2 - axis) - np.roll(level, 1, 2 - axis)) / 2 for axis in range(3)]
+    # nearly the part of a voxel on one side of a plane
+    reach = np.abs(slopes[0]) + np.abs(slopes[1]) + np.abs(slopes[2]) + np.float32(1e-30)
+    porosity = float(np.clip(np.float32(0.5) + level / reach, 0, 1).mean(dtype=np.float64))
+    crossed = (level > 0) != (np.roll(level, -1, 2 - d) > 0)
+    at_wall = [(slope[crossed] + np.roll(slope, -1, 2 - d)[crossed]) / np.float32(h)
+               for slope, h in zip(slopes, edges, strict=True)]  # fmt: skip
+    length = np.sqrt(at_wall[0] ** 2 + at_wall[1] ** 2 + at_wall[2] ** 2)
+    normal = np.divide(np.abs(at_wall[d]), length, out=np.zeros_like(length), where=length > 0)
+    return porosity, float(normal.sum(dtype=np.float64)) / level.size / edges[d]
+
+
+def _faces(
+    levels: list[NDArray[np.float32]],
+    theta: Callable[..., NDArray[Any]],
+    edges: tuple[float, float, float],
+    porosity: float,
+    surface: float | None,
+) -> Faces:
     active, walls = [], []
     for d, here in enumerate(levels):
         passed = here > 0
@@ -107,7 +143,7 @@ def _faces(levels: list[NDArray[np.float32]], theta: Callable[..., NDArray[Any]]
                 drag[wall] += np.float32(1 / edges[axis] ** 2) / distance
         active.append(passed)
         walls.append(drag)
-    return Faces(tuple(active), tuple(walls), edges)
+    return Faces(tuple(active), tuple(walls), edges, porosity, surface)
 
 
 class Percolation(NamedTuple):
@@ -151,6 +187,6 @@ def percolating(faces: Faces) -> Percolation:
         paint_runs(found.runs.rows, found.runs.bounds, flows[found.of_run].astype(np.int32), kept)
         active = tuple(kept[place] > 0 for place in places)
         walls = tuple(np.where(a, w, np.float32(0)) for a, w in zip(active, faces.walls, strict=True))
-        faces = Faces(active, walls, faces.edges)
+        faces = faces._replace(active=active, walls=walls)
     share = lost / max(1, int(found.sizes.sum()))
     return Percolation(faces, (x, y, z), int((~flows).sum()), share)

@@ -14,7 +14,7 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Cell, Homogenizer
+from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Cell, Homogenizer, grids_below, refined
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
 
@@ -158,25 +158,20 @@ class HomogenizeVoxel(ElasticHomogenizer):
                        voxels=sum(s.voxels for s in found))  # fmt: skip
 
     def _resolutions(self) -> list[int]:
-        """Voxels along an edge of the cell of each grid, the coarsest first."""
-        return [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
+        return grids_below(self.resolution, self.grids)
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Homogenize, on coarser grids first if an error bar is requested."""
         if self.grids == 1:
             return self.stiffness_of(context, source)
-        if isinstance(source, Voxels):
-            raise ConfigError("an image has one grid only", hint="leave out `grids`, or homogenize the field")
-        from sppm_pipeline.numerics.homogenization.stiffness.convergence import richardson
-
         counts = self._resolutions()
-        if len(set(counts)) < self.grids:
-            raise ConfigError(f"a resolution of {self.resolution} has no coarser grids")
-        reports = []
-        for number, count in enumerate(counts):
-            reports.append(replace(self, resolution=count).stiffness_of(context, source))
-            context.progress(number + 1, self.grids, "grids")
-        limit = richardson([1 / count for count in counts], [report.stiffness for report in reports])
+        reports, limit = refined(
+            context,
+            source,
+            counts,
+            lambda count: replace(self, resolution=count).stiffness_of(context, source),
+            lambda report: report.stiffness,
+        )
         context.report(
             convergence={
                 "resolutions": counts,
