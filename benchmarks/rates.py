@@ -146,6 +146,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: homogenize.voxel, resolution: $r}
   - {stage: write.stiffness, image_size: [$p, $p]}
   - {stage: homogenize.conductivity, resolution: $r}
+  - {stage: homogenize.permeability, resolution: $r}
 """,
         {**SIZES, "r": (16, 24, 32, 64), "p": (300, 300, 600, 900)},
     ),

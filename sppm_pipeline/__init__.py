@@ -213,6 +213,7 @@ __all__ = [
     "Palette",
     "Part",
     "PartFieldMaker",
+    "PermeabilityReport",
     "Piece",
     "Pieces",
     "Pipeline",

@@ -49,9 +49,7 @@ class Faces(NamedTuple):
         return held
 
 
-def faces_of_field(
-    sample: Callable[[Grid], NDArray[np.float32]], shape: tuple[int, int, int], spacing: float
-) -> Faces:
+def faces_of_field(sample: Callable[[Grid], NDArray[np.float32]], shape: tuple[int, int, int], spacing: float) -> Faces:
     """Faces of a field that is positive in the fluid, the walls where it is zero on the way from a face to the next.
 
     Parameters
@@ -104,9 +102,7 @@ def faces_of_voxels(void: NDArray[Any], edges: tuple[float, float, float]) -> Fa
     return _faces(levels, theta, edges, float(np.count_nonzero(void)) / void.size, None)
 
 
-def _porosity_and_surface(
-    level: NDArray[np.float32], d: int, edges: tuple[float, float, float]
-) -> tuple[float, float]:
+def _porosity_and_surface(level: NDArray[np.float32], d: int, edges: tuple[float, float, float]) -> tuple[float, float]:
     """Fraction where a field is positive, and the share of axis d of the area of its zeros over the volume.
 
     A wall of area A and unit normal n meets ``A |n_d|`` lines along d in each unit of area across, and the three

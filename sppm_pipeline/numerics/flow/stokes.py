@@ -186,9 +186,7 @@ def _speed(u: NDArray[Any]) -> NDArray[Any]:
 def _velocity_hierarchy(faces: Faces, edges: tuple[float, ...], d: int, longest: float) -> Hierarchy:
     """Grids of one component of the velocity."""
     active = faces.active[d]
-    weights = tuple(
-        (active & np.roll(active, 1, 2 - axis)) * np.float32(1 / edges[axis] ** 2) for axis in range(3)
-    )
+    weights = tuple((active & np.roll(active, 1, 2 - axis)) * np.float32(1 / edges[axis] ** 2) for axis in range(3))
     return hierarchy_of(faces.walls[d] * np.float32(longest**2), weights, linear=True)
 
 
@@ -219,9 +217,7 @@ class _Problem:
     ) -> None:
         shape = faces.active[0].shape
         self.velocity = velocity
-        weights = tuple(
-            psi.reshape(shape) * np.float32(1 / h**2) for psi, h in zip(torsion, edges, strict=True)
-        )
+        weights = tuple(psi.reshape(shape) * np.float32(1 / h**2) for psi, h in zip(torsion, edges, strict=True))
         self.pressure = hierarchy_of(np.zeros(shape, np.float32), weights, linear=False, twice=twice)
         self.active = np.concatenate([active.reshape(-1) for active in faces.active]).view(np.uint8)
         self.inverse_edges = 1 / np.array(edges)
