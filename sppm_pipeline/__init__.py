@@ -57,6 +57,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     )
     from sppm_pipeline.api.pipeline import Pipeline, load, run
     from sppm_pipeline.api.run import Run
+    from sppm_pipeline.data.acoustics import AcousticReport
     from sppm_pipeline.data.artifact import Artifact, frozen
     from sppm_pipeline.data.conductivity import ConductivityReport
     from sppm_pipeline.data.length import Cell, Length
@@ -131,6 +132,7 @@ _PLACES = {
     "slice step tile tileset tune write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
+    "data.acoustics": "AcousticReport",
     "data.artifact": "Artifact frozen",
     "data.conductivity": "ConductivityReport",
     "data.length": "Cell Length",
@@ -184,6 +186,7 @@ _PLACE_OF = {
 
 __all__ = [
     "TUNNEL_PROFILES",
+    "AcousticReport",
     "ArraySpec",
     "Artifact",
     "Cell",
