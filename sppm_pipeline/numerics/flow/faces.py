@@ -63,7 +63,7 @@ def faces_of_field(sample: Callable[[Grid], NDArray[np.float32]], shape: tuple[i
     """
 
     def theta(here: NDArray[Any], there: NDArray[Any], along: bool) -> NDArray[Any]:
-        return here / (here - there)
+        return np.asarray(here / (here - there))
 
     levels = []
     for d in range(3):
@@ -83,13 +83,18 @@ def faces_of_fractions(solid: NDArray[Any], edges: tuple[float, float, float]) -
     """
 
     def theta(here: NDArray[Any], there: NDArray[Any], along: bool) -> NDArray[Any]:
-        return np.minimum(here + there + np.float32(0.5), np.float32(1))
+        return np.asarray(np.minimum(here + there + np.float32(0.5), np.float32(1)))
 
     fraction = np.asarray(solid, np.float32)
-    # 1/2 less the fraction of the face: positive in the fluid
-    levels = [np.float32(0.5) - (fraction + np.roll(fraction, 1, 2 - d)) / 2 for d in range(3)]
+    levels = [_half_less(fraction, d) for d in range(3)]
     surface = sum(_porosity_and_surface(level, d, edges)[1] for d, level in enumerate(levels))
     return _faces(levels, theta, edges, 1 - float(fraction.mean(dtype=np.float64)), surface)
+
+
+def _half_less(fraction: NDArray[np.float32], d: int) -> NDArray[np.float32]:
+    """1/2 less the fraction of the faces of a family: positive in the fluid."""
+    mean: NDArray[np.float32] = (fraction + np.roll(fraction, 1, 2 - d)) * np.float32(0.5)
+    return np.subtract(np.float32(0.5), mean, out=mean)
 
 
 def faces_of_voxels(void: NDArray[Any], edges: tuple[float, float, float]) -> Faces:
@@ -175,14 +180,14 @@ def percolating(faces: Faces) -> Percolation:
     for place, active in zip(places, faces.active, strict=True):
         joined[place] = active
     found = find_components(joined, (True, True, True))
-    flows = found.wraps.any(axis=1)
-    x, y, z = (bool(w) for w in found.wraps.any(axis=0)) if len(flows) else (False,) * 3
+    flows = np.asarray(found.wraps.any(axis=1))
+    x, y, z = np.asarray(found.wraps.any(axis=0)).tolist()
     lost = int(found.sizes[~flows].sum())
     if lost:
         kept = np.zeros(joined.shape, np.int32)
         paint_runs(found.runs.rows, found.runs.bounds, flows[found.of_run].astype(np.int32), kept)
-        active = tuple(kept[place] > 0 for place in places)
-        walls = tuple(np.where(a, w, np.float32(0)) for a, w in zip(active, faces.walls, strict=True))
-        faces = faces._replace(active=active, walls=walls)
+        flowing = tuple(kept[place] > 0 for place in places)
+        walls = tuple(np.where(a, w, np.float32(0)) for a, w in zip(flowing, faces.walls, strict=True))
+        faces = faces._replace(active=flowing, walls=walls)
     share = lost / max(1, int(found.sizes.sum()))
     return Percolation(faces, (x, y, z), int((~flows).sum()), share)

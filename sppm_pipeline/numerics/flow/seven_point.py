@@ -132,7 +132,8 @@ class SevenPointLevel:
 
     def apply_by(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], rows: NDArray[Any]) -> float:
         """The same for vectors of another precision, which `rows` has as well."""
-        return apply_seven_point(mode, v, r, self.weight, self.diagonal, *self.weights, self.size, out, rows)
+        wx, wy, wz = self.weights
+        return apply_seven_point(mode, v, r, self.weight, self.diagonal, wx, wy, wz, self.size, out, rows)
 
 
 def _united(values: NDArray[np.float32], axes: tuple[int, ...]) -> NDArray[np.float32]:

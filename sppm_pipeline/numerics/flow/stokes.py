@@ -170,7 +170,7 @@ def _middle(values: NDArray[Any], d: int) -> NDArray[Any]:
     """The middle plane along an axis and the next one, (next axis, axis)."""
     x = values.transpose(2, 1, 0)
     across = (d + 2) % 3
-    plane = np.take(x, x.shape[across] // 2, across)
+    plane: NDArray[Any] = np.take(x, x.shape[across] // 2, across)
     # the axes that are left, in their order
     return plane.T if d == min({0, 1, 2} - {across}) else plane
 
