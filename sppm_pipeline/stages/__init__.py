@@ -76,6 +76,7 @@ BUILT_IN = {
     "write.stiffness": "WriteStiffness",
     "write.graph": "WriteGraph",
     "write.picture": "WritePicture",
+    "write.view": "WriteView",
     "write.chart": "WriteChart",
     "write.bars": "WriteBars",
     "write.sheet": "WriteSheet",
