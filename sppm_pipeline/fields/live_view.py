@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from typing import Any
 
@@ -13,6 +14,7 @@ from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.live.data import encode_view
+from sppm_pipeline.live.page import live_page
 from sppm_pipeline.numerics.assembly.contents import lone_periodic_cell, site_pieces, sites_between
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated
@@ -26,6 +28,9 @@ DEPTH = 3.0
 
 SUMMED = 64
 """Samples along a cell edge at which the browser sums kernels; a choice, for a third of a second."""
+
+MAX_FRAME_KERNELS = 600
+"""Kernels of a live view in a notebook, which then takes 60 kB at most."""
 
 MAX_KERNELS = 40_000
 """Kernels of a tile set that are handed to the browser."""
@@ -44,21 +49,29 @@ def view_of(what: ScalarField | TileSet, *, samples: int = SAMPLES, threads: int
         At most so many samples, as far as the field fills its box.
     threads : int
     """
+    tiles = _tiles(what)
+    if tiles and sum(len(tile.omega) + len(tile.mu) for tile in tiles) <= MAX_KERNELS:
+        return _kernel_view(what, tiles, threads)
+    return _sampled_view(what.micro.alone(0, (0, 0, 0)) if isinstance(what, TileSet) else what, samples, threads)
+
+
+def live_frame(what: ScalarField | TileSet) -> str:
+    """The live view as a frame for notebooks; empty for what is too large for one, or has to be sampled."""
+    tiles = _tiles(what)
+    if not tiles or sum(len(tile.omega) + len(tile.mu) for tile in tiles) > MAX_FRAME_KERNELS:
+        return ""
+    page = html.escape(live_page(_kernel_view(what, tiles, 1)))
+    return f'<iframe sandbox="allow-scripts" srcdoc="{page}" width="640" height="510" style="border:0"></iframe>'
+
+
+def _tiles(what: ScalarField | TileSet) -> list[Kernels]:
+    """The kernels of each tile among copies of itself, shared faces once; none of what is no sum of its own."""
     micro = what.micro if isinstance(what, TileSet) else what
-    lone = isinstance(micro, Microstructure) and micro.interiors == 1 and max(micro.colors) <= 1
-    if isinstance(micro, Microstructure) and micro.additive and (lone or isinstance(what, TileSet)):
-        tiles = _tiles(what if isinstance(what, TileSet) else None, micro)
-        if sum(len(tile.omega) + len(tile.mu) for tile in tiles) <= MAX_KERNELS:
-            return _kernel_view(what, micro, tiles, threads)
-    if isinstance(what, TileSet):
-        colors = (0, 0, 0)
-        return _sampled_view(what.micro.alone(0, colors), samples, threads)
-    return _sampled_view(what, samples, threads)
-
-
-def _tiles(tileset: TileSet | None, micro: Microstructure) -> list[Kernels]:
-    """The kernels of each tile among copies of itself; shared faces once."""
-    combinations = tileset.combinations() if tileset is not None else None
+    if not isinstance(micro, Microstructure) or not micro.additive:
+        return []
+    if not isinstance(what, TileSet) and (micro.interiors > 1 or max(micro.colors) > 1):
+        return []
+    combinations = what.combinations() if isinstance(what, TileSet) else None
     made = []
     for tile in range(micro.interiors):
         colors = (0, 0, 0) if combinations is None else tuple(int(v) for v in combinations[tile][1::2])
@@ -69,12 +82,14 @@ def _tiles(tileset: TileSet | None, micro: Microstructure) -> list[Kernels]:
     return made
 
 
-def _kernel_view(what: ScalarField | TileSet, micro: Microstructure, tiles: list[Kernels], threads: int) -> bytes:
+def _kernel_view(what: ScalarField | TileSet, tiles: list[Kernels], threads: int) -> bytes:
+    micro = what.micro if isinstance(what, TileSet) else what
+    assert isinstance(micro, Microstructure)
     pores = [np.column_stack([tile.centers, tile.omega]).astype(np.float32) for tile in tiles]
     tunnels = [np.column_stack([tile.starts, tile.ends, tile.mu]).astype(np.float32) for tile in tiles]
     profile = TUNNEL_PROFILES[micro.pieces.kernels.profile]
     porosity = list(what.porosity) if isinstance(what, TileSet) else []
-    if not porosity and not isinstance(what, TileSet):
+    if not isinstance(what, TileSet):
         porosity = [1 - float(micro.solid(SUMMED, threads).mean())]
     edge = micro.edge_mm
     head: dict[str, Any] = {

@@ -15,7 +15,7 @@ from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.verification import differences, verify_run
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.live.data import head_of
-from sppm_pipeline.live.page import ASSETS, LIVE_SCRIPTS, joined_script, json_block, policy
+from sppm_pipeline.live.page import ASSETS, LIVE_SCRIPTS, environment, joined_script, json_block, policy
 from sppm_pipeline.report.boxes import boxes, duration
 from sppm_pipeline.report.charts import Curve, line_chart, modulus_chart
 from sppm_pipeline.report.layers import Layers, layers_of, outputs_of, pictures_of
@@ -87,7 +87,10 @@ def report_html(
     """
     raw = max_bytes * 3 // 4  # base64 makes 4 characters of 3 bytes
     if view is not None and len(view) > VIEW_SHARE * raw:
-        note = f"The live view takes {len(view) / 1e6:.1f} MB; a larger --max-size, or fewer `grid_samples` of `write.view`, shows it."
+        note = (
+            f"The live view takes {len(view) / 1e6:.1f} MB; it is shown with a larger --max-size, or with fewer "
+            "`grid_samples` of `write.view`."
+        )
         view = None
     try:
         context = _context(path, record, view, raw, threads)
@@ -150,25 +153,17 @@ def _context(path: Path, record: Mapping[str, Any], view: bytes | None, raw: int
 
 
 def _rendered(context: Mapping[str, Any]) -> str:
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(HERE / "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["cut"] = cut
-    environment.filters["value"] = shown
-    environment.filters["duration"] = duration
+    pages = environment(HERE / "templates")
+    pages.filters["cut"] = cut
+    pages.filters["value"] = shown
+    pages.filters["duration"] = duration
     wanted = {"layers.js": context["layers"] is not None, "table.js": context["sweep"] is not None}
     live = LIVE_SCRIPTS if context["view"] is not None else ()
     own = [HERE / "assets" / name for name, there in wanted.items() if there]
     script = joined_script(ASSETS / "base.js", *own, *(ASSETS / name for name in live))
     style = (HERE / "assets" / "report.css").read_text(encoding="utf-8")
     style += (ASSETS / "live.css").read_text(encoding="utf-8") if context["view"] is not None else ""
-    template = environment.get_template("report.html")
+    template = pages.get_template("report.html")
     return template.render(**context, script=script, style=style, policy=policy(script))
 
 
