@@ -99,6 +99,7 @@ BUILT_IN = {
     "write.absorption": "WriteAbsorption",
     "write.graph": "WriteGraph",
     "write.picture": "WritePicture",
+    "write.view": "WriteView",
     "write.chart": "WriteChart",
     "write.bars": "WriteBars",
     "write.curves": "WriteCurves",
