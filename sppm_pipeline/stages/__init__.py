@@ -31,6 +31,7 @@ BUILT_IN = {
     "field.walls": "WallsField",
     "tune.porosity": "TunePorosity",
     "tune.stiffness": "TuneStiffness",
+    "tune.plateau": "TunePlateau",
     "tune.retry": "Retry",
     "tune.orientation": "TuneOrientation",
     "tileset.wang_3color": "WangTileSet",

@@ -34,6 +34,9 @@ POINTS = 600
 ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
 
 
+_ARRAYS = ("v", "f", "state", "mass", "sums", "node_sums")
+
+
 class Failed(ArithmeticError):
     """The body came apart; `strain` says when."""
 
@@ -161,15 +164,15 @@ class March:
         self._lossy, self._push = np.zeros(shape), np.zeros(shape)
         self._pushed = np.zeros(len(body.surface), np.uint8)
         self._room = 64
+        self._contact_sums = np.zeros((0, contact.SUMS))
         self._starts = np.zeros(8 * len(body.surface) + 1, np.int32)
         self._everything = np.arange(len(body.surface), dtype=np.int32)
-        self._list()
+        self.relist()
 
-    def _list(self) -> None:
+    def relist(self) -> None:
         """Search the pairs that may come to touch, and what touches now."""
         self._listed, self._listed_height = self.x.copy(), self._height(self.step)
-        if self.step:
-            self._contact_lost += float(self._contact_sums[:, 1].sum())
+        self._contact_lost += float(self._contact_sums[:, 1].sum())
         now, before, _ = self._balls
         self._place(now, self._everything, 0.0)
         centers = now.mean(1)
@@ -227,7 +230,7 @@ class March:
             self._place(self._balls[0], self._active, 0.0)
             self._repel()
         if float(self._node_sums[:, plates.MOVED].max()) > contact.SLACK**2:
-            self._list()
+            self.relist()
 
     # -- the step
 
@@ -360,6 +363,30 @@ class March:
             self._advance()
             if len(self._records) > records:
                 told(self.strain)
+
+    def kept(self) -> dict[str, NDArray[np.float64]]:
+        """All that another march of the same body needs to go on from here by `resume`, with the same result.
+
+        Contacts are searched anew, here and there, so that a march in which this is called differs in rounding from one
+        in which it is not.
+        """
+        self.relist()
+        kept = {name: np.array(getattr(self, "_" + name)) for name in _ARRAYS}
+        scalars = (self.step, self._work, self._from_mass, self._contact_lost, self._recorded, self._given)
+        return {**kept, "x": self.x.copy(), "scalars": np.array(scalars), "last": np.array(self._last),
+                "records": np.array(self._records).reshape(-1, 4 + len(ENERGIES))}  # fmt: skip
+
+    def resume(self, kept: Mapping[str, NDArray[np.float64]]) -> None:
+        """Go on from where another march was."""
+        for name in _ARRAYS:
+            setattr(self, "_" + name, np.array(kept[name]))
+        self.x = np.array(kept["x"])
+        step, self._work, self._from_mass, lost, self._recorded, self._given = kept["scalars"].tolist()
+        self.step = int(step)
+        self._contact_sums = np.zeros((0, contact.SUMS))
+        self.relist()
+        self._contact_lost = lost
+        self._last, self._records = kept["last"].tolist(), kept["records"].tolist()
 
     def history(self) -> History:
         """All records; the first one is the body at rest."""
