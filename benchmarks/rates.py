@@ -217,6 +217,19 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "f": (32, 32, 64, 96), "r": (16, 16, 24, 32),
          "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.08 mm")},
     ),
+    "repairs": (
+        TILES + """
+  - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
+  - {stage: read.primitive, shape: box, size: [$k mm, $k mm, $h mm]}
+  - {stage: tile.wang_3color, cell: 4 mm}
+  - {stage: fill.implicit, skin: 0.6 mm}
+  - {stage: fix.drains, most: 3}
+  - {stage: fix.fill, voxel: $pixel}
+  - {stage: tune.orientation}
+""",
+        {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "h": (6, 6, 20, 12),
+         "pixel": ("0.2 mm", "0.2 mm", "0.15 mm", "0.1 mm")},
+    ),
     "booleans": (
         TILES + """
   - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}

@@ -25,12 +25,14 @@ from sppm_pipeline.errors import DesignError, Position
 
 FAMILIES: Mapping[str, str] = {
     "read": "a file or a primitive becomes an artifact",
+    "grade": "a parameter is made a function of place",
     "sample": "pores are thrown",
     "connect": "pores are joined by tunnels",
     "field": "pores and tunnels become a field",
     "tune": "a recipe is repeated until it meets a target",
     "tileset": "a recipe is drawn for many interiors and face colors",
     "tile": "cells are laid into a part",
+    "warp": "a tiling is bent to another shape",
     "fill": "a part is cut from the tiling",
     "fix": "a part is changed so that it can be printed",
     "extract": "a field becomes a triangle mesh or an image of voxels",

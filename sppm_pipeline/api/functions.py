@@ -176,7 +176,8 @@ class BoundStage:
         """A plan of this stage alone."""
         entry: dict[str, Any] = {"stage": self.name, **self.options}
         if available:
-            entry["from"] = sources = {}
+            sources: dict[str, Any] = {}
+            entry["from"] = sources
             for place in available:
                 port, bracket, _ = place.partition("[")
                 if bracket:
@@ -393,10 +394,13 @@ class Steps:
 
 step = Steps()
 check = CheckFamily("check", StageFunction)
-connect, extract, field, fill, homogenize, measure, mesh, read, sample, slice, tile, tileset, tune, write = (
+(
+    connect, extract, field, fill, grade, homogenize, measure, mesh, read, sample, slice, tile, tileset, tune, warp,
+    write,
+) = (
     Family(name, StageFunction)
     for name in (
-        "connect", "extract", "field", "fill", "homogenize", "measure", "mesh", "read", "sample", "slice", "tile",
-        "tileset", "tune", "write",
+        "connect", "extract", "field", "fill", "grade", "homogenize", "measure", "mesh", "read", "sample", "slice",
+        "tile", "tileset", "tune", "warp", "write",
     )
 )  # fmt: skip

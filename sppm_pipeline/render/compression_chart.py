@@ -110,6 +110,7 @@ def compression_chart(lines: Sequence[Line], path: str, *, title: str, unit: str
             figure.legend(handles=handles, loc="outside lower center", ncols=3)
         elif handles:
             stress.legend(handles=handles, loc="best")
+        figure.align_ylabels()
         return figure_file(figure, path)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.storage import DamagedError
-from sppm_pipeline.engine.cache.identity import environment
+from sppm_pipeline.engine.cache.identity import environment, program_digest
 from sppm_pipeline.engine.cache.keys import key_of
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.run.events import Monitor
@@ -171,7 +171,7 @@ class RunContext(Context):
         self.log.warn(self.address, message)
 
     def remember(self, key: str, state: Any) -> None:
-        """See `Context.remember`; also on the way out of an interrupted run, so that it does not look for interrupts."""
+        """See `Context.remember`; stages call this on their way out of an interrupted run, too."""
         if self._store is None:
             return
         about = {
@@ -185,7 +185,7 @@ class RunContext(Context):
         with contextlib.suppress(OSError):
             self._store.remove(_unfinished(key))
             if state is not None:
-                self._store.put(_unfinished(key), about, value=state)
+                self._store.put(_unfinished(key), {**about, "same_as": None}, value=state)
 
     def recall(self, key: str) -> Any:
         """See `Context.recall`."""
@@ -207,4 +207,4 @@ class RunContext(Context):
 
 
 def _unfinished(key: str) -> str:
-    return key_of({"unfinished": key, "environment": environment()})
+    return key_of({"unfinished": key, "program": program_digest(), "environment": environment()})

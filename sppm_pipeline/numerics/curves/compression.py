@@ -115,11 +115,11 @@ def loading(strain: ArrayLike, stress: ArrayLike) -> Loading:
 def first_maximum(curve: Loading, within: float) -> float | None:
     """Strain of the first maximum after which the stress falls by 2 %; None if there is none.
 
-    Maxima below a tenth of the largest stress up to the strain `within` are passed over, as noise before contact is
-    full of them; a choice.
+    Maxima below half of the largest stress up to the strain `within` are passed over, as noise before contact, and
+    waves after it, are full of them; a choice.
     """
     highest = np.maximum.accumulate(curve.stress)
-    fallen = (curve.stress <= (1 - FALL) * highest) & (highest >= 0.1 * curve.highest_to(within))
+    fallen = (curve.stress <= (1 - FALL) * highest) & (highest >= 0.5 * curve.highest_to(within))
     if not fallen.any():
         return None
     return float(curve.strain[int(np.argmax(curve.stress[: int(np.argmax(fallen)) + 1]))])

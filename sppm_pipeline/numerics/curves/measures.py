@@ -186,7 +186,10 @@ def _first_rise(table: Table, specimen: Specimen, low: float, elastic: float | N
     peak = compression.first_maximum(curve, low)
     fall = percent(compression.FALL)
     never = f"the stress never falls by {fall} up to {percent(curve.end)}"
-    words = f"first maximum of the stress with a fall of {fall} or more behind it"
+    words = (
+        f"first maximum of the stress with a fall of {fall} or more behind it, and no less than half of the largest "
+        f"stress up to {percent(low)} strain"
+    )
     top = None if peak is None else curve.stress_at(peak)
     table.add("first_maximum", "first maximum", top, unit, words, _METALS, never)
     table.add("first_maximum_strain", "first maximum at", peak, "", "strain of the first maximum", _METALS, never)

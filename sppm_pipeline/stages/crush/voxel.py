@@ -238,7 +238,7 @@ class Crusher(Stage):
 
         try:
             for stop in stops:
-                if stop <= march.strain and march.step:
+                if march.step and stop <= march.strain + 1e-6:
                     continue
                 march.to(stop, told)
                 if stop in frames:
@@ -340,19 +340,15 @@ def _corner(column: int, axis: int) -> int:
 
 
 def _binary(field: ScalarField, resolution: int, threads: int) -> NDArray[np.uint8]:
-    """Whole voxels of a field, (nz, ny, nx): about as many of the fullest as make up the volume of its solid."""
-    from sppm_pipeline.numerics.porosity.fractions import solid_fractions
-
-    nx, ny, nz = (resolution * cells for cells in field.cells)
-    fractions = solid_fractions(
-        lambda grid, start, stop: field.sample_zyx(grid, start, stop, threads), (nx, ny, nz), resolution
-    )
-    count = round(float(fractions.sum(dtype=np.float64)))
+    """Whole voxels of a field, (nz, ny, nx), cut at the level at which they have the density of a finer grid."""
+    values = field.sample(resolution, threads).T
+    density = float(field.solid(2 * resolution, threads).mean(dtype=np.float64))
+    count = round(density * values.size)
     if not count:
-        return np.zeros(fractions.shape, np.uint8)
-    # voxels that are equally full go together, so that symmetry stays
-    least = np.partition(fractions.reshape(-1), -count)[-count]
-    with_them, without = fractions >= max(least, np.finfo(np.float32).eps), fractions > least
+        return np.zeros(values.shape, np.uint8)
+    # voxels of one value go together, so that symmetry stays
+    most = np.partition(values.reshape(-1), count - 1)[count - 1]
+    with_them, without = values <= most, values < most
     fewer = count - np.count_nonzero(without) < np.count_nonzero(with_them) - count
     return np.asarray(without if fewer and without.any() else with_them).view(np.uint8)
 

@@ -36,8 +36,11 @@ class ReadCompression(Stage):
 
     name: ClassVar[str] = "read.compression"
     headline: ClassVar[tuple[Headline, ...]] = (
-        Headline("points"), Headline("strain_max", "strain up to"), Headline("stress_max", "stress up to", "MPa"),
-    )  # fmt: skip
+        Headline("points"),
+        Headline("strain_max", "strain up to"),
+        Headline("stress_max", "stress up to", "MPa"),
+        *(Headline(f"notes.{number}", "taken:") for number in range(1, 8)),
+    )
 
     path: Path = options.read_path(note=".csv, .txt, .tsv or any other text")
     specimen: str = option(
@@ -68,7 +71,9 @@ class ReadCompression(Stage):
         False, help="strain is zero where the line through the steepest 1 % of the first rise has no stress, and what "
         "lies before it becomes that line"
     )  # fmt: skip
-    strain: float | None = option(None, help="readings up to this strain are taken; all if omitted", above=0, maximum=1)
+    strain: float | None = option(
+        None, help="strain at the end; what lies beyond is left out, and nothing if omitted", above=0, maximum=1
+    )
     unload: str = option(
         "refuse", help="what becomes of a test that goes back by more than 1 % of the height and on again",
         choices=("refuse", "keep"),
