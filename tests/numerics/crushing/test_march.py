@@ -57,7 +57,9 @@ def test_plastic_cube_has_the_stress_of_its_yield_stress():
         def parts(alpha):
             limit = 0.04 + 0.1 * alpha
             j = brentq(lambda j: bulk / 2 * (j - 1 / j) + limit / 3, 0.3, 1)
-            mean = brentq(lambda m: (m - 2 * limit / 3 / mu) * (m + limit / 3 / mu) ** 2 - 1, 1e-9 + 2 * limit / 3 / mu, 3)
+            mean = brentq(
+                lambda m: (m - 2 * limit / 3 / mu) * (m + limit / 3 / mu) ** 2 - 1, 1e-9 + 2 * limit / 3 / mu, 3
+            )
             return limit, np.log(mean - 2 * limit / 3 / mu) / 2 + np.log(j) / 3
 
         alpha = brentq(lambda alpha: parts(alpha)[1] - alpha - np.log(1 - strain), 0, 3)

@@ -155,3 +155,42 @@ def test_refusals():
     several.check_options()
     assert several._tables() == (((0.0, 0.1),), ())
     assert replace(several, yield_stress=0.05)._tables() == (((0.0, 0.05),),) * 2
+
+
+class Interrupted(PlainContext):
+    """A run that somebody ends; what it remembers is there for the next."""
+
+    def __init__(self, memory, at=2.0, threads=1):
+        super().__init__(threads=threads)
+        self.memory, self.at = memory, at
+
+    def progress(self, done, total, what=""):
+        if done / total > self.at:
+            raise KeyboardInterrupt
+
+    def remember(self, key, state):
+        self.memory.pop(key, None)
+        if state is not None:
+            self.memory[key] = state
+
+    def recall(self, key):
+        return self.memory.get(key)
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bytes():
+    block = image(np.random.default_rng(8).random((5, 5, 6)) < 0.75)
+    options = {"strain": 0.3, "yield_stress": 0.03, "frames": (0.05, 0.11, 0.2)}
+    whole = crushed(block, **options)
+    memory = {}
+    for at in (0.4, 0.8):
+        with pytest.raises(KeyboardInterrupt):
+            crushed(block, Interrupted(memory, at), **options)
+        assert len(memory) == 1
+    crushed(block, Interrupted(memory), **{**options, "yield_stress": 0.04})  # another material begins anew
+    context = Interrupted(memory, threads=2)
+    then = crushed(block, context, **options)
+    assert not memory
+    assert np.array_equal(then.stress, whole.stress)
+    assert np.array_equal(then.frame_nodes, whole.frame_nodes)
+    assert np.array_equal(then.frame_alpha, whole.frame_alpha)
+    assert np.array_equal(then.frame_strains, whole.frame_strains)
