@@ -91,7 +91,7 @@ class Crusher(Stage):
         maximum=1e15,
     )
     stress_unit: str = options.stress_unit("relative")
-    density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
+    solid_density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
     frames: tuple[float, ...] = option(
         (0.0, 0.15, 0.3, 0.45, 0.6), help="strains at which the deformed block is kept", minimum=0, maximum=0.8
     )
@@ -286,7 +286,7 @@ class Crusher(Stage):
             origin="simulated",
             area=nx * ny * size**2 if size else None,
             height=nz * size if size else None,
-            density=self.density * solid if self.density else None,
+            density=self.solid_density * solid if self.solid_density else None,
             energies={"external": history.work * per_volume, **energies},
             plates=unit * np.stack([history.bottom, history.top], axis=1),
             numbers=numbers,

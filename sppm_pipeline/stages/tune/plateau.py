@@ -32,7 +32,7 @@ class TunePlateau(Crusher, Tuner):
 
     strain: float = option(0.4, help="strain at the end", minimum=0.4, maximum=0.8)
     target: float = options.target(note="plateau stress, in the unit of `young`", maximum=1e15)
-    accuracy: float = option(0.05, help="largest relative error of the plateau stress", above=0, below=0.5)
+    accuracy: float = options.accuracy(0.05, note="the plateau stress")
 
     def check_options(self) -> None:
         super().check_options()

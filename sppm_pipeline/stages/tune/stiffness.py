@@ -45,7 +45,7 @@ class TuneStiffness(ElasticHomogenizer, Tuner):
         "isotropic", help="which modulus: of the nearest isotropic material, or along an axis",
         choices=("isotropic", "x", "y", "z"),
     )  # fmt: skip
-    accuracy: float = option(0.01, help="largest relative error of the modulus", above=0, below=0.5)
+    accuracy: float = options.accuracy(0.01, note="the modulus")
     evaluations: int = options.evaluations(20, note="cells homogenized")
 
     def check_options(self) -> None:

@@ -54,7 +54,7 @@ def test_axes_are_the_same_block_turned(axis, turn):
 def test_the_body_lies_where_its_image_lies():
     values = ells()
     values[0, 0, 0] = 2
-    body = crushed(image(values, 0.5, True), axis="y", young=(1.0, 0.5), density=2.0)
+    body = crushed(image(values, 0.5, True), axis="y", young=(1.0, 0.5), solid_density=2.0)
     assert body.spacing == 0.5
     assert body.grid == (4, 5, 6)
     assert body.height == 2.5
