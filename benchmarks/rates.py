@@ -149,6 +149,15 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         {**SIZES, "r": (16, 24, 32, 64), "p": (300, 300, 600, 900)},
     ),
+    "flow": (
+        "pipeline:" + CELL + """
+  - {stage: homogenize.permeability, resolution: $r}
+  - {stage: write.flow, image_size: [$p, $p]}
+  - {stage: homogenize.acoustics, resolution: $r, cell: 5 mm}
+  - {stage: write.absorption}
+""",
+        {**SIZES, "r": (16, 16, 24, 40), "p": (300, 300, 600, 900)},
+    ),
     "tuning": (
         "recipes:\n  cell:" + CELL + """pipeline:
   - {stage: tune.porosity, recipe: cell, target: 0.55, resolution: $r}

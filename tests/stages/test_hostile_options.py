@@ -122,6 +122,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "mesh.boundary": (VOLUME, "", []),
     "homogenize.voxel": (REPEATED, "resolution: 6", []),
     "homogenize.conductivity": (REPEATED, "resolution: 6", []),
+    "homogenize.permeability": (REPEATED, "resolution: 6", []),
+    "homogenize.acoustics": (REPEATED, "resolution: 6, cell: 5 mm", []),
     "homogenize.tet": (VOLUME, "", []),
     "homogenize.realizations": ([], "recipe: cell, draws: 2, resolution: 6", []),
     "check.mesh": ([BOX], "", []),
@@ -146,6 +148,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "image_size: [300, 300]", []),
     "write.curves": (TEST, "", []),
+    "write.flow": ([*REPEATED, "  - {stage: homogenize.permeability, resolution: 6}"], "image_size: [300, 300]", []),
+    "write.absorption": ([*REPEATED, "  - {stage: homogenize.acoustics, resolution: 6, cell: 5 mm}"], "", []),
     "write.graph": (AS_CELL[:3], "", []),
     "write.picture": ([BOX], "image_size: [32, 32], resolution: 4", []),
 }  # fmt: skip
