@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.crushing import contact, element, plates
 from sppm_pipeline.numerics.crushing.body import Body, wave_speed
-from sppm_pipeline.numerics.crushing.material import ALPHA, PLASTIC, RATIO, Material, constants
+from sppm_pipeline.numerics.crushing.material import ALPHA, LANES, PLASTIC, RATIO, Material, constants
 
 COURANT = 0.6
 """Time step over the time that a pressure wave takes for an edge."""
@@ -132,7 +132,7 @@ class March:
         self._v = np.zeros_like(self.x)
         self._v[:, 2] = -self._speed(0) * self.x[:, 2] / nz
         self._f = np.zeros_like(self.x)
-        self._state = np.zeros((len(body.lanes), element.STATE, element.LANES))
+        self._state = np.zeros((len(body.lanes), element.STATE, LANES))
         self._state[:, :3] = 1
         self._state[:, 8 : element.STATE] = 1
         self._mass0 = self._node_masses(self._density)
@@ -280,7 +280,7 @@ class March:
         for odd in (0, 1):
 
             def part(a: int, b: int, odd: int = odd) -> None:
-                scratch = np.zeros(element.ROWS * element.LANES)
+                scratch = np.zeros(element.ROWS * LANES)
                 element.forces(
                     self.x, self._corners, self._phases, self.body.slabs, 2 * a + odd, min(2 * b + odd, slabs),
                     self._table, self._state, self._surface, self._pushed, self._push, scratch, self._f, self._sums,
@@ -289,7 +289,8 @@ class March:
             self._share((slabs + 1 - odd) // 2, part)
 
     def _node_masses(self, masses: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.bincount(self.body.corners.ravel(), np.repeat(masses / 8, 8), len(self.body.nodes))
+        shares = np.repeat(masses / 8, 8)
+        return np.bincount(self.body.corners.ravel(), shares, len(self.body.nodes)).astype(np.float64)
 
     def _rescale(self) -> None:
         """Give crushed elements, which are stiffer, so much more mass that the step stays stable."""

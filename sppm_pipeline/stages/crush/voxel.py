@@ -177,7 +177,7 @@ class Crusher(Stage):
                     f"the voxels measure {' x '.join(f'{e:g}' for e in edges)}; only cubes can be crushed",
                     hint="resample the image to cubes",
                 )
-            image = source.solid().astype(np.uint8) if source.fractions else np.asarray(source.values)
+            image = (source.solid() if source.fractions else source.values).astype(np.uint8)
             image, spacing, physical = image.T, edges[0], source.physical
         else:
             if coarse := source.coarseness(1 / self.resolution):
