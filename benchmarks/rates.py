@@ -250,6 +250,16 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 12), "f": (32, 32, 64, 64), "r": (12, 16, 32, 48)},
     ),
+    "crushing": (
+        TILES + """
+  - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24}
+  - {stage: crush.voxel, resolution: $h, rate: 0.02, yield_stress: 0.02}
+  - {stage: write.frames, from: crush.voxel}
+  - {stage: tune.plateau, recipe: cell, resolution: $h, rate: 0.02, yield_stress: 0.02, vary: field.gaussian.level,
+     low: 0.1, high: 0.6, first: 3, target: 0.003, accuracy: 0.45}
+""",
+        {"n": (42, 42, 60, 72), "h": (8, 10, 16, 24)},
+    ),
     "curves": (
         """pipeline:
   - {stage: read.compression, path: test.csv, size: [45, 45, 45]}
