@@ -165,6 +165,147 @@ def _copied(
 
 
 @jit
+def _sides(
+    faces: NDArray[np.int32],
+    f: int,
+    stop: int,
+    first: int,
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+) -> int:
+    """Write the edges of some triangles that have no partner among them, and return their number."""
+    count = int(np.int64(0))
+    for t in range(f, stop):
+        for c in range(3):
+            tail, head = np.int64(faces[t, c]) - first, np.int64(faces[t, (c + 1) % 3]) - first
+            partner = -1
+            for e in range(count):
+                if starts[e] == head and ends[e] == tail:
+                    partner = e
+                    break
+            if partner >= 0:
+                count -= 1
+                starts[partner], ends[partner] = starts[count], ends[count]
+            else:
+                starts[count], ends[count] = tail, head
+                count += 1
+    return count
+
+
+@jit
+def _two_parts(
+    size: int,
+    rims: int,
+    first: int,
+    ids: NDArray[np.int64],
+    masks: NDArray[np.int64],
+    is_rim: NDArray[np.bool_],
+    places: NDArray[np.float64],
+    on: NDArray[np.uint8],
+    part: NDArray[np.int64],
+    halves: NDArray[np.uint8],
+    triangles: NDArray[np.int64],
+) -> int:
+    """Cut a polygon in two along its rim points; return the number of triangles, 0 if it can't be cut so."""
+    made = int(np.int64(0))  # a literal would have what is called with it compiled anew
+    if rims > 2:
+        return made
+    # two parts along the line from one point to the other; with a single point nothing is cut
+    one, two = -1, -1
+    for s in range(size):
+        if is_rim[s]:
+            if one < 0:
+                one = s
+            two = s
+    if one == two or not masks[one] & masks[two]:
+        for half in range(rims):
+            s = one if half == 0 else two
+            end = (one if half else two) if rims == 2 else (one + size - 1) % size
+            length = 0
+            while True:
+                part[length] = s
+                length += 1
+                if s == end:
+                    break
+                s = (s + 1) % size
+            before = made
+            made = fans_from_ends(part, length, rims == 1, places, masks, made, triangles)
+            if made == before:
+                return 0
+            for t in range(before, made):
+                halves[t] = on[ids[part[1]] - first]
+        if crossing(triangles, made, places):
+            return 0
+    return made
+
+
+@jit
+def _middle(
+    size: int,
+    rims: int,
+    first: int,
+    ids: NDArray[np.int64],
+    is_rim: NDArray[np.bool_],
+    places: NDArray[np.float64],
+    on: NDArray[np.uint8],
+    triangle: NDArray[np.int32],
+    normals: NDArray[np.float64],
+    field: NDArray[np.float32],
+    domain: NDArray[np.float32],
+    skin: NDArray[np.float32],
+    cube: NDArray[np.int64],
+    spacing: NDArray[np.float64],
+    start: int,
+    plane_points: NDArray[np.float64],
+    plane_normals: NDArray[np.float64],
+    point: NDArray[np.float64],
+) -> None:
+    """The middle of the rim points of a polygon, or the corner that is nearest to the planes of its vertices."""
+    for a in range(3):
+        point[a] = 0.0
+        for s in range(size):
+            if is_rim[s]:
+                point[a] += places[s, a] / rims
+    planes = int(np.int64(0))
+    corner_there, one_of = False, np.int32(-1)
+    for s in range(size):
+        if is_rim[s]:
+            continue
+        v = ids[s] - first
+        if on[v] == DOMAIN and triangle[v] >= 0:
+            for a in range(3):
+                plane_points[planes, a] = places[s, a]
+                plane_normals[planes, a] = normals[triangle[v], a]
+            one_of = triangle[v] if one_of < 0 else one_of
+            p, q = normals[one_of], normals[triangle[v]]
+            corner_there |= p[0] * q[0] + p[1] * q[1] + p[2] * q[2] < SHARP
+            planes += 1
+        else:
+            values = field if on[v] == FIELD else (skin if on[v] == SKIN else domain)
+            length2 = 0.0
+            for a in range(3):
+                i, j, k = cube[0], cube[1], cube[2] - start
+                slope = 0.0
+                for c in range(4):
+                    e, g = c & 1, c >> 1
+                    if a == 0:
+                        slope += np.float64(values[k + g, j + e, i + 1]) - values[k + g, j + e, i]
+                    elif a == 1:
+                        slope += np.float64(values[k + g, j + 1, i + e]) - values[k + g, j, i + e]
+                    else:
+                        slope += np.float64(values[k + 1, j + g, i + e]) - values[k, j + g, i + e]
+                plane_normals[planes, a] = slope / spacing[a]
+                plane_points[planes, a] = places[s, a]
+                length2 += (slope / spacing[a]) ** 2
+            if length2 > 0.0:
+                for a in range(3):
+                    plane_normals[planes, a] /= math.sqrt(length2)
+                planes += 1
+    if corner_there:  # elsewhere the middle of the points is on the rims, and within the domain
+        nearest_to_all(planes, plane_points, plane_normals, point, spacing)
+
+
+@jit
 def _split(
     faces: NDArray[np.int32],
     mixed: NDArray[np.bool_],
@@ -231,26 +372,12 @@ def _split(
             f = stop
             continue
         # the polygon: edges of triangles that have no partner
-        count = 0
-        for t in range(f, stop):
-            for c in range(3):
-                tail, head = np.int64(faces[t, c]) - first, np.int64(faces[t, (c + 1) % 3]) - first
-                partner = -1
-                for e in range(count):
-                    if starts[e] == head and ends[e] == tail:
-                        partner = e
-                        break
-                if partner >= 0:
-                    count -= 1
-                    starts[partner], ends[partner] = starts[count], ends[count]
-                else:
-                    starts[count], ends[count] = tail, head
-                    count += 1
+        count = _sides(faces, f, stop, first, starts, ends)
         # begin with the smallest vertex, so that nothing depends on the order above
         here = starts[0]
         for e in range(count):
             here = min(here, starts[e])
-        size, rims = 0, 0
+        size, rims = int(np.int64(0)), int(np.int64(0))
         while count > 0:
             e = 0
             while starts[e] != here:
@@ -287,35 +414,7 @@ def _split(
             m = _copied(faces, f, stop, first, on, out, kinds, m)
             f = stop
             continue
-        made = 0
-        if rims <= 2:
-            # two parts along the line from one point to the other; with a single point nothing is cut
-            one, two = -1, -1
-            for s in range(size):
-                if is_rim[s]:
-                    if one < 0:
-                        one = s
-                    two = s
-            if one == two or not masks[one] & masks[two]:
-                for half in range(rims):
-                    s = one if half == 0 else two
-                    end = (one if half else two) if rims == 2 else (one + size - 1) % size
-                    length = 0
-                    while True:
-                        part[length] = s
-                        length += 1
-                        if s == end:
-                            break
-                        s = (s + 1) % size
-                    before = made
-                    made = fans_from_ends(part, length, rims == 1, places, masks, made, triangles)
-                    if made == before:
-                        made = 0
-                        break
-                    for t in range(before, made):
-                        halves[t] = on[ids[part[1]] - first]
-                if crossing(triangles, made, places):
-                    made = 0
+        made = _two_parts(size, rims, first, ids, masks, is_rim, places, on, part, halves, triangles)
         for t in range(made):
             for c in range(3):
                 out[m, c] = ids[triangles[t, c]]
@@ -323,48 +422,10 @@ def _split(
             m += 1
         if made == 0:
             # a fan around a point within the cube, which looks from there like its faces: nothing crosses
-            for a in range(3):
-                point[a] = 0.0
-                for s in range(size):
-                    if is_rim[s]:
-                        point[a] += places[s, a] / rims
-            planes = 0
-            corner_there, one_of = False, np.int32(-1)
-            for s in range(size):
-                if is_rim[s]:
-                    continue
-                v = ids[s] - first
-                if on[v] == DOMAIN and triangle[v] >= 0:
-                    for a in range(3):
-                        plane_points[planes, a] = places[s, a]
-                        plane_normals[planes, a] = normals[triangle[v], a]
-                    one_of = triangle[v] if one_of < 0 else one_of
-                    p, q = normals[one_of], normals[triangle[v]]
-                    corner_there |= p[0] * q[0] + p[1] * q[1] + p[2] * q[2] < SHARP
-                    planes += 1
-                else:
-                    values = field if on[v] == FIELD else (skin if on[v] == SKIN else domain)
-                    length2 = 0.0
-                    for a in range(3):
-                        i, j, k = cube[0], cube[1], cube[2] - shape[3]
-                        slope = 0.0
-                        for c in range(4):
-                            e, g = c & 1, c >> 1
-                            if a == 0:
-                                slope += np.float64(values[k + g, j + e, i + 1]) - values[k + g, j + e, i]
-                            elif a == 1:
-                                slope += np.float64(values[k + g, j + 1, i + e]) - values[k + g, j, i + e]
-                            else:
-                                slope += np.float64(values[k + 1, j + g, i + e]) - values[k, j + g, i + e]
-                        plane_normals[planes, a] = slope / spacing[a]
-                        plane_points[planes, a] = places[s, a]
-                        length2 += (slope / spacing[a]) ** 2
-                    if length2 > 0.0:
-                        for a in range(3):
-                            plane_normals[planes, a] /= math.sqrt(length2)
-                        planes += 1
-            if corner_there:  # elsewhere the middle of the points is on the rims, and within the domain
-                nearest_to_all(planes, plane_points, plane_normals, point, spacing)
+            _middle(
+                size, rims, first, ids, is_rim, places, on, triangle, normals, field, domain, skin, cube, spacing,
+                shape[3], plane_points, plane_normals, point,
+            )  # fmt: skip
             for a in range(3):
                 least = origin[a] + (cube[a] + EDGE_MARGIN) * spacing[a]
                 most = origin[a] + (cube[a] + 1.0 - EDGE_MARGIN) * spacing[a]
