@@ -257,7 +257,7 @@ def with_scale(picture: NDArray[np.uint8], low: float, high: float, title: str, 
 
 
 def annotated(
-    picture: NDArray[np.uint8], frame: Frame, unit_mm: float | None, *, dark: bool = False
+    picture: NDArray[np.uint8], frame: Frame, unit_mm: float | None, *, bar: bool = True, dark: bool = False
 ) -> NDArray[np.uint8]:
     """A picture with the directions of the axes at its lower left, and a scale bar at its lower right.
 
@@ -268,6 +268,8 @@ def annotated(
         Of the camera; the bar is as long as it says at the middle of the part.
     unit_mm : float or None
         Unit of length of the frame, mm; None for cells without a physical size.
+    bar : bool
+        Whether there is a scale bar.
     dark : bool
         Whether the background is dark.
 
@@ -280,7 +282,8 @@ def annotated(
     canvas = Image.fromarray(picture)
     ink, halo = (LIGHT_INK, INK) if dark else (INK, PAPER)
     _draw_axes(canvas, frame, ink)
-    _draw_bar(canvas, frame.scale / (unit_mm or 1.0), "mm" if unit_mm else "cell sizes", ink, halo)
+    if bar:
+        _draw_bar(canvas, frame.scale / (unit_mm or 1.0), "mm" if unit_mm else "cell sizes", ink, halo)
     return np.asarray(canvas, np.uint8).copy()
 
 
