@@ -33,16 +33,9 @@ class WritePicture(Stage):
     path: str = options.write_path("picture.png", suffixes=(".png",))
     resolution: int = options.resolution(32, note="fewer where the picture could not show them", minimum=4, maximum=512)
     image_size: tuple[int, int] = options.image_size((1200, 900), minimum=16, formerly="size")
-    azimuth: float = option(-60.0, help="direction of view around z", unit="degrees", minimum=-360, maximum=360)
-    elevation: float = option(
-        25.0, help="height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90
-    )
-    section: float | None = option(
-        None,
-        help="keep only this share along `section_along`, the side away from the viewer, to look inside",
-        above=0,
-        maximum=1,
-    )
+    azimuth: float = options.azimuth(-60.0)
+    elevation: float = options.elevation(25.0)
+    section: float | None = options.section(None)
     section_along: str = option("y", help="axis across which `section` cuts", choices=("x", "y", "z"))
     annotate: bool = option(True, help="draw the directions of the axes and a scale bar; not on sheets of tiles")
     background: str = option("light", help="what is behind the part", choices=("light", "dark", "transparent"))
