@@ -24,7 +24,7 @@ NAMES = ["one", "two", "three"]
 @pytest.fixture
 def figure_of(monkeypatch):
     """Function from the arguments of a drawing function to the figure, in place of the file."""
-    monkeypatch.setattr(charts, "_file", lambda figure, path: figure)
+    monkeypatch.setattr(charts, "figure_file", lambda figure, path: figure)
     return lambda draw, *arguments, **options: draw(*arguments, "a.png", **options)
 
 
