@@ -95,14 +95,14 @@ class HomogenizeAcoustics(FlowHomogenizer):
         from sppm_pipeline.numerics.homogenization.conduction import conductivity
         from sppm_pipeline.numerics.porosity.fractions import solid_fractions
 
-        shape, edges = self.grid_of(context, source)
+        x, y, z = (self.resolution * n for n in source.cells)
         solid = solid_fractions(
             lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads),
-            shape,
+            (x, y, z),
             self.resolution,
             shift=shift,
         )
         options = self.solver_options(context.threads)
         options["tolerance"] = max(1e-7, SHARPER * options["tolerance"])
-        found = conductivity(1 - solid, edges, **options)
+        found = conductivity(1 - solid, **options)
         return float(found.conductivity[axis, axis]), 1 - float(solid.mean(dtype=np.float64))
