@@ -64,7 +64,7 @@ class CrushVoxel(Stage):
     advice: ClassVar[str] = "lower `resolution`, or raise `rate`"
 
     resolution: int = options.resolution(24, note="of fields; images keep theirs", maximum=256)
-    axis: str = option("z", help="axis along which the block is compressed", choices=("x", "y", "z"))
+    axis: str = options.axis("z")
     strain: float = option(0.6, help="strain at the end", minimum=0.01, maximum=0.8)
     rate: float | str = option(
         0.01, help="speed of the plate over that of waves in a bar of the solid; auto halves it until nothing changes",
