@@ -39,6 +39,9 @@ _FLOOR = 1e-6
 _SPAN, _SLOWEST = 6, 0.98
 """So many changes tell what is to come; the fall from one to the next that counts at most."""
 
+_SINGLE = 1e-5
+"""Tolerances and residuals below this are beyond single precision; a cautious choice."""
+
 _CHUNK = 16384
 """Entries of vectors that are updated at once, so that they stay in the cache from one operation to the next."""
 
@@ -115,6 +118,8 @@ def stokes_flow(
     squares = float(np.mean([dot(psi, psi) / psi.size for psi in torsion]))
     wanted = [d for d in range(3) if axes[d] and thermal > 0]
     stop, dtype = Stop(residual, tolerance, iterations), np.dtype(precision)
+    if 0 < tolerance < _SINGLE or 0 < residual < _SINGLE:
+        dtype = np.dtype(np.float64)
     for attempt, twice in ((dtype, True), (dtype, False), (np.dtype(np.float64), False)):
         problem = _Problem(faces, edges, velocity, torsion, twice)
         fields, solved = problem.solve(wanted, stop, _FLOOR * thermal, attempt, threads)

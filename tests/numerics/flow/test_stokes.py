@@ -148,5 +148,9 @@ def test_error_estimates_hold(gyroid):
     for tolerance in (1e-2, 1e-3, 1e-4):
         found = np.diag(stokes_flow(faces, 0.5, tolerance=tolerance, precision=np.float64).permeability)
         assert (abs(found / exact - 1) < tolerance).all()
+    # more than single precision has to give
+    finest = stokes_flow(faces, 0.5, tolerance=1e-8)
+    assert finest.precision == "float64"
+    assert np.diag(finest.permeability) == pytest.approx(exact, rel=1e-8)
     few = stokes_flow(faces, 0.5, tolerance=1e-4, iterations=5, precision=np.float64)
     assert not any(case.converged for case in few.solved)
