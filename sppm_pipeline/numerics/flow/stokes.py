@@ -147,7 +147,7 @@ def _flow(
         if d not in by_axis:
             viscous.append(math.inf)
             hydraulic.append(math.inf)
-            slices.append(np.where(_middle(pores, d), np.float32(0), np.float32(np.nan)))
+            slices.append(np.where(middle_plane(pores, d), np.float32(0), np.float32(np.nan)))
             solved.append(Solved(0, 0.0, 0.0, 0.0, True, True))
             continue
         u, case = by_axis[d]
@@ -155,7 +155,7 @@ def _flow(
         viscous.append(porosity * dot(u, u) / (u.size // 3) / k[d, d] ** 2)
         speed = _speed(u.reshape(3, *shape))
         hydraulic.append(float(speed.mean(dtype=np.float64)) / k[d, d])
-        slices.append(np.where(_middle(pores, d), _middle(speed, d) / k[d, d], np.nan).astype(np.float32))
+        slices.append(np.where(middle_plane(pores, d), middle_plane(speed, d) / k[d, d], np.nan).astype(np.float32))
         solved.append(case._replace(energy=case.energy * unit))
     missing = [d for d in range(3) if d not in by_axis]
     k[:, missing] = 0
@@ -171,7 +171,7 @@ def _flow(
     )
 
 
-def _middle(values: NDArray[Any], d: int) -> NDArray[Any]:
+def middle_plane(values: NDArray[Any], d: int) -> NDArray[Any]:
     """The middle plane along an axis and the next one, (next axis, axis)."""
     x = values.transpose(2, 1, 0)
     across = (d + 2) % 3
