@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import table
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.numerics.flow import stokes
 from sppm_pipeline.numerics.flow.faces import faces_of_field, percolating
 from sppm_pipeline.numerics.grid import Grid
@@ -50,7 +51,9 @@ def outside(centers: Any, radius: float) -> Sample:
 def cell() -> Sample:
     """A cell of 42 pores with tunnels of radius 0.035."""
     field = recipe_of(
-        DartThrowing(total=42, share=0.5), RelativeNeighbors(), GaussianField(pore_radius=0.13, tunnel_radius=0.035)
+        DartThrowing(total=42, share=0.5),
+        RelativeNeighbors(),
+        GaussianField(pore_radius=Length(0.13), tunnel_radius=Length(0.035)),
     ).run(PlainContext(4))
     return lambda grid: field.sample_zyx(grid, 0, grid.shape[2], 1)
 
@@ -66,7 +69,7 @@ def main(sizes: list[int]) -> None:
             k = stokes.stokes_flow(faces, 1 - share, (True, False, False)).permeability[0, 0] / n**2
             row.append(f"{100 * (1 / (6 * np.pi * radius * len(centers) * k) / known - 1):+.2f} %")
         rows.append(row)
-    print(table(["spheres", "drag", *(f"error at {n}^3" for n in sizes)], rows))
+    table("drag of spheres", ["spheres", "known", *(f"error at {n}^3" for n in sizes)], rows)
     rows, sample = [], cell()
     for n in sizes:
         started = time.process_time()
@@ -84,7 +87,8 @@ def main(sizes: list[int]) -> None:
             f"{n}^3", f"{sampled - started:.2f}", f"{solved - sampled:.2f}", f"{peak:.0f}",
             " ".join(str(case.iterations) for case in found.solved), " ".join(str(case.iterations) for case in cases),
         ])  # fmt: skip
-    print(table(["cell", "CPU s sampled", "solved", "peak MB", "iterations", "with the unit matrix"], rows))
+    header = ["voxels", "CPU s sampled", "solved", "peak MB", "iterations", "with the unit matrix"]
+    table("a cell, three flows", header, rows)
 
 
 if __name__ == "__main__":
