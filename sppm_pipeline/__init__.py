@@ -46,6 +46,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         fill,
         grade,
         homogenize,
+        measure,
         mesh,
         read,
         sample,
@@ -54,11 +55,13 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         tile,
         tileset,
         tune,
+        warp,
         write,
     )
     from sppm_pipeline.api.pipeline import Pipeline, load, run
     from sppm_pipeline.api.run import Run
     from sppm_pipeline.data.artifact import Artifact, frozen
+    from sppm_pipeline.data.compression import CompressionCurve, CrushedBody
     from sppm_pipeline.data.conductivity import ConductivityReport
     from sppm_pipeline.data.grading import Grading
     from sppm_pipeline.data.length import Cell, Length
@@ -129,11 +132,12 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.stage import Context, Headline, Recipe, Rejected, Stage, option
 
 _PLACES = {
-    "api.functions": "SppmWarning StageFunction check connect extract field fill grade homogenize mesh read "
-    "sample slice step tile tileset tune write",
+    "api.functions": "SppmWarning StageFunction check connect extract field fill grade homogenize measure mesh "
+    "read sample slice step tile tileset tune warp write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
     "data.artifact": "Artifact frozen",
+    "data.compression": "CompressionCurve CrushedBody",
     "data.conductivity": "ConductivityReport",
     "data.grading": "Grading",
     "data.length": "Cell Length",
@@ -191,11 +195,13 @@ __all__ = [
     "Cell",
     "CellIndex",
     "CellwiseField",
+    "CompressionCurve",
     "ConductivityReport",
     "ConfigError",
     "ConfigErrors",
     "Connector",
     "Context",
+    "CrushedBody",
     "DesignError",
     "FieldMaker",
     "FormulaField",
@@ -268,6 +274,7 @@ __all__ = [
     "lattice_for",
     "load",
     "make_catalog",
+    "measure",
     "mesh",
     "mesh_area",
     "mesh_components",
@@ -292,6 +299,7 @@ __all__ = [
     "tile_hashed",
     "tileset",
     "tune",
+    "warp",
     "write",
 ]
 

@@ -32,12 +32,15 @@ class BlendFields(Stage):
 
     name: ClassVar[str] = "field.blend"
 
-    samples: int = option(
-        1_000_000, help="samples of each field that its scores are taken from", minimum=10_000, maximum=100_000_000
+    probes: int = option(
+        1_000_000,
+        help="number of places at which each field is sampled for its scores",
+        minimum=10_000,
+        maximum=100_000_000,
     )
 
     def estimate(self, palette: Palette, first: Size, second: Size, grading: Size) -> Size:
-        samples = 2.0 * self.samples
+        samples = 2.0 * self.probes
         return Size(samples=samples, sums=samples * first.body.kernels, design=first.design, geometry=first.geometry)
 
     def run(self, context: Context, first: ScalarField, second: ScalarField, grading: Grading) -> BlendedField:
@@ -76,7 +79,7 @@ class BlendFields(Stage):
         if not len(cells):
             raise ConfigError("a field has no cells")
         cells = cells[:: max(1, len(cells) // 64)]
-        n = max(8, round((self.samples / len(cells)) ** (1 / 3)))
+        n = max(8, round((self.probes / len(cells)) ** (1 / 3)))
         h = 1.0 / n
         found = [
             field.sample_zyx(Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (n,) * 3), 0, n, context.threads).ravel()

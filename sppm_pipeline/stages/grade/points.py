@@ -35,7 +35,7 @@ class GradePoints(DataGrader):
     coordinates: tuple[str, str, str] = option(("x", "y", "z"), help="names of the columns of the coordinates")
     value: str = option("value", help="name of the column of the values")
     unit: str = options.unit("mm", note="of the columns x, y, z")
-    by: str = option(
+    interpolation: str = option(
         "linear",
         help="what is between the points: linear in Delaunay's tetrahedra, the value of the nearest point, or a mean "
         "of the eight nearest by inverse squared distances",
@@ -56,14 +56,16 @@ class GradePoints(DataGrader):
         values = self.factor * np.bincount(group.ravel(), table[:, 3]) / counts
         if len(points) < len(table):
             context.warn(f"{len(table) - len(points)} samples lie at the place of another one; they are averaged")
-        if self.by == "linear":
+        if self.interpolation == "linear":
             self._require_space(points)
-        return PointsLaw(self.of, self.unit_of_values, self.outside, points, values, self.by)
+        return PointsLaw(self.of, self.unit_of_values, self.outside, points, values, self.interpolation)
 
     def _require_space(self, points: NDArray[np.float64]) -> None:
-        hint = "give `by: nearest` or `by: idw`"
+        hint = "give `interpolation: nearest` or `interpolation: idw`"
         if len(points) > MOST_LINEAR:
-            raise InputError(f"{len(points)} points are too many for `by: linear`, up to {MOST_LINEAR} are", hint=hint)
+            raise InputError(
+                f"{len(points)} points are too many for `interpolation: linear`, up to {MOST_LINEAR} are", hint=hint
+            )
         size = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 3 else np.zeros(3)
         if not size[-1] > 1e-9 * size[0]:
             raise InputError(

@@ -12,7 +12,7 @@ from sppm_pipeline.families import options
 from sppm_pipeline.fields.picture import MAX_SAMPLES, MAX_TILES, field_picture, tile_sheet
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,13 +26,9 @@ class WritePicture(Stage):
     path: str = options.write_path("picture.png", suffixes=(".png",))
     resolution: int = options.resolution(32, note="fewer where the picture could not show them", minimum=4, maximum=512)
     image_size: tuple[int, int] = options.image_size((1200, 900), minimum=16, formerly="size")
-    azimuth: float = option(-60.0, help="direction of view around z", unit="degrees", minimum=-360, maximum=360)
-    elevation: float = option(
-        25.0, help="height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90
-    )
-    section: float | None = option(
-        None, help="keep only this share along y, the far side, to look inside", above=0, maximum=1
-    )
+    azimuth: float = options.azimuth(-60.0)
+    elevation: float = options.elevation(25.0)
+    section: float | None = options.section(None)
 
     def estimate(self, palette: Palette, what: Size) -> Size:
         pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution

@@ -44,7 +44,7 @@ def maps(**formulas):
 
 
 def blend(first, second, **formulas):
-    return BlendFields(samples=100_000).run(PlainContext(), first, second, maps(**formulas))
+    return BlendFields(probes=100_000).run(PlainContext(), first, second, maps(**formulas))
 
 
 PLACE = {"edge": 4.0, "region": (3, 1, 1), "origin": (-2.0, 1.0, 5.0)}

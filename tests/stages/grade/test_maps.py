@@ -147,7 +147,7 @@ def test_missing_data_are_refused_or_filled(tmp_path):
         made(GradeImage(**image))
     found = made(GradeImage(**image, missing="fill"))[0]["ct"]
     assert found.at([[1.5, 0, 0]])[0] in (1.0, 3.0)
-    points = {"of": "ct", "path": tmp_path / "a.csv", "by": "nearest"}
+    points = {"of": "ct", "path": tmp_path / "a.csv", "interpolation": "nearest"}
     with pytest.raises(InputError, match="row 2"):
         made(GradePoints(**points))
     assert made(GradePoints(**points, missing="fill"))[0]["ct"].at([[0.9, 0, 0], [1.1, 0, 0]]).tolist() == [1, 4]
@@ -161,7 +161,7 @@ def test_inverse_distances_are_exact_at_points_and_bounded(tmp_path):
     rng = np.random.default_rng(1)
     points, values = rng.random((40, 3)), rng.random(40)
     np.savetxt(tmp_path / "a.csv", np.column_stack([points, values]), header="x y z value", comments="", fmt="%.17g")
-    found = made(GradePoints(of="ct", path=tmp_path / "a.csv", by="idw"))[0]["ct"]
+    found = made(GradePoints(of="ct", path=tmp_path / "a.csv", interpolation="idw"))[0]["ct"]
     np.testing.assert_array_equal(found.at(points), values)
     there = rng.random((50, 3))
     distance = np.linalg.norm(there[:, None] - points, axis=2)
@@ -382,7 +382,7 @@ def test_samples_at_one_place_are_averaged(tmp_path):
     (tmp_path / "a.csv").write_text(
         "\ufeffX\tY\tZ\tvalue\n0\t0\t0\t1\n0\t0\t0\t3 # again\n\n5\t0\t0\t8\n", encoding="utf-8"
     )
-    grading, context = made(GradePoints(of="ct", path=tmp_path / "a.csv", by="nearest"))
+    grading, context = made(GradePoints(of="ct", path=tmp_path / "a.csv", interpolation="nearest"))
     assert grading["ct"].at([[0, 0, 0], [5, 1, 1]]).tolist() == [2, 8]
     assert "1 samples" in context.warnings[0]
 
