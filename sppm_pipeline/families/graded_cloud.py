@@ -77,7 +77,7 @@ class GradedCloud:
         self._warn_of_steepness(context, density, total)
         blocks = Blocks(self.mask, False, density)
         made = self._drawn(context, blocks)
-        if curve is None:
+        if curve is None or wanted is None:
             return made
         rms = []
         scale = block_means(density) / (curve.pores(block_means(wanted)) / total)
@@ -125,7 +125,7 @@ class GradedCloud:
             wanted = grading["porosity"].at(points).reshape(shape)
         elif self.porosity is not None:
             wanted = np.full(shape, self.porosity)
-        return (size**-3.0).reshape(shape), wanted
+        return np.asarray(size**-3.0).reshape(shape), wanted
 
     def _by_curve(
         self, context: Context, total: int, density: NDArray[np.float64], wanted: NDArray[np.float64]

@@ -76,8 +76,8 @@ def parts_of_layout(
         piece[first[crossing]], axis_of, shift[crossing].sum(1), ends - interiors - first_color[axis_of], colors=most
     )
     joins = np.unique(np.column_stack([codes, local[first[crossing]], local[second[crossing]]]), axis=0)
-    known, at = np.unique(joins[:, 0], return_index=True)
-    at = np.append(at, len(joins))
+    known, begins = np.unique(joins[:, 0], return_index=True)
+    at: NDArray[np.int64] = np.concatenate([begins, [len(joins)]])
     cells = np.argwhere(tiling.interior >= 0)
     number = np.ravel_multi_index(tuple(cells.T), tiling.interior.shape)
     links = [np.zeros((0, 2), np.int64)]
