@@ -206,6 +206,15 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
             "pixel": ("0.33 mm", "0.33 mm", "0.17 mm", "0.13 mm"),
         },
     ),
+    "graded": (
+        TILES + """
+  - {stage: grade.table, of: porosity, along: x, values: [[0, 0.5], [30, 0.7]]}
+  - {stage: tile.graded, recipe: cell, cells: [$c, $c, 1], cell: 5 mm, resolution: $r}
+  - {stage: tune.local_porosity, resolution: $r}
+  - {stage: check.local_porosity, resolution: $r}
+""",
+        {"n": (42, 42, 60, 72), "c": (1, 2, 3, 4), "r": (16, 24, 32, 40)},
+    ),
     "parts": (
         TILES + """
   - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
