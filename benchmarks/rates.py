@@ -149,6 +149,15 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         {**SIZES, "r": (16, 24, 32, 64), "p": (300, 300, 600, 900)},
     ),
+    "flow": (
+        "pipeline:" + CELL + """
+  - {stage: homogenize.permeability, resolution: $r}
+  - {stage: write.flow, image_size: [$p, $p]}
+  - {stage: homogenize.acoustics, resolution: $r, cell: 5 mm}
+  - {stage: write.absorption}
+""",
+        {**SIZES, "r": (16, 16, 24, 40), "p": (300, 300, 600, 900)},
+    ),
     "tuning": (
         "recipes:\n  cell:" + CELL + """pipeline:
   - {stage: tune.porosity, recipe: cell, target: 0.55, resolution: $r}
@@ -233,6 +242,19 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "f": (32, 32, 64, 96), "r": (16, 16, 24, 32),
          "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.08 mm")},
+    ),
+    "repairs": (
+        TILES + """
+  - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
+  - {stage: read.primitive, shape: box, size: [$k mm, $k mm, $h mm]}
+  - {stage: tile.wang_3color, cell: 4 mm}
+  - {stage: fill.implicit, skin: 0.6 mm}
+  - {stage: fix.drains, most: 3}
+  - {stage: fix.fill, voxel: $pixel}
+  - {stage: tune.orientation}
+""",
+        {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "h": (6, 6, 20, 12),
+         "pixel": ("0.2 mm", "0.2 mm", "0.15 mm", "0.1 mm")},
     ),
     "booleans": (
         TILES + """

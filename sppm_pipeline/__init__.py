@@ -60,6 +60,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     )
     from sppm_pipeline.api.pipeline import Pipeline, load, run
     from sppm_pipeline.api.run import Run
+    from sppm_pipeline.data.acoustics import AcousticReport
     from sppm_pipeline.data.artifact import Artifact, frozen
     from sppm_pipeline.data.compression import CompressionCurve, CrushedBody
     from sppm_pipeline.data.conductivity import ConductivityReport
@@ -67,6 +68,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.data.length import Cell, Length
     from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
     from sppm_pipeline.data.palette import Palette
+    from sppm_pipeline.data.permeability import PermeabilityReport
     from sppm_pipeline.data.pores import PoreSet
     from sppm_pipeline.data.size import Size
     from sppm_pipeline.data.stiffness import StiffnessReport
@@ -136,6 +138,7 @@ _PLACES = {
     "read sample slice step tile tileset tune warp write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
+    "data.acoustics": "AcousticReport",
     "data.artifact": "Artifact frozen",
     "data.compression": "CompressionCurve CrushedBody",
     "data.conductivity": "ConductivityReport",
@@ -143,6 +146,7 @@ _PLACES = {
     "data.length": "Cell Length",
     "data.mesh": "RepeatedMesh SurfaceMesh",
     "data.palette": "Palette",
+    "data.permeability": "PermeabilityReport",
     "data.pores": "PoreSet",
     "data.size": "Size",
     "data.stiffness": "StiffnessReport",
@@ -190,6 +194,7 @@ _PLACE_OF = {
 
 __all__ = [
     "TUNNEL_PROFILES",
+    "AcousticReport",
     "ArraySpec",
     "Artifact",
     "Cell",
@@ -223,6 +228,7 @@ __all__ = [
     "Palette",
     "Part",
     "PartFieldMaker",
+    "PermeabilityReport",
     "Piece",
     "Pieces",
     "Pipeline",

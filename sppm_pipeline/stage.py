@@ -39,6 +39,7 @@ FAMILIES: Mapping[str, str] = {
     "mesh": "a mesh becomes a better one, or a field or mesh becomes one of tetrahedra",
     "homogenize": "effective properties are computed",
     "measure": "numbers are read off a curve",
+    "crush": "a block is compressed",
     "check": "something is measured, and may be rejected",
     "slice": "a field or mesh becomes a stack of layers",
     "write": "an artifact becomes files",

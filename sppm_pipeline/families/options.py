@@ -81,11 +81,20 @@ turn = _shared("angles about x, then y, then z", unit="degrees", minimum=-360, m
 rounds = _shared("number of rounds", minimum=1)
 time_limit = _shared("each child process is ended after this time", unit="s", above=0, maximum=1e7)
 
+overhang_angle = _shared(
+    "solid is held by what lies below it within this angle from upright, and within a pixel", unit="degrees", minimum=0,
+    maximum=89,
+)  # fmt: skip
+fail = _shared("rules that reject what is checked (exit code 3)")
+
 # layers
 gray = _shared(
     "samples along a pixel's edge for gray by area coverage; 1 for black and white",
     minimum=1,
     maximum=16,
+)
+gray_layers = _shared(
+    "samples along the height of a layer for gray by coverage; 1 cuts it once, in the middle", minimum=1, maximum=16
 )
 layer = _shared("layer height; the pitch of square pixels if omitted", unit="mm", minimum=1e-6, maximum=1e3)
 pixel = _shared(
@@ -104,7 +113,7 @@ write_path = _shared("file or folder to write", output=True)
 unit = _shared("unit of the coordinates", choices=tuple(UNITS_IN_MM))
 azimuth = _shared("direction of view around z", unit="degrees", minimum=-360, maximum=360)
 elevation = _shared("height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90)
-section = _shared("keep only this share along y, the far side, to look inside", above=0, maximum=1)
+section = _shared("keep only this share of the part, the side away from the viewer, to look inside", above=0, maximum=1)
 image_size = _shared("width and height of the picture", unit="pixels", maximum=8192)
 title = _shared("title of what is written")
 label = _shared("column that names the rows", column=True)

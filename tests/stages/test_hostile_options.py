@@ -109,6 +109,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "fix.drains": (
         [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],
         "", LAYERS),
+    "fix.fill": (
+        [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],
+        "", LAYERS),
     "extract.marching_cubes": (TILED, "resolution: 8", []),
     "extract.manifold_sdf": (TILED, "resolution: 8", []),
     "extract.unit_cell": (REPEATED, "resolution: 8", []),
@@ -119,6 +122,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "mesh.boundary": (VOLUME, "", []),
     "homogenize.voxel": (REPEATED, "resolution: 6", []),
     "homogenize.conductivity": (REPEATED, "resolution: 6", []),
+    "homogenize.permeability": (REPEATED, "resolution: 6", []),
+    "homogenize.acoustics": (REPEATED, "resolution: 6, cell: 5 mm", []),
     "homogenize.tet": (VOLUME, "", []),
     "homogenize.realizations": ([], "recipe: cell, draws: 2, resolution: 6", []),
     "check.mesh": ([BOX], "", []),
@@ -143,6 +148,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "image_size: [300, 300]", []),
     "write.curves": (TEST, "", []),
+    "write.flow": ([*REPEATED, "  - {stage: homogenize.permeability, resolution: 6}"], "image_size: [300, 300]", []),
+    "write.absorption": ([*REPEATED, "  - {stage: homogenize.acoustics, resolution: 6, cell: 5 mm}"], "", []),
     "write.graph": (AS_CELL[:3], "", []),
     "write.picture": ([BOX], "image_size: [32, 32], resolution: 4", []),
 }  # fmt: skip
