@@ -215,6 +215,23 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         {"n": (42, 42, 60, 72), "c": (1, 2, 3, 4), "r": (16, 24, 32, 40)},
     ),
+    "maps": (
+        TILES + """
+  - {stage: read.primitive, shape: ball, size: [20, 20, 20], facets: $f}
+  - {stage: grade.table, of: stress, along: x, values: [[-10, 0], [10, 40]]}
+  - {stage: grade.distance, of: depth}
+  - {stage: grade.formula, of: weight, formula: "smoothstep(2, 8, x) + 0*depth*stress"}
+  - {stage: tileset.free_faces, id: one, recipe: cell, colors: 1, interiors: 2, resolution: 16}
+  - {stage: tileset.free_faces, id: two, recipe: cell, colors: 1, interiors: 2, resolution: 16}
+  - {stage: tileset.join, from: {first: one, second: two}}
+  - {stage: tile.joined, cells: [$k, $k, 2], cell: 3 mm}
+  - {stage: tile.free_faces, id: box, cells: [$k, $k, 2], cell: 3 mm, periodic: true}
+  - {stage: field.blend, probes: $p, from: {first: box, second: box}}
+  - {stage: warp.cylinder, inner_radius: 4 mm, from: box}
+  - {stage: warp.sphere, inner_radius: 4 mm, from: box}
+""",
+        {"n": (42, 42, 60, 72), "f": (32, 32, 64, 128), "k": (2, 3, 6, 10), "p": (30000, 30000, 200000, 1000000)},
+    ),
     "parts": (
         TILES + """
   - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
