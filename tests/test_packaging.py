@@ -56,7 +56,7 @@ def run(environment: Path, folder: Path, *arguments: str) -> subprocess.Complete
 
 def test_the_wheel_runs_the_quickstart_from_another_folder(environment, tmp_path):
     found = run(
-        environment, tmp_path, "run", "quickstart", "-q", "--until", "write.png",
+        environment, tmp_path, "run", "quickstart", "-q", "--until", "write.png", "--report",
         "-s", "read.primitive.size=[8 mm, 8 mm, 8 mm]", "-s", "slice.field.pixel=0.2 mm",
         "-s", "tile.scattered.resolution=16",
     )  # fmt: skip
@@ -64,6 +64,8 @@ def test_the_wheel_runs_the_quickstart_from_another_folder(environment, tmp_path
     record = json.loads((tmp_path / "runs" / "quickstart" / "run.json").read_text())
     assert record["status"] == "done"
     assert len(list((tmp_path / "runs" / "quickstart" / "slices").glob("*.png"))) == 40
+    report = (tmp_path / "runs" / "quickstart" / "report.html").read_text(encoding="utf-8")
+    assert 'id="live-canvas"' in report
     where = subprocess.run(
         [str(environment / "bin" / "python"), "-c", "import sppm_pipeline; print(sppm_pipeline.__file__)"],
         cwd=tmp_path, capture_output=True, text=True, check=True,
@@ -94,9 +96,12 @@ def test_the_archives_are_complete(built):
     for folder in ("configs", "examples"):
         for file in (ROOT / folder).iterdir():
             assert file.is_dir() or f"sppm_pipeline/{folder}/{file.name}" in inside
-    templates = ROOT / "sppm_pipeline" / "cli" / "templates"
-    written = {f.relative_to(ROOT).as_posix() for f in templates.rglob("*.*") if f.is_file() and f.suffix != ".pyc"}
-    assert len(written) > 25
+    data = [
+        ROOT / "sppm_pipeline" / name for name in ("cli/templates", "live/assets", "report/assets", "report/templates")
+    ]
+    files = [file for folder in data for file in folder.rglob("*.*")]
+    written = {f.relative_to(ROOT).as_posix() for f in files if f.is_file() and f.suffix != ".pyc"}
+    assert len(written) > 38
     assert written <= set(inside)
     metadata = zipfile.ZipFile(wheel).read(next(n for n in inside if n.endswith("METADATA"))).decode()
     assert "License-Expression: BSD-3-Clause" in metadata

@@ -22,6 +22,8 @@ from sppm_pipeline.engine.run.record import error_entry
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import columns_of, numbers_of, run_sweep
 from sppm_pipeline.errors import ConfigError, SppmError
+from sppm_pipeline.fields.microstructure import Microstructure
+from sppm_pipeline.fields.tileset import TileSet
 
 if TYPE_CHECKING:
     from sppm_pipeline.api.pipeline import Pipeline
@@ -164,7 +166,16 @@ class Run:
             f"<tr><th>{escaped(name)}</th><td>{escaped(shown(value))}</td></tr>"
             for name, value in list(self.numbers.items())[:MAX_NUMBERS]
         )
-        return f"<table><caption>{escaped(self._plan.name)}</caption>{rows}</table>"
+        return f"{self._live()}<table><caption>{escaped(self._plan.name)}</caption>{rows}</table>"
+
+    def _live(self) -> str:
+        """The live view of the last field that the browser can sum itself; empty if there is none."""
+        from sppm_pipeline.fields.live_view import live_frame
+
+        for step in reversed(self._plan.until(self._until)):
+            if any(issubclass(made, (Microstructure, TileSet)) for made in step.makes):
+                return live_frame(self[step.id])
+        return ""
 
 
 MAX_NUMBERS = 200

@@ -28,6 +28,8 @@ VERBS = {
     "graph": "draw the wiring as text, DOT or Mermaid",
     "schema": "print or write the JSON Schema of configurations, for editors",
     "plugins": "list plugins, and with --check why some cannot be loaded",
+    "report": "write one HTML file that shows a run directory, to be mailed",
+    "view": "show a run directory in the browser",
     "verify": "check that a run directory still holds what was written, to the byte",
     "cache": "show, check or shrink what is kept between runs",
     "new": "write a first pipeline, or the skeleton of a plugin",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Mapping, Sequence
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.cli.arguments import add_cache, add_configuration, cache_of, open_from
 from sppm_pipeline.cli.limits import add_limits, limits_of, seconds
+from sppm_pipeline.errors import SppmError
 
 if TYPE_CHECKING:
     from sppm_pipeline.stage import Headline
@@ -38,6 +40,7 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument("-n", "--dry-run", action="store_true", help="check everything, run nothing")
     parser.add_argument("-q", "--quiet", action="store_true", help="no progress on stderr")
     parser.add_argument("--json", action="store_true", help="print the run record as JSON")
+    parser.add_argument("--report", action="store_true", help="write report.html as well, as `sppm report` does")
 
 
 def _count(text: str) -> int:
@@ -106,10 +109,15 @@ def _execute(args: Namespace) -> int:
     except Exception as error:
         if args.json and hasattr(error, "record"):
             _print_json(error.record)
+        if args.report and hasattr(error, "record"):
+            with contextlib.suppress(SppmError):  # what stopped the run is what has to be said
+                _write_report(args, path)
         raise
     finally:
         if isinstance(monitor, ProgressLines):
             monitor.close()
+    if args.report:
+        _write_report(args, path)
     if args.json:
         _print_json(record)
     else:
@@ -119,6 +127,14 @@ def _execute(args: Namespace) -> int:
         codes = {run["error"]["exit_code"] for run in failed}
         return codes.pop() if len(codes) == 1 else 3
     return 0
+
+
+def _write_report(args: Namespace, path: Path) -> None:
+    """The report of the run that has just ended, with the plugins and the cache that it had."""
+    from sppm_pipeline.cli.report import of_run
+    from sppm_pipeline.engine.config.names import REPORT
+
+    of_run(path, path / REPORT, args)
 
 
 def _print_json(record: Mapping[str, Any]) -> None:

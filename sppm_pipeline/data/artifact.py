@@ -136,11 +136,15 @@ class Artifact:
         """A picture, as notebooks show it; None for what has none."""
         return None
 
+    def _picture_html(self) -> str:
+        """The picture, or what moves in its place, for notebooks; empty for what has none."""
+        png = self._repr_png_()
+        return f'<img src="data:image/png;base64,{base64.b64encode(png).decode()}">' if png else ""
+
     def _repr_html_(self) -> str:
         """Picture and summary, as notebooks show them."""
-        png = self._repr_png_()
-        picture = f'<img src="data:image/png;base64,{base64.b64encode(png).decode()}">' if png else ""
-        return f"{picture}<table><caption>{escaped(type(self).__name__)}</caption>{_rows(self.summary())}</table>"
+        table = f"<table><caption>{escaped(type(self).__name__)}</caption>{_rows(self.summary())}</table>"
+        return self._picture_html() + table
 
 
 def _brief(value: Any) -> str:

@@ -141,6 +141,17 @@ class Part(WrappedField):
         self._fill_and_drain(inner, skin, grid, start, stop)
         return inner, skin, outer
 
+    def within_zyx(
+        self, grid: Grid, threads: int, start: int, stop: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.bool_]]:
+        """The fields of the microstructure and of the skin as in `fields_zyx`, and which samples the domain holds."""
+        inside = self._in_domain(grid).inside(start, stop).view(np.bool_)
+        if self.skin_mm:
+            return *self.fields_zyx(grid, threads, start, stop)[:2], inside
+        inner = self.base.sample_zyx(grid, start, stop, threads)
+        self._fill_and_drain(inner, None, grid, start, stop)
+        return inner, None, inside
+
     def _fill_and_drain(
         self, inner: NDArray[np.float32], skin: NDArray[np.float32] | None, grid: Grid, start: int, stop: int
     ) -> None:
@@ -231,6 +242,10 @@ class Part(WrappedField):
         grid = Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz))
         thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
         return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
+
+    def inside_zyx(self, grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+        """Which samples of a grid lie in the domain, skin included, (stop - start, ny, nx) uint8."""
+        return self._in_domain(grid).inside(start, stop)
 
     def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
         """Warning for voxels larger than the skin is thick, which leave it open; None for smaller ones."""

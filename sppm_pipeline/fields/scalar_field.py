@@ -175,6 +175,11 @@ class ScalarField(Artifact, ABC):
             f"{wanted} or more{edge} show them"
         )
 
+    def _picture_html(self) -> str:
+        from sppm_pipeline.fields.live_view import live_frame
+
+        return live_frame(self) or super()._picture_html()
+
     def _repr_png_(self) -> bytes | None:
         from sppm_pipeline.fields.picture import notebook_png
 

@@ -13,7 +13,7 @@ from sppm_pipeline.hookspecs import Command, hookimpl
 
 
 class Distribution:
-    name = "sppm-view"
+    name = "sppm-show"
     version = "1.2.3"
 
 
@@ -31,8 +31,8 @@ def execute(args):
 def install(monkeypatch):
     """Pretend that a distribution supplies these verbs."""
 
-    def pretend(commands, name="view"):
-        module = types.ModuleType("view_plugin")
+    def pretend(commands, name="show"):
+        module = types.ModuleType("show_plugin")
 
         @hookimpl
         def sppm_commands():
@@ -53,78 +53,78 @@ def install(monkeypatch):
 
 
 def test_a_verb_of_a_plugin_has_arguments_and_help(install, capsys):
-    install({"view": Command("show a thing", configure, execute)})
-    assert main(["view", "cell", "--twice"]) == 0
+    install({"show": Command("show a thing", configure, execute)})
+    assert main(["show", "cell", "--twice"]) == 0
     assert capsys.readouterr().out == "cellcell\n"
-    assert main(["view"]) == 2
-    assert "usage: sppm view" in capsys.readouterr().err
-    assert main(["view", "--help"]) == 0
+    assert main(["show"]) == 2
+    assert "usage: sppm show" in capsys.readouterr().err
+    assert main(["show", "--help"]) == 0
     assert "Show a thing." in capsys.readouterr().out
 
 
 def test_its_functions_may_be_named_by_their_place(install, capsys, monkeypatch):
-    module = types.ModuleType("lazy_view")
+    module = types.ModuleType("lazy_show")
     module.configure, module.execute = configure, execute
-    monkeypatch.setitem(sys.modules, "lazy_view", module)
-    install({"view": Command("show a thing", "lazy_view:configure", "lazy_view:execute")})
-    assert main(["view", "cell"]) == 0
+    monkeypatch.setitem(sys.modules, "lazy_show", module)
+    install({"show": Command("show a thing", "lazy_show:configure", "lazy_show:execute")})
+    assert main(["show", "cell"]) == 0
     assert capsys.readouterr().out == "cell\n"
 
 
 def test_help_loads_no_plugin_unless_it_is_to_list_all(install, capsys):
-    install({"view": Command("show a thing", configure, execute)})
+    install({"show": Command("show a thing", configure, execute)})
     assert main(["--help"]) == 0
     assert "show a thing" not in capsys.readouterr().out
     assert main(["help", "--all"]) == 0
-    assert "  view      show a thing  [sppm-view 1.2.3 (plugin 'view')]\n" in capsys.readouterr().out
+    assert "  show      show a thing  [sppm-show 1.2.3 (plugin 'show')]\n" in capsys.readouterr().out
 
 
 def test_plugins_check_lists_verbs(install, capsys):
-    install({"view": Command("show a thing", configure, execute)})
+    install({"show": Command("show a thing", configure, execute)})
     assert main(["plugins", "--check"]) == 0
-    assert "  commands: view\n" in capsys.readouterr().out
+    assert "  commands: show\n" in capsys.readouterr().out
 
 
 def test_a_near_miss_of_a_plugin_verb_is_noticed(install, capsys):
-    install({"view": Command("show a thing", configure, execute)})
-    assert main(["veiw"]) == 2
-    assert "did you mean 'view" in capsys.readouterr().err
-    assert main(["view", "--no-plugins"]) == 2
+    install({"show": Command("show a thing", configure, execute)})
+    assert main(["shwo"]) == 2
+    assert "did you mean 'show" in capsys.readouterr().err
+    assert main(["show", "--no-plugins"]) == 2
 
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_no_plugin_takes_a_built_in_verb(install, capsys, verb):
     install({verb: Command("something else", configure, execute)})
-    assert main(["view", "x"]) == 4
+    assert main(["show", "x"]) == 4
     err = capsys.readouterr().err
-    assert f"the verb {verb!r} comes from sppm itself and from sppm-view 1.2.3 (plugin 'view')" in err
+    assert f"the verb {verb!r} comes from sppm itself and from sppm-show 1.2.3 (plugin 'show')" in err
 
 
 @pytest.mark.parametrize(
     ("command", "code", "words"),
     [
-        (Command("x", configure, lambda args: 1 / 0), 4, "the verb 'view' raised ZeroDivisionError"),
+        (Command("x", configure, lambda args: 1 / 0), 4, "the verb 'show' raised ZeroDivisionError"),
         (Command("x", configure, lambda args: None), 4, "must return an exit code, got nothing"),
         (Command("x", configure, "not_there:execute"), 4, "can't be imported: ModuleNotFoundError"),
         (Command("x", "no colon", execute), 4, "must be given as 'module:name'"),
-        (Command("x", lambda parser: parser.nope(), execute), 4, "the verb 'view' raised AttributeError"),
-        ("a string", 4, "sppm_commands must name a Command, which 'view' is not"),
+        (Command("x", lambda parser: parser.nope(), execute), 4, "the verb 'show' raised AttributeError"),
+        ("a string", 4, "sppm_commands must name a Command, which 'show' is not"),
     ],
 )
 def test_what_goes_wrong_names_the_plugin(install, capsys, command, code, words):
-    install({"view": command})
-    assert main(["view", "x"]) == code
+    install({"show": command})
+    assert main(["show", "x"]) == code
     err = capsys.readouterr().err
     assert words in err
-    assert "sppm-view 1.2.3" in err
+    assert "sppm-show 1.2.3" in err
 
 
 def test_errors_for_the_user_pass_as_they_are(install, capsys):
     def refuse(args):
         raise DesignError("too dense")
 
-    install({"view": Command("x", configure, refuse)})
-    assert main(["view", "x"]) == 3
+    install({"show": Command("x", configure, refuse)})
+    assert main(["show", "x"]) == 3
     assert capsys.readouterr().err == "sppm: too dense\n"
 
 

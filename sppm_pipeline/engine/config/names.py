@@ -12,7 +12,10 @@ from sppm_pipeline.engine.config.problems import Problems, shown
 from sppm_pipeline.errors import ConfigError, Position
 
 STAGING = ".staging-"
-RESERVED_NAMES = frozenset({"run.json", "sha256sums", "sweep.csv", "sweep.json", "runs"})
+REPORT = "report.html"
+"""What `sppm report` writes into a run directory; no part of the run, and taken away when another takes its place."""
+
+RESERVED_NAMES = frozenset({"run.json", "sha256sums", "sweep.csv", "sweep.json", "runs", REPORT})
 
 MAX_PART = 255
 """Bytes of a file's name; the limit of nearly every file system."""

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.document import RECORD_KEY
+from sppm_pipeline.engine.config.names import REPORT, collide, folded, output_parts
 from sppm_pipeline.engine.config.names import STAGING as _STAGING
-from sppm_pipeline.engine.config.names import collide, folded, output_parts
 from sppm_pipeline.engine.files import (
     DISK,
     FolderLock,
@@ -99,6 +99,7 @@ class RunFolder:
                 )
             _remove_unfinished(self.path)
             self.earlier = set(_recorded_outputs(self.path))
+            (self.path / REPORT).unlink(missing_ok=True)  # it would tell of the run before
         except OSError as error:
             self._folder_lock.release()
             raise ResourceError(

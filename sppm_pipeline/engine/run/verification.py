@@ -12,6 +12,7 @@ from typing import Any
 
 from sppm_pipeline.engine.cache.identity import arithmetic
 from sppm_pipeline.engine.config.document import RECORD_KEY
+from sppm_pipeline.engine.config.names import REPORT
 from sppm_pipeline.engine.files import digest_of, files_in, tree_digest
 from sppm_pipeline.engine.run.outputs import RECORD, SUMS, SWEEP_RUNS
 from sppm_pipeline.engine.run.record import versions
@@ -138,7 +139,7 @@ def _verify(path: Path, prefix: str, pool: ThreadPoolExecutor, seal: str | None)
                 found.append(Finding(prefix + name, "changed", "its files are not those that were written"))
     found += _compare(path, prefix, wanted, pool)
     runs = record.get("runs", [])
-    known = {RECORD, SUMS, *wanted} | {name for name in record.get("earlier", ()) if record["status"] != "done"}
+    known = {RECORD, SUMS, REPORT, *wanted} | {name for name in record.get("earlier", ()) if record["status"] != "done"}
     files = len(wanted) + 2
     for run in runs:
         place = f"{SWEEP_RUNS}/{run['run']}"

@@ -1,0 +1,178 @@
+"""What a browser needs to show a field live: the kernels of a cell, which it sums itself, or samples of eight bits."""
+
+from __future__ import annotations
+
+import html
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.live.data import encode_view
+from sppm_pipeline.live.page import live_page
+from sppm_pipeline.numerics.assembly.contents import lone_periodic_cell, site_pieces, sites_between
+from sppm_pipeline.numerics.grid import Grid, cell_centers
+from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated
+from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
+
+SAMPLES = 3_500_000
+"""Samples of a field that is not summed in the browser; packed they take one to two megabytes."""
+
+DEPTH = 3.0
+"""Sums are kept up to so many levels C: beyond, a byte would be too coarse a step."""
+
+SUMMED = 64
+"""Samples along a cell edge at which the browser sums kernels; a choice, for a third of a second."""
+
+MAX_FRAME_KERNELS = 600
+"""Kernels of a live view in a notebook, which then takes 60 kB at most."""
+
+MAX_KERNELS = 40_000
+"""Kernels of a tile set that are handed to the browser."""
+
+
+def view_of(what: ScalarField | TileSet, *, samples: int = SAMPLES, threads: int = 1) -> bytes:
+    """The view file of a field or tile set.
+
+    A periodic cell, and the tiles of a set, are handed over as kernels: pore and tunnel radii can then be changed in
+    the browser. Any other field is sampled.
+
+    Parameters
+    ----------
+    what : ScalarField or TileSet
+    samples : int
+        At most so many samples, as far as the field fills its box.
+    threads : int
+    """
+    tiles = _tiles(what)
+    if tiles and sum(len(tile.omega) + len(tile.mu) for tile in tiles) <= MAX_KERNELS:
+        return _kernel_view(what, tiles, threads)
+    return _sampled_view(what.micro.alone(0, (0, 0, 0)) if isinstance(what, TileSet) else what, samples, threads)
+
+
+def live_frame(what: ScalarField | TileSet) -> str:
+    """The live view as a frame for notebooks; empty for what is too large for one, or has to be sampled."""
+    tiles = _tiles(what)
+    if not tiles or sum(len(tile.omega) + len(tile.mu) for tile in tiles) > MAX_FRAME_KERNELS:
+        return ""
+    page = html.escape(live_page(_kernel_view(what, tiles, 1)))
+    return f'<iframe sandbox="allow-scripts" srcdoc="{page}" width="640" height="510" style="border:0"></iframe>'
+
+
+def _tiles(what: ScalarField | TileSet) -> list[Kernels]:
+    """The kernels of each tile among copies of itself, shared faces once; none of what is no sum of its own."""
+    micro = what.micro if isinstance(what, TileSet) else what
+    if not isinstance(micro, Microstructure) or not micro.additive:
+        return []
+    if not isinstance(what, TileSet) and (micro.interiors > 1 or max(micro.colors) > 1):
+        return []
+    combinations = what.combinations() if isinstance(what, TileSet) else None
+    made = []
+    for tile in range(micro.interiors):
+        colors = (0, 0, 0) if combinations is None else tuple(int(v) for v in combinations[tile][1::2])
+        x, y, z = micro.face_ids((colors[0], colors[1], colors[2]))
+        site = sites_between(lone_periodic_cell(tile, (x, y, z)), np.zeros(3, np.int64), np.ones(3, np.int64))
+        numbers = site_pieces(micro.pieces.numbers, site).reshape(-1)
+        made.append(concatenated([micro.pieces[int(number)] for number in numbers if number >= 0]))
+    return made
+
+
+def _kernel_view(what: ScalarField | TileSet, tiles: list[Kernels], threads: int) -> bytes:
+    micro = what.micro if isinstance(what, TileSet) else what
+    assert isinstance(micro, Microstructure)
+    pores = [np.column_stack([tile.centers, tile.omega]).astype(np.float32) for tile in tiles]
+    tunnels = [np.column_stack([tile.starts, tile.ends, tile.mu]).astype(np.float32) for tile in tiles]
+    profile = TUNNEL_PROFILES[micro.pieces.kernels.profile]
+    porosity = list(what.porosity) if isinstance(what, TileSet) else []
+    if not isinstance(what, TileSet):
+        porosity = [1 - float(micro.solid(SUMMED, threads).mean())]
+    edge = micro.edge_mm
+    head: dict[str, Any] = {
+        "kind": "kernels", "title": type(what).__name__, "n": SUMMED, "cells": [1, 1, 1], "edge_mm": edge,
+        "unit": "cell" if edge is None else "mm", "size": [edge or 1.0] * 3, "origin": [0.0, 0.0, 0.0],
+        "level": micro.level, "top": DEPTH * micro.level, "base": 0.0, "level_name": "level C", "domain": False,
+        "periodic": True, "power": profile.power, "cutoff": CUTOFF,
+        "pores": [len(p) for p in pores], "tunnels": [len(t) for t in tunnels],
+        "porosity": porosity[0] if len(porosity) == 1 else None, "tile_porosity": porosity,
+    }  # fmt: skip
+    return encode_view(head, {"pores": np.concatenate(pores), "tunnels": np.concatenate(tunnels)})
+
+
+def _sampled_view(field: ScalarField, samples: int, threads: int) -> bytes:
+    """G / (3 C), or a field without a level about its zero, and the distance from the domain in samples; both bytes."""
+    grid = _view_grid(field, samples)
+    inner, outer, level, top = _sampled(field, grid, threads)
+    base = 0.0 if level else -top
+    edge = field.edge_mm or 1.0
+    low, extent = (np.array(v, float) for v in (grid.origin, grid.spacing))
+    step = edge * extent
+    head: dict[str, Any] = {
+        "kind": "grid", "title": type(field).__name__, "shape": list(grid.shape), "cells": list(field.cells),
+        "edge_mm": field.edge_mm, "unit": "cell" if field.edge_mm is None else "mm",
+        "size": (step * grid.shape).tolist(), "origin": (np.array(field.origin_mm) + edge * low - step / 2).tolist(),
+        "level": level, "top": top - base, "base": base, "level_name": "level C" if level else "offset",
+        "domain": outer is not None, "periodic": field.periodic and outer is None, "per_cell": 1 / grid.spacing[0],
+    }  # fmt: skip
+    inside = np.ones(inner.shape, np.float32) if outer is None else np.clip(0.5 - outer, 0, 1)
+    whole = float(inside.sum(dtype=np.float64))
+    # samples of the border count by how much of them lies inside
+    head["porosity"] = float((inside * (inner >= level)).sum(dtype=np.float64)) / whole if whole else None
+    if outer is not None:
+        area = inside.sum(axis=(1, 2), dtype=np.float64) * step[0] * step[1]
+        head |= {"inside_mm2": area.tolist(), "z_mm": [field.origin_mm[2] + edge * low[2], step[2]]}
+    arrays = {"field": _bytes((inner - base) / (top - base))}
+    if outer is not None:
+        from scipy.ndimage import binary_dilation
+
+        near = binary_dilation(outer < 0.999, np.ones((3, 3, 3), bool))
+        arrays["field"][~near] = 0  # nothing is seen of it, and equal bytes take no room
+        # six bits place a rim within 1/32 of a sample, and take three quarters of the room of eight
+        arrays["domain"] = np.minimum(4 * np.rint(64 * np.clip(0.5 + outer / 2, 0, 1)), 255).astype(np.uint8)
+    return encode_view(head, arrays)
+
+
+def _view_grid(field: ScalarField, samples: int) -> Grid:
+    """Cubic samples, a whole number along a cell edge where there are enough; a part with a margin of one."""
+    low, high = np.zeros(3), np.array(field.cells, float)
+    if isinstance(field, Part):
+        edge = field.physical_edge()
+        low = (field.domain.lower - field.origin_mm) / edge
+        high = (field.domain.upper - field.origin_mm) / edge
+    n = (samples / float((high - low).prod())) ** (1 / 3)
+    n = float(math.floor(n)) if n >= 4 else n
+    if not isinstance(field, Part) and n >= 4:
+        return cell_centers(int(n), field.cells)
+    first = np.floor(low * n + 1e-6).astype(int) - 1
+    nx, ny, nz = (int(v) for v in np.ceil(high * n - 1e-6).astype(int) + 2 - first)
+    x, y, z = (float(v) / n for v in first)
+    return Grid((x, y, z), (1 / n,) * 3, (nx, ny, nz))
+
+
+def _sampled(
+    field: ScalarField, grid: Grid, threads: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, float, float]:
+    """Samples (nz, ny, nx), distance from the domain in samples or None, the level, and the largest value kept."""
+    outer = None
+    if isinstance(field, Part):
+        inner, outer = field.apart_zyx(grid, threads)
+        outer /= np.float32(grid.spacing[0])
+        source = field.base
+    else:
+        inner, source = field.sample_zyx(grid, 0, grid.shape[2], threads), field
+    level = source.sum_level
+    if level is not None:
+        inner = inner + np.float32(level)
+        return inner, outer, level, DEPTH * level
+    # a field of another kind has no natural end; what is far from its zero on nearly all samples need not be told apart
+    near = np.abs(inner if outer is None else inner[outer < 0.999])
+    return inner, outer, 0.0, float(np.quantile(near, 0.98)) or 1.0
+
+
+def _bytes(values: NDArray[Any]) -> NDArray[np.uint8]:
+    found: NDArray[np.uint8] = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
+    return found

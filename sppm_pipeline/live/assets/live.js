@@ -1,0 +1,148 @@
+// The live view of a page: its controls, the porosity they give, and the plane that it shares with the layers.
+async function startLive(bytes) {
+  const live = byId("live"), canvas = byId("live-canvas"), still = byId("still");
+  let view;
+  try {
+    view = new View(canvas);
+  } catch (error) {
+    byId("live-note").hidden = false;
+    return;
+  }
+  const { head, arrays } = await readView(bytes);
+  const kernels = head.kind === "kernels", slider = (name) => byId(`live-${name}`);
+  const state = { tile: 0, pore: 1, tunnel: 1 };
+  const design = (head.level - head.base) / head.top;
+  let porosity;
+
+  const part = (array, counts, width) => {
+    const first = counts.slice(0, state.tile).reduce((a, b) => a + b, 0);
+    return array.subarray(width * first, width * (first + counts[state.tile]));
+  };
+
+  function fill(n) {
+    if (kernels) {
+      const sums = sumKernels(head, part(arrays.pores, head.pores, 4), part(arrays.tunnels, head.tunnels, 7), n, state.pore, state.tunnel);
+      const field = sumBytes(sums, head.top);
+      view.load(field, null, [n, n, n], [1, 1, 1], true);
+      porosity = new Porosity(field, null);
+    } else {
+      const largest = Math.max(...head.size);
+      view.load(arrays.field, arrays.domain || null, head.shape, head.size.map((s) => s / largest), head.periodic);
+      porosity = new Porosity(arrays.field, arrays.domain || null);
+    }
+  }
+
+  function said() {
+    const recorded = kernels ? head.tile_porosity[state.tile] ?? null : head.porosity;
+    const asDesigned = Math.abs(view.level - design) < 1e-6 && state.pore === 1 && state.tunnel === 1;
+    const value = asDesigned && recorded !== null ? recorded : porosity.at(view.level);
+    const level = head.base + view.level * head.top;
+    slider("readout").textContent = `porosity ${(100 * value).toFixed(2)} %, ${head.level_name} ${level.toPrecision(4)}`;
+    slider("readout").dataset.porosity = String(value);
+  }
+
+  function cutSaid() {
+    const { axis, at } = view.cut, z = head.origin[axis] + at * head.size[axis] * (kernels ? view.repeat : 1);
+    slider("cut-readout").textContent = at < 1 ? `${"xyz"[axis]} ${z.toPrecision(4)} ${head.unit === "mm" ? "mm" : "cells"}` : "no cut";
+    canvas.dataset.cut = at < 1 ? String(z) : "";
+    return z;
+  }
+
+  const settle = (full) => { fill(full ? head.n : Math.min(head.n, 40)); said(); view.changed(); };
+  const on = (name, event, act) => slider(name) && slider(name).addEventListener(event, act);
+
+  fill(head.n);
+  view.level = design;
+  slider("level").value = String(design);
+  // a picture is shown as large as its place, the still picture's if there is one
+  const room = (live.parentElement.clientWidth || 800), ratio = Math.min(1.5, window.devicePixelRatio || 1);
+  canvas.width = Math.round(Math.min(room, 1000) * ratio);
+  canvas.height = Math.round(canvas.width * (room < 500 ? 0.9 : 0.64));
+  view.fit();
+
+  on("level", "input", (event) => { view.level = +event.target.value; said(); view.changed(); });
+  on("design", "click", () => {
+    Object.assign(state, { pore: 1, tunnel: 1 });
+    for (const name of ["pore", "tunnel"]) if (slider(name)) slider(name).value = "1";
+    view.level = design;
+    slider("level").value = String(design);
+    if (kernels) fill(head.n);
+    said();
+    view.changed();
+  });
+  for (const name of ["pore", "tunnel"]) {
+    on(name, "input", (event) => { state[name] = +event.target.value; settle(false); });
+    on(name, "change", () => settle(true));
+  }
+  on("tile", "change", (event) => { state.tile = +event.target.value; settle(true); });
+  on("repeat", "change", (event) => { view.repeat = +event.target.value; view.fit(); cutSaid(); view.changed(); });
+  const cut = () => {
+    view.cut = { axis: +slider("axis").value, at: +slider("cut").value };
+    const place = cutSaid();
+    if (view.cut.axis === 2) document.dispatchEvent(new CustomEvent("sppm-height", { detail: place }));
+    view.changed();
+  };
+  on("cut", "input", cut);
+  on("axis", "change", cut);
+  on("reset", "click", () => { view.camera.reset(); view.fit(); view.changed(); });
+  document.addEventListener("sppm-cut", (event) => {
+    const at = Math.max(0.001, Math.min(1, (event.detail - head.origin[2]) / head.size[2]));
+    view.cut = { axis: 2, at };
+    slider("axis").value = "2";
+    slider("cut").value = String(at);
+    cutSaid();
+    view.changed();
+  });
+
+  const fingers = new Map();
+  canvas.addEventListener("pointerdown", (event) => {
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    canvas.setPointerCapture(event.pointerId);
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    const last = fingers.get(event.pointerId);
+    if (!last) return;
+    const dx = event.clientX - last[0], dy = event.clientY - last[1], height = canvas.clientHeight;
+    if (fingers.size === 2) {
+      const [other] = [...fingers].filter(([id]) => id !== event.pointerId).map(([, place]) => place);
+      const far = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
+      zoom(far([event.clientX, event.clientY]) / Math.max(1, far(last)));
+    } else if (event.shiftKey || event.buttons === 2) {
+      view.camera.shift = [view.camera.shift[0] - dx / height, view.camera.shift[1] + dy / height];
+    } else {
+      view.camera.turn(dx * 0.4, dy * 0.4);
+    }
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    view.changed();
+  });
+  for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (event) => fingers.delete(event.pointerId));
+  const zoom = (factor) => { view.camera.zoom = Math.max(0.3, Math.min(30, view.camera.zoom * factor)); view.changed(); };
+  canvas.addEventListener("wheel", (event) => { if (event.ctrlKey || document.activeElement === canvas) { event.preventDefault(); zoom(Math.exp(-event.deltaY / 600)); } }, { passive: false });
+  canvas.addEventListener("keydown", (event) => {
+    const turns = { ArrowLeft: [-8, 0], ArrowRight: [8, 0], ArrowUp: [0, -8], ArrowDown: [0, 8] }[event.key];
+    if (turns) view.camera.turn(-turns[0], -turns[1]);
+    else if (event.key === "+" || event.key === "-") zoom(event.key === "+" ? 1.2 : 1 / 1.2);
+    else return;
+    event.preventDefault();
+    view.changed();
+  });
+  canvas.addEventListener("webglcontextlost", (event) => {
+    event.preventDefault();
+    live.hidden = true;
+    if (still) still.hidden = false;
+    byId("live-note").hidden = false;
+  });
+
+  view.onframe = (ms) => {
+    Object.assign(canvas.dataset, { passes: String(view.passes), most: String(view.most), scale: String(view.scale), ms: String(Math.round(ms)) });
+    if (live.hidden) {
+      live.hidden = false;
+      if (still) still.hidden = true;
+    }
+  };
+  said();
+  cutSaid();
+  view.changed();
+}
+
+if (byId("data-view")) startLive(bytesOf("data-view"));

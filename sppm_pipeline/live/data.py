@@ -1,0 +1,79 @@
+"""View files: a line of JSON and packed arrays, which ``write.view`` writes and the live view reads.
+
+``sppmview 1``, a line end, one line of JSON, a line end, and the blobs one after the other. The head's `blobs` lists
+name, bytes, type (``u8`` or ``f32``), count of numbers and whether the bytes are differences to the one before. Each
+blob is gzip without name and time, so that equal data are equal files.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import InputError
+
+MAGIC = b"sppmview 1\n"
+SUFFIX = ".view"
+MAX_HEAD = 2**22
+"""Bytes of a head that are read."""
+
+_TYPES: dict[str, np.dtype[Any]] = {"u8": np.dtype("uint8"), "f32": np.dtype("<f4")}
+
+
+def encode_view(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """A view file.
+
+    Parameters
+    ----------
+    head : mapping
+        JSON-ready.
+    arrays : mapping of name to uint8 or float32 array
+        Bytes are packed as differences along the last axis, which a smooth field makes small.
+    """
+    blobs, listed = [], []
+    for name, array in arrays.items():
+        kind = "u8" if array.dtype == np.uint8 else "f32"
+        flat = np.ascontiguousarray(array, _TYPES[kind]).reshape(-1)
+        delta = kind == "u8"
+        data = np.diff(flat, prepend=flat.dtype.type(0)).tobytes() if delta else flat.tobytes()
+        blobs.append(gzip.compress(data, compresslevel=9, mtime=0))
+        listed.append({"name": name, "bytes": len(blobs[-1]), "type": kind, "count": flat.size, "delta": delta})
+    text = json.dumps({**head, "blobs": listed}, separators=(",", ":"), allow_nan=False)
+    return b"".join([MAGIC, text.encode(), b"\n", *blobs])
+
+
+def head_of(data: bytes) -> dict[str, Any]:
+    """The head of a view file.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    end = data.find(b"\n", len(MAGIC), len(MAGIC) + MAX_HEAD)
+    try:
+        if not data.startswith(MAGIC) or end < 0:
+            raise ValueError("it does not begin as one")
+        head = json.loads(data[len(MAGIC) : end])
+        if not isinstance(head, dict) or sum(blob["bytes"] for blob in head["blobs"]) != len(data) - end - 1:
+            raise ValueError("its blobs are not as long as it says")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(f"this is no view file: {error}", hint="write one with `write.view`") from error
+    return head
+
+
+def arrays_of(data: bytes) -> dict[str, NDArray[Any]]:
+    """The arrays of a view file of one's own, flat; see `encode_view`."""
+    head = head_of(data)
+    place = data.find(b"\n", len(MAGIC)) + 1
+    found = {}
+    for blob in head["blobs"]:
+        flat = np.frombuffer(gzip.decompress(data[place : place + blob["bytes"]]), _TYPES[blob["type"]])
+        found[blob["name"]] = np.cumsum(flat, dtype=np.uint8) if blob["delta"] else flat
+        place += blob["bytes"]
+    return found

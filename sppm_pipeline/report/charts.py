@@ -1,0 +1,166 @@
+"""Small charts as SVG, drawn by the page's own colors: curves over a number, and moduli over directions.
+
+`render.charts` draws the charts of results with matplotlib; those of a report need no more than axes, ticks and
+polylines, follow the dark scheme, and must not make a report depend on an optional library.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+WIDTH, HEIGHT = 560, 250
+LEFT, RIGHT, TOP, BOTTOM = 62, 14, 14, 44
+
+
+class Curve(NamedTuple):
+    """A curve or, if `points`, a cloud; the page's style gives series 0, 1, 2 their colors and dashes.
+
+    Attributes
+    ----------
+    x, y : (n,) float
+        What is not finite interrupts a curve.
+    label : str
+    points : bool
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    label: str = ""
+    points: bool = False
+
+
+def ticks(low: float, high: float, about: int = 5) -> list[float]:
+    """Round numbers from `low` to `high`: multiples of 1, 2 or 5 times a power of ten."""
+    step = (high - low) / about
+    power = 10.0 ** math.floor(math.log10(step))
+    step = min((m * power for m in (1, 2, 5, 10) if m * power >= step), default=10 * power)
+    first = math.ceil(low / step - 1e-9)
+    return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
+
+
+def line_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, id_: str = "") -> str:
+    """Curves over one number as an ``<svg>``; empty if there is nothing to draw.
+
+    The element states its axes in ``data-`` attributes, by which the page's script finds what was clicked on.
+    """
+    data = [(np.asarray(c.x, np.float64), np.asarray(c.y, np.float64)) for c in curves]
+    known = [np.isfinite(x) & np.isfinite(y) for x, y in data]
+    if not any(k.any() for k in known):
+        return ""
+    xs, ys = (np.concatenate([pair[i][k] for pair, k in zip(data, known, strict=True)]) for i in range(2))
+    (x0, x1), (y0, y1) = _range(xs), _range(ys)
+    right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
+
+    def across(x: Any) -> Any:
+        return LEFT + (x - x0) / (x1 - x0) * (right - LEFT)
+
+    def down(y: Any) -> Any:
+        return bottom - (y - y0) / (y1 - y0) * (bottom - TOP)
+
+    parts = []
+    for tick in ticks(x0, x1, 6):
+        parts.append(f'<path class="grid" d="M{across(tick):.1f} {TOP}V{bottom}"/>')
+        parts.append(f'<text x="{across(tick):.1f}" y="{bottom + 15}" text-anchor="middle">{tick:.5g}</text>')
+    for tick in ticks(y0, y1, 4):
+        parts.append(f'<path class="grid" d="M{LEFT} {down(tick):.1f}H{right}"/>')
+        parts.append(f'<text x="{LEFT - 6}" y="{down(tick) + 4:.1f}" text-anchor="end">{tick:.5g}</text>')
+    for number, ((x, y), curve) in enumerate(zip(data, curves, strict=True)):
+        if curve.points:
+            ok = known[number]
+            dots = zip(across(x[ok]).tolist(), down(y[ok]).tolist(), strict=True)
+            parts += [f'<circle class="s{number % 4}" cx="{a:.1f}" cy="{b:.1f}" r="2.6"/>' for a, b in dots]
+        else:
+            parts.append(f'<path class="s{number % 4}" d="{_path(across(x), down(y))}"/>')
+    parts.append(f'<path class="axis" d="M{LEFT} {TOP}V{bottom}H{right}"/>')
+    parts.append(f'<text x="{(LEFT + right) / 2}" y="{HEIGHT - 8}" text-anchor="middle">{html.escape(x_label)}</text>')
+    middle = (TOP + bottom) / 2
+    parts.append(
+        f'<text x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">'
+        f"{html.escape(y_label)}</text>"
+    )
+    parts += _legend([curve.label for curve in curves], LEFT + 12, TOP + 8)
+    where = f'id="{id_}" data-x0="{x0:.9g}" data-x1="{x1:.9g}" data-left="{LEFT}" data-right="{right}"' if id_ else ""
+    name = html.escape(f"{y_label} over {x_label}", quote=True)
+    return (
+        f'<svg class="chart" {where} viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{name}">'
+        f"{''.join(parts)}</svg>"
+    )
+
+
+def _range(values: NDArray[np.float64]) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    pad = 0.04 * (high - low) or 0.05 * abs(high) or 1.0
+    return (low if low == 0 else low - pad), high + pad
+
+
+def _path(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
+    """Path data; NaN interrupts it."""
+    words, pen = [], False
+    for a, b in zip(x.tolist(), y.tolist(), strict=True):
+        if math.isfinite(a) and math.isfinite(b):
+            words.append(f"{'L' if pen else 'M'}{a:.1f} {b:.1f}")
+            pen = True
+        else:
+            pen = False
+    return "".join(words)
+
+
+def _legend(labels: Sequence[str], x: float, y: float) -> list[str]:
+    parts = []
+    for number, label in enumerate(labels):
+        if label and len(labels) > 1:
+            at = y + 15 * number
+            parts.append(f'<path class="s{number % 4}" d="M{x} {at}h20"/>')
+            parts.append(f'<text x="{x + 26}" y="{at + 4}">{html.escape(label)}</text>')
+    return parts
+
+
+def modulus_chart(stiffness: ArrayLike, unit: str) -> str:
+    """Young's modulus over the directions of the planes xy, yz and zx, as a polar ``<svg>``; empty if it has none.
+
+    Parameters
+    ----------
+    stiffness : (6, 6) float
+        In Voigt's notation, order xx, yy, zz, yz, xz, xy.
+    unit : str
+        Unit of the stiffness; "relative" for that of the solid.
+    """
+    c = np.asarray(stiffness, np.float64)
+    if c.shape != (6, 6) or not np.isfinite(c).all() or np.linalg.cond(c) > 1e12:
+        return ""
+    s = np.linalg.inv(c)
+    turn = np.linspace(0, 2 * np.pi, 181)
+    curves = []
+    for label, (a, b) in (("xy plane", (0, 1)), ("yz plane", (1, 2)), ("zx plane", (2, 0))):
+        n = np.zeros((3, len(turn)))
+        n[a], n[b] = np.cos(turn), np.sin(turn)
+        v = np.stack([n[0] ** 2, n[1] ** 2, n[2] ** 2, n[1] * n[2], n[0] * n[2], n[0] * n[1]])
+        curves.append((label, 1 / np.einsum("ik,ij,jk->k", v, s, v)))
+    largest = max(float(e.max()) for _, e in curves)
+    if not 0 < largest < math.inf:
+        return ""
+    size, middle, radius = 320, 160.0, 118.0
+    parts = []
+    for value in ticks(0, largest, 3)[1:]:
+        r = radius * value / largest
+        parts.append(f'<circle class="ring" cx="{middle}" cy="{middle}" r="{r:.1f}"/>')
+        parts.append(f'<text x="{middle + 3}" y="{middle - r - 3:.1f}">{value:.4g}</text>')
+    parts.append(
+        f'<path class="grid" d="M{middle - radius} {middle}h{2 * radius}M{middle} {middle - radius}v{2 * radius}"/>'
+    )
+    for number, (_, e) in enumerate(curves):
+        r = radius * e / largest
+        parts.append(f'<path class="s{number}" d="{_path(middle + r * np.cos(turn), middle - r * np.sin(turn))}"/>')
+    parts += _legend([label for label, _ in curves], 8, 12)
+    words = "Young's modulus over direction" + (f", {unit}" if unit else "")
+    parts.append(f'<text x="{middle}" y="{size - 8}" text-anchor="middle">{html.escape(words)}</text>')
+    return (
+        f'<svg class="chart polar" viewBox="0 0 {size} {size}" role="img" aria-label="{html.escape(words)}">'
+        f"{''.join(parts)}</svg>"
+    )

@@ -1,0 +1,209 @@
+"""What a report shows of the files of a run: its layers, as they are printed, and its pictures."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.engine.config.names import output_parts
+from sppm_pipeline.errors import SppmError
+
+MAX_LAYERS = 1500
+"""Layers in a report; of more, every k-th is shown."""
+
+MAX_PIXELS = 1024
+"""Pixels along the longer side of a layer in a report; larger layers are reduced."""
+
+PICTURE_PIXELS = 1000
+"""Pixels along the longer side of a picture in a report."""
+
+MAX_PICTURES = 24
+MAX_OPENED = 2**26
+"""Pixels of a picture that is opened: a choice, for a quarter of a gigabyte."""
+
+
+class Layers(NamedTuple):
+    """The layers of a run, as PNG files one after the other.
+
+    Attributes
+    ----------
+    folder : str
+    total : int
+        Of the run; the report may hold fewer.
+    numbers : list of int
+        Which layers these are.
+    files : list of bytes
+    size : (width, height) in pixels, as printed
+    reduced : int
+        Pixels of a layer along one of the pictures here; 1 if these are the files themselves.
+    pixel_mm : (x, y)
+    layer_mm : float
+    origin_mm : (x, y, z)
+    solid_mm2 : (n,) float64
+        Solid area of each of these layers.
+    """
+
+    folder: str
+    total: int
+    numbers: list[int]
+    files: list[bytes]
+    size: tuple[int, int]
+    reduced: int
+    pixel_mm: tuple[float, float]
+    layer_mm: float
+    origin_mm: tuple[float, float, float]
+    solid_mm2: NDArray[np.float64]
+
+    def head(self) -> dict[str, Any]:
+        """What the page's script needs to know beside the bytes."""
+        ends = np.cumsum([0, *(len(data) for data in self.files)]).tolist()
+        return {
+            "count": self.total, "numbers": self.numbers, "ends": ends, "size": list(self.size),
+            "reduced": self.reduced, "pixel_mm": list(self.pixel_mm), "layer_mm": self.layer_mm,
+            "origin_mm": list(self.origin_mm),
+        }  # fmt: skip
+
+
+def layers_of(path: Path, outputs: Sequence[Mapping[str, Any]], budget: int) -> Layers | None:
+    """The layers that a run has written as a folder of PNG files; None if there is none that can be read.
+
+    Parameters
+    ----------
+    path : Path
+        The run directory.
+    outputs : sequence of mapping
+        Outputs of the run as the record holds them.
+    budget : int
+        Bytes that the layers may take.
+    """
+    for output in outputs:
+        folder = path / str(output.get("path"))
+        if "files" not in output or not (folder / "manifest.json").is_file():
+            continue
+        try:
+            manifest = json.loads((folder / "manifest.json").read_bytes())
+            return _read(folder, str(output["path"]), manifest, budget)
+        except (OSError, ValueError, KeyError, TypeError, SyntaxError):  # Pillow raises the last for broken files
+            continue
+    return None
+
+
+def _read(folder: Path, name: str, manifest: Mapping[str, Any], budget: int) -> Layers | None:
+    count, first = int(manifest["layers"]), str(manifest["first_file"])
+    digits, suffix = len(Path(first).stem), Path(first).suffix
+    if suffix != ".png" or count < 1:
+        return None
+    size = int(manifest["width_px"]), int(manifest["height_px"])
+    reduced = -(-max(size) // MAX_PIXELS)
+    step = -(-count // (MAX_LAYERS if reduced == 1 else MAX_LAYERS // 6))
+    numbers = list(range(0, count, step))
+    paths = [folder / f"{number:0{digits}d}{suffix}" for number in numbers]
+    if reduced == 1:
+        while len(paths) > 1 and sum(p.stat().st_size for p in paths) > budget:
+            step += 1
+            numbers = list(range(0, count, step))
+            paths = [folder / f"{number:0{digits}d}{suffix}" for number in numbers]
+    read = [_layer(p, reduced) for p in paths]
+    while len(read) > 1 and sum(len(data) for data, _ in read) > budget:
+        read, numbers = read[::2], numbers[::2]
+    px, py = (float(v) for v in manifest["pixel_mm"])
+    x, y, z = (float(v) for v in manifest["origin_mm"])
+    area = size[0] * px * size[1] * py
+    solid = np.array([share * area for _, share in read])
+    files = [data for data, _ in read]
+    return Layers(name, count, numbers, files, size, reduced, (px, py), float(manifest["layer_mm"]), (x, y, z), solid)
+
+
+def _layer(path: Path, reduced: int) -> tuple[bytes, float]:
+    """A layer as PNG, and its solid share."""
+    from PIL import Image
+
+    data = path.read_bytes()
+    with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+        if image.width * image.height > MAX_OPENED:
+            raise ValueError("too large a layer")
+        gray = image.convert("L")
+    share = float(np.asarray(gray).mean() / 255)
+    if reduced == 1:
+        return data, share
+    small = io.BytesIO()
+    gray.reduce(reduced).save(small, "PNG", optimize=True)
+    return small.getvalue(), share
+
+
+class Picture(NamedTuple):
+    """A picture for a page: name of the file, address of its data, pixels, and whether it is the file itself."""
+
+    name: str
+    source: str
+    width: int
+    height: int
+    whole: bool
+
+
+def pictures_of(
+    path: Path, outputs: Sequence[Mapping[str, Any]], budget: int, pixels: int = PICTURE_PIXELS
+) -> list[Picture]:
+    """The pictures and charts that a run has written, in their order; small files as they are, others reduced.
+
+    SVG files are shown by ``<img>``, in which no browser runs scripts or fetches anything.
+    """
+    found: list[Picture] = []
+    for output in outputs:
+        name = str(output.get("path"))
+        file, suffix = path / name, Path(name).suffix.lower()
+        if suffix not in (".png", ".svg") or "files" in output or len(found) >= MAX_PICTURES:
+            continue
+        try:
+            made = _picture(name, file.read_bytes(), suffix, budget // 3, pixels)
+        except (OSError, ValueError, SyntaxError):
+            continue
+        if made is not None and len(made.source) * 3 // 4 <= budget:
+            budget -= len(made.source) * 3 // 4
+            found.append(made)
+    return found
+
+
+def _picture(name: str, data: bytes, suffix: str, most: int, pixels: int) -> Picture | None:
+    from PIL import Image
+
+    if suffix == ".svg":
+        return Picture(name, data_uri("image/svg+xml", data), 560, 400, True) if len(data) <= most else None
+    with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+        if image.width * image.height > MAX_OPENED:
+            return None
+        width, height = image.size
+        if len(data) <= most // 2:
+            return Picture(name, data_uri("image/png", data), width, height, True)
+        small = image.convert("RGB")
+    small.thumbnail((pixels, pixels))
+    packed = io.BytesIO()
+    small.save(packed, "JPEG", quality=86)
+    return Picture(name, data_uri("image/jpeg", packed.getvalue()), *small.size, False)
+
+
+def data_uri(kind: str, data: bytes) -> str:
+    """Data as an address that holds them."""
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def outputs_of(path: Path, stages: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The outputs of the stages of a record that lie in its run directory, whatever the record says."""
+    home = path.resolve()
+    found = []
+    for stage in stages:
+        for output in stage.get("outputs", ()):
+            try:
+                place = path.joinpath(*output_parts(output["path"])).resolve()
+            except (SppmError, OSError, ValueError, TypeError, KeyError):
+                continue
+            if place.is_relative_to(home):
+                found.append(output)
+    return found

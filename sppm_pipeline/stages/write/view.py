@@ -1,0 +1,44 @@
+"""``write.view``: what a browser needs to show a structure live."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
+from sppm_pipeline.families import options
+from sppm_pipeline.fields.live_view import SAMPLES, view_of
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.live.data import head_of
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteView(Stage):
+    """Write the live view that ``sppm report`` shows: a cell or tile set by its kernels, other fields by samples.
+
+    Without this stage a report takes the last field of the run from the cache, if it is still there.
+    """
+
+    name: ClassVar[str] = "write.view"
+    advice: ClassVar[str] = "ask for fewer `grid_samples`"
+
+    path: str = options.write_path("part.view", suffixes=(".view",))
+    grid_samples: int = option(
+        SAMPLES, help="samples of a field that the browser does not sum itself", minimum=1000, maximum=64_000_000
+    )
+
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        share = self.grid_samples / max(1.0, field.body.samples(1.0))
+        return field.grid(max(1.0, share ** (1 / 3)))
+
+    def run(self, context: Context, field: ScalarField | TileSet) -> None:
+        """Write the file."""
+        data = view_of(field, samples=self.grid_samples, threads=context.threads)
+        context.output(self.path).write_bytes(data)
+        head = head_of(data)
+        context.report(bytes=len(data), kind=head["kind"])
+        if head["porosity"] is not None:
+            context.report(porosity=head["porosity"])
