@@ -149,6 +149,15 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         {**SIZES, "r": (16, 24, 32, 64), "p": (300, 300, 600, 900)},
     ),
+    "flow": (
+        "pipeline:" + CELL + """
+  - {stage: homogenize.permeability, resolution: $r}
+  - {stage: write.flow, image_size: [$p, $p]}
+  - {stage: homogenize.acoustics, resolution: $r, cell: 5 mm}
+  - {stage: write.absorption}
+""",
+        {**SIZES, "r": (16, 16, 24, 40), "p": (300, 300, 600, 900)},
+    ),
     "tuning": (
         "recipes:\n  cell:" + CELL + """pipeline:
   - {stage: tune.porosity, recipe: cell, target: 0.55, resolution: $r}
@@ -219,6 +228,19 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
          "v": (100_000, 100_000, 1_000_000, 3_500_000),
          "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.08 mm")},
     ),
+    "repairs": (
+        TILES + """
+  - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
+  - {stage: read.primitive, shape: box, size: [$k mm, $k mm, $h mm]}
+  - {stage: tile.wang_3color, cell: 4 mm}
+  - {stage: fill.implicit, skin: 0.6 mm}
+  - {stage: fix.drains, most: 3}
+  - {stage: fix.fill, voxel: $pixel}
+  - {stage: tune.orientation}
+""",
+        {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "h": (6, 6, 20, 12),
+         "pixel": ("0.2 mm", "0.2 mm", "0.15 mm", "0.1 mm")},
+    ),
     "booleans": (
         TILES + """
   - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
@@ -229,6 +251,14 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: fill.combine, operation: difference, from: {mesh: fill.boolean, tool: tool}}
 """,
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 12), "f": (32, 32, 64, 64), "r": (12, 16, 32, 48)},
+    ),
+    "curves": (
+        """pipeline:
+  - {stage: read.compression, path: test.csv, size: [45, 45, 45]}
+  - {stage: measure.compression}
+  - {stage: write.curves, measures: true}
+""",
+        {"unused": (1, 2, 3, 4)},
     ),
 }  # fmt: skip
 
@@ -265,6 +295,8 @@ def measure(name: str, folder: Path) -> tuple[list[dict[str, Any]], float]:
             filled = filled.replace(f"${key}", str(value))
         if "mesh.stl" in filled:
             write_mesh(folder / "mesh.stl", 64 * 2**number)
+        if "test.csv" in filled:
+            write_readings(folder / "test.csv", 1000 * 8**number)
         path = folder / "pipeline.yaml"
         path.write_text("sppm: 1\nseed: 5\n" + filled, encoding="utf-8")
         plan = open_session(RunRequest(str(path), distributions=False)).plan()
@@ -287,6 +319,14 @@ def write_mesh(path: Path, segments: int) -> None:
     from sppm_pipeline.numerics.domain.primitive_meshes import torus_mesh
 
     path.write_bytes(b"".join(stl.encode(*torus_mesh((0.0, 0.0, 0.0), 10.0, 4.0, segments, segments // 2))))
+
+
+def write_readings(path: Path, count: int) -> None:
+    """Readings of a test machine."""
+    way = np.linspace(0, 25, count)
+    force = np.interp(way, [0, 1, 20, 25], [0, 4000, 5000, 12000])
+    rows = "".join(f"{f:.3f},{d:.4f}\n" for f, d in zip(force, way, strict=True))
+    path.write_text(f"Force (N),Displacement (mm)\n{rows}", encoding="utf-8")
 
 
 class Watch:

@@ -44,7 +44,9 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         extract,
         field,
         fill,
+        grade,
         homogenize,
+        measure,
         mesh,
         read,
         sample,
@@ -53,15 +55,20 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         tile,
         tileset,
         tune,
+        warp,
         write,
     )
     from sppm_pipeline.api.pipeline import Pipeline, load, run
     from sppm_pipeline.api.run import Run
+    from sppm_pipeline.data.acoustics import AcousticReport
     from sppm_pipeline.data.artifact import Artifact, frozen
+    from sppm_pipeline.data.compression import CompressionCurve, CrushedBody
     from sppm_pipeline.data.conductivity import ConductivityReport
+    from sppm_pipeline.data.grading import Grading
     from sppm_pipeline.data.length import Cell, Length
     from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
     from sppm_pipeline.data.palette import Palette
+    from sppm_pipeline.data.permeability import PermeabilityReport
     from sppm_pipeline.data.pores import PoreSet
     from sppm_pipeline.data.size import Size
     from sppm_pipeline.data.stiffness import StiffnessReport
@@ -83,6 +90,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.families import (
         Connector,
         FieldMaker,
+        Grader,
         Homogenizer,
         InteriorBox,
         Lattice,
@@ -126,15 +134,19 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.stage import Context, Headline, Recipe, Rejected, Stage, option
 
 _PLACES = {
-    "api.functions": "SppmWarning StageFunction check connect extract field fill homogenize mesh read sample "
-    "slice step tile tileset tune write",
+    "api.functions": "SppmWarning StageFunction check connect extract field fill grade homogenize measure mesh "
+    "read sample slice step tile tileset tune warp write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
+    "data.acoustics": "AcousticReport",
     "data.artifact": "Artifact frozen",
+    "data.compression": "CompressionCurve CrushedBody",
     "data.conductivity": "ConductivityReport",
+    "data.grading": "Grading",
     "data.length": "Cell Length",
     "data.mesh": "RepeatedMesh SurfaceMesh",
     "data.palette": "Palette",
+    "data.permeability": "PermeabilityReport",
     "data.pores": "PoreSet",
     "data.size": "Size",
     "data.stiffness": "StiffnessReport",
@@ -144,7 +156,7 @@ _PLACES = {
     "data.voxels": "Voxels",
     "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError ResourceError "
     "SppmError WiringError",
-    "families": "Connector FieldMaker InteriorBox Lattice LayerWriter MeshWriter PartFieldMaker Piece "
+    "families": "Connector FieldMaker Grader InteriorBox Lattice LayerWriter MeshWriter PartFieldMaker Piece "
     "Sampler TileSetMaker Tiler Homogenizer lattice_for options",
     "fields.formula": "CellIndex CellwiseField FormulaField PlacedField",
     "fields.microstructure": "Microstructure",
@@ -182,19 +194,24 @@ _PLACE_OF = {
 
 __all__ = [
     "TUNNEL_PROFILES",
+    "AcousticReport",
     "ArraySpec",
     "Artifact",
     "Cell",
     "CellIndex",
     "CellwiseField",
+    "CompressionCurve",
     "ConductivityReport",
     "ConfigError",
     "ConfigErrors",
     "Connector",
     "Context",
+    "CrushedBody",
     "DesignError",
     "FieldMaker",
     "FormulaField",
+    "Grader",
+    "Grading",
     "Grid",
     "Headline",
     "Homogenizer",
@@ -211,6 +228,7 @@ __all__ = [
     "Palette",
     "Part",
     "PartFieldMaker",
+    "PermeabilityReport",
     "Piece",
     "Pieces",
     "Pipeline",
@@ -252,6 +270,7 @@ __all__ = [
     "field",
     "fill",
     "frozen",
+    "grade",
     "hash_places",
     "homogenize",
     "hookimpl",
@@ -261,6 +280,7 @@ __all__ = [
     "lattice_for",
     "load",
     "make_catalog",
+    "measure",
     "mesh",
     "mesh_area",
     "mesh_components",
@@ -285,6 +305,7 @@ __all__ = [
     "tile_hashed",
     "tileset",
     "tune",
+    "warp",
     "write",
 ]
 

@@ -3,9 +3,9 @@
 A stage is a frozen, keyword-only dataclass. Its fields are its options, each declared once with `option`; the parser,
 the command line help, the reference pages and the JSON Schema all come from there. The annotated signature of `run` is
 its list of ports: a required port is annotated with an artifact type, an optional one with ``Artifact | None``, a port
-that takes one of several types with ``A | B``, a recipe with ``Recipe``. What `run` returns is what the stage makes; a
-stage annotated ``-> Any`` makes what its recipe makes, and a type variable on a port and on the result passes the type
-through.
+that takes one of several types with ``A | B``, one that takes the results of one or more stages with ``tuple[A, ...]``,
+a recipe with ``Recipe``. What `run` returns is what the stage makes; a stage annotated ``-> Any`` makes what its recipe
+makes, and a type variable on a port and on the result passes the type through.
 """
 
 from __future__ import annotations
@@ -25,17 +25,21 @@ from sppm_pipeline.errors import DesignError, Position
 
 FAMILIES: Mapping[str, str] = {
     "read": "a file or a primitive becomes an artifact",
+    "grade": "a parameter is made a function of place",
     "sample": "pores are thrown",
     "connect": "pores are joined by tunnels",
     "field": "pores and tunnels become a field",
     "tune": "a recipe is repeated until it meets a target",
     "tileset": "a recipe is drawn for many interiors and face colors",
     "tile": "cells are laid into a part",
+    "warp": "a tiling is bent to another shape",
     "fill": "a part is cut from the tiling",
     "fix": "a part is changed so that it can be printed",
     "extract": "a field becomes a triangle mesh or an image of voxels",
     "mesh": "a mesh becomes a better one, or a field or mesh becomes one of tetrahedra",
     "homogenize": "effective properties are computed",
+    "measure": "numbers are read off a curve",
+    "crush": "a block is compressed",
     "check": "something is measured, and may be rejected",
     "slice": "a field or mesh becomes a stack of layers",
     "write": "an artifact becomes files",

@@ -153,6 +153,20 @@ def test_scattered_part(run_yaml, summary):
     assert "part.png" in outputs(folder)
 
 
+def test_graded_bar(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "graded_bar.yaml",
+        s=["tile.graded.trials=1", "tile.graded.rounds=1", "tile.graded.resolution=32",
+           "tune.local_porosity.resolution=32", "check.local_porosity.resolution=40",
+           "check.connectivity.resolution=24", "write.picture.resolution=8", "write.picture.image_size=[200, 150]"],
+    )  # fmt: skip
+    assert summary(record, "check.local_porosity")["cell_error_max"] < 0.004
+    assert summary(record, "tune.local_porosity")["cells_at_bound"] == 0
+    rows = (folder / "porosity" / "cells.csv").read_text().splitlines()
+    assert [row.split(",")[7] for row in rows[1:]] == [f"{p:.6f}" for p in (0.75, 0.65, 0.55, 0.45, 0.35, 0.25)]
+    assert {"bar.png", "porosity/section.png", "porosity/scatter.png", "porosity/porosity.vti"} <= outputs(folder)
+
+
 def test_how_random(run_yaml, tmp_path):
     path = reduced("how_random.yaml", tmp_path, seeds=("seed: {from: 1, to: 5}", "seed: [1]"))
     _, folder = run_yaml(

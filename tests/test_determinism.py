@@ -16,6 +16,10 @@ recipes:
     - {stage: sample.dart_throwing, total: 30}
     - {stage: connect.mbdst, degree: [2, 5], mode: lp_fix}
     - {stage: field.gaussian, pore_radius: 0.13, tunnel_radius: 0.04, pore_spread: 0.1, tunnel_spread: 0.1}
+  cloud:
+    - {stage: sample.dart_throwing, total: 30}
+    - {stage: connect.mbdst, degree: [2, 5], mode: greedy}
+    - {stage: field.gaussian, pore_radius: 0.13, tunnel_radius: 0.04, pore_spread: 0.1, tunnel_spread: 0.1}
 pipeline:
   - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24, tolerance: 0.01}
   - {stage: check.connectivity, resolution: 16}
@@ -38,7 +42,7 @@ pipeline:
   - {stage: tile.fresh, recipe: cell, cells: [2, 2, 1], cell: 3 mm, porosity: 0.6, resolution: 12}
   - {stage: slice.field, id: fresh_layers, resolution: 10}
   - {stage: write.png, id: fresh_png, path: fresh}
-  - {stage: tile.scattered, recipe: cell, cells: [3, 2, 1], cell: 3 mm, porosity: 0.6, resolution: 12}
+  - {stage: tile.scattered, recipe: cloud, cells: [3, 2, 1], cell: 3 mm, porosity: 0.6, resolution: 12}
   - {stage: slice.field, id: scattered_layers, resolution: 10}
   - {stage: write.png, id: scattered_png, path: scattered}
 """

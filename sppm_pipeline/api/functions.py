@@ -26,7 +26,7 @@ from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
 from sppm_pipeline.engine.plan.plugins import allowed_plugins, load_plugins
-from sppm_pipeline.engine.plan.ports import Port, artifact_words, fits, signature_of
+from sppm_pipeline.engine.plan.ports import Port, fits, port_words, signature_of
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
@@ -95,7 +95,8 @@ class BoundStage:
     def __post_init__(self) -> None:
         """Check the options, as they are known."""
         cls = registry().get(self.name)
-        self._plan({port.name: port.types for port in signature_of(cls).ports if not (port.is_recipe or port.optional)})
+        needed = [port for port in signature_of(cls).ports if not (port.is_recipe or port.optional)]
+        self._plan({port.place(0) if port.many else port.name: port.types for port in needed})
 
     def __call__(
         self,
@@ -110,7 +111,8 @@ class BoundStage:
         Parameters
         ----------
         *artifacts, **ports
-            What the stage takes, each in the first port that its type fits, or by the name of the port.
+            What the stage takes, each in the first port that its type fits, or by the name of the port. A port that
+            takes many takes all that fit, or a sequence.
         seed : int, optional
             Needed where random numbers are drawn.
         threads : int, optional
@@ -142,32 +144,46 @@ class BoundStage:
         return numbers
 
     def _by_port(self, artifacts: Sequence[Any], named: Mapping[str, Any]) -> dict[str, Any]:
-        """The artifacts by the names of their ports."""
+        """The artifacts by the names of their ports, those of a port that takes many by their places."""
         ports = [port for port in signature_of(registry().get(self.name)).ports if not port.is_recipe]
-        taken = {name: artifact for name, artifact in named.items() if artifact is not None}
-        for name, artifact in taken.items():
+        taken: dict[str, list[Any]] = {}
+        for name, given in named.items():
             port = next((port for port in ports if port.name == name), None)
             if port is None:
                 hint = did_you_mean(name, [port.name for port in ports]) if ports else "it takes no artifacts"
                 raise WiringError(f"{self.name} has no port {name!r}", hint=hint)
-            if not fits((type(artifact),), port):
-                raise _unfit(self.name, artifact, [port])
+            if given is not None:
+                taken[name] = list(given) if port.many and isinstance(given, (list, tuple)) else [given]
+                for artifact in taken[name]:
+                    if not fits((type(artifact),), port):
+                        raise _unfit(self.name, artifact, [port])
         for artifact in artifacts:
-            left = [port for port in ports if port.name not in taken]
+            left = [port for port in ports if port.name not in named and (port.many or port.name not in taken)]
             fitting = [port for port in left if fits((type(artifact),), port)]
             if not fitting:
                 raise _unfit(self.name, artifact, left)
-            taken[fitting[0].name] = artifact
+            taken.setdefault(fitting[0].name, []).append(artifact)
         for port in ports:
-            if not port.optional and port.name not in taken:
-                raise WiringError(f"{self.name} needs {artifact_words(port.types)} for the port {port.name!r}")
-        return taken
+            if not port.optional and not taken.get(port.name):
+                raise WiringError(f"{self.name} needs {port_words(port)} for the port {port.name!r}")
+        return {
+            port.place(number) if port.many else port.name: artifact
+            for port in ports
+            for number, artifact in enumerate(taken.get(port.name, ()))
+        }
 
     def _plan(self, available: Mapping[str, tuple[type, ...]]) -> Plan:
         """A plan of this stage alone."""
         entry: dict[str, Any] = {"stage": self.name, **self.options}
         if available:
-            entry["from"] = {port: port for port in available}
+            sources: dict[str, Any] = {}
+            entry["from"] = sources
+            for place in available:
+                port, bracket, _ = place.partition("[")
+                if bracket:
+                    sources.setdefault(port, []).append(place)
+                else:
+                    sources[port] = place
         document: dict[str, Any] = {"sppm": FORMAT, "pipeline": [entry]}
         if self.recipe is not None:
             entry["recipe"] = RECIPE
@@ -212,7 +228,7 @@ class BoundStage:
 
 
 def _unfit(stage: str, artifact: Any, ports: Sequence[Port]) -> WiringError:
-    wanted = "; ".join(f"{port.name} takes {artifact_words(port.types)}" for port in ports) or "nothing is left to give"
+    wanted = "; ".join(f"{port.name} takes {port_words(port)}" for port in ports) or "nothing is left to give"
     return WiringError(f"{stage} can't take {type(artifact).__name__}: {wanted}")
 
 
@@ -308,7 +324,11 @@ def _signature(cls: type[Stage]) -> inspect.Signature:
 
 def _entry(name: str) -> Callable[..., dict[str, Any]]:
     def entry(
-        *, id: str | None = None, sources: str | Mapping[str, str] | None = None, recipe: Any = None, **options: Any
+        *,
+        id: str | None = None,
+        sources: str | Sequence[str] | Mapping[str, Any] | None = None,
+        recipe: Any = None,
+        **options: Any,
     ) -> dict[str, Any]:
         reserved = {"id": id, "from": sources, "recipe": recipe}
         return {"stage": name, **{key: value for key, value in reserved.items() if value is not None}, **options}
@@ -374,10 +394,13 @@ class Steps:
 
 step = Steps()
 check = CheckFamily("check", StageFunction)
-connect, extract, field, fill, homogenize, mesh, read, sample, slice, tile, tileset, tune, write = (
+(
+    connect, extract, field, fill, grade, homogenize, measure, mesh, read, sample, slice, tile, tileset, tune, warp,
+    write,
+) = (
     Family(name, StageFunction)
     for name in (
-        "connect", "extract", "field", "fill", "homogenize", "mesh", "read", "sample", "slice", "tile", "tileset",
-        "tune", "write",
+        "connect", "extract", "field", "fill", "grade", "homogenize", "measure", "mesh", "read", "sample", "slice",
+        "tile", "tileset", "tune", "warp", "write",
     )
 )  # fmt: skip

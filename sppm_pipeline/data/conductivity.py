@@ -20,9 +20,11 @@ class ConductivityReport(Artifact):
     k : (3, 3) float64
         Mean flow over mean gradient, the unit of `bulk`.
     of : str
-        The conducting phase, "solid" or "void"; the other one insulates.
+        The conducting phase, "solid" or "void", the other one insulating; or "both".
     bulk : tuple of float
         Conductivity of the phase, or of each phase of the solid.
+    fluid : float or None
+        Conductivity of what fills the void, if both conduct.
     porosity : float
         Fraction of void.
     tortuosity : tuple of 3 floats or None
@@ -42,8 +44,8 @@ class ConductivityReport(Artifact):
     """
 
     reported: ClassVar[tuple[str, ...]] = (
-        "k.#3.#3", "tortuosity.#3", "bulk.#6", "porosity", "grid.#3", "fractions", "iterations.#3", "residuals.#3",
-        "errors.#3", "converged", "wraps.#3",
+        "k.#3.#3", "tortuosity.#3", "bulk.#6", "fluid", "porosity", "grid.#3", "fractions", "iterations.#3",
+        "residuals.#3", "errors.#3", "converged", "wraps.#3",
     )  # fmt: skip
 
     k: NDArray[np.float64]
@@ -60,6 +62,7 @@ class ConductivityReport(Artifact):
     converged: bool
     wraps: tuple[bool, bool, bool]
     warnings: tuple[str, ...] = ()
+    fluid: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", frozen(np.asarray(self.k, np.float64)))
@@ -83,6 +86,7 @@ class ConductivityReport(Artifact):
             "tortuosity": list(self.tortuosity),
             "of": self.of,
             "bulk": list(self.bulk),
+            **({} if self.fluid is None else {"fluid": self.fluid}),
             "porosity": self.porosity,
             "grid": list(self.grid),
             "fractions": self.fractions,

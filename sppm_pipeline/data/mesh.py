@@ -25,6 +25,8 @@ class SurfaceMesh(Artifact):
     faces : (m, 3) int32
     name : str
         What a person would call it, for messages.
+    groups : tuple of (str, int, int)
+        Named stretches of the triangles, first <= i < last, as the file names them; they may overlap.
     """
 
     reported: ClassVar[tuple[str, ...]] = ("vertices", "triangles", "size_mm.#3", "volume_mm3")
@@ -32,6 +34,7 @@ class SurfaceMesh(Artifact):
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     name: str = "mesh"
+    groups: tuple[tuple[str, int, int], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", frozen(in_rows(np.asarray(self.vertices, np.float64), 3, "vertices")))
@@ -83,6 +86,8 @@ class SurfaceMesh(Artifact):
         # a negative index is a large one when its sign is not looked at
         if len(self.faces) and int(self.faces.view(np.uint32).max()) >= len(self.vertices):
             raise ValueError("a triangle names a vertex that does not exist")
+        if any(not 0 <= first < last <= len(self.faces) for _, first, last in self.groups):
+            raise ValueError("a group holds triangles that do not exist")
 
     @cached_property
     def bounds_solid(self) -> bool:

@@ -57,12 +57,21 @@ class Palette:
         Rows (interior, axis, side, color); side 0 is the low face. None: all combinations.
     blocks : Blocks or None
         Where the interiors lie, if they are blocks of a lattice without faces; there are no colors then.
+    totals : (interiors,) int64 or None
+        Pores of the cell of each interior, faces and interior, in place of the samplers' own `total` or `count`.
+    spacings : (interiors,) float64 or None
+        Factors of the spacing in each interior.
+    face_totals : tuple of 3 int64 arrays (colors,), or None
+        For each axis and color the `total` of a cell that has as many pores on its faces as this pattern.
     """
 
     interiors: int = 1
     colors: tuple[int, int, int] = (1, 1, 1)
     meetings: NDArray[np.int64] | None = None
     blocks: Blocks | None = None
+    totals: NDArray[np.int64] | None = None
+    spacings: NDArray[np.float64] | None = None
+    face_totals: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None = None
 
     def all_meetings(self) -> NDArray[np.int64]:
         """The rows of `meetings`, written out, (p, 4) int64."""

@@ -71,8 +71,8 @@ class Rule(NamedTuple):
         return f"{self.measure.text}: {value:.4g}{unit}{limit}"
 
 
-def parse_rule(text: str) -> Rule:
-    """Read ``trap`` or ``cup > 100 mm2``.
+def parse_rule(text: str, measures: Mapping[str, Measure] = MEASURES) -> Rule:
+    """Read ``trap`` or ``cup > 100 mm2``; `measures` are what it may name.
 
     Raises
     ------
@@ -80,11 +80,14 @@ def parse_rule(text: str) -> Rule:
     """
     match = _RULE.fullmatch(text)
     name = match[1] if match else ""
-    if match is None or name not in MEASURES:
-        raise ConfigError(
-            f"{text!r} in `fail` is no rule", hint=f"write for example 'cup > 100 mm2'; known: {', '.join(MEASURES)}"
+    if match is None or name not in measures:
+        example = next(
+            f"{name} {m.sign} {'100' if m.unit else '0.1'} {m.unit}".rstrip() for name, m in measures.items()
         )
-    measure = MEASURES[name]
+        raise ConfigError(
+            f"{text!r} in `fail` is no rule", hint=f"write for example {example!r}; known: {', '.join(measures)}"
+        )
+    measure = measures[name]
     if match[2] is None:
         if measure.sign == "<":
             raise ConfigError(f"{text!r} in `fail` needs a threshold", hint=f"write for example '{name} < 1'")

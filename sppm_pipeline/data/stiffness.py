@@ -31,6 +31,9 @@ class StiffnessReport(Artifact):
         Unit of stress; None if the moduli are relative to nothing in particular.
     error : (6, 6) float64 or None
         Error bar of each entry by refinement of the grid.
+    expansion : (6,) float64 or None
+        Thermal expansion, the strain of a free body for each kelvin, xx, yy, zz, yz, xz, xy, engineering shear; NaN
+        where nothing carries load. None if that of the materials was not given.
     solver : dict
         Residuals, iterations and what else the method has to say, JSON-ready.
     """
@@ -42,7 +45,7 @@ class StiffnessReport(Artifact):
         "log_euclidean_anisotropy", "E_min.value", "E_min.direction.#3", "E_max.value", "E_max.direction.#3",
         "bounds.within_voigt_and_reuss", "bounds.hashin_shtrikman_bulk.#2", "bounds.hashin_shtrikman_shear.#2",
         "bounds.hashin_shtrikman_young.#2", "bounds.bulk_within", "bounds.shear_within", "compliance.#6.#6", "solver.*",
-        "error.#6.#6", "error_relative", "E_error.#3", "G_error.#3",
+        "error.#6.#6", "error_relative", "E_error.#3", "G_error.#3", "expansion.#6",
     )  # fmt: skip
 
     stiffness: NDArray[np.float64]
@@ -50,6 +53,7 @@ class StiffnessReport(Artifact):
     method: str
     unit: str | None = None
     error: NDArray[np.float64] | None = None
+    expansion: NDArray[np.float64] | None = None
     solver: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -57,6 +61,8 @@ class StiffnessReport(Artifact):
         object.__setattr__(self, "phases", tuple((float(f), float(e), float(nu)) for f, e, nu in self.phases))
         if self.error is not None:
             object.__setattr__(self, "error", frozen(np.asarray(self.error, np.float64)))
+        if self.expansion is not None:
+            object.__setattr__(self, "expansion", frozen(np.asarray(self.expansion, np.float64)))
 
     def check(self) -> None:
         """Six by six, finite, symmetric, without negative energies; shares that sum to 1."""
@@ -68,6 +74,8 @@ class StiffnessReport(Artifact):
             raise ValueError("a stiffness is symmetric")
         if np.linalg.eigvalsh(c)[0] < -1e-4 * largest:
             raise ValueError("a stiffness has no negative energy")
+        if self.expansion is not None and self.expansion.shape != (6,):
+            raise ValueError(f"an expansion has six components, got the shape {self.expansion.shape}")
         if abs(sum(fraction for fraction, _, _ in self.phases) - 1) > 1e-6:
             raise ValueError(f"the fractions of the phases sum to 1, got {self.phases}")
 
@@ -140,6 +148,8 @@ class StiffnessReport(Artifact):
             "compliance": compliance(c),
             "solver": self.solver,
         }
+        if self.expansion is not None:
+            summary["expansion"] = [float(value) if np.isfinite(value) else None for value in self.expansion]
         if self.error is not None:
             summary["error"] = self.error
             size = float(np.linalg.norm(c))

@@ -31,6 +31,7 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.connector import Cloud, Connector, Piece
 from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
 from sppm_pipeline.families.file_writer import MeshWriter
+from sppm_pipeline.families.grader import Grader
 from sppm_pipeline.families.homogenizer import Homogenizer
 from sppm_pipeline.families.layer_writer import LayerWriter
 from sppm_pipeline.families.sampler import InteriorBox, Sampler, design_of, start_of
@@ -41,6 +42,7 @@ __all__ = [
     "Cloud",
     "Connector",
     "FieldMaker",
+    "Grader",
     "Homogenizer",
     "InteriorBox",
     "Lattice",

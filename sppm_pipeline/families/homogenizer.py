@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
-from sppm_pipeline.errors import DesignError
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import cell_centers
@@ -20,6 +21,7 @@ from sppm_pipeline.stage import Context, Headline, Stage, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved
+    from sppm_pipeline.numerics.homogenization.stiffness.convergence import Limit
 
 
 ELASTIC_HEADLINE = (
@@ -74,6 +76,49 @@ class Cell(NamedTuple):
         return (given > 0).view(np.uint8)
 
 
+Report = TypeVar("Report")
+
+
+def grids_below(resolution: int, grids: int) -> list[int]:
+    """Voxels along an edge of the cell of each grid of a refinement, each two thirds of the next, the coarsest first.
+
+    Raises
+    ------
+    ConfigError
+        If the resolution is too low for so many.
+    """
+    counts = [max(2, round(resolution * (2 / 3) ** step)) for step in reversed(range(grids))]
+    if len(set(counts)) < grids:
+        raise ConfigError(f"a resolution of {resolution} has no coarser grids")
+    return counts
+
+
+def refined(
+    context: Context,
+    source: ScalarField | Voxels,
+    counts: list[int],
+    solve: Callable[[int], Report],
+    values: Callable[[Report], NDArray[np.float64]],
+    assumed: float = 2.0,
+) -> tuple[list[Report], Limit]:
+    """Reports of all grids of a refinement, and what their values tell of the limit of fine grids.
+
+    Raises
+    ------
+    ConfigError
+        If the source is an image, which has no other grids.
+    """
+    if isinstance(source, Voxels):
+        raise ConfigError("an image has one grid only", hint="leave out `grids`, or homogenize the field")
+    from sppm_pipeline.numerics.homogenization.stiffness.convergence import richardson
+
+    reports = []
+    for number, count in enumerate(counts):
+        reports.append(solve(count))
+        context.progress(number + 1, len(counts), "grids")
+    return reports, richardson([1 / count for count in counts], [values(report) for report in reports], assumed)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Homogenizer(Stage):
     """Base of stages that solve cell problems on voxels."""
@@ -110,8 +155,10 @@ class Homogenizer(Stage):
             geometry=source.geometry,
         )  # fmt: skip
 
-    def cell_of(self, context: Context, source: ScalarField | Voxels) -> Cell:
-        """Voxels of a periodic cell.
+    def grid_of(
+        self, context: Context, source: ScalarField | Voxels
+    ) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
+        """Voxels of a periodic cell along x, y, z, and the edges of a voxel: 1 for fields.
 
         Raises
         ------
@@ -128,29 +175,34 @@ class Homogenizer(Stage):
                     hint="declare it periodic where it is read, if opposite sides fit together",
                 )
             self._check_memory(context, source.shape, bytes_per_voxel)
-            values = source.values
-            if not source.fractions:
-                return Cell(np.asfortranarray(values, np.uint8), None, source.spacing)
-            if self.fractions == "binary":
-                return Cell((values >= 0.5).astype(np.uint8), None, source.spacing)
-            return Cell(None, np.asfortranarray(values, np.float32), source.spacing)
+            return source.shape, source.spacing
         if not source.periodic:
             raise DesignError(
                 "homogenization needs a periodic cell; this field ends at the border of its cells or part",
                 hint="take the cell itself (`from: tune.porosity`, say), or a tiling with `tile.periodic`",
             )
-        n = self.resolution
-        if (coarse := source.coarseness(1 / n)) is not None:
+        if (coarse := source.coarseness(1 / self.resolution)) is not None:
             context.warn(coarse)
-        x, y, z = (n * cells for cells in source.cells)
+        x, y, z = (self.resolution * cells for cells in source.cells)
         self._check_memory(context, (x, y, z), bytes_per_voxel)
-        edges = (1.0, 1.0, 1.0)
+        return (x, y, z), (1.0, 1.0, 1.0)
+
+    def cell_of(self, context: Context, source: ScalarField | Voxels) -> Cell:
+        """Voxels of a periodic cell; errors as of `grid_of`."""
+        shape, edges = self.grid_of(context, source)
+        if isinstance(source, Voxels):
+            values = source.values
+            if not source.fractions:
+                return Cell(np.asfortranarray(values, np.uint8), None, edges)
+            if self.fractions == "binary":
+                return Cell((values >= 0.5).astype(np.uint8), None, edges)
+            return Cell(None, np.asfortranarray(values, np.float32), edges)
         if self.fractions == "binary":
-            return Cell(source.solid(cell_centers(n, source.cells), context.threads), None, edges)
+            return Cell(source.solid(cell_centers(self.resolution, source.cells), context.threads), None, edges)
         from sppm_pipeline.numerics.porosity.fractions import solid_fractions
 
         fraction = solid_fractions(
-            lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads), (x, y, z), n
+            lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads), shape, self.resolution
         )
         return Cell(None, fraction.T, edges)
 

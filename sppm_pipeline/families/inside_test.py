@@ -39,7 +39,7 @@ def outward_mesh(context: Context, mesh: SurfaceMesh, inside: str) -> tuple[Surf
     found = inside_test(mesh.vertices, mesh.faces, None if inside == "auto" else cast("Method", inside))
     context.report(inside=found.method, closed=found.closed, turned_triangles=found.turned)
     if found.turned:
-        mesh = SurfaceMesh(mesh.vertices, found.faces, name=mesh.name)
+        mesh = SurfaceMesh(mesh.vertices, found.faces, mesh.name, mesh.groups)
         context.warn(f"{found.turned} of {len(found.faces)} triangles of {mesh.name} were turned to face outwards")
     if found.closed:
         return mesh, found.method

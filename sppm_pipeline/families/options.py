@@ -54,6 +54,7 @@ tolerance = _shared("largest error of the porosity, checked on a finer grid", ab
 colors = _shared("number of colors c", minimum=1)
 interiors = _shared("number of interiors K", minimum=1, maximum=1024)
 target = _shared("target value", above=0)
+trials = _shared("trial cells for each number of pores", minimum=1, maximum=200)
 evaluations = _shared("maximum number of evaluations", minimum=3, maximum=1000)
 
 # solvers and materials
@@ -62,6 +63,10 @@ residual = _shared("the solver stops at this residual over the right-hand side",
 young = _shared("Young's modulus of the solid", above=0, maximum=1e15)
 poisson = _shared("Poisson's ratio of the solid", above=-1, below=0.5)
 stress_unit = _shared("unit of Young's modulus and of the result", choices=("relative", "MPa", "GPa"))
+
+# curves of compression
+plateau = _shared("strains between which the plateau stress is taken", minimum=0, maximum=1)
+energy_to = _shared("strain up to which energy is taken", minimum=0.01, maximum=1)
 
 # parts and meshes
 accept = _shared("which meshes are accepted")
@@ -76,11 +81,20 @@ turn = _shared("angles about x, then y, then z", unit="degrees", minimum=-360, m
 rounds = _shared("number of rounds", minimum=1)
 time_limit = _shared("each child process is ended after this time", unit="s", above=0, maximum=1e7)
 
+overhang_angle = _shared(
+    "solid is held by what lies below it within this angle from upright, and within a pixel", unit="degrees", minimum=0,
+    maximum=89,
+)  # fmt: skip
+fail = _shared("rules that reject what is checked (exit code 3)")
+
 # layers
 gray = _shared(
     "samples along a pixel's edge for gray by area coverage; 1 for black and white",
     minimum=1,
     maximum=16,
+)
+gray_layers = _shared(
+    "samples along the height of a layer for gray by coverage; 1 cuts it once, in the middle", minimum=1, maximum=16
 )
 layer = _shared("layer height; the pitch of square pixels if omitted", unit="mm", minimum=1e-6, maximum=1e3)
 pixel = _shared(
@@ -89,10 +103,17 @@ pixel = _shared(
 printer = _shared("printer that the layers are cut for; `sppm printers` lists them")
 cards = _shared("YAML file with printers and resins of your own")
 
+# mappings
+inner_radius = _shared("inner radius", unit="mm", above=0, maximum=1e6)
+
 # files, pictures and tables
+size = _shared("box that the body just fills, along x, y, z", unit="mm", minimum=1e-3, maximum=1e5)
 read_path = _shared("file or folder to read")
 write_path = _shared("file or folder to write", output=True)
-unit = _shared("unit of the coordinates in the file", choices=tuple(UNITS_IN_MM))
+unit = _shared("unit of the coordinates", choices=tuple(UNITS_IN_MM))
+azimuth = _shared("direction of view around z", unit="degrees", minimum=-360, maximum=360)
+elevation = _shared("height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90)
+section = _shared("keep only this share of the part, the side away from the viewer, to look inside", above=0, maximum=1)
 image_size = _shared("width and height of the picture", unit="pixels", maximum=8192)
 title = _shared("title of what is written")
 label = _shared("column that names the rows", column=True)

@@ -135,7 +135,7 @@ class Sampler(Stage):
                 f"the gap of {gap:g} cell sizes leaves no interior; it must be below 0.5",
                 hint="give a smaller `gap` or a smaller spacing",
             )
-        meetings = Meetings(base, context.palette)
+        meetings, palette = Meetings(base, context.palette), context.palette
         on_axis = np.bincount(base.axis_of_piece()[base.piece] + 1, minlength=4)[1:]
         face_pores = round(sum(n / c for n, c in zip(on_axis, base.colors, strict=True) if c))
         centers, piece = [], []
@@ -151,12 +151,31 @@ class Sampler(Stage):
                 face_pores=face_pores,
                 folded=meetings.folded(t),
             )
-            thrown = self.thrown(context, t, box)
+            stage, box = self._graded(palette, t, box, len(own))
+            thrown = stage.thrown(context, t, box)
             centers.append(thrown)
             piece.append(np.full(len(thrown), t, np.int32))
             if base.interiors > 1:
                 context.progress(t + 1, base.interiors, "interiors")
-        return base.extended(np.concatenate(centers), np.concatenate(piece), spacing=self.kept_spacing(cell, base))
+        kept = self.kept_spacing(cell, base)
+        if kept is not None and palette.spacings is not None:
+            kept *= min(1.0, float(palette.spacings.min()))
+        return base.extended(np.concatenate(centers), np.concatenate(piece), spacing=kept)
+
+    def _graded(self, palette: Palette, interior: int, box: InteriorBox, before: int) -> tuple[Sampler, InteriorBox]:
+        """The stage and the box with the number and the spacing of pores that the palette wants of an interior."""
+        stage = self
+        if palette.spacings is not None and box.spacing is not None:
+            box = box._replace(spacing=box.spacing * float(palette.spacings[interior]))
+        if palette.totals is not None:
+            total = int(palette.totals[interior])
+            face_pores = round(float(box.folded[before:, 3].sum()))
+            box = box._replace(face_pores=face_pores)
+            if getattr(self, "total", None) is not None:
+                stage = replace(self, total=max(total, 2))  # type: ignore[call-arg]
+            elif getattr(self, "count", None) is not None:
+                stage = replace(self, count=max(total - face_pores, 0))  # type: ignore[call-arg]
+        return stage, box
 
     def scatter(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
         """Throw the pores of all blocks of a lattice without faces, block by block; for samplers with a faster way."""

@@ -43,9 +43,19 @@ class DomainSampler:
         Thickness of the skin; distances are needed up to it.
     method : {"scanline", "winding", "vote"}
         The inside test.
+    skin_faces : (n,) int32, optional
+        The triangles that have a skin; all of them if omitted.
     """
 
-    def __init__(self, domain: SurfaceMesh, of: Grid, world: Grid, skin_mm: float, method: Method) -> None:
+    def __init__(
+        self,
+        domain: SurfaceMesh,
+        of: Grid,
+        world: Grid,
+        skin_mm: float,
+        method: Method,
+        skin_faces: NDArray[np.int32] | None = None,
+    ) -> None:
         self.of = of
         self._domain = domain
         self._world = world
@@ -55,7 +65,9 @@ class DomainSampler:
         self._voted: tuple[int, int, NDArray[np.uint8]] | None = None
         self._triangles: NDArray[np.float64] | None = None
         self._normals: NDArray[np.float64] | None = None
-        self._distance: tuple[int, NDArray[np.float32]] | None = None
+        self._skin_faces = skin_faces
+        self._skin_corners: NDArray[np.float64] | None = None
+        self._kept: dict[str, tuple[int, NDArray[np.float32]]] = {}
 
     def inside(self, start: int, stop: int) -> NDArray[np.uint8]:
         """Which voxels of the layers start <= k < stop lie in the domain."""
@@ -73,9 +85,23 @@ class DomainSampler:
         return block[start - first : stop - first].copy()
 
     def distance(self, start: int, stop: int) -> NDArray[np.float32]:
-        """Signed distance from the domain in the layers start <= k < stop, mm.
+        """Signed distance from the domain in the layers start <= k < stop, mm."""
+        return self._in_blocks("domain", start, stop)
 
-        It is computed in blocks that belong to the grid, whichever layers are asked for: where the skin is thick, the
+    def skin_distance(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Distance from the triangles that have a skin, without a sign, in the layers start <= k < stop, mm."""
+        return self._in_blocks("skin", start, stop)
+
+    def add_skin(self, start: int, inside: NDArray[np.uint8], solid: NDArray[np.uint8]) -> None:
+        """Make solid what is inside and within the skin of its triangles, in layers from `start` on; in place."""
+        from sppm_pipeline.numerics.domain.chosen_faces import add_skin_on
+
+        add_skin_on(self._chosen(), self._world, start, self._skin_mm, inside, solid)
+
+    def _in_blocks(self, what: str, start: int, stop: int) -> NDArray[np.float32]:
+        """Distances in layers start <= k < stop.
+
+        Each is computed in blocks that belong to the grid, whichever layers are asked for: where the skin is thick, the
         distance in a block depends a little on where the block ends.
         """
         nx, ny, nz = self._world.shape
@@ -83,17 +109,23 @@ class DomainSampler:
         out = np.empty((stop - start, ny, nx), np.float32)
         for number in range(start // block, -(-stop // block)):
             first, last = number * block, min(nz, (number + 1) * block)
-            if self._distance is None or self._distance[0] != number:
-                self._distance = number, self._signed_distance(first, last)
+            if what not in self._kept or self._kept[what][0] != number:
+                compute = self._signed_distance if what == "domain" else self._skin_distance
+                self._kept[what] = number, compute(first, last)
             low, high = max(start, first), min(stop, last)
-            out[low - start : high - start] = self._distance[1][low - first : high - first]
+            out[low - start : high - start] = self._kept[what][1][low - first : high - first]
         return out
+
+    def _skin_distance(self, first: int, last: int) -> NDArray[np.float32]:
+        from sppm_pipeline.numerics.domain.signed_distance import distance_layers
+
+        return distance_layers(self._chosen(), self._world, first, last, max(self._world.spacing) + self._skin_mm)
 
     def _signed_distance(self, first: int, last: int) -> NDArray[np.float32]:
         from sppm_pipeline.numerics.domain.signed_distance import distance_layers, reach_bare_borders
 
         spacing = self._world.spacing
-        reach = max(spacing) + self._skin_mm
+        reach = max(spacing) + (self._skin_mm if self._skin_faces is None else 0.0)
         distance = distance_layers(self._corners(), self._world, first, last, reach)
         halo = 0 if self._method == "scanline" else math.ceil(reach / spacing[2])
         low, high = max(0, first - halo), min(self._world.shape[2], last + halo)
@@ -114,6 +146,11 @@ class DomainSampler:
         if self._normals is None:
             self._normals = unit_normals(self._corners())
         return grid_crossings(self._corners(), self._normals, self._world, start, stop)
+
+    def _chosen(self) -> NDArray[np.float64]:
+        if self._skin_corners is None:
+            self._skin_corners = np.ascontiguousarray(self._corners()[self._skin_faces])
+        return self._skin_corners
 
     def _corners(self) -> NDArray[np.float64]:
         if self._triangles is None:

@@ -145,8 +145,6 @@ class FieldSurface:
     cut : bool
         Whether a part ends at the surface of its domain. Otherwise it ends at least a voxel outside of it, without
         regard to shape, and is there to be cut by the mesh of the domain; `islands` are then to be kept.
-    section : float, optional
-        Of a part, only what lies beyond this y, in cell sizes, is shown; islands are those of the whole part.
     """
 
     source: ScalarField
@@ -154,7 +152,6 @@ class FieldSurface:
     islands: str = "remove"
     caps: bool = True
     cut: bool = True
-    section: float | None = None
 
     def mesh(
         self, threads: int = 1, progress: Callable[[float, float], None] | None = None
@@ -200,8 +197,6 @@ class FieldSurface:
             # a piece ends a plane before its slab, and what is done to it looks two planes back
             nonlocal start, crossings
             for slab in _told(slabs, nz, progress):
-                if self.section is not None:
-                    slab = self._beyond(slab, self.section)
                 slab = self._smooth(slab)
                 fields = (slab.values,) if slab.apart is None else slab.apart
                 kept = tuple(np.concatenate(pair) for pair in zip(planes[0], fields, strict=True)) if planes else fields
@@ -297,14 +292,6 @@ class FieldSurface:
         united = inner if skin is None else np.minimum(inner, skin)
         fields = (inner, outer) if skin is None else (inner, outer, skin)
         return SampledSlab(start, np.maximum(united, outer), fields, crossings)
-
-    def _beyond(self, slab: SampledSlab, section: float) -> SampledSlab:
-        assert slab.apart is not None
-        before = (section - self.grid.axis(1)).astype(np.float32)[:, None]
-        field, domain, *skin = slab.apart
-        return slab._replace(
-            values=np.maximum(slab.values, before), apart=(field, np.maximum(domain, before), *skin)
-        )  # fmt: skip
 
     def _smooth(self, slab: SampledSlab) -> SampledSlab:
         """Logarithms in place of sums of kernels, as less happens between their samples; in place."""

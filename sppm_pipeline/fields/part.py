@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.fields.domain_sampler import DomainSampler
 from sppm_pipeline.fields.wrapped import WrappedField
@@ -17,6 +18,8 @@ from sppm_pipeline.numerics.domain.capsules import depths_in_capsules
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
+    from sppm_pipeline.data.length import Length
+    from sppm_pipeline.data.size import Size
     from sppm_pipeline.numerics.domain.crossings import Crossings
     from sppm_pipeline.numerics.domain.inside import Method
 
@@ -39,12 +42,16 @@ class Part(WrappedField):
         The part to fill, mm.
     skin_mm : float
         Thickness of the solid skin inside the domain's surface; 0 for none.
+    skin_faces : (n,) int32 or None
+        The triangles of the domain that have the skin: what is within its thickness of one of them. None for all.
     islands : {"remove", "keep"}
         Whether solid that is not connected to the largest component is left out where the part is sliced or meshed.
     inside : {"scanline", "winding", "vote"} or None
         Method of the inside test of the domain; None for the first if the domain bounds a solid, else the second.
     drains : tuple of tuples of 7 floats
         Capsules (both ends of a segment, radius), mm, that are void in skin and microstructure alike.
+    fills : (n, 7) float64
+        Capsules that are solid as far as they lie in the domain; drains win over them.
     """
 
     domain: SurfaceMesh
@@ -52,6 +59,13 @@ class Part(WrappedField):
     islands: str = "remove"
     inside: Method | None = None
     drains: tuple[tuple[float, ...], ...] = ()
+    skin_faces: NDArray[np.int32] | None = None
+    fills: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fills", frozen(np.asarray(self.fills, np.float64)))
+        if self.skin_faces is not None:
+            object.__setattr__(self, "skin_faces", frozen(np.asarray(self.skin_faces, np.int32)))
 
     @property
     def periodic(self) -> bool:
@@ -70,6 +84,11 @@ class Part(WrappedField):
         for drain in self.drains:
             if len(drain) != 7 or not all(math.isfinite(number) for number in drain) or drain[6] <= 0:
                 raise ValueError(f"a drain is two ends (x, y, z) and a positive radius, 7 numbers in mm, not {drain}")
+        chosen = self.skin_faces
+        if chosen is not None and len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(self.domain.faces):
+            raise ValueError("the skin is on a triangle that the domain does not have")
+        if self.fills.shape[1:] != (7,) or not np.isfinite(self.fills).all() or not (self.fills[:, 6] > 0).all():
+            raise ValueError("fills are rows of two ends (x, y, z) and a positive radius, 7 numbers in mm")
 
     def in_mm(self, grid: Grid) -> Grid:
         """`grid`, given in cell sizes, in world millimeters."""
@@ -98,7 +117,7 @@ class Part(WrappedField):
         inner, skin, outer = self.fields_zyx(grid, threads, start, stop)
         if skin is not None:
             # farther in, the microstructure decides alone; a distance cut off would lie between
-            deep = outer <= np.float32(-0.999 * (self.skin_mm / self.physical_edge() + max(grid.spacing)))
+            deep = skin >= np.float32(0.999 * max(grid.spacing) - 0.001 * self.skin_mm / self.physical_edge())
             np.minimum(inner, skin, out=inner, where=~deep)
         return inner, outer
 
@@ -115,13 +134,36 @@ class Part(WrappedField):
         outer = self._in_domain(grid).distance(start, stop)
         edge = np.float32(self.physical_edge())
         outer /= edge
-        skin = -np.float32(self.skin_mm) / edge - outer if self.skin_mm else None
-        world = self.in_mm(grid)
-        for window, depth in depths_in_capsules(world.layers(start, stop), self.drains, 2 * max(world.spacing)):
-            for field in (inner, skin):
-                if field is not None:
-                    np.maximum(field[window], depth / edge, out=field[window])
+        skin = None
+        if self.skin_mm:
+            away = -outer if self.skin_faces is None else self._in_domain(grid).skin_distance(start, stop) / edge
+            skin = away - np.float32(self.skin_mm) / edge
+        self._fill_and_drain(inner, skin, grid, start, stop)
         return inner, skin, outer
+
+    def within_zyx(
+        self, grid: Grid, threads: int, start: int, stop: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.bool_]]:
+        """The fields of the microstructure and of the skin as in `fields_zyx`, and which samples the domain holds."""
+        inside = self._in_domain(grid).inside(start, stop).view(np.bool_)
+        if self.skin_mm:
+            return *self.fields_zyx(grid, threads, start, stop)[:2], inside
+        inner = self.base.sample_zyx(grid, start, stop, threads)
+        self._fill_and_drain(inner, None, grid, start, stop)
+        return inner, None, inside
+
+    def _fill_and_drain(
+        self, inner: NDArray[np.float32], skin: NDArray[np.float32] | None, grid: Grid, start: int, stop: int
+    ) -> None:
+        """Put fills into the microstructure's field, and take drains out of all; in place."""
+        world, edge = self.in_mm(grid), np.float32(self.physical_edge())
+        layers, margin = world.layers(start, stop), 2 * max(world.spacing)
+        for window, depth in depths_in_capsules(layers, self.fills, margin):
+            np.minimum(inner[window], depth / -edge, out=inner[window])
+        for window, depth in depths_in_capsules(layers, self.drains, margin):
+            for values in (inner, skin):
+                if values is not None:
+                    np.maximum(values[window], depth / edge, out=values[window])
 
     def cut_zyx(
         self, grid: Grid, threads: int, start: int, stop: int
@@ -141,17 +183,23 @@ class Part(WrappedField):
         inside = domain.inside(start, stop).view(np.bool_)
         inside &= ~on_surface(crossings, grid, start, stop)
         outer = np.where(inside, np.float32(-1), np.float32(1))
-        return self.base.sample_zyx(grid, start, stop, threads), None, outer, crossings
+        inner = self.base.sample_zyx(grid, start, stop, threads)
+        self._fill_and_drain(inner, None, grid, start, stop)
+        return inner, None, outer, crossings
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint8]:
         from sppm_pipeline.numerics.domain.occupancy import row_spans
 
-        if not self.skin_mm:
-            inside = self._in_domain(grid).inside(start, stop)
-            inside &= self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
-            return self._drained(inside, grid, start, stop).T
+        if not self.skin_mm or self.skin_faces is not None:
+            domain = self._in_domain(grid)
+            inside = domain.inside(start, stop)
+            solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
+            solid &= inside
+            if self.skin_mm:
+                domain.add_skin(start, inside, solid)
+            return self._filled_and_drained(solid, inside, grid, start, stop).T
         from sppm_pipeline.numerics.domain.skin import halo_layers, skin_layers
 
         spacing = self.in_mm(grid).spacing
@@ -162,28 +210,42 @@ class Part(WrappedField):
         solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
         solid &= inside
         solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
-        return self._drained(solid, grid, start, stop).T
+        return self._filled_and_drained(solid, inside, grid, start, stop).T
 
-    def _drained(self, solid: NDArray[np.uint8], grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
-        """The layers without what the drains take away."""
-        for window, depth in depths_in_capsules(self.in_mm(grid).layers(start, stop), self.drains):
+    def _filled_and_drained(
+        self, solid: NDArray[np.uint8], inside: NDArray[np.uint8], grid: Grid, start: int, stop: int
+    ) -> NDArray[np.uint8]:
+        """The layers with what fills add in the domain, and without what drains take away."""
+        layers = self.in_mm(grid).layers(start, stop)
+        for window, depth in depths_in_capsules(layers, self.fills):
+            solid[window] |= inside[window] & (depth > 0)
+        for window, depth in depths_in_capsules(layers, self.drains):
             solid[window][depth > 0] = 0
         return solid
 
-    def coarse_solid(self, threads: int = 1) -> tuple[NDArray[np.uint8], Grid]:
-        """The part on about `COARSE_VOXELS` cubes, (nz, ny, nx) uint8, and their centers in mm; a margin is void.
+    def coarse_pitch(self) -> float:
+        """Edge of the voxels, mm, of which there are about `COARSE_VOXELS` in the box of the part."""
+        extent = np.asarray(self.domain.upper - self.domain.lower)
+        fine = self.skin_mm / 1.5 or math.inf
+        return float(max(min(fine, extent.max() / COARSE_ALONG), math.cbrt(extent.prod() / COARSE_VOXELS)))
 
-        A skin thinner than the voxels is taken as thick as these, so that it stays closed.
+    def coarse_solid(self, threads: int = 1, pitch: float | None = None) -> tuple[NDArray[np.uint8], Grid]:
+        """The part on cubes of a pitch, mm, (nz, ny, nx) uint8, and their centers in mm; a margin is void.
+
+        The pitch is `coarse_pitch` if omitted. A skin thinner than it is taken as thick, so that it stays closed.
         """
         lower, extent = np.asarray(self.domain.lower), np.asarray(self.domain.upper - self.domain.lower)
-        fine = self.skin_mm / 1.5 or math.inf
-        pitch = float(max(min(fine, extent.max() / COARSE_ALONG), math.cbrt(extent.prod() / COARSE_VOXELS)))
+        pitch = self.coarse_pitch() if pitch is None else pitch
         nx, ny, nz = (int(n) + 2 for n in np.ceil(extent / pitch))
         edge = self.physical_edge()
         x, y, z = ((lower - pitch / 2 - self.origin_mm) / edge).tolist()
         grid = Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz))
         thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
         return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
+
+    def inside_zyx(self, grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+        """Which samples of a grid lie in the domain, skin included, (stop - start, ny, nx) uint8."""
+        return self._in_domain(grid).inside(start, stop)
 
     def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
         """Warning for voxels larger than the skin is thick, which leave it open; None for smaller ones."""
@@ -200,7 +262,9 @@ class Part(WrappedField):
         """The sampler of the domain on a grid; the last one is kept, as slab after slab asks for the same grid."""
         sampler = _SAMPLERS.get(self)
         if sampler is None or sampler.of != grid:
-            sampler = _SAMPLERS[self] = DomainSampler(self.domain, grid, self.in_mm(grid), self.skin_mm, self.method)
+            world = self.in_mm(grid)
+            sampler = DomainSampler(self.domain, grid, world, self.skin_mm, self.method, self.skin_faces)
+            _SAMPLERS[self] = sampler
         return sampler
 
     def summary(self) -> dict[str, Any]:
@@ -208,11 +272,21 @@ class Part(WrappedField):
         return {
             "domain": self.domain.summary(),
             "skin_mm": self.skin_mm,
+            **({} if self.skin_faces is None else {"skin_triangles": len(self.skin_faces)}),
             "drains": len(self.drains),
+            "fills": len(self.fills),
             "islands": self.islands,
             "inside": self.method,
             "cells": list(self.cells),
         }
+
+
+def coarse_size(part: Size, pitch: Length | None = None) -> Size:
+    """Expected work of `Part.coarse_solid`; the part is passed on."""
+    body = part.body
+    extent = [body.scale * side for side in body.box]
+    own = max(max(extent) / COARSE_ALONG, math.cbrt(math.prod(extent) / COARSE_VOXELS))
+    return replace(part.grid(body.scale / (own if pitch is None else pitch.mm())), nodes=part.nodes)
 
 
 _SAMPLERS: WeakKeyDictionary[Part, DomainSampler] = WeakKeyDictionary()

@@ -46,6 +46,8 @@ class SampledSlices(SliceStack):
     islands : {"remove", "keep"}
     subsamples : int
         For gray layers: each pixel is sampled on k x k points, and its value is the solid fraction.
+    sublayers : int
+        For gray layers: so many heights of each layer are sampled.
     machine : Printer or None
         The printer that the layers are cut for.
     """
@@ -55,6 +57,7 @@ class SampledSlices(SliceStack):
     lower: tuple[float, float, float]
     islands: str
     subsamples: int = 1
+    sublayers: int = 1
     machine: Printer | None = None
 
     @property
@@ -79,12 +82,12 @@ class SampledSlices(SliceStack):
 
     @property
     def gray(self) -> bool:
-        return self.subsamples > 1
+        return self.subsamples > 1 or self.sublayers > 1
 
     @property
     def samples(self) -> Grid:
         """The points where solid is decided, in the unit of the source."""
-        return self.grid.subsampled(self.subsamples)
+        return self.grid.subsampled(self.subsamples, self.sublayers)
 
     @property
     def unit_mm(self) -> float:
@@ -93,12 +96,15 @@ class SampledSlices(SliceStack):
 
     @abstractmethod
     def decided(self, threads: int, told: dict[str, Any]) -> Iterator[Slab]:
-        """Slabs of 1 where solid and 0 elsewhere at all samples, bottom first; findings of its own go to `told`."""
+        """Slabs of 1 where solid and 0 elsewhere at all samples, bottom first; findings of its own go to `told`.
+
+        A slab begins with the first sheet of samples of a layer, and ends with the last one of a layer.
+        """
 
     def spans(self, most: int) -> Iterator[tuple[int, int]]:
-        """First layer and the one after the last of slabs of at most so many samples, or of one layer."""
+        """First sheet of samples and the one after the last of slabs of at most so many samples, or of one layer."""
         nx, ny, nz = self.samples.shape
-        step = max(1, most // (nx * ny))
+        step = max(1, most // (nx * ny * self.sublayers)) * self.sublayers
         return ((start, min(start + step, nz)) for start in range(0, nz, step))
 
     def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
@@ -107,11 +113,12 @@ class SampledSlices(SliceStack):
         told: dict[str, Any] = {}
         for start, solid in self._cleaned(threads, islands, told):
             count += int(np.count_nonzero(solid))
-            if self.subsamples > 1:
+            if self.gray:
                 from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage
 
-                factor = (self.subsamples, self.subsamples)
-                yield start, np.stack([gray_by_coverage(layer, factor) for layer in solid])
+                factor, m = (self.subsamples, self.subsamples), self.sublayers
+                sheets = range(0, len(solid), m)
+                yield start // m, np.stack([gray_by_coverage(solid[k : k + m], factor) for k in sheets])
             else:
                 np.multiply(solid, np.uint8(255), out=solid)
                 yield start, solid

@@ -250,25 +250,27 @@ class ArraySlices(SliceStack):
         }
 
 
-def stack_size(body: Geometry, pitch: tuple[float, float, float], gray: int, *, passes: int = 1) -> Size:
+def stack_size(
+    body: Geometry, pitch: tuple[float, float, float], gray: int, gray_layers: int = 1, *, passes: int = 1
+) -> Size:
     """The size of a stack of a body sliced at a pixel pitch (x, y) and a layer height (mm), and of the work for it.
 
     Finding islands takes a pass of its own; the layers are kept for the second one, a bit a pixel, if they are few.
     """
     per_edge = [body.scale / p for p in pitch]
     nx, ny, nz = (max(1, round(side * n)) for side, n in zip(body.box, per_edge, strict=True))
-    samples = float(nx) * ny * nz * gray**2
+    each = gray**2 * gray_layers
+    samples = float(nx) * ny * nz * each
     kept = samples if passes > 1 and samples <= 2**30 else 0.0
     passes = 1 if kept else passes
     along = per_edge[0] * gray
-    even = (
-        abs(along - round(along)) < 1e-6 and max(abs(n / along - 1) for n in (per_edge[1] * gray, per_edge[2])) < 1e-9
-    )
-    inside = body.volume * math.prod(per_edge) * gray**2
-    slab = min(samples, max(2.0**22, nx * ny * gray**2))
+    others = (per_edge[1] * gray, per_edge[2] * gray_layers)
+    even = abs(along - round(along)) < 1e-6 and max(abs(n / along - 1) for n in others) < 1e-9
+    inside = body.volume * math.prod(per_edge) * each
+    slab = min(samples, max(2.0**22, nx * ny * each))
     pixel, layer = math.sqrt(pitch[0] * pitch[1]), pitch[2]
     outline = body.outline(pixel / body.scale, layer / body.scale)
     return Size(
         samples=passes * samples, sums=passes * body.sums(inside, along, commensurate=even), resident=slab + kept / 64,
-        pixels=nx * ny, layers=nz, outline=outline * (6 if gray > 1 else 1), geometry=body,
+        pixels=nx * ny, layers=nz, outline=outline * (6 if each > 1 else 1), geometry=body,
     )  # fmt: skip

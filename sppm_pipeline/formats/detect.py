@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats import glb, obj, off, ply, stl, three_mf
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, require_content
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, Groups, require_content
 from sppm_pipeline.formats.trimesh_reader import decode_other, others
 
 #: The readers and writers of meshes by extension.
@@ -94,6 +94,8 @@ class MeshFile(NamedTuple):
         That unit in millimeters; 1 if there is none.
     up : str
         The axis that points up by the format's specification, ``y`` for GLB; else ``z``, as in printing.
+    groups : tuple of (str, int, int)
+        Named stretches of the triangles, as far as the format has them (OBJ, 3MF, ASCII STL).
     """
 
     vertices: NDArray[np.float64]
@@ -101,6 +103,7 @@ class MeshFile(NamedTuple):
     unit: str | None
     mm: float
     up: str
+    groups: Groups = ()
 
 
 def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
@@ -158,8 +161,11 @@ def decode_mesh_file(data: bytes | memoryview | bytearray, name: str) -> MeshFil
     if found is not None and found not in FORMATS:
         raise InputError(f"{name}: this file is named .{expected} but is {found}")
     if expected == "3mf":
-        (vertices, faces), unit, mm = three_mf.decode_with_unit(data, name)
-        return MeshFile(vertices, faces, unit, mm, "z")
+        (vertices, faces), unit, mm, groups = three_mf.decode_with_unit(data, name)
+        return MeshFile(vertices, faces, unit, mm, "z", groups)
+    if expected in ("obj", "stl"):
+        (vertices, faces), groups = (obj if expected == "obj" else stl).decode_with_groups(data, name)
+        return MeshFile(vertices, faces, None, 1.0, "z", groups)
     vertices, faces = FORMATS[expected].decode(data, name)
     if expected == "glb":
         return MeshFile(vertices, faces, "meter", 1000.0, "y")

@@ -14,6 +14,9 @@ from sppm_pipeline.numerics.compiled import jit
 
 DecodedMesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 
+Groups = tuple[tuple[str, int, int], ...]
+"""Named stretches of triangles, first <= i < last."""
+
 
 Matrix = NDArray[np.float64]
 """(3, 4): turn, scale or shear in the first three columns, the shift in the last one."""
@@ -28,10 +31,32 @@ MAX_PLACED = 2**17
 """Objects and copies of objects in one file, empty ones included."""
 
 _AT_ONCE = 2**20  # vertices
+_LONGEST_NAME = 200  # characters of a group's
 
 
 _RECENT = 2**15
 """Rows that are remembered beside the table, within half a megabyte: most corners were used a moment ago."""
+
+
+class GroupLog:
+    """Collects named stretches of triangles while a file is read; several kinds of names may hold at once."""
+
+    def __init__(self) -> None:
+        self._open: dict[str, tuple[tuple[str, ...], int]] = {}
+        self._found: list[tuple[str, int, int]] = []
+
+    def begin(self, kind: str, names: Sequence[bytes], triangle: int) -> None:
+        """From this triangle on these names hold, in place of those of the same kind; none for an end."""
+        held, first = self._open.pop(kind, ((), 0))
+        if triangle > first:
+            self._found.extend((name, first, triangle) for name in held)
+        self._open[kind] = tuple(name.decode("utf-8", "replace")[:_LONGEST_NAME] for name in names), triangle
+
+    def groups(self, triangles: int) -> Groups:
+        """All that was found in a file of so many triangles, by their first triangle."""
+        for kind in list(self._open):
+            self.begin(kind, (), triangles)
+        return tuple(sorted(self._found, key=lambda group: group[1:]))
 
 
 def require_content(data: bytes | memoryview | bytearray, name: str) -> None:

@@ -10,14 +10,20 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.formats.decimals import Words, decimal_scale, face_rows, vertex_rows
 from sppm_pipeline.formats.encoding import as_written, in_blocks
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, decoded, require_content
+from sppm_pipeline.formats.mesh_arrays import DecodedMesh, GroupLog, Groups, decoded, require_content
 from sppm_pipeline.formats.text import Lines, fan, shown
 
+_NAMES = {b"o": "object", b"g": "group", b"usemtl": "material"}
 _VERTEX, _FACE = Words.of(b"v ", b" ", b" ", b"\n"), Words.of(b"f ", b" ", b" ", b"\n")
 
 
 def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
-    """Read a mesh.
+    """Read a mesh without its groups; see `decode_with_groups`."""
+    return decode_with_groups(data, name)[0]
+
+
+def decode_with_groups(data: bytes | memoryview | bytearray, name: str) -> tuple[DecodedMesh, Groups]:
+    """Read a mesh, and the triangles of its objects, groups and materials.
 
     Polygons are cut into fans; relative (negative) vertex numbers, ``a/b/c`` corners, colors behind the coordinates,
     comments and continued lines are understood. Every face of the file is taken, whatever object or group it is in.
@@ -26,7 +32,7 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     """
     require_content(data, name)
     lines = Lines(data, name, continued=True)
-    coordinates, corners = array("d"), array("q")
+    coordinates, corners, named = array("d"), array("q"), GroupLog()
     for words in lines:
         if words[0] == b"v":
             if len(words) < 4:
@@ -40,7 +46,9 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
             if len(words) < 4:
                 lines.fail("a face has at least three corners")
             corners.extend(fan([_vertex(lines, word, above, total) for word in words[1:]]))
-    return decoded(name, coordinates, corners)
+        elif words[0] in _NAMES:
+            named.begin(_NAMES[words[0]], words[1:], len(corners) // 3)
+    return decoded(name, coordinates, corners), named.groups(len(corners) // 3)
 
 
 def _vertex(lines: Lines, word: bytes, above: int, total: int) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 
 import numpy as np
@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError, InputError
 from sppm_pipeline.formats.encoding import Bytes, as_written, in_blocks, largest, store2, store4, within_float32
-from sppm_pipeline.formats.mesh_arrays import DecodedMesh, merge_equal, require_content, require_faces, require_room
+from sppm_pipeline.formats.mesh_arrays import (
+    DecodedMesh,
+    GroupLog,
+    Groups,
+    merge_equal,
+    require_content,
+    require_faces,
+    require_room,
+)
 from sppm_pipeline.formats.text import Lines, shown
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts
@@ -44,9 +52,15 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     to 2^-24 of the largest coordinate closes it, then those. Of the corners merged the first one is kept. Normals and
     attributes are ignored. See `detect.decode_mesh` for what all readers take, return and raise.
     """
+    return decode_with_groups(data, name)[0]
+
+
+def decode_with_groups(data: bytes | memoryview | bytearray, name: str) -> tuple[DecodedMesh, Groups]:
+    """`decode`, and the triangles of the solids of an ASCII file that have names."""
     require_content(data, name)
+    named = GroupLog()
     if not is_binary(data) and is_ascii(data):
-        corners: NDArray[np.floating] = _ascii_corners(data, name)
+        corners: NDArray[np.floating] = _ascii_corners(data, name, named)
     else:
         corners = _binary_corners(data, name)
     # Adding 0 turns -0 into 0, which is the same place with other bits.
@@ -60,7 +74,7 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
         coarse = coarse.reshape(-1, 3)
         if edge_counts(coarse).closed:
             first, faces = first_coarse, coarse
-    return corners[first].astype(np.float64), faces
+    return (corners[first].astype(np.float64), faces), named.groups(len(faces))
 
 
 def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float32]:
@@ -89,10 +103,10 @@ def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[
     return corners
 
 
-def _ascii_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float64]:
+def _ascii_corners(data: bytes | memoryview | bytearray, name: str, named: GroupLog) -> NDArray[np.float64]:
     lines = Lines(data, name, comment=b"")
-    words = _words(lines)
     coordinates = array("d")
+    words = _words(lines, lambda solid: named.begin("solid", solid, len(coordinates) // 9))
     in_loop = -1  # vertices in the loop that is open
     for word in words:
         keyword = word.lower()
@@ -120,12 +134,13 @@ def _ascii_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[n
     return corners
 
 
-def _words(lines: Lines) -> Iterator[bytes]:
-    """The words of the file, but for the names of solids."""
+def _words(lines: Lines, begin: Callable[[list[bytes]], None]) -> Iterator[bytes]:
+    """The words of the file, but for the names of solids; `begin` is told the name of each, and its end."""
     for words in lines:
-        for word in words:
+        for at, word in enumerate(words):
             yield word
             if word.lower() in (b"solid", b"endsolid"):
+                begin([b" ".join(words[at + 1 :])] if word.lower() == b"solid" and words[at + 1 :] else [])
                 break
 
 

@@ -12,6 +12,8 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.formats.archive import Archive
 from sppm_pipeline.formats.mesh_arrays import (
     DecodedMesh,
+    GroupLog,
+    Groups,
     Matrix,
     after,
     place,
@@ -37,7 +39,7 @@ def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
     return decode_with_unit(data, name)[0]
 
 
-def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[DecodedMesh, str, float]:
+def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[DecodedMesh, str, float, Groups]:
     """Read what a file says is to be built: all items, with their components and transformations, as one mesh.
 
     Objects that are supports are left out.
@@ -51,6 +53,8 @@ def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[D
         ``millimeter``, ``inch``...
     mm : float
         The unit in millimeters.
+    groups : Groups
+        The triangles of each copy of an object that has a name.
     """
     require_content(data, name)
     package = _Package(Archive(data, name), name)
@@ -67,7 +71,7 @@ def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[D
         package.collect(root, use, copies)
     mesh = place(name, package.meshes, copies)
     require_faces(name, mesh[1])
-    return mesh, model.unit, UNITS_IN_MM[model.unit]
+    return mesh, model.unit, UNITS_IN_MM[model.unit], package.groups(copies)
 
 
 class _Relations(XmlReader):
@@ -88,6 +92,7 @@ class _Package:
         self._sizes: dict[tuple[str, int], tuple[int, int, int] | None] = {}
         self._numbers: dict[tuple[str, int], int] = {}
         self.meshes: list[DecodedMesh] = []
+        self._names: list[str] = []
 
     @property
     def root(self) -> str:
@@ -150,9 +155,18 @@ class _Package:
             if key not in self._numbers:
                 self._numbers[key] = len(self.meshes)
                 self.meshes.append(entry.mesh)
+                self._names.append(entry.name)
             copies.append((self._numbers[key], matrix))
         for component in entry.components:
             self.collect(own, component, copies, matrix)
+
+    def groups(self, copies: list[tuple[int, Matrix]]) -> Groups:
+        """The triangles of each copy of an object that has a name."""
+        named, triangle = GroupLog(), 0
+        for which, _ in copies:
+            named.begin("object", [self._names[which].encode()] if self._names[which] else [], triangle)
+            triangle += len(self.meshes[which][1])
+        return named.groups(triangle)
 
     def _object(self, part: str, use: Use) -> tuple[str, Object]:
         own = part if use.part is None else _normal(use.part)

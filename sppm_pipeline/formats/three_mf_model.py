@@ -74,6 +74,7 @@ class Object(NamedTuple):
     kind: str
     mesh: DecodedMesh | None
     components: list[Use]
+    name: str
 
 
 class Model(NamedTuple):
@@ -185,7 +186,7 @@ class _ModelReader(XmlReader):
         self._objects: dict[int, Object] = {}
         self._items: list[Use] = []
         self._identifier: int | None = None
-        self._kind = "model"
+        self._kind, self._object_name = "model", ""
         self._mesh: DecodedMesh | None = None
         self._components: list[Use] = []
         self._uses = 0
@@ -222,7 +223,7 @@ class _ModelReader(XmlReader):
             self._identifier = self._number(attributes, "id")
             if self._identifier in self._objects:
                 self.fail(f"there are two objects with the id {self._identifier}")
-            self._kind = attributes.get("type", "model")
+            self._kind, self._object_name = attributes.get("type", "model"), attributes.get("name", "")
             self._mesh, self._components = None, []
         elif tag == _MESH and around == _OBJECT:
             self._tables = {}
@@ -242,7 +243,7 @@ class _ModelReader(XmlReader):
                 self.fail(f"object {self._identifier} has two meshes")
             self._mesh = self._sound()
         if tag == _OBJECT and self._identifier is not None and self.path[-1] == _RESOURCES:
-            self._objects[self._identifier] = Object(self._kind, self._mesh, self._components)
+            self._objects[self._identifier] = Object(self._kind, self._mesh, self._components, self._object_name)
             self._identifier = None
             if len(self._objects) > MAX_PLACED:
                 self.fail(f"there are more than {MAX_PLACED} objects")

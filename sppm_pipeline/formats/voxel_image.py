@@ -1,15 +1,20 @@
-"""Images of voxels: what readers deliver, the checks they share, .npy in and out, and VTK image data out."""
+"""Images of voxels: what readers deliver, the checks they share, .npy in and out, and VTK image data out.
+
+What reads the other kinds stands in `image_stack`, `nrrd` and `vti`.
+"""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.formats.input_file import content_of
 
 LARGEST_IMAGE = 2**33
 """Most bytes of an image in memory; a file that claims more is refused before anything is reserved."""
@@ -28,10 +33,41 @@ class VoxelImage(NamedTuple):
         Any type of numbers, indexed x, y, z.
     spacing : (sx, sy, sz) or None
         Edges of a voxel in the unit of the file, where it says so.
+    origin : (x, y, z) or None
+        Low corner of the first voxel, where the file says so.
     """
 
     values: NDArray[Any]
     spacing: tuple[float, float, float] | None
+    origin: tuple[float, float, float] | None = None
+
+
+ENDINGS = (".npy", ".tif", ".tiff", ".nrrd", ".vti")
+
+
+def read_image(path: Path, array: str | None = None) -> VoxelImage:
+    """Read an image of any kind that is known, or a folder of pictures; `array` names one of several in a .vti file.
+
+    Raises
+    ------
+    InputError
+        If it can't be read.
+    ResourceError
+        If the library that reads it is not installed.
+    """
+    from sppm_pipeline.formats import image_stack, nrrd, vti
+
+    if path.is_dir():
+        return image_stack.read_folder(path)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        hint = "PNG files are read as a folder of one picture a layer" if ending == ".png" else None
+        raise InputError(f"{path.name} ends in {ending!r}; voxel images end in {', '.join(ENDINGS)}", hint=hint)
+    data = content_of(path, LARGEST_IMAGE)
+    if ending == ".vti":
+        return vti.decode(data, path.name, array)
+    decode = {".npy": decode_npy, ".nrrd": nrrd.decode}.get(ending, image_stack.decode_tiff)
+    return decode(data, path.name)
 
 
 def checked_shape(shape: tuple[int, ...], itemsize: int, name: str) -> tuple[int, int, int]:

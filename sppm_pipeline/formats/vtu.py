@@ -6,7 +6,8 @@ Both are read by ParaView, PyVista and meshio; the legacy one is for programs th
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,11 @@ from sppm_pipeline.formats.volume_arrays import as_written
 VTK_TYPES = {4: 10, 10: 24}
 """VTK's number of straight and quadratic tetrahedra, by the nodes of a cell; its order of nodes is ours."""
 
+_HEXAHEDRON, _HEXAHEDRON_NODES = 12, (0, 1, 3, 2, 4, 5, 7, 6)
+"""VTK goes around the lower face, then around the upper one."""
+
 _BLOCK = 1 << 16
-_NAMES = {"float64": "Float64", "int32": "Int32", "int64": "Int64", "uint8": "UInt8"}
+_NAMES = {"float64": "Float64", "float32": "Float32", "int32": "Int32", "int64": "Int64", "uint8": "UInt8"}
 
 
 def encode(
@@ -35,13 +39,39 @@ def encode(
         Compress the data with zlib; the bytes may then differ between versions of that library.
     """
     points, corners, materials = as_written(nodes, cells, materials)
+    return _encoded(points, corners, VTK_TYPES[corners.shape[1]], {"material": materials}, compress)
+
+
+def encode_hexahedra(
+    nodes: NDArray[np.float32], cells: NDArray[np.int32], data: Mapping[str, NDArray[Any]]
+) -> Iterator[bytes]:
+    """A VTU file of hexahedra, piece by piece.
+
+    Parameters
+    ----------
+    nodes : (n, 3) float32
+    cells : (m, 8) int32
+        Column i + 2 j + 4 k is the corner at the upper end along x, y, z where i, j, k is 1.
+    data : mapping of str to (m,) array
+        Cell arrays: float32, int32 or uint8.
+    """
+    return _encoded(nodes, cells[:, _HEXAHEDRON_NODES], _HEXAHEDRON, data, False)
+
+
+def _encoded(
+    points: NDArray[np.floating],
+    corners: NDArray[np.int32],
+    kind: int,
+    data: Mapping[str, NDArray[Any]],
+    compress: bool,
+) -> Iterator[bytes]:
     count, per_cell = corners.shape
     arrays = {
-        "points": points.astype("<f8", copy=False),
-        "connectivity": corners.astype("<i4", copy=False),
+        "points": points.astype(points.dtype.newbyteorder("<"), copy=False),
+        "connectivity": np.ascontiguousarray(corners, "<i4"),
         "offsets": np.arange(per_cell, (count + 1) * per_cell, per_cell, dtype="<i8"),
-        "types": np.full(count, VTK_TYPES[per_cell], np.uint8),
-        "material": materials,
+        "types": np.full(count, kind, np.uint8),
+        **{name: values.astype(values.dtype.newbyteorder("<"), copy=False) for name, values in data.items()},
     }
     blocks, places, end = {}, {}, 0
     for name, array in arrays.items():
@@ -61,7 +91,7 @@ def encode(
         f'<UnstructuredGrid>\n<Piece NumberOfPoints="{len(points)}" NumberOfCells="{count}">\n'
         f"<Points>\n{declared('points', 3)}</Points>\n"
         f"<Cells>\n{declared('connectivity')}{declared('offsets')}{declared('types')}</Cells>\n"
-        f'<CellData Scalars="material">\n{declared("material")}</CellData>\n'
+        f'<CellData Scalars="{next(iter(data))}">\n{"".join(map(declared, data))}</CellData>\n'
         '</Piece>\n</UnstructuredGrid>\n<AppendedData encoding="raw">\n_'
     ).encode()
     for pieces in blocks.values():

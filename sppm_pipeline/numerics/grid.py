@@ -35,13 +35,16 @@ class Grid(NamedTuple):
         x, y, z = self.origin
         return Grid((x, y, z + start * self.spacing[2]), self.spacing, (self.shape[0], self.shape[1], stop - start))
 
-    def subsampled(self, k: int) -> Grid:
-        """k x k points in place of each one: the middles of the equal parts of the pixel around it, in its layer."""
-        if k == 1:
+    def subsampled(self, k: int, m: int = 1) -> Grid:
+        """k x k x m points in place of each one: the middles of the equal parts of the voxel around it."""
+        if (k, m) == (1, 1):
             return self
         (x, y, z), (hx, hy, hz), (nx, ny, nz) = self
+        z += 0.0 if m == 1 else hz / (2 * m) - hz / 2
         return Grid(
-            (x - hx / 2 + hx / (2 * k), y - hy / 2 + hy / (2 * k), z), (hx / k, hy / k, hz), (nx * k, ny * k, nz)
+            (x - hx / 2 + hx / (2 * k), y - hy / 2 + hy / (2 * k), z),
+            (hx / k, hy / k, hz / m),
+            (nx * k, ny * k, nz * m),
         )
 
 

@@ -154,7 +154,8 @@ def number_text(value: float) -> str:
 
 
 @contextmanager
-def _styled() -> Iterator[None]:
+def styled() -> Iterator[None]:
+    """The style of all charts, while a figure is drawn and written."""
     import matplotlib
 
     with _style_lock, matplotlib.rc_context():
@@ -163,7 +164,8 @@ def _styled() -> Iterator[None]:
         yield
 
 
-def _file(figure: Figure, path: str) -> bytes:
+def figure_file(figure: Figure, path: str) -> bytes:
+    """The file that a figure becomes, by the extension of its name."""
     extension = PurePath(path).suffix.lower().removeprefix(".")
     data = io.BytesIO()
     figure.savefig(data, format=extension, metadata=_METADATA[extension])
@@ -209,7 +211,7 @@ def chart(
     """
     from matplotlib.figure import Figure
 
-    with _styled():
+    with styled():
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
         axes.set(title=title, xlabel=x_label, ylabel=y_label)
@@ -250,7 +252,7 @@ def chart(
             figure.legend(*zip(*named, strict=True), title=legend or None, loc="outside right upper")
         elif named:
             axes.legend(*zip(*named, strict=True), title=legend or None, loc="best")
-        return _file(figure, path)
+        return figure_file(figure, path)
 
 
 def _samples(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
@@ -343,7 +345,7 @@ def bars(
         raise ValueError(f"{len(labels)} rows have panels of shapes {[column.shape for column in columns]}")
     rows = np.arange(len(labels))
     colors = [COLORS[1] if row in marked else COLORS[0] for row in rows]
-    with _styled():
+    with styled():
         figure = Figure(figsize=(1.2 + 1.25 * len(panels), 0.6 + 0.19 * len(labels)), layout="constrained")
         figure.suptitle(title, fontsize=10)
         for column, (axes, panel) in enumerate(
@@ -364,4 +366,4 @@ def bars(
                 axes.set_yticks(rows, [plain_text(label) for label in labels])
                 for row in marked:
                     axes.get_yticklabels()[row].set_color(COLORS[1])
-        return _file(figure, path)
+        return figure_file(figure, path)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.render.camera import Camera, Frame, framed, projected
-from sppm_pipeline.render.shading import BONE, Color, Seen, empty_seen, shaded
+from sppm_pipeline.render.shading import BONE, Background, Color, Seen, empty_seen, hidden_sky, lit, on_background
 
 # Corners at which a triangle and the mean of its neighbors differ by more are edges (of a cut, of a box), not noise.
 _CREASE_COSINE = math.cos(math.radians(38.0))
@@ -55,7 +55,7 @@ def _nearest_triangles(
 
 
 @jit
-def _vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
     """Unit means of the normals of the triangles at each vertex.
 
     Weighted by the angle at the vertex (Thürmer and Wüthrich 1998, "Computing vertex normals from polygonal facets"),
@@ -79,9 +79,46 @@ def _vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> 
             normals[vertex, 2] += z * angle / size
     for n in range(normals.shape[0]):
         length = math.sqrt(normals[n, 0] ** 2 + normals[n, 1] ** 2 + normals[n, 2] ** 2)
-        if length > 0.0:
-            normals[n] /= length
+        for axis in range(3):  # dividing the row would compile an array expression, for seconds
+            normals[n, axis] /= max(length, 1e-300)
     return normals
+
+
+@jit
+def normal_on(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    normals: NDArray[np.float64],
+    f: int,
+    wb: float,
+    wc: float,
+    smooth: bool,
+    flat: NDArray[np.float64],
+    mean: NDArray[np.float64],
+) -> None:
+    """Normal `flat` of triangle f, and `mean`, interpolated at the weights of its second and third corner.
+
+    Corners where the surface has an edge have the normal of the triangle.
+    """
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    flat[0], flat[1], flat[2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = math.sqrt(flat[0] ** 2 + flat[1] ** 2 + flat[2] ** 2)
+    for axis in range(3):
+        if length > 0.0:
+            flat[axis] /= length
+        mean[axis] = 0.0 if smooth else flat[axis]
+    if not smooth:
+        return
+    for vertex, weight in ((a, 1.0 - wb - wc), (b, wb), (c, wc)):
+        cosine = normals[vertex, 0] * flat[0] + normals[vertex, 1] * flat[1] + normals[vertex, 2] * flat[2]
+        for axis in range(3):
+            mean[axis] += weight * (normals[vertex, axis] if cosine > _CREASE_COSINE else flat[axis])
+    length = math.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2)
+    for axis in range(3):
+        if length > 0.0:
+            mean[axis] /= length
 
 
 @jit
@@ -90,7 +127,6 @@ def _resolve(
     faces: NDArray[np.int64],
     normals: NDArray[np.float64],
     smooth: bool,
-    crease: float,
     places: NDArray[np.float64],
     axes: NDArray[np.float64],
     distance: float,
@@ -111,30 +147,14 @@ def _resolve(
             if f < 0:
                 continue
             a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            ux, uy = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
-            vx, vy = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
-            uz, vz = vertices[b, 2] - vertices[a, 2], vertices[c, 2] - vertices[a, 2]
-            flat[0], flat[1], flat[2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-            length = math.sqrt(flat[0] ** 2 + flat[1] ** 2 + flat[2] ** 2)
-            if length > 0.0:
-                flat /= length
-            mean[:] = flat
-            if smooth:
-                ax, ay = places[a, 0], places[a, 1]
-                bx, by = places[b, 0] - ax, places[b, 1] - ay
-                cx, cy = places[c, 0] - ax, places[c, 1] - ay
-                area = bx * cy - by * cx
-                dx, dy = col + 0.5 - ax, r + 0.5 - ay
-                wb = (dx * cy - dy * cx) / area
-                wc = (dy * bx - dx * by) / area
-                mean[:] = 0.0
-                for vertex, weight in ((a, 1.0 - wb - wc), (b, wb), (c, wc)):
-                    cosine = normals[vertex, 0] * flat[0] + normals[vertex, 1] * flat[1] + normals[vertex, 2] * flat[2]
-                    for axis in range(3):
-                        mean[axis] += weight * (normals[vertex, axis] if cosine > crease else flat[axis])
-                length = math.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2)
-                if length > 0.0:
-                    mean /= length
+            ax, ay = places[a, 0], places[a, 1]
+            bx, by = places[b, 0] - ax, places[b, 1] - ay
+            cx, cy = places[c, 0] - ax, places[c, 1] - ay
+            area = bx * cy - by * cx
+            dx, dy = col + 0.5 - ax, r + 0.5 - ay
+            normal_on(
+                vertices, faces, normals, f, (dx * cy - dy * cx) / area, (dy * bx - dx * by) / area, smooth, flat, mean
+            )
             facing = flat[0] * axes[2, 0] + flat[1] * axes[2, 1] + flat[2] * axes[2, 2]
             # The back of an open mesh, or of one turned inside out, is lit like its front.
             side = -1.0 if facing < 0.0 else 1.0
@@ -160,13 +180,12 @@ def _seen_mesh(
     owner = np.full((height, width), -1, np.int32)
     _nearest_triangles(places, faces, nearness, owner)
     seen = empty_seen(width, height)
-    normals = _vertex_normals(vertices, faces) if smooth else np.zeros((1, 3))
+    normals = vertex_normals(vertices, faces) if smooth else np.zeros((1, 3))
     _resolve(
         vertices,
         faces,
         normals,
         smooth,
-        _CREASE_COSINE,
         places,
         frame.axes,
         frame.distance,
@@ -192,8 +211,9 @@ def render_mesh(
     face_colors: ArrayLike | None = None,
     supersampling: int = 2,
     occlusion: float = 1.0,
-    background: Color | None = None,
+    background: Background = "light",
     margin: float = 0.04,
+    threads: int = 1,
 ) -> NDArray[np.uint8]:
     """Picture of a triangle mesh.
 
@@ -220,15 +240,17 @@ def render_mesh(
         Samples per pixel along each axis, 1..8.
     occlusion : float
         Strength of the darkening of pores and creases; 0 leaves it out.
-    background : (r, g, b), optional
-        One color for the background; a light gradient otherwise.
+    background : Background
+        "light" or "dark", which are gradients, "transparent", or one color.
     margin : float
         Fraction of the picture left free on each side.
+    threads : int
 
     Returns
     -------
     (height, width, 3) uint8
-        The picture (sRGB). A mesh without triangles gives the bare background.
+        The picture (sRGB); with a fourth channel, the opacity, if the background is transparent. A mesh without
+        triangles gives the bare background.
 
     Raises
     ------
@@ -252,8 +274,9 @@ def render_mesh(
         raise DesignError(f"supersampling is {supersampling}, allowed are 1 to 8")
     fine = (size[0] * supersampling, size[1] * supersampling)
     if not corners.size:
-        return shaded(empty_seen(*fine), supersampling, occlusion, background)
+        return on_background(lit(empty_seen(*fine), None, 0.0, supersampling), background)
     used = points if len(points) < 3 * len(corners) else points[np.unique(corners)]
     frame = framed(camera or Camera(), used, fine, margin)
     seen = _seen_mesh(points, corners, frame, fine, smooth, colors)
-    return shaded(seen, supersampling, occlusion, background)
+    hidden = hidden_sky(seen, threads) if occlusion > 0.0 else None
+    return on_background(lit(seen, hidden, occlusion, supersampling), background)

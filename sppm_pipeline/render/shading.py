@@ -7,22 +7,34 @@ pixel, points of a half ball above the surface are tested for being behind somet
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.threads import in_bands
 
 Color = tuple[int, int, int]
 
-#: Colors of surfaces and of cuts through the material.
+#: Colors of surfaces, of cuts through the material, and of a solid skin.
 BONE: Color = (226, 214, 192)
 CUT: Color = (212, 124, 88)
-_BACKGROUND_TOP: Color = (250, 251, 252)
-_BACKGROUND_BOTTOM: Color = (222, 227, 233)
+SKIN: Color = (120, 150, 178)
+
+Background = str | Color
+
+BACKGROUNDS: dict[str, tuple[Color, Color]] = {
+    "light": ((250, 251, 252), (222, 227, 233)),
+    "dark": ((44, 49, 57), (20, 23, 28)),
+}
+"""Colors at the top and at the bottom of the picture."""
+
+TRANSPARENT = "transparent"
 
 _SAMPLES = 16  # per radius and pixel; neighboring pixels use rotated sets, 16 of them, which a 4 x 4 mean unites
+_BAND = 64  # rows that are composed at a time
 _RADII = (0.022, 0.11)  # of the height of the picture: the first for creases and edges, the second for pores
 
 
@@ -81,13 +93,15 @@ def _occlusion(
     rotations: NDArray[np.float32],
     radius: float,
     hidden: NDArray[np.float32],
+    start: int,
+    stop: int,
 ) -> None:
-    """Fraction of the points of a half ball above each sample that lie behind something seen."""
+    """Fraction of the points of a half ball above each sample that lie behind something seen, in some rows."""
     height, width = depth.shape
     reach = np.float32(radius)
     bias = np.float32(0.03) * reach
     soft = np.float32(1.0) / (np.float32(0.2) * reach)
-    for r in range(height):
+    for r in range(start, stop):
         for c in range(width):
             here = depth[r, c]
             hidden[r, c] = 0.0
@@ -119,12 +133,18 @@ def _occlusion(
 
 
 @jit
-def _smoothed(depth: NDArray[np.float32], hidden: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
-    """Mean over 4 x 4 samples of like depth."""
+def _smoothed(
+    depth: NDArray[np.float32],
+    hidden: NDArray[np.float32],
+    radius: float,
+    mean: NDArray[np.float32],
+    start: int,
+    stop: int,
+) -> None:
+    """Mean over 4 x 4 samples of like depth, in some rows."""
     height, width = depth.shape
-    mean = np.zeros_like(hidden)
     near = np.float32(0.35 * radius)
-    for r in range(height):
+    for r in range(start, stop):
         for c in range(width):
             here = depth[r, c]
             if here == -np.inf:
@@ -136,7 +156,46 @@ def _smoothed(depth: NDArray[np.float32], hidden: NDArray[np.float32], radius: f
                         total += hidden[rr, cc]
                         count += np.float32(1.0)
             mean[r, c] = total / count
-    return mean
+
+
+@jit
+def light_of(
+    nx: np.float32,
+    ny: np.float32,
+    nz: np.float32,
+    color: NDArray[np.uint8],
+    creases: np.float32,
+    pores: np.float32,
+    strength: np.float32,
+    linear: NDArray[np.float32],
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Light (red, green, blue) from a point: its normal, its color, and how much of creases and pores hides it."""
+    # Unit vectors towards a warm key light at the upper left, a cool fill light at the right, and half way to the key.
+    kx, ky, kz = np.float32(-0.4603), np.float32(0.6554), np.float32(0.5989)
+    fx, fy, fz = np.float32(0.8111), np.float32(0.1217), np.float32(0.5721)
+    hx, hy, hz = np.float32(-0.2574), np.float32(0.3665), np.float32(0.8941)
+    open_ = (np.float32(1.0) - strength * np.float32(0.75) * creases) * (np.float32(1.0) - strength * pores)
+    open_ = max(open_, np.float32(0.0))
+    key = max(nx * kx + ny * ky + nz * kz, np.float32(0.0))
+    fill = max(nx * fx + ny * fy + nz * fz, np.float32(0.0))
+    shine = max(nx * hx + ny * hy + nz * hz, np.float32(0.0))
+    shine *= shine
+    shine *= shine
+    shine *= shine
+    shine *= shine
+    shine *= shine
+    sky = np.float32(0.5) + np.float32(0.5) * ny
+    # Lights reach into pores less than the open square says, ambient light as it says.
+    direct = np.float32(0.25) * open_ + np.float32(0.75) * open_ * open_
+    warm = np.float32(0.82) * key * direct
+    cool = np.float32(0.36) * fill * direct
+    round_ = (np.float32(0.17) + np.float32(0.22) * sky) * open_
+    gloss = np.float32(0.05) * shine * direct
+    return (
+        linear[color[0]] * (warm * np.float32(1.03) + cool * np.float32(0.90) + round_) + gloss,
+        linear[color[1]] * (warm + cool + round_) + gloss,
+        linear[color[2]] * (warm * np.float32(0.95) + cool * np.float32(1.12) + round_) + gloss,
+    )
 
 
 @jit
@@ -146,60 +205,32 @@ def _lit(
     color: NDArray[np.uint8],
     creases: NDArray[np.float32],
     pores: NDArray[np.float32],
-    strength: float,
+    strength: np.float32,
     linear: NDArray[np.float32],
-    background: NDArray[np.float32],
-    coded: NDArray[np.uint8],
     fine: int,
-    picture: NDArray[np.uint8],
+    light: NDArray[np.float32],
 ) -> None:
-    """Light each sample and average `fine` x `fine` samples to a pixel, in linear light."""
-    # Unit vectors towards a warm key light at the upper left, a cool fill light at the right, and half way to the key.
-    kx, ky, kz = np.float32(-0.4603), np.float32(0.6554), np.float32(0.5989)
-    fx, fy, fz = np.float32(0.8111), np.float32(0.1217), np.float32(0.5721)
-    hx, hy, hz = np.float32(-0.2574), np.float32(0.3665), np.float32(0.8941)
-    top = np.float32(coded.shape[0] - 1)
+    """Light of `fine` x `fine` samples for each pixel, as `Lit` has it."""
     share = np.float32(1.0 / (fine * fine))
-    for r in range(picture.shape[0]):
-        for c in range(picture.shape[1]):
-            red, green, blue = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for r in range(light.shape[0]):
+        for c in range(light.shape[1]):
+            red, green, blue, seen = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
             for rr in range(r * fine, (r + 1) * fine):
                 for cc in range(c * fine, (c + 1) * fine):
                     if depth[rr, cc] == -np.inf:
-                        red += background[r, 0]
-                        green += background[r, 1]
-                        blue += background[r, 2]
                         continue
-                    nx, ny, nz = normal[rr, cc, 0], normal[rr, cc, 1], normal[rr, cc, 2]
-                    open_ = (np.float32(1.0) - strength * np.float32(0.75) * creases[rr, cc]) * (
-                        np.float32(1.0) - strength * pores[rr, cc]
-                    )
-                    open_ = max(open_, np.float32(0.0))
-                    key = max(nx * kx + ny * ky + nz * kz, np.float32(0.0))
-                    fill = max(nx * fx + ny * fy + nz * fz, np.float32(0.0))
-                    shine = max(nx * hx + ny * hy + nz * hz, np.float32(0.0))
-                    shine *= shine
-                    shine *= shine
-                    shine *= shine
-                    shine *= shine
-                    shine *= shine
-                    sky = np.float32(0.5) + np.float32(0.5) * ny
-                    # Lights reach into pores less than the open square says, ambient light as it says.
-                    direct = np.float32(0.25) * open_ + np.float32(0.75) * open_ * open_
-                    warm = np.float32(0.82) * key * direct
-                    cool = np.float32(0.36) * fill * direct
-                    round_ = (np.float32(0.17) + np.float32(0.22) * sky) * open_
-                    gloss = np.float32(0.05) * shine * direct
-                    red += (
-                        linear[color[rr, cc, 0]] * (warm * np.float32(1.03) + cool * np.float32(0.90) + round_) + gloss
-                    )
-                    green += linear[color[rr, cc, 1]] * (warm + cool + round_) + gloss
-                    blue += (
-                        linear[color[rr, cc, 2]] * (warm * np.float32(0.95) + cool * np.float32(1.12) + round_) + gloss
-                    )
-            picture[r, c, 0] = coded[int(min(red * share, np.float32(1.0)) * top + np.float32(0.5))]
-            picture[r, c, 1] = coded[int(min(green * share, np.float32(1.0)) * top + np.float32(0.5))]
-            picture[r, c, 2] = coded[int(min(blue * share, np.float32(1.0)) * top + np.float32(0.5))]
+                    a, b, d = light_of(
+                        normal[rr, cc, 0], normal[rr, cc, 1], normal[rr, cc, 2], color[rr, cc],
+                        creases[rr, cc], pores[rr, cc], strength, linear,
+                    )  # fmt: skip
+                    red += a
+                    green += b
+                    blue += d
+                    seen += np.float32(1.0)
+            light[r, c, 0] = red * share
+            light[r, c, 1] = green * share
+            light[r, c, 2] = blue * share
+            light[r, c, 3] = seen * share
 
 
 def _linear_light(coded: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -212,51 +243,87 @@ def _coded_light(light: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-def shaded(
-    seen: Seen, supersampling: int, occlusion: float = 1.0, background: Color | None = None
-) -> NDArray[np.uint8]:
-    """Light a scene.
+LINEAR = _linear_light(np.arange(256) / 255.0).astype(np.float32)
+"""Light of each sRGB value."""
+
+
+class Hidden(NamedTuple):
+    """How much of the sky each sample does not see, 0 to 1.
+
+    Attributes
+    ----------
+    creases, pores : (h, w) float32
+        For what is hidden by something near, and by something farther away.
+    """
+
+    creases: NDArray[np.float32]
+    pores: NDArray[np.float32]
+
+
+def hidden_sky(seen: Seen, threads: int = 1) -> Hidden:
+    """Ambient occlusion of a scene (Mittring 2007, "Finding next gen: CryEngine 2", of the depth image)."""
+    height, width = seen.depth.shape
+    found = []
+    for share in _RADII:
+        radius = share * height
+        around, mean = np.empty((height, width), np.float32), np.zeros((height, width), np.float32)
+        ball, turns = _ball_points(), _rotations()
+        in_bands(partial(_occlusion, seen.depth, seen.normal, ball, turns, radius, around), height, threads)
+        in_bands(partial(_smoothed, seen.depth, around, radius, mean), height, threads)
+        found.append(mean)
+    return Hidden(*found)
+
+
+def lit(seen: Seen, hidden: Hidden | None, occlusion: float, supersampling: int = 1) -> NDArray[np.float32]:
+    """Light of each pixel, (h, w, 4) float32: red, green and blue of what is seen, and the share of samples with any.
+
+    Without `hidden` nothing is in the shade of anything.
+    """
+    height, width = (n // supersampling for n in seen.depth.shape)
+    creases, pores = hidden or (np.zeros_like(seen.depth),) * 2
+    light = np.empty((height, width, 4), np.float32)
+    _lit(seen.normal, seen.depth, seen.color, creases, pores, np.float32(occlusion), LINEAR, supersampling, light)
+    return light
+
+
+def check_background(background: Background) -> None:
+    """Refuse words that mean no background."""
+    if isinstance(background, str) and background != TRANSPARENT and background not in BACKGROUNDS:
+        raise ValueError(f"the background is {background!r}, allowed are {', '.join(BACKGROUNDS)} and {TRANSPARENT}")
+
+
+def on_background(light: NDArray[np.float32], background: Background) -> NDArray[np.uint8]:
+    """The picture in sRGB, of light (h, w, 4) as `lit` gives it.
 
     Parameters
     ----------
-    seen : Seen
-        Samples; their numbers of rows and columns are multiples of `supersampling`.
-    supersampling : int
-        Samples per pixel along each axis.
-    occlusion : float
-        Strength of the ambient occlusion; 0 leaves it out.
-    background : (r, g, b), optional
-        One color for the background; a light vertical gradient otherwise.
+    light : (h, w, 4) float32
+    background : Background
+        A word from `BACKGROUNDS`, one color, or ``"transparent"``.
 
     Returns
     -------
-    (h / supersampling, w / supersampling, 3) uint8
-        The picture (sRGB).
+    (h, w, 3) or, if transparent, (h, w, 4) uint8
     """
-    height, width = seen.depth.shape
-    picture = np.empty((height // supersampling, width // supersampling, 3), np.uint8)
-    hidden = []
-    for share in _RADII:
-        radius = share * height
-        around = np.zeros((height, width), np.float32)
-        if occlusion > 0.0:
-            _occlusion(seen.depth, seen.normal, _ball_points(), _rotations(), radius, around)
-            around = _smoothed(seen.depth, around, radius)
-        hidden.append(around)
-    down = np.linspace(0.0, 1.0, picture.shape[0])[:, None]
-    top, bottom = (background, background) if background is not None else (_BACKGROUND_TOP, _BACKGROUND_BOTTOM)
-    gradient = (np.array(top) * (1.0 - down) + np.array(bottom) * down) / 255.0
-    _lit(
-        seen.normal,
-        seen.depth,
-        seen.color,
-        hidden[0],
-        hidden[1],
-        float(occlusion),
-        _linear_light(np.arange(256) / 255.0).astype(np.float32),
-        _linear_light(gradient).astype(np.float32),
-        np.rint(255.0 * _coded_light(np.linspace(0.0, 1.0, 8192))).astype(np.uint8),
-        supersampling,
-        picture,
-    )
+    check_background(background)
+    height, width = light.shape[:2]
+    table = np.rint(255.0 * _coded_light(np.linspace(0.0, 1.0, 8192))).astype(np.uint8)
+    top = np.float32(len(table) - 1)
+    transparent = background == TRANSPARENT
+    picture = np.empty((height, width, 4 if transparent else 3), np.uint8)
+    if not transparent:
+        ends = BACKGROUNDS[background] if isinstance(background, str) else (background, background)
+        down = np.linspace(0.0, 1.0, height)[:, None]
+        gradient = (np.array(ends[0]) * (1.0 - down) + np.array(ends[1]) * down) / 255.0
+        behind = _linear_light(gradient).astype(np.float32)
+    for start in range(0, height, _BAND):  # a band at a time, for memory
+        band = light[start : start + _BAND]
+        seen = band[..., 3:]
+        if transparent:
+            shown = band[..., :3] / np.maximum(seen, np.float32(1e-6))
+            picture[start : start + _BAND, :, 3:] = np.rint(255 * seen)
+        else:
+            shown = band[..., :3] + (1 - seen) * behind[start : start + _BAND, None]
+        places = (np.minimum(shown, np.float32(1.0)) * top + np.float32(0.5)).astype(np.int16)
+        picture[start : start + _BAND, :, :3] = table[places]
     return picture

@@ -1,4 +1,4 @@
-"""Annotation of pictures: sheets of several of them, labels, and color bars."""
+"""Annotation of pictures: sheets of several of them, labels, color bars, axes and scale bars."""
 
 from __future__ import annotations
 
@@ -14,12 +14,23 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.render.shading import Color
 
 if TYPE_CHECKING:
+    from PIL.Image import Image
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
-_INK: Color = (52, 58, 66)
-_PAPER: Color = (255, 255, 255)
+    from sppm_pipeline.render.camera import Frame
+
+INK: Color = (52, 58, 66)
+PAPER: Color = (255, 255, 255)
 _SOLID: Color = (64, 74, 88)
 _VOID: Color = (238, 240, 243)
+
+AXES: tuple[Color, ...] = ((213, 94, 0), (0, 158, 115), (0, 114, 178))
+"""Colors of the axes x, y, z, which all kinds of color vision tell apart (Okabe and Ito 2008)."""
+
+DARK_PAPER: Color = (32, 36, 43)
+LIGHT_INK: Color = (226, 230, 235)
+
+_FINE = 4  # lines are drawn larger by this, and averaged down
 
 _ANCHORS = np.array(
     [[42, 46, 112], [38, 92, 150], [36, 138, 152], [72, 178, 128], [160, 208, 96], [246, 226, 104]], np.float64
@@ -60,14 +71,16 @@ def contact_sheet(
     title: str = "",
     gap: int = 20,
     text_size: int = 20,
-    background: Color = _PAPER,
+    background: Color = PAPER,
+    ink: Color = INK,
 ) -> NDArray[np.uint8]:
     """Place pictures in a grid, row by row, with labels beneath.
 
     Parameters
     ----------
-    images : sequence of (h, w, 3) uint8
-        Pictures; smaller ones stand in the middle of their place.
+    images : sequence of (h, w, 3) or (h, w, 4) uint8
+        Pictures; smaller ones stand in the middle of their place. With a fourth channel, the opacity, the sheet is
+        transparent, too.
     labels : sequence of str, optional
         One for each picture; a label wider than its picture is set smaller.
     columns : int, optional
@@ -78,12 +91,12 @@ def contact_sheet(
         Free pixels around each picture.
     text_size : int
         Size of the labels in pixels; the title is larger by half.
-    background : (r, g, b)
-        Color of the sheet.
+    background, ink : (r, g, b)
+        Colors of the sheet and of the letters.
 
     Returns
     -------
-    (height, width, 3) uint8
+    (height, width, 3) or (height, width, 4) uint8
         The sheet.
 
     Raises
@@ -98,8 +111,11 @@ def contact_sheet(
     pictures = [np.asarray(image, np.uint8) for image in images]
     if not pictures:
         raise DesignError("there is no picture to place on the sheet")
-    if any(picture.ndim != 3 or picture.shape[2] != 3 for picture in pictures):
-        raise ValueError(f"pictures must have shape (h, w, 3), got {[picture.shape for picture in pictures]}")
+    channels = pictures[0].shape[-1]
+    if channels not in (3, 4) or any(picture.ndim != 3 or picture.shape[2] != channels for picture in pictures):
+        raise ValueError(
+            f"pictures must have shape (h, w, 3) or all (h, w, 4), got {[picture.shape for picture in pictures]}"
+        )
     if labels is not None and len(labels) != len(pictures):
         raise ValueError(f"{len(pictures)} pictures have {len(labels)} labels")
     high = max(picture.shape[0] for picture in pictures)
@@ -112,8 +128,8 @@ def contact_sheet(
     rows = -(-len(pictures) // columns)
     caption = int(text_size * 1.7) if labels is not None else 0
     head = int(text_size * 2.4) if title else 0
-    sheet = np.empty((head + gap + rows * (high + caption + gap), gap + columns * (wide + gap), 3), np.uint8)
-    sheet[:] = background
+    sheet = np.empty((head + gap + rows * (high + caption + gap), gap + columns * (wide + gap), channels), np.uint8)
+    sheet[:] = background if channels == 3 else (*background, 0)
     corners = []
     for number, picture in enumerate(pictures):
         top = head + gap + number // columns * (high + caption + gap)
@@ -129,7 +145,7 @@ def contact_sheet(
     def write(text: str, middle: float, line: float, size: int, room: int) -> None:
         while size > 8 and text_width(text, size) > room:
             size -= 1
-        pen.text((middle, line), printable(text), fill=_INK, font=font(size), anchor="mm")
+        pen.text((middle, line), printable(text), fill=ink, font=font(size), anchor="mm")
 
     for (top, left), label in zip(corners, labels or (), strict=False):
         write(label, left + wide / 2, top + high + caption / 2, text_size, wide + gap // 2)
@@ -237,3 +253,82 @@ def with_scale(picture: NDArray[np.uint8], low: float, high: float, title: str, 
             pen.text((right + 9, y), f"{tick:.6g}", fill=(30, 30, 30), font=letters, anchor="lm")
     pen.text((left, top - 16), printable(title), fill=(30, 30, 30), font=letters, anchor="ls")
     return np.concatenate([picture, np.asarray(panel)], axis=1)
+
+
+def annotated(
+    picture: NDArray[np.uint8], frame: Frame, unit_mm: float | None, *, dark: bool = False
+) -> NDArray[np.uint8]:
+    """A picture with the directions of the axes at its lower left, and a scale bar at its lower right.
+
+    Parameters
+    ----------
+    picture : (h, w, 3) or (h, w, 4) uint8
+    frame : Frame
+        Of the camera; the bar is as long as it says at the middle of the part.
+    unit_mm : float or None
+        Unit of length of the frame, mm; None for cells without a physical size.
+    dark : bool
+        Whether the background is dark.
+
+    Returns
+    -------
+    array of the shape of `picture`
+    """
+    from PIL import Image
+
+    canvas = Image.fromarray(picture)
+    ink, halo = (LIGHT_INK, INK) if dark else (INK, PAPER)
+    _draw_axes(canvas, frame, ink)
+    _draw_bar(canvas, frame.scale / (unit_mm or 1.0), "mm" if unit_mm else "cell sizes", ink, halo)
+    return np.asarray(canvas, np.uint8).copy()
+
+
+def bar_length(pixels_per_unit: float, width: int) -> float:
+    """The longest of 1, 2, 5, 10, ... units that takes at most a fifth of a picture's width."""
+    power = 10.0 ** math.floor(math.log10(0.2 * width / pixels_per_unit))
+    return max(m * power for m in (1.0, 2.0, 5.0) if m * power * pixels_per_unit <= 0.2 * width)
+
+
+def _draw_bar(canvas: Image, pixels_per_unit: float, unit: str, ink: Color, halo: Color) -> None:
+    from PIL import ImageDraw
+
+    width, height = canvas.size
+    length = bar_length(pixels_per_unit, width)
+    thick, edge = max(2, round(height / 200)), max(4, round(0.025 * height))
+    right, bottom = width - 1 - edge, height - 1 - edge
+    left = right - round(length * pixels_per_unit) + 1
+    pen = ImageDraw.Draw(canvas)
+    pen.rectangle((left - 1, bottom - thick, right + 1, bottom + 1), fill=halo)
+    pen.rectangle((left, bottom - thick + 1, right, bottom), fill=ink)
+    place = ((left + right) / 2, bottom - thick - max(2, height // 150))
+    letters = font(max(9, round(height / 40)))
+    pen.text(place, f"{length:g} {unit}", fill=ink, font=letters, anchor="mb", stroke_width=2, stroke_fill=halo)
+
+
+def _draw_axes(canvas: Image, frame: Frame, ink: Color) -> None:
+    from PIL import Image, ImageDraw
+
+    width, height = canvas.size
+    arm = max(8.0, 0.055 * min(width, height))
+    side = round(3.2 * arm)
+    patch = Image.new("RGBA", (side * _FINE, side * _FINE), (*ink, 0))
+    pen = ImageDraw.Draw(patch)
+    middle = side / 2
+    line, head = max(1.5, arm / 18), max(3.0, arm / 6)
+    for axis in np.argsort(frame.axes[2]):  # those that point away first
+        along = np.array([frame.axes[0, axis], -frame.axes[1, axis]])
+        tip, size = middle + arm * along, float(np.hypot(*along))
+        pen.line([*(np.array([middle] * 2) * _FINE), *(tip * _FINE)], fill=AXES[axis], width=round(line * _FINE))
+        if size > 0.15:  # else it points at the viewer, or away
+            back, across = along / size * head, np.array([-along[1], along[0]]) / size * head / 2.2
+            corners = [tip + back / 3, tip - back + across, tip - back - across]
+            pen.polygon([tuple(corner * _FINE) for corner in corners], fill=AXES[axis])
+        place = tip + (along / size if size > 0.15 else np.array([-0.7, 0.7])) * 1.3 * head
+        letters = font(round(max(9.0, arm / 3) * _FINE))
+        pen.text(tuple(place * _FINE), "xyz"[axis], fill=AXES[axis], font=letters, anchor="mm")
+    patch = patch.resize((side, side), Image.Resampling.BOX)
+    left, top = round(0.01 * width), height - side - round(0.01 * height)
+    if canvas.mode == "RGBA":
+        canvas.alpha_composite(patch, (left, top))
+    else:
+        canvas.paste(patch, (left, top), patch)

@@ -117,6 +117,17 @@ class AddNumbers(Stage):
 
 
 @dataclass(frozen=True, kw_only=True)
+class TotalNumbers(Stage):
+    """Add one number or more."""
+
+    name: ClassVar[str] = "fill.total"
+
+    def run(self, context: Context, numbers: tuple[Number, ...]) -> Number:
+        """Add."""
+        return Number(sum(number.value for number in numbers))
+
+
+@dataclass(frozen=True, kw_only=True)
 class LimitNumber(Stage):
     """Reject a number that is too large, else pass it on as what it is."""
 
@@ -293,6 +304,7 @@ def sppm_stages() -> dict[str, type[Stage]]:
         RandomNumber,
         ScaleNumber,
         AddNumbers,
+        TotalNumbers,
         LimitNumber,
         ToText,
         Repeat,

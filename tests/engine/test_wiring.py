@@ -36,6 +36,19 @@ def test_from_can_name_ports(work):
     assert inputs(plan, "fill.sum") == {"left": "b", "right": "a"}
 
 
+def test_a_port_that_takes_many_takes_all_there_are_or_those_of_from(work):
+    written = [("", ["a", "b"]), (", from: b", ["b"]), (", from: [b, a]", ["b", "a"])]
+    for asked, order in [*written, (", from: {numbers: [b, a, b]}", ["b", "a", "b"])]:
+        plan = work.plan(f"pipeline:\n{A}  - read.varied\n{B}  - {{stage: fill.total{asked}}}\n")
+        (port,) = plan.steps[-1].signature.ports
+        assert plan.steps[-1].sources(port) == order
+        assert f"numbers: from {', '.join(order)}\n" in wiring_text(plan)
+        assert all(f'"{id_}" -> "fill.total"' in dot_graph(plan) for id_ in order)
+    assert work.run(f"pipeline:\n{A}{B}  - {{stage: fill.total, from: [b, a, b]}}\n")["stages"][-1]["summary"] == {
+        "value": 5
+    }
+
+
 def test_a_noun_of_a_narrower_kind_fits(work):
     plan = work.plan("pipeline: [read.whole, field.scale]\n")
     assert inputs(plan, "field.scale") == {"number": "read.whole"}
@@ -83,6 +96,10 @@ def test_recipes_can_use_recipes_in_any_order(work):
         (f"{A}  - {{stage: fill.sum, from: a}}\n", "fits the ports 'left' and 'right'", (4, 29)),
         (f"{A}  - {{stage: field.scale, from: c}}\n", "no earlier stage 'c'", (4, 32)),
         (f"{A}  - {{stage: field.scale, from: 3}}\n", "takes the id of a stage", (4, 32)),
+        (f"{A}{B}  - {{stage: field.scale, from: [a, b]}}\n", "takes one artifact, and two are given", (5, 36)),
+        (f"{A}  - {{stage: fill.total, from: [a, c]}}\n", "no earlier stage 'c'", (4, 35)),
+        (f"{A}  - {{stage: fill.total, from: []}}\n", "takes the id of a stage, a list of ids", (4, 31)),
+        ("  - read.varied\n  - fill.total\n", "needs one or more of Number, which no earlier stage makes", (4, 5)),
         (f"  - {{stage: field.scale, from: a}}\n{A}", "'a' does not come before this stage", (3, 32)),
         (f"{A}  - {{stage: field.scale, id: x, from: x}}\n", "does not come before", (4, 39)),
         (f"{A}  - {{stage: field.scale, from: {{nmuber: a}}}}\n", "did you mean 'number'", (4, 33)),
@@ -199,6 +216,7 @@ def no_result(self, context: Context): ...
 def many(self, context: Context, *numbers: Number) -> Number: ...
 def anything(self, context: Context) -> Any: ...
 def pairs(self, context: Context) -> tuple[Number, Text]: ...
+def maybe_many(self, context: Context, numbers: tuple[Number | None, ...]) -> Number: ...
 def mixed(self, context: Context, recipe: Recipe | Number) -> Number: ...
 def unresolved(self, context: Context, number: NotThere) -> Number: ...  # noqa: F821
 
@@ -212,6 +230,7 @@ def unresolved(self, context: Context, number: NotThere) -> Number: ...  # noqa:
         (many, "each port needs a name"),
         (anything, "makes Any"),
         (pairs, "must be annotated with artifacts"),
+        (maybe_many, "none is None"),
         (mixed, "either a recipe or artifacts"),
         (unresolved, "can't be resolved"),
     ],

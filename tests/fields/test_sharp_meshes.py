@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.fields.field_surface import FieldSurface, node_grid
@@ -92,6 +93,23 @@ def test_the_rim_of_a_hole_is_a_circle():
         assert np.abs(np.hypot(*(rim[:, :2] - 5).T) - 1).max() < 0.02 * h
         assert np.abs(np.abs(rim[:, 2] - 5.011) - 2).max() < 0.002 * h
         assert self_intersections(box_tree(vertices[faces])).pairs == 0
+
+
+def test_small_balls_are_not_too_small():
+    """At 3.1 samples a radius most vertices may be moved by less than the surface rises: others move farther."""
+    rng, radius, found = np.random.default_rng(1), 0.62, []
+    for center in 5 + rng.random((6, 3)):
+        ball = Formula(lambda x, y, z, c=center: np.sqrt((x - c[0]) ** 2 + (y - c[1]) ** 2 + (z - c[2]) ** 2) - radius)
+        found.append(volume(*FieldSurface(ball, node_grid(ball, 5), "keep").mesh()[:2]))
+    assert np.mean(found) == pytest.approx(4 / 3 * np.pi * radius**3, rel=2.5e-3)
+
+
+def test_nothing_crosses_where_a_cube_holds_several_polygons():
+    noise = gaussian_filter(np.random.default_rng(3).standard_normal((51, 51, 51)), 0.6)
+    rough = Formula(lambda x, y, z: noise[tuple(np.round(5 * a).astype(int) for a in np.broadcast_arrays(z, y, x))])
+    vertices, faces, kinds = mesh(rough, placed("turned"), 5)
+    assert {FIELD, DOMAIN} == set(kinds)
+    assert self_intersections(box_tree(vertices[faces])).pairs == 0
 
 
 def test_a_ball_that_hardly_touches_a_face():

@@ -1,6 +1,8 @@
 """Voxel images in and out, and files that lie."""
 
+import base64
 import bz2
+import contextlib
 import gzip
 import io
 import sys
@@ -17,7 +19,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from sppm_pipeline.errors import InputError, ResourceError
-from sppm_pipeline.formats import image_stack, nrrd
+from sppm_pipeline.formats import image_stack, nrrd, vti
 from sppm_pipeline.formats.voxel_image import decode_npy, encode_npy, encode_vti
 
 IMAGE = np.random.default_rng(0).integers(0, 3, (3, 4, 5)).astype(np.uint8)
@@ -363,3 +365,92 @@ def test_damage_is_read_or_refused_and_nothing_else(which, seed):
     except InputError:
         return
     assert image.values.ndim == 3
+
+
+def vti_of(values, form, packed, *, kind="CellData", word="UInt32", order="LittleEndian", blocks=2, **image):
+    """A .vti file as VTK writes it, by the rules of its format."""
+    n = dict(zip("xyz", values.shape, strict=True))
+    raw = values.astype(values.dtype.newbyteorder("<" if order == "LittleEndian" else ">")).tobytes(order="F")
+    count = {"UInt32": 4, "UInt64": 8}[word]
+
+    def head(*numbers):
+        return b"".join(number.to_bytes(count, "little" if order == "LittleEndian" else "big") for number in numbers)
+
+    def text(data):
+        return data if form == "raw" else base64.b64encode(data)
+
+    if packed:
+        size = len(raw) // blocks
+        parts = [zlib.compress(raw[i : i + size]) for i in range(0, len(raw), size)]
+        body = text(head(len(parts), size, len(raw) % size, *map(len, parts))) + text(b"".join(parts))
+    else:
+        body = text(head(len(raw)) + raw)
+    if form == "ascii":
+        body = " ".join(map(str, values.reshape(-1, order="F").tolist())).encode()
+    more = kind == "PointData"
+    extent = " ".join(f"5 {5 + length - more}" for length in n.values())
+    about = {"Origin": "1 2 3", "Spacing": "0.5 1 2", **image}
+    attributes = " ".join(f'{key}="{value}"' for key, value in about.items())
+    inline = form in ("ascii", "binary")
+    array = (
+        f'type="{values.dtype.name.title().replace("Ui", "UI")}" Name="ct" format="{form if inline else "appended"}"'
+    )
+    kept = f">{body.decode()}</DataArray>" if inline else ' offset="3"/>'
+    tail = b"" if inline else f'<AppendedData encoding="{form}">_'.encode() + b"abc" + body + b"</AppendedData>"
+    compressor = 'compressor="vtkZLibDataCompressor"' if packed else ""
+    return (
+        (
+            f'<?xml version="1.0"?><VTKFile type="ImageData" byte_order="{order}" header_type="{word}" {compressor}>'
+            f'<ImageData WholeExtent="{extent}" {attributes}><Piece Extent="{extent}"><{kind}>'
+            f'<DataArray {array}{kept}<DataArray type="Float32" Name="flow" NumberOfComponents="3" format="ascii"/>'
+            f"</{kind}></Piece></ImageData>"
+        ).encode()
+        + tail
+        + b"</VTKFile>"
+    )
+
+
+@pytest.mark.parametrize("packed", [False, True], ids=["plain", "zlib"])
+@pytest.mark.parametrize("form", ["ascii", "binary", "raw", "base64"])
+@pytest.mark.parametrize("values", [IMAGE, GRAY], ids=["phases", "gray"])
+def test_vti_of_all_kinds_are_read(values, form, packed):
+    for more in ({}, {"word": "UInt64", "order": "BigEndian", "blocks": 3}):
+        found = vti.decode(vti_of(values, form, packed, **more), "a.vti")
+        np.testing.assert_array_equal(found.values, values)
+        assert found.values.dtype == values.dtype
+        assert found.spacing == (0.5, 1, 2)
+        assert found.origin == (3.5, 7, 13)  # the low corner of cell 5, 5, 5
+    points = vti.decode(vti_of(values, form, packed, kind="PointData"), "a.vti", "ct")
+    assert points.origin == (3.25, 6.5, 12)
+    np.testing.assert_array_equal(points.values, values)
+
+
+def test_vti_that_lie():
+    good = vti_of(IMAGE, "raw", True)
+    for data, words in (
+        (good[:-90], "cut short|damaged|another length"), (good.replace(b"ImageData", b"PolyData"), "not an image"),
+        (good.replace(b'Spacing="0.5', b'Spacing="-1'), "positive"),
+        (good.replace(b'Extent="5 8', b'Extent="5 99'), "announced"),
+        (good.replace(b"UInt8", b"Complex"), "not read"), (good.replace(b"ZLib", b"LZMA"), "LZMA"),
+        (b'<!DOCTYPE a [<!ENTITY b "ccc">]>' + good[21:], "entities"),
+        (good.replace(b'"ct"', b'"flow"'), "no single array"),
+        (vti_of(IMAGE, "raw", True, Direction="0 1 0 1 0 0 0 0 1"), "turned"), (b"", "well-formed|not an image"),
+        (good.replace(b'Extent="5 8', b'Extent="5 8888888888'), "limit"),
+        (vti_of(IMAGE, "ascii", False)[:-200], "well-formed"),
+        (good.replace(b'offset="3"', b'offset="99999999"'), "cut short"), (b"<a>" * 10_000, "well-formed"),
+    ):  # fmt: skip
+        array = "flow" if words == "no single array" else None
+        with pytest.raises(InputError, match=words) as caught:
+            vti.decode(data, "a.vti", array)
+        assert "a.vti" in str(caught.value)
+    with pytest.raises(InputError, match="several components"):
+        vti.decode(good, "a.vti", "flow")
+
+
+@given(st.integers(0, 1500), st.integers(0, 255), st.sampled_from(["raw", "binary", "ascii"]))
+@settings(max_examples=60, deadline=None)
+def test_mutated_vti_are_images_or_errors(at, byte, form):
+    data = bytearray(vti_of(IMAGE, form, form != "ascii"))
+    data[at % len(data)] = byte
+    with contextlib.suppress(InputError):
+        vti.decode(bytes(data), "a.vti")

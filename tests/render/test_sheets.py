@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.render.sheets import contact_sheet, font, layer_sheet, printable, text_width
+from sppm_pipeline.render.camera import Camera, framed
+from sppm_pipeline.render.sheets import (
+    AXES,
+    annotated,
+    bar_length,
+    contact_sheet,
+    font,
+    layer_sheet,
+    printable,
+    text_width,
+)
 
 RED = np.full((30, 40, 3), (200, 10, 10), np.uint8)
 BLUE = np.full((20, 30, 3), (10, 10, 200), np.uint8)
@@ -103,3 +113,51 @@ def test_wrong_arguments():
         contact_sheet([RED[..., 0]])
     with pytest.raises(ValueError, match="layers"):
         layer_sheet([RED])
+
+
+def frame_of(camera, length=40.0, size=(600, 400)):
+    """A camera pointed at a cube of some length."""
+    return framed(camera, length * np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], float), size)
+
+
+@pytest.mark.parametrize(("unit", "length"), [(1.0, 40.0), (4.0, 40.0), (0.25, 3.7), (None, 2.0)])
+def test_the_scale_bar_is_as_long_as_it_says(unit, length):
+    frame = frame_of(Camera(-90, 0), length)
+    blank = np.full((400, 600, 3), 255, np.uint8)
+    picture = annotated(blank, frame, unit)[380:396, 300:]
+    row = max(picture, key=lambda line: (line < 128).all(1).sum())
+    drawn = int((row < 128).all(1).sum())
+    said = bar_length(frame.scale / (unit or 1.0), 600)
+    assert drawn == pytest.approx(said * frame.scale / (unit or 1.0), abs=1)
+    assert 120 >= drawn > 120 / 2.5 - 1  # a fifth of the width, or as near to it as 1, 2, 5 come
+    assert f"{said:g}".strip("0.")[0] in "125"
+
+
+@pytest.mark.parametrize("camera", [Camera(), Camera(20, -40), Camera(-90, 0)])
+def test_axes_point_where_they_do(camera):
+    frame = frame_of(camera)
+    picture = annotated(np.zeros((900, 1200, 3), np.uint8), frame, 1.0)[:, :300].astype(int)
+    axes = np.array(AXES)
+    near = np.abs(picture[:, :, None] - axes).max(3) < 40
+    # all arms begin in the middle of a patch of 3.2 arms of 49.5 pixels
+    middle = np.array([12 + 79, 900 - 9 - 79])
+    for axis in range(3):
+        along = np.array([frame.axes[0, axis], -frame.axes[1, axis]])
+        if np.hypot(*along) < 0.3:
+            continue
+        rows, columns = np.nonzero(near[:, :, axis])
+        places = np.stack([columns, rows], 1) + 0.5 - middle
+        farthest = places[np.argmax(places @ along)]
+        assert farthest @ along > 0.9 * 49.5 * (along @ along)
+        mean = places[(places @ along > 9) & (places @ along < 36 * np.hypot(*along))].mean(0)
+        assert mean @ along / np.hypot(*mean) / np.hypot(*along) > 0.97
+
+
+def test_sheets_may_be_transparent():
+    tile = np.full((4, 5, 4), 200, np.uint8)
+    sheet = contact_sheet([tile, tile], gap=3)
+    assert sheet.shape[2] == 4
+    assert (sheet[..., 3] == 200).sum() == 2 * 4 * 5
+    assert (sheet[..., 3] == 0).sum() == sheet[..., 3].size - 2 * 4 * 5
+    with pytest.raises(ValueError, match=r"\(h, w, 3\) or all \(h, w, 4\)"):
+        contact_sheet([tile, tile[..., :3]])

@@ -30,6 +30,13 @@ RECIPE = """  cell:
     - {stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.06}
 """
 CELL = RECIPE.splitlines()[1:]
+GRADED = """  counted:
+    - {stage: sample.mirrored_faces, total: 24, share: 0.5}
+    - {stage: sample.dart_throwing, total: 24}
+    - {stage: connect.mbdst, degree: [3, 5], mode: greedy}
+    - {stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.06}
+"""
+MAP = "  - {stage: grade.table, of: porosity, values: [[0, 0.5], [4, 0.6]], along: x}"
 SET = "  - {stage: tileset.wang_3color, recipe: cell, colors: 1, resolution: 8}"
 FREE = "  - {stage: tileset.free_faces, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
 CORNER = "  - {stage: tileset.corner_colors, recipe: cell, colors: 1, interiors: 1, resolution: 8}"
@@ -41,6 +48,8 @@ REPEATED = [*AS_CELL, "  - {stage: tile.periodic, cells: [1, 1, 1], cell: 2 mm}"
 VOLUME = [*REPEATED, "  - {stage: mesh.isosurface_stuffing, resolution: 6}"]
 IMAGE = [*REPEATED, "  - {stage: extract.voxels, resolution: 6}"]
 
+TEST = ["  - {stage: read.compression, path: test.csv, size: [20, 20, 20]}"]
+
 CHECKED = ["  - {stage: check.porosity, resolution: 8}"]
 LAYERS = ["  - {stage: slice.field, pixel: 0.5}", "  - write.png"]
 SMALL = "recipe: cell, porosity: 0.5, colors: 1, resolution: 8, tolerance: 0.1"
@@ -50,6 +59,13 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "read.primitive": ([], "shape: torus, size: [3, 3, 3]", []),
     "read.voxels": ([], "path: image.npy", []),
     "read.volume_mesh": ([], "path: part.vtu", []),
+    "grade.formula": ([], "of: porosity, formula: 0.5 + 0*x", []),
+    "grade.table": ([], "of: porosity, values: [[0, 0.5], [1, 0.6]]", []),
+    "grade.image": ([], "of: ct, path: image.npy", []),
+    "grade.points": ([], "of: ct, path: points.csv", []),
+    "grade.nodes": ([], "of: ct, path: part.vtu", []),
+    "grade.distance": ([BOX], "of: depth", []),
+    "read.compression": ([], "path: test.csv, size: [20, 20, 20]", []),
     "sample.mirrored_faces": ([], "count: 6, spacing: 0.25", AS_CELL[1:]),
     "sample.dart_throwing": (AS_CELL[:1], "count: 5, spacing: 0.25", AS_CELL[2:]),
     "sample.elimination": (AS_CELL[:1], "count: 5", AS_CELL[2:]),
@@ -57,6 +73,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "connect.mst": (AS_CELL[:2], "", AS_CELL[3:]),
     "connect.relative_neighbors": (AS_CELL[:2], "degree: [1, 4]", AS_CELL[3:]),
     "connect.mbdst": (AS_CELL[:2], "degree: [1, 4], mode: greedy", AS_CELL[3:]),
+    "field.blend": (
+        [*TILED, "  - {stage: grade.formula, of: weight, formula: 0.5 + 0*x}"], "probes: 10000",
+        ["  - {stage: check.porosity, resolution: 4}"]),
     "field.walls": (AS_CELL[:3], "thickness: 0.05, tunnel_radius: 0.04", CHECKED),
     "field.gaussian": (AS_CELL[:3], "pore_radius: 0.16, tunnel_radius: 0.06", CHECKED),
     "tune.porosity": ([], "recipe: cell, target: 0.5, resolution: 16, tolerance: 0.05, trials: 1, evaluations: 4", []),
@@ -64,6 +83,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
         [], "recipe: cell, target: 0.3, vary: field.gaussian.level, low: 0.2, high: 0.5, resolution: 6, evaluations: 4",
         []),
     "tune.retry": ([], "recipe: cell", []),
+    "tune.local_porosity": ([MAP, *TILED], "resolution: 8, tolerance: 0.1", []),
     "tileset.wang_3color": ([], SMALL, []),
     "tileset.free_faces": ([], SMALL + ", interiors: 2", []),
     "tileset.corner_colors": ([], SMALL + ", interiors: 2", []),
@@ -72,12 +92,24 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "tile.free_faces": ([FREE], "cells: [2, 1, 1], cell: 2 mm", []),
     "tile.corner_colors": ([CORNER], "cells: [2, 1, 1], cell: 2 mm", []),
     "tile.scattered": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
+    "tile.graded": ([MAP], "recipe: counted, cells: [2, 1, 1], cell: 2 mm, resolution: 8, trials: 1, rounds: 1", []),
+    "tileset.join": ([FREE, CORNER], "from: {first: tileset.free_faces, second: tileset.corner_colors}", []),
+    "tile.joined": (
+        [FREE, CORNER, "  - {stage: tileset.join, from: {first: tileset.free_faces, second: tileset.corner_colors}}",
+         "  - {stage: grade.formula, of: weight, formula: 'step(2, x)'}"],
+        "cells: [2, 1, 1], cell: 2 mm, resolution: 8, rounds: 1", []),
     "tile.fresh": ([], "recipe: cell, cells: [2, 1, 1], cell: 2 mm, porosity: 0.5, resolution: 8", []),
+    "warp.cylinder": (TILED, "inner_radius: 5 mm, around: 90", CHECKED),
+    "warp.sphere": (TILED, "inner_radius: 5 mm, around: 90", CHECKED),
+    "warp.hexahedra": (TILED, "path: part.vtu", []),
     "fill.implicit": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "", LAYERS),
     "tune.orientation": (
         [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],
         "", LAYERS),
     "fix.drains": (
+        [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],
+        "", LAYERS),
+    "fix.fill": (
         [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],
         "", LAYERS),
     "extract.marching_cubes": (TILED, "resolution: 8", []),
@@ -90,14 +122,18 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "mesh.boundary": (VOLUME, "", []),
     "homogenize.voxel": (REPEATED, "resolution: 6", []),
     "homogenize.conductivity": (REPEATED, "resolution: 6", []),
+    "homogenize.permeability": (REPEATED, "resolution: 6", []),
+    "homogenize.acoustics": (REPEATED, "resolution: 6, cell: 5 mm", []),
     "homogenize.tet": (VOLUME, "", []),
     "homogenize.realizations": ([], "recipe: cell, draws: 2, resolution: 6", []),
     "check.mesh": ([BOX], "", []),
     "check.print": ([*TILED, "  - {stage: slice.field, pixel: 0.5}"], "", []),
     "check.sizes": (TILED, "resolution: 8", []),
     "check.volume_mesh": (VOLUME, "", []),
+    "measure.compression": (TEST, "", []),
     "slice.mesh": ([BOX], "pixel: 0.25", ["  - write.png"]),
     "check.connectivity": (TILED, "resolution: 8", []),
+    "check.local_porosity": ([MAP, *TILED], "resolution: 8", []),
     "check.porosity": (TILED, "resolution: 8", []),
     "check.tiling": (TILED, "", []),
     "check.residual_periodicity": (TILED, "resolution: 8", []),
@@ -111,12 +147,15 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.volume_mesh": (VOLUME, "", []),
     "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "image_size: [300, 300]", []),
+    "write.curves": (TEST, "", []),
+    "write.flow": ([*REPEATED, "  - {stage: homogenize.permeability, resolution: 6}"], "image_size: [300, 300]", []),
+    "write.absorption": ([*REPEATED, "  - {stage: homogenize.acoustics, resolution: 6, cell: 5 mm}"], "", []),
     "write.graph": (AS_CELL[:3], "", []),
     "write.picture": ([BOX], "image_size: [32, 32], resolution: 4", []),
 }  # fmt: skip
 """What comes before a stage, the options it gets, and what comes after."""
 
-NO_PIPELINE = {"write.bars", "write.chart", "write.sheet", "write.table"}
+NO_PIPELINE = {"write.bars", "write.chart", "write.sheet", "write.table", "write.frames"}
 """Stand only after a sweep."""
 
 HOSTILE = [
@@ -164,7 +203,7 @@ def document(name: str, option: str, value: str) -> tuple[str, int]:
     before, given, after = PLACES[name]
     options = [] if not given else [part for part in _split(given) if part.split(":")[0].strip() != option]
     entry = "  - {" + ", ".join([f"stage: {name}", *options, f"{option}: {value}"]) + "}"
-    head = ["sppm: 1", "recipes:", *RECIPE.splitlines(), "pipeline:"]
+    head = ["sppm: 1", "recipes:", *RECIPE.splitlines(), *GRADED.splitlines(), "pipeline:"]
     return "\n".join([*head, *before, entry, *after]) + "\n", len(head) + len(before) + 1
 
 
@@ -249,6 +288,8 @@ def too_slow(number, frame):
 def test_the_ends_of_what_is_allowed_give_results_or_errors_that_can_be_cured(name, tmp_path, ball):
     from sppm_pipeline.formats import stl
 
+    readings = "".join(f"{min(400 * d, 800 + 20 * d)},{d}\n" for d in (i / 50 for i in range(500)))
+    (tmp_path / "test.csv").write_text(f"Force (N),Displacement (mm)\n{readings}", encoding="utf-8")
     (tmp_path / "part.stl").write_bytes(b"".join(stl.encode(ball.vertices, ball.faces)))
     path = tmp_path / "config.yaml"
     for option in options_of(stage_class(name)).values():

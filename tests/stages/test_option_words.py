@@ -25,7 +25,12 @@ REPOSITORY = Path(__file__).parents[2]
 UNITS = {
     "edge": "samplers take it without a unit, too: then it is a scale of the recipe's lengths and no physical size"
 }
-SENTENCES = {"path": "the direction, to read or to write, is that of the stage"}
+SENTENCES = {
+    "path": "the direction, to read or to write, is that of the stage",
+    "of": "says whose property the stage makes: that of a phase, or a parameter of the design",
+    "faces": "says what the stage does with the faces that cells share: what lies on them, or what they are held at",
+    "values": "what stands in an image, or in a table",
+}
 """Names that have several units or sentences, and why."""
 
 

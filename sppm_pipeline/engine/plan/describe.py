@@ -8,7 +8,7 @@ from typing import Any
 
 from sppm_pipeline.engine.config.options import Option, allowed_words, options_of, plain_option
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan, step_options
-from sppm_pipeline.engine.plan.ports import artifact_words, signature_of
+from sppm_pipeline.engine.plan.ports import artifact_words, port_words, signature_of
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.errors import PluginError
@@ -27,7 +27,7 @@ def _takes(cls: type[Stage]) -> list[dict[str, Any]]:
     return [
         {
             "port": port.name,
-            "takes": "a recipe" if port.is_recipe else artifact_words(port.types),
+            "takes": "a recipe" if port.is_recipe else port_words(port),
             "optional": port.optional,
         }
         for port in signature_of(cls).ports
@@ -161,7 +161,7 @@ def _explained(step: Step, path: str) -> list[str]:
         if port.is_recipe:
             lines.append(f"      {port.name}: recipe {step.recipes.get(port.name, '(none)')}")
         else:
-            lines.append(f"      {port.name}: {step.inputs.get(port.name) or '(open)'}")
+            lines.append(f"      {port.name}: {', '.join(step.sources(port)) or '(open)'}")
     lines.append(f"      makes {artifact_words(step.makes)}; random numbers from seed and {path!r}")
     for name, value in step_options(step).items():
         mark = "" if name in step.entry.options else " (default)"
@@ -183,8 +183,8 @@ def wiring_text(plan: Plan) -> str:
                     name = step.recipes.get(port.name)
                     lines.append(f"       {port.name}: " + (f"repeats the recipe {name}" if name else "(no recipe)"))
                 else:
-                    source = step.inputs.get(port.name)
-                    lines.append(f"       {port.name}: " + (f"from {source}" if source else "(open)"))
+                    sources = ", ".join(step.sources(port))
+                    lines.append(f"       {port.name}: " + (f"from {sources}" if sources else "(open)"))
     return "\n".join(lines) + "\n"
 
 

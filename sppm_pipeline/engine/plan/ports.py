@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import inspect
+import itertools
 import sys
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,16 +26,23 @@ class Port:
     types : tuple of type
         The artifacts it takes; empty for a recipe.
     optional : bool
+    many : bool
+        Whether it takes the results of one or more stages, as a tuple in the order of `from`.
     """
 
     name: str
     types: tuple[type, ...]
     optional: bool
+    many: bool = False
 
     @property
     def is_recipe(self) -> bool:
         """Whether it is handed a recipe and not an artifact."""
         return not self.types
+
+    def place(self, number: int) -> str:
+        """The name under which one of many inputs is kept until the stage is called; counted from 0."""
+        return f"{self.name}[{number}]"
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,15 @@ class Signature:
     makes: tuple[type, ...]
     as_recipe: bool
     as_port: str | None = None
+
+    def gathered(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        """Inputs by port: those of ports that take many as tuples."""
+        found = dict(inputs)
+        for port in self.ports:
+            if port.many:
+                places = itertools.takewhile(found.__contains__, map(port.place, itertools.count()))
+                found[port.name] = tuple(found.pop(place) for place in list(places))
+        return found
 
 
 @functools.cache
@@ -98,7 +116,9 @@ def signature_of(cls: type[Stage]) -> Signature:
 
 
 def _port(port: str, hint: Any, name: str) -> Port:
-    members = _members(object if hint is Any else hint, f"the port {port!r} of {name}")
+    elements = typing.get_args(hint) if typing.get_origin(hint) is tuple else ()
+    many = len(elements) == 2 and elements[1] is Ellipsis
+    members = _members(elements[0] if many else object if hint is Any else hint, f"the port {port!r} of {name}")
     optional = types.NoneType in members
     artifacts = tuple(member for member in members if member is not types.NoneType)
     if Recipe in artifacts:
@@ -107,7 +127,9 @@ def _port(port: str, hint: Any, name: str) -> Port:
         return Port(port, (), optional)
     if not artifacts:
         raise PluginError(f"the port {port!r} of {name} takes nothing")
-    return Port(port, artifacts, optional)
+    if many and optional:
+        raise PluginError(f"the port {port!r} of {name} takes one or more artifacts, of which none is None")
+    return Port(port, artifacts, optional, many)
 
 
 def _members(hint: Any, what: str) -> tuple[type, ...]:
@@ -133,6 +155,11 @@ def fits(made: tuple[type, ...], port: Port) -> bool:
     """Whether whatever a stage makes can go into `port`."""
     wanted = (*port.types, types.NoneType) if port.optional else port.types
     return bool(made) and made != (types.NoneType,) and all(issubclass(member, wanted) for member in made)
+
+
+def port_words(port: Port) -> str:
+    """What a port takes, in words."""
+    return f"{'one or more of ' if port.many else ''}{artifact_words(port.types)}"
 
 
 def artifact_words(artifacts: tuple[type, ...]) -> str:

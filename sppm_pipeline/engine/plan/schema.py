@@ -86,13 +86,15 @@ def _presets(registry: Registry) -> Iterator[dict[str, Any]]:
 def _stage_schema(cls: type[Stage]) -> dict[str, Any]:
     """The schema of one stage's entry."""
     ports = signature_of(cls).ports
-    text_or_map = {"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": {"type": "string"}}]}
+    text = {"type": "string"}
+    text_or_map = {"anyOf": [text, {"type": "object", "additionalProperties": text}]}
+    ids = {"anyOf": [text, {"type": "array", "items": text, "minItems": 1}]}
     properties: dict[str, Any] = {
         "stage": {"const": cls.name, "description": purpose_of(cls)},
         "id": {"type": "string", "pattern": r"^\w[\w.#-]*$"},
     }
     if any(not port.is_recipe for port in ports):
-        properties["from"] = text_or_map
+        properties["from"] = {"anyOf": [*ids["anyOf"], {"type": "object", "additionalProperties": ids}]}
     if any(port.is_recipe for port in ports):
         properties["recipe"] = text_or_map
     either: list[dict[str, Any]] = []

@@ -9,7 +9,7 @@ from sppm_pipeline.engine.config.configuration import StageEntry
 from sppm_pipeline.engine.config.document import Node, plain
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, listed, shown
 from sppm_pipeline.engine.plan.plugins import Plugin
-from sppm_pipeline.engine.plan.ports import Port, Signature, artifact_words, fits, signature_of
+from sppm_pipeline.engine.plan.ports import Port, Signature, artifact_words, fits, port_words, signature_of
 from sppm_pipeline.errors import Position, WiringError
 from sppm_pipeline.stage import Stage
 
@@ -45,7 +45,8 @@ class Step:
         Who supplies the stage.
     signature : Signature
     inputs : mapping of port to id
-        The earlier stage that each port takes its artifact from; None for an optional port left open.
+        The earlier stage that each port takes its artifact from; None for an optional port left open. A port that
+        takes many has an entry for each, under the names `Port.place`.
     recipes : mapping of port to name
     makes : tuple of type
         What it makes, recipes taken into account.
@@ -73,6 +74,14 @@ class Step:
     def where(self) -> Position:
         """The place of the stage in the configuration."""
         return self.entry.where
+
+    def sources(self, port: Port) -> list[str]:
+        """The stages that a port takes its artifacts from."""
+        return [
+            source
+            for place, source in self.inputs.items()
+            if source is not None and place.partition("[")[0] == port.name
+        ]
 
 
 def last_uses(steps: Sequence[Step]) -> list[set[str]]:
@@ -177,17 +186,18 @@ def _chosen_sources(
     later: Sequence[str],
     problems: Problems,
 ) -> dict[str, str]:
-    """What `from` says: port -> id; ids that do not exist or do not fit are reported and left out."""
+    """What `from` says: port or place -> id; ids that do not exist or do not fit are reported and left out."""
     node, entry = draft.entry.sources, draft.entry
     if node is None:
         return {}
     ports = {port.name: port for port in signature.ports if not port.is_recipe}
     requested: list[tuple[str | None, Position, Node]]
     if isinstance(node.value, dict):
-        requested = [(port, e.where, e.node) for port, e in node.value.items()]
+        requested = [(port, e.where, one) for port, e in node.value.items() for one in _each(e.node)]
     else:
-        requested = [(None, node.where, node)]
+        requested = [(None, node.where, one) for one in _each(node)]
     chosen: dict[str, str] = {}
+    count: dict[str, int] = {}
     for port, where, source in requested:
 
         def refuse(message: str, hint: str | None, place: Position) -> None:
@@ -197,7 +207,7 @@ def _chosen_sources(
             refuse(f"{draft.cls.name} has no port {port!r}", did_you_mean(port, ports), where)
         elif not isinstance(source.value, str):
             refuse(
-                f"`from` takes the id of a stage or a map of ports to ids, got {shown(plain(source))}",
+                f"`from` takes the id of a stage, a list of ids or a map of ports to them, got {shown(plain(source))}",
                 None,
                 source.where,
             )
@@ -212,7 +222,12 @@ def _chosen_sources(
             artifacts = made[source.value]
             candidates = [ports[port]] if port is not None else list(ports.values())
             fitting = [p.name for p in candidates if artifacts is None or fits(artifacts, p)]
-            if len(fitting) == 1:
+            if len(fitting) == 1 and ports[fitting[0]].many:
+                count[fitting[0]] = number = count.get(fitting[0], -1) + 1
+                chosen[ports[fitting[0]].place(number)] = source.value
+            elif len(fitting) == 1 and fitting[0] in chosen:
+                refuse(f"the port {fitting[0]!r} takes one artifact, and two are given", None, source.where)
+            elif len(fitting) == 1:
                 chosen[fitting[0]] = source.value
             elif fitting:
                 refuse(
@@ -221,7 +236,7 @@ def _chosen_sources(
                     source.where,
                 )
             else:
-                wanted = "; ".join(f"{p.name} takes {artifact_words(p.types)}" for p in candidates) or "it has no ports"
+                wanted = "; ".join(f"{p.name} takes {port_words(p)}" for p in candidates) or "it has no ports"
                 refuse(f"{source.value!r} makes {artifact_words(artifacts or ())}, but {wanted}", None, source.where)
     return chosen
 
@@ -240,6 +255,13 @@ def _sources(
     for port in signature.ports:
         if port.is_recipe:
             continue
+        if port.many:
+            given = {place: id_ for place, id_ in chosen.items() if place.partition("[")[0] == port.name}
+            fitting = [id_ for id_, artifacts in made.items() if artifacts is not None and fits(artifacts, port)]
+            inputs |= given or {port.place(number): id_ for number, id_ in enumerate(fitting)}
+            if not given and not fitting and not unknown and not _is_requested(draft, port):
+                problems.add(_nothing_for(draft, port, made))
+            continue
         source: str | None = chosen.get(port.name) or _nearest(port, made)
         taken_by = next((name for name, other in inputs.items() if other == source and source is not None), None)
         if taken_by is not None and port.name not in chosen:
@@ -256,14 +278,7 @@ def _sources(
                     )
                 )
         if source is None and not port.optional and not unknown and not _is_requested(draft, port):
-            problems.add(
-                WiringError(
-                    f"the port {port.name!r} needs {artifact_words(port.types)}, which no earlier stage makes",
-                    where=entry.where,
-                    stage=entry.address,
-                    hint=_made_before(made),
-                )
-            )
+            problems.add(_nothing_for(draft, port, made))
         inputs[port.name] = source
     return inputs
 
@@ -272,6 +287,20 @@ def _is_requested(draft: Draft, port: Port) -> bool:
     """Whether `from` spoke of this port, so that what is wrong has been said."""
     node = draft.entry.sources
     return node is not None and (not isinstance(node.value, dict) or port.name in node.value)
+
+
+def _each(node: Node) -> list[Node]:
+    """The nodes of a list, or the one that is none; a list without any stays, to be refused."""
+    return list(node.value) if isinstance(node.value, list) and node.value else [node]
+
+
+def _nothing_for(draft: Draft, port: Port, made: Mapping[str, tuple[type, ...] | None]) -> WiringError:
+    return WiringError(
+        f"the port {port.name!r} needs {port_words(port)}, which no earlier stage makes",
+        where=draft.entry.where,
+        stage=draft.entry.address,
+        hint=_made_before(made),
+    )
 
 
 def _nearest(port: Port, made: Mapping[str, tuple[type, ...] | None]) -> str | None:

@@ -42,16 +42,17 @@ def run_step(step: Step, stage: Stage, inputs: Mapping[str, Any], context: RunCo
     """
     handed = {port: StepRecipe(name, recipes) for port, name in step.recipes.items()}
     optional = {port.name: None for port in step.signature.ports if port.optional}
+    taken = {**optional, **step.signature.gathered(inputs), **handed}
     before = digests(inputs) if is_strict() else {}
     writable = set() if step.owner.builtin else writable_ports(inputs)
     try:
         what = f"{step.owner}: the stage {step.stage.name!r}"
         with limited(what, builtin=step.owner.builtin, where=step.where, stage=step.address):
             if step.owner.builtin:
-                made = stage.run(context, **{**optional, **inputs, **handed})
+                made = stage.run(context, **taken)
             else:
                 with contained(lambda message: _fault_of(step, message)):
-                    made = stage.run(context, **{**optional, **inputs, **handed})
+                    made = stage.run(context, **taken)
         _check_result(step, made)
         ports = changed(inputs, before)
         if not step.owner.builtin:

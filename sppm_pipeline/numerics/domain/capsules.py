@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,14 @@ Window = tuple[slice, slice, slice]
 
 
 def depths_in_capsules(
-    grid: Grid, capsules: Iterable[Sequence[float]], margin: float = 0.0
+    grid: Grid, capsules: Sequence[Sequence[float]] | NDArray[np.float64], margin: float = 0.0
 ) -> Iterator[tuple[Window, NDArray[np.float32]]]:
     """How deep samples lie in each capsule, where any does.
 
     Parameters
     ----------
     grid : Grid
-    capsules : iterable of 7 numbers
+    capsules : (n, 7) floats
         Both ends (x, y, z) of the segment and the radius.
     margin : float
         How far samples outside are told as well.
@@ -33,13 +33,17 @@ def depths_in_capsules(
     depth : (nz, ny, nx) float32
         Radius minus the distance from the segment, positive inside; the same bits however the grid is cut into layers.
     """
-    for *ends, radius in capsules:
-        a, b = np.array(ends[:3]), np.array(ends[3:])
+    rows = np.reshape(np.asarray(capsules, np.float64), (-1, 7))
+    heights, reach = rows[:, [2, 5]], rows[:, 6] + margin
+    low, high = grid.origin[2], grid.origin[2] + grid.spacing[2] * grid.shape[2]
+    near = (heights.min(1, initial=np.inf) - reach <= high) & (heights.max(1, initial=-np.inf) + reach >= low)
+    for row in rows[near]:
+        a, b, radius = row[:3], row[3:6], float(row[6])
         window = []
         for axis in (2, 1, 0):
-            low, high = min(a[axis], b[axis]) - radius - margin, max(a[axis], b[axis]) + radius + margin
-            first = math.floor((low - grid.origin[axis]) / grid.spacing[axis])
-            last = math.ceil((high - grid.origin[axis]) / grid.spacing[axis])
+            lowest, highest = min(a[axis], b[axis]) - radius - margin, max(a[axis], b[axis]) + radius + margin
+            first = math.floor((lowest - grid.origin[axis]) / grid.spacing[axis])
+            last = math.ceil((highest - grid.origin[axis]) / grid.spacing[axis])
             window.append(slice(max(0, first), max(0, min(grid.shape[axis], last + 1))))
         z, y, x = (
             grid.axis(axis)[one].reshape([-1 if i == 2 - axis else 1 for i in range(3)])

@@ -65,7 +65,8 @@ def skin_layers(
         raise ValueError(f"no skin of {thickness} on voxels of {spacing}, {n} layers")
     skin = np.zeros((n, *occupancy.shape[1:]), dtype=np.uint8)
     hx, hy, hz = (np.float32(h * h) for h in spacing)
-    rx, ry, rz = (halo_layers(thickness, h) for h in spacing)
+    nz, ny, nx = occupancy.shape  # farther than the array is wide, what lies beyond it has counted already
+    rx, ry, rz = (min(halo_layers(thickness, h), n) for h, n in zip(spacing, (nx, ny, nz), strict=True))
     limit = np.float32((thickness * _SLACK) ** 2)
     _skin(np.ascontiguousarray(occupancy), below, hx, hy, hz, rx, ry, rz, limit, skin)
     return skin

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.homogenization.elastic_energy import ENERGY_ROWS, energies, energy_coefficients
 from sppm_pipeline.numerics.homogenization.elastic_operator import SCRATCH_ROWS, apply_stiffness
 from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Hierarchy, Workspace, coarser, node_sums, padded
-from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY, STRIDE
+from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY, HEAD, STRIDE
 from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved, Stop, load_cases
 from sppm_pipeline.numerics.homogenization.multigrid.transfer import coarsened, coarser_widths, shortness
+from sppm_pipeline.numerics.homogenization.multigrid.vectors import dot
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame
 
 _LAYERS = 8
@@ -37,11 +38,15 @@ class Homogenized(NamedTuple):
         Iterations, residual and error of each load case.
     precision : str
         Of the final solution: double, if single precision was not enough.
+    expansion : (6,) float64 or None
+        Strain that a free cell takes on for each kelvin, engineering shear; NaN for strains without a load path. None
+        if no expansion was given.
     """
 
     stiffness: NDArray[np.float64]
     solved: tuple[Solved, ...]
     precision: str
+    expansion: NDArray[np.float64] | None = None
 
 
 def stiffness(
@@ -54,6 +59,7 @@ def stiffness(
     iterations: int = 500,
     precision: Any = np.float32,
     threads: int = 1,
+    expansion: NDArray[Any] | None = None,
 ) -> Homogenized:
     """Effective stiffness of a periodic cell of isotropic voxels, trilinear bricks with full integration.
 
@@ -77,6 +83,8 @@ def stiffness(
         Of the vectors; scalar products are always summed in double precision.
     threads : int
         Load cases that are solved at the same time, each with memory of its own. The result does not depend on it.
+    expansion : (nz, ny, nx) float, optional
+        Coefficients of thermal expansion of the voxels; what it is in the void does not matter.
 
     Raises
     ------
@@ -92,7 +100,8 @@ def stiffness(
     if not (mu.min() >= 0 and (3 * lam + 2 * mu).min() >= 0 and np.isfinite(lam).all() and np.isfinite(mu).all()):
         raise ValueError("the stiffness of a voxel must be finite and not negative")
     if not mu.any():
-        return Homogenized(np.zeros((6, 6)), (Solved(0, 0.0, 0.0, 0.0, True, True),) * 6, dtype.name)
+        nothing = None if expansion is None else np.full(6, np.nan)
+        return Homogenized(np.zeros((6, 6)), (Solved(0, 0.0, 0.0, 0.0, True, True),) * 6, dtype.name, nothing)
     # numbers near 1, whatever the unit
     scale = float(mu.max())
     lam, mu = lam / dtype.type(scale), mu / dtype.type(scale)
@@ -103,12 +112,50 @@ def stiffness(
     def hierarchy(precision: np.dtype[Any], safe: bool) -> Hierarchy:
         return elastic_hierarchy(lam, mu, edges, precision, safe=safe)
 
+    stresses: list[NDArray[np.float64]] = []
+
+    def mutual(hierarchy: Hierarchy, fields: NDArray[Any], threads: int) -> NDArray[np.float64]:
+        if expansion is not None:
+            stresses[:] = _mean_stresses(hierarchy, fields, expansion, mean)
+        return _energies(hierarchy, fields, threads)
+
     stop = Stop(residual, tolerance, iterations)
-    matrix, solved, reached = load_cases(hierarchy, _energies, np.diag(mean), stop, _FLOOR, dtype, threads)
+    matrix, solved, reached = load_cases(hierarchy, mutual, np.diag(mean), stop, _FLOOR, dtype, threads)
     void = np.diag(matrix) < _NO_LOAD_PATH * np.diag(mean)
     matrix[void] = 0
     matrix[:, void] = 0
-    return Homogenized(matrix * scale, solved, reached)
+    if expansion is None:
+        return Homogenized(matrix * scale, solved, reached)
+    held, heat = stresses
+    strains = np.full(6, np.nan)
+    strains[~void] = np.linalg.lstsq(held[np.ix_(~void, ~void)], heat[~void], rcond=1e-9)[0]
+    return Homogenized(matrix * scale, solved, reached, strains)
+
+
+def _mean_stresses(
+    hierarchy: Hierarchy, fields: NDArray[Any], expansion: NDArray[Any], mean: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean stresses of the load cases, a row for each, and those of a held cell for a kelvin; (6, 6) and (6,).
+
+    In the load case of a strain the mean of ``strain : C : alpha`` over the cell is the stress that a held cell answers
+    a kelvin with (Rosen and Hashin 1970), and only the constant part of a brick's strain enters. Mean stresses are
+    computed by the same linear functionals, not by energies, so that the relations of Levin (1967) between the two
+    hold whatever the error of the displacements.
+    """
+    level = hierarchy.levels[0]
+    assert isinstance(level, ElasticLevel)
+    work, volume = hierarchy.workspace(), level.weight.size * float(np.prod(level.edges))
+    held, heat = mean.copy(), np.zeros(6)
+    force = np.empty_like(fields[0])
+    for case, strain in enumerate(np.eye(6)):
+        level.forces(strain, force, work)
+        held[:, case] += [dot(force, field) / volume for field in fields]
+    # for a kelvin, the stress is alike along all axes
+    stress = level.bulk(expansion)
+    heat[:3] = stress.mean(dtype=np.float64)
+    level.pressure_forces(stress, force)
+    heat += [dot(force, field) / volume for field in fields]
+    return held, heat
 
 
 def _energies(hierarchy: Hierarchy, fields: NDArray[Any], threads: int) -> NDArray[np.float64]:
@@ -191,6 +238,23 @@ class ElasticLevel:
         c = coefficients(self.edges, strain).astype(self.c.dtype)
         zero = np.zeros_like(out)
         apply_stiffness(APPLY, zero, zero, self.weight, self.lam, self.mu, c, self.size, out, work.plane, work.rows)
+
+    def bulk(self, expansion: NDArray[Any]) -> NDArray[Any]:
+        """Stress along each axis that holds voxels (nz, ny, nx) of some expansion back: three bulk moduli of it."""
+        nz, ny, nx = self.shape
+        lam, mu = (c.reshape(nz, ny, -1)[:, :, HEAD : HEAD + nx] for c in (self.lam, self.mu))
+        return np.asarray((3 * lam + 2 * mu) * expansion.astype(lam.dtype))
+
+    def pressure_forces(self, stress: NDArray[Any], out: NDArray[Any]) -> None:
+        """Nodal forces of an equal stress along all axes in each voxel (nz, ny, nx), written to `out`."""
+        volume = np.prod(self.edges)
+        forces = out.reshape(3, *self.shape)
+        for d in range(3):
+            around = stress
+            for axis in range(3):
+                if axis != 2 - d:
+                    around = around + np.roll(around, 1, axis)
+            forces[d] = (np.roll(around, 1, 2 - d) - around) * out.dtype.type(volume / (4 * self.edges[d]))
 
     def rounding(self) -> float:
         """Rounding error to expect in the forces of a homogeneous body."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -42,8 +43,8 @@ def below_plane(value: float, a: float, b: float, c: float) -> float:
 
 
 @jit
-def _add_fractions(samples: NDArray[np.float32], k: Any, out: NDArray[np.float32]) -> None:
-    """Mean fraction of the k^3 parts of each voxel; `samples` has one part more on each side."""
+def _add_fractions(samples: NDArray[np.float32], k: Any, shift: float, out: NDArray[np.float32]) -> None:
+    """Mean fraction of the k^3 parts of each voxel; `samples` has one part more on each side, `shift` is in parts."""
     nz, ny, nx = out.shape
     share = 1.0 / (k * k * k)
     for z in range(1, nz * k + 1):
@@ -57,6 +58,8 @@ def _add_fractions(samples: NDArray[np.float32], k: Any, out: NDArray[np.float32
                 # sample alone, curved walls would all be displaced to one side
                 mean = 0.75 * value + (left + right + front + back + low + high) / 24.0
                 slopes = 0.5 * (right - left), 0.5 * (back - front), 0.5 * (high - low)
+                if shift != 0.0:
+                    mean += shift * math.sqrt(slopes[0] ** 2 + slopes[1] ** 2 + slopes[2] ** 2)
                 inside = below_plane(mean, slopes[0], slopes[1], slopes[2])
                 out[(z - 1) // k, (y - 1) // k, (x - 1) // k] += np.float32(share * inside)
 
@@ -66,6 +69,8 @@ def solid_fractions(
     shape: tuple[int, int, int],
     resolution: int,
     parts: int = 2,
+    *,
+    shift: float = 0.0,
 ) -> NDArray[np.float32]:
     """Fraction of each voxel in which a periodic field is negative, (nz, ny, nx) float32.
 
@@ -84,6 +89,8 @@ def solid_fractions(
         Voxels along a unit of the field's coordinates.
     parts : int
         Along a voxel edge.
+    shift : float
+        By how many voxels the walls are moved into the solid, everywhere the same.
     """
     nx, ny, nz = shape
     h = 1.0 / (resolution * parts)
@@ -92,5 +99,7 @@ def solid_fractions(
     for start in range(0, nz, _LAYERS):
         stop = min(nz, start + _LAYERS)
         samples = sample_layers(grid, start * parts, stop * parts + 2)
-        _add_fractions(np.ascontiguousarray(samples, np.float32), np.int64(parts), out[start:stop])
+        _add_fractions(
+            np.ascontiguousarray(samples, np.float32), np.int64(parts), float(shift * parts), out[start:stop]
+        )
     return np.clip(out, 0, 1)

@@ -62,7 +62,10 @@ def turn_up(direction: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def score_turned(
-    solid: NDArray[np.uint8], turn: tuple[float, float, float], plate: Literal["sealed", "supports"]
+    solid: NDArray[np.uint8],
+    turn: tuple[float, float, float],
+    plate: Literal["sealed", "supports"],
+    reach: float = 1.0,
 ) -> Score:
     """Turn a body by nearest voxels and scan its layers.
 
@@ -73,7 +76,8 @@ def score_turned(
     turn : (float, float, float)
         As for `rotation`.
     plate : {"sealed", "supports"}
-        See `PrintScan`.
+    reach : float
+        Voxels that a layer may hang beyond the one below. Both as for `PrintScan`.
     """
     matrix = rotation(turn)
     low = np.array([np.flatnonzero(solid.any(axes))[0] for axes in ((0, 1), (0, 2), (1, 2))], float)
@@ -82,7 +86,7 @@ def score_turned(
     nx, ny, nz = (int(n) + 2 for n in np.ceil(2 * half - 1e-6))  # a margin of void, which is ambient
     middle, center = (low + high) / 2, np.array([nx, ny, nz]) / 2
     back = np.ascontiguousarray(matrix.T)
-    scan = PrintScan((nx, ny, nz), (1.0, 1.0), 1.0, plate, pictures=0)
+    scan = PrintScan((nx, ny, nz), (1.0, 1.0), reach, plate, pictures=0)
     layer = np.empty((ny, nx), np.uint8)
     view = np.full((nz, nx), np.nan)
     for k in range(nz):

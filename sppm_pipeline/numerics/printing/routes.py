@@ -39,6 +39,40 @@ def find_traps(solid: NDArray[np.uint8]) -> Traps:
     return Traps(labels, found.sizes[closed])
 
 
+class SmallVoids(NamedTuple):
+    """Void that opens nowhere and is small enough to be filled.
+
+    Attributes
+    ----------
+    sizes : (n,) int64
+        Voxels of each, the largest first.
+    places : (n, 3) int32
+        The first voxel of each, z, y, x.
+    runs : (m, 4) int32
+        z, y, first x and last x of their runs.
+    left : (k,) int64
+        Voxels of the closed voids that are larger, the largest first.
+    """
+
+    sizes: NDArray[np.int64]
+    places: NDArray[np.int32]
+    runs: NDArray[np.int32]
+    left: NDArray[np.int64]
+
+
+def find_small_voids(solid: NDArray[np.uint8], largest: float) -> SmallVoids:
+    """Components of the void (nz, ny, nx) of up to `largest` voxels that do not meet the border, across faces."""
+    found = find_components(solid, (False, False, False), 6, zeros=True)
+    closed = ~found.faces.any(1)
+    small = closed & (found.sizes <= largest)
+    chosen = np.flatnonzero(small[found.of_run])
+    z, y = np.divmod(np.searchsorted(found.runs.rows, chosen, "right") - 1, solid.shape[1])
+    bounds = found.runs.bounds.reshape(-1, 2)[chosen]
+    runs = np.stack([z, y, bounds[:, 0], bounds[:, 1] - 1], 1).astype(np.int32)
+    _, first = np.unique(found.of_run[chosen], return_index=True)
+    return SmallVoids(found.sizes[small], runs[first, :3], runs, found.sizes[closed & ~small])
+
+
 class Route(NamedTuple):
     """A way out of a trap.
 

@@ -20,6 +20,7 @@ meet m patterns on a side, as it then keeps away from all of them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,6 +197,7 @@ def homogeneous_faces(
     *,
     face_count: int | None = None,
     met: int = 1,
+    totals: Sequence[NDArray[np.integer]] | None = None,
 ) -> list[list[NDArray[np.float64]]]:
     """Throw the pores of all face patterns, with those of the edges and corners that they own.
 
@@ -212,6 +214,8 @@ def homogeneous_faces(
         Pores on the faces, edges and corner of one cell, instead of as many as make it homogeneous.
     met : int
         Patterns that an interior may meet on one side.
+    totals : 3 arrays (colors,), optional
+        Pores of a cell for each pattern, which gets as many as a face of such a cell. Sites stay those of `spacing`.
 
     Returns
     -------
@@ -227,6 +231,8 @@ def homogeneous_faces(
     if not 0.0 < spacing < 1.0:
         raise DesignError(f"the spacing of face pores must lie in (0, 1) cell sizes, got {spacing}")
     sites = _sites_by_owner(rng, spacing)
+    if totals is not None:
+        return _graded(rng, total, spacing, sites, totals, met)
     share = occupied_share(total, spacing)
     chosen = [chosen_sites(rng, len(places), count, share) for places, count in zip(sites, colors, strict=True)]
     inside = homogeneous_counts(total, spacing, met)[0]
@@ -240,6 +246,32 @@ def homogeneous_faces(
         [np.concatenate([sites[axis][which], pores]) for which, pores in zip(chosen[axis], thrown[axis], strict=True)]
         for axis in range(3)
     ]
+
+
+def _graded(
+    rng: np.random.Generator,
+    total: float,
+    spacing: float,
+    sites: list[NDArray[np.float64]],
+    totals: Sequence[NDArray[np.integer]],
+    met: int,
+) -> list[list[NDArray[np.float64]]]:
+    """Patterns of cells with different numbers of pores, packed alike: each with a spacing of its own."""
+    border, everywhere = spacing / math.sqrt(2.0), np.unique(np.concatenate(sites), axis=0)
+    patterns = []
+    for axis, counts in enumerate(totals):
+        low, high = np.full(3, border), np.full(3, 1.0 - border)
+        low[axis] = high[axis] = 0.0
+        made = []
+        for count in counts.tolist():
+            own = min(spacing * (total / count) ** (1 / 3), 0.5)
+            inside, on_edges = homogeneous_counts(count, own, met)
+            wanted, share = math.floor(inside / 3 + rng.random()), min(1.0, on_edges / _sites(spacing))
+            chosen = rng.permutation(len(sites[axis])) < math.floor(share * len(sites[axis]) + rng.random())
+            thrown = throw(rng, wanted, own, low, high, obstacles=everywhere, obstacle_images=True)
+            made.append(np.concatenate([sites[axis][chosen], thrown]))
+        patterns.append(made)
+    return patterns
 
 
 def _sites_by_owner(rng: np.random.Generator, spacing: float) -> list[NDArray[np.float64]]:

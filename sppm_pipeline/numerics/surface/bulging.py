@@ -20,8 +20,11 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
 from sppm_pipeline.numerics.surface.placing import DOMAIN
 
-MOST = 0.2
+MOST = 0.3
 """Vertices are moved by at most this fraction of their shortest edge; a choice that keeps triangles in shape."""
+
+PASSED_ON = 2
+"""How often what vertices can't be moved is passed on to their neighbors; a choice."""
 
 LEAST_SLOPE = 0.3
 """Least cosine between normal and grid edge that the way along the edge is reckoned with; a choice."""
@@ -64,6 +67,52 @@ def _cap(
             ):
                 return True
     return False
+
+
+@jit
+def _double_area(vertices: NDArray[np.float64], a: int, b: int, c: int) -> float:
+    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@jit
+def _moved(
+    vertices: NDArray[np.float64],
+    v: int,
+    normals: NDArray[np.float32],
+    wanted: float,
+    room: NDArray[np.float32],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    spacing: NDArray[np.float64],
+) -> np.float32:
+    """Move a vertex along its edge of the grid, so that it comes to lie higher by a wanted way; returns by how much.
+
+    What it has moved is taken from its `room`; that of vertices on the border of the grid becomes 0.
+    """
+    axis, inside = 0, 0
+    for a in range(3):
+        place = (vertices[v, a] - low[a]) / spacing[a]
+        if abs(place - np.floor(place + 0.5)) > 0.75 * EDGE_MARGIN:
+            axis = a
+            inside += 1
+        if abs(vertices[v, a] - low[a]) < 1e-9 or abs(vertices[v, a] - high[a]) < 1e-9:
+            room[v] = 0.0
+    if inside != 1:
+        room[v] = 0.0
+    slope = np.float64(normals[v, axis])
+    way = wanted * slope / max(slope * slope, LEAST_SLOPE**2)
+    way = min(max(way, -room[v]), room[v]) / spacing[axis]
+    place = (vertices[v, axis] - low[axis]) / spacing[axis]
+    node = np.floor(place)
+    way = min(max(place + way - node, EDGE_MARGIN), 1.0 - EDGE_MARGIN) - (place - node)
+    if room[v] > 0.0:
+        vertices[v, axis] += way * spacing[axis]
+        room[v] -= np.float32(abs(way) * spacing[axis])
+        return np.float32(way * spacing[axis] * slope)
+    return np.float32(0.0)
 
 
 @jit
@@ -134,31 +183,36 @@ def _bulge(
                 room[v] = min(room[v], np.float32(length))
             if w < free:
                 room[w] = min(room[w], np.float32(length))
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        area = math.sqrt(x * x + y * y + z * z)
+        area = _double_area(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
         for corner in range(3):
             v = faces[f, corner]
             if v < free:
                 rise[v] += np.float32(area * total * 3.0 / movable)
                 share[v] += np.float32(area)
     for v in range(free):
-        axis, inside, border = 0, 0, False
-        for a in range(3):
-            place = (vertices[v, a] - low[a]) / spacing[a]
-            if abs(place - np.floor(place + 0.5)) > 0.75 * EDGE_MARGIN:
-                axis = a
-                inside += 1
-            border |= abs(vertices[v, a] - low[a]) < 1e-9 or abs(vertices[v, a] - high[a]) < 1e-9
-        if border or inside != 1 or not share[v] > 0.0:
-            continue
-        slope = np.float64(normals[v, axis])
-        most = MOST * room[v]
-        way = rise[v] / share[v] * slope / max(slope * slope, LEAST_SLOPE**2)
-        way = min(max(way, -most), most) / spacing[axis]
-        place = (vertices[v, axis] - low[axis]) / spacing[axis]
-        node = np.floor(place)
-        share_moved = min(max(place + way - node, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
-        vertices[v, axis] = low[axis] + (node + share_moved) * spacing[axis]
+        room[v] *= np.float32(MOST)
+        if share[v] > 0.0:
+            rise[v] /= share[v]
+    # what a vertex can't be moved is left to its neighbors
+    more = np.zeros_like(rise)
+    for passing in range(1 + PASSED_ON):
+        for v in range(free):
+            wanted = rise[v] if passing == 0 else more[v]
+            if share[v] > 0.0 and room[v] > 0.0:
+                wanted -= _moved(vertices, v, normals, wanted, room, low, high, spacing)
+            rise[v], more[v] = wanted, 0.0
+        if passing == PASSED_ON:
+            break
+        for f in range(faces.shape[0]):
+            if kinds.size > 0 and kinds[f] == DOMAIN:
+                continue
+            for c in range(3):
+                v, w, u = faces[f, c], faces[f, (c + 1) % 3], faces[f, (c + 2) % 3]
+                if v >= free or rise[v] == 0.0:
+                    continue
+                to_w, to_u = w < free and room[w] > 0.0, u < free and room[u] > 0.0
+                part = rise[v] * _double_area(vertices, v, w, u) / np.float32(2.0 if to_w and to_u else 1.0)
+                if to_w:
+                    more[w] += np.float32(part / share[w])
+                if to_u:
+                    more[u] += np.float32(part / share[u])

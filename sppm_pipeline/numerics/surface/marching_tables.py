@@ -14,6 +14,7 @@ drawn by the neighbor as well, and that edge would then belong to four triangles
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 from typing import NamedTuple
 
@@ -121,8 +122,49 @@ def case_tables() -> CaseTables:
 
 
 @cache
-def polygon_counts() -> NDArray[np.int64]:
-    """In how many polygons the surface passes through the cube, for all 256 cases; (256,) int64."""
-    counts = np.array([len(_loops(case)) for case in range(256)])
-    counts.flags.writeable = False
-    return counts
+def separations() -> NDArray[np.float64]:
+    """Planes that keep the polygons of a cube apart, (256 cases, 6 faces, 3 planes, 4).
+
+    Where the surface passes through a cube in several polygons, and through one of its faces once, a point (x, y, z) of
+    that face, in the unit cube, may become a corner of its polygon if ``a x + b y + c z <= d`` for all planes
+    (a, b, c, d): there is one against each of the other polygons, which lie on its far side wherever their vertices
+    are on their edges. All numbers are 0 where there is nothing to keep apart.
+    """
+    planes = np.zeros((256, 6, 3, 4))
+    for case in range(256):
+        loops = _loops(case)
+        for own in loops if len(loops) > 1 else ():
+            against = [_plane_between(own, other) for other in loops if other is not own]
+            for face, edges in enumerate(_FACE_EDGES):
+                passed = [loop for loop in loops if len(set(loop) & set(edges)) > 1]
+                if passed == [own] and len(set(own) & set(edges)) == 2:
+                    planes[case, face, : len(against)] = against
+    planes.flags.writeable = False
+    return planes
+
+
+def _plane_between(own: list[int], other: list[int]) -> NDArray[np.float64]:
+    """A plane ``a x + b y + c z = d`` with all points of some edges of the cube below, and all of others above it.
+
+    Edges may end in the plane, as vertices are never at their ends. Of all planes whose normals consist of -1, 0 and 1
+    the one farthest from both, the first one of equals.
+    """
+    normals, lows, middles, highs = _along_normals()
+    low, high = highs[:, own].max(axis=1), lows[:, other].min(axis=1)
+    clear = middles[:, other].min(axis=1) - middles[:, own].max(axis=1)
+    between = (high >= low) & (clear > 0)
+    if not between.any():
+        raise ValueError(f"no plane lies between the polygons {own} and {other}")
+    # the gap decides, and where edges end in the plane, how far their middles are
+    best = int(np.argmax(np.where(between, (high - low + clear / 8) / np.linalg.norm(normals, axis=1), -1.0)))
+    return np.array([*normals[best], (low[best] + high[best]) / 2])
+
+
+@cache
+def _along_normals() -> tuple[NDArray[np.float64], ...]:
+    """Normals (26, 3), and how far along them the 12 edges of the cube begin, have their middles, and end."""
+    normals = np.array([n for n in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(n)])
+    middles = np.array([_middle(edge) for edge in range(12)]) / 2
+    half = np.repeat(np.eye(3) / 2, 4, axis=0)
+    along = [normals @ (middles + side * half).T for side in (-1, 0, 1)]
+    return normals, np.minimum(along[0], along[2]), along[1], np.maximum(along[0], along[2])

@@ -8,16 +8,45 @@ Two triangles of the domain meet where their planes do.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
-from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, cubic, sample_line
+from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, Placed, cubic, sample_line
 
 SHARP = math.cos(math.radians(25.0))
 """Triangles of the domain whose normals differ by more meet in a sharp edge; a choice."""
+
+
+class Surfaces(NamedTuple):
+    """What meets in a part, as compiled code takes it; see `placing.Samples` and `crossings.Crossings`.
+
+    Attributes
+    ----------
+    field, domain, skin : (planes, ny, nx) float32
+    origin, spacing : (3,) float64
+    shape : (4,) int64
+        Nodes along x, y, z, and the first plane of the samples.
+    crossed, shares, owners, normals
+        Edges of the grid that triangles of the domain pierce, where, which triangle, and the normals of all triangles.
+    planes : (256, 6, 3, 4) float64
+        `marching_tables.separations`.
+    """
+
+    field: NDArray[np.float32]
+    domain: NDArray[np.float32]
+    skin: NDArray[np.float32]
+    origin: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+    shape: NDArray[np.int64]
+    crossed: NDArray[np.int64]
+    shares: NDArray[np.float64]
+    owners: NDArray[np.int32]
+    normals: NDArray[np.float64]
+    planes: NDArray[np.float64]
 
 
 @jit
@@ -64,77 +93,62 @@ def edge_node(edge: int, nx: int, ny: int, node: NDArray[np.int64]) -> int:
 
 
 @jit
-def loops_of_cube(
-    cube: NDArray[np.int64],
-    field: NDArray[np.float32],
-    domain: NDArray[np.float32],
-    skin: NDArray[np.float32],
-    shape: NDArray[np.int64],
-    loops: NDArray[np.int64],
-) -> int:
-    """In how many polygons the surface passes through a cube, islands included; none outside of the grid."""
-    for a in range(3):
-        if cube[a] < 0 or cube[a] + 1 >= shape[a]:
-            return 0
-    case = 0
-    for corner in range(8):
-        i, j, k = cube[0] + (corner & 1), cube[1] + (corner >> 1 & 1), cube[2] + (corner >> 2) - shape[3]
-        solid = field[k, j, i] < 0.0 or (skin.size > 0 and skin[k, j, i] < 0.0)
-        if solid and domain[k, j, i] < 0.0:
-            case |= 1 << corner
-    return int(loops[case])
+def _solid(surfaces: Surfaces, i: int, j: int, k: int) -> bool:
+    """Whether a node is solid, islands included."""
+    field, domain, skin = surfaces.field, surfaces.domain, surfaces.skin
+    k -= surfaces.shape[3]
+    return domain[k, j, i] < 0.0 and (field[k, j, i] < 0.0 or (skin.size > 0 and skin[k, j, i] < 0.0))
 
 
 @jit
-def _passed_twice(
-    corner: NDArray[np.int64],
-    p: int,
-    q: int,
-    field: NDArray[np.float32],
-    domain: NDArray[np.float32],
-    skin: NDArray[np.float32],
-    shape: NDArray[np.int64],
-) -> bool:
+def _case_of_cube(cube: NDArray[np.int64], surfaces: Surfaces) -> int:
+    """The case of marching cubes; 0 outside of the grid."""
+    for a in range(3):
+        if cube[a] < 0 or cube[a] + 1 >= surfaces.shape[a]:
+            return 0
+    case = 0
+    for corner in range(8):
+        if _solid(surfaces, cube[0] + (corner & 1), cube[1] + (corner >> 1 & 1), cube[2] + (corner >> 2)):
+            case |= 1 << corner
+    return case
+
+
+@jit
+def _apart(planes: NDArray[np.float64], axis: int, side: float, p: float, q: float) -> bool:
+    """Whether a place (p, q) in a face of the unit cube keeps apart what its `separations` (3, 4) keep apart."""
+    for plane in range(3):
+        a, b, c = planes[plane, axis], planes[plane, (axis + 1) % 3], planes[plane, (axis + 2) % 3]
+        if a * side + b * p + c * q > planes[plane, 3]:
+            return False
+    return True
+
+
+@jit
+def _passed_twice(corner: NDArray[np.int64], p: int, q: int, surfaces: Surfaces) -> bool:
     """Whether the surface crosses all four sides of the face at a node that axes p and q span."""
     case = 0
+    at = corner.copy()
     for turn in range(4):
-        to_p, to_q = turn & 1, turn >> 1
-        i = corner[0] + (to_p if p == 0 else (to_q if q == 0 else 0))
-        j = corner[1] + (to_p if p == 1 else (to_q if q == 1 else 0))
-        k = corner[2] + (to_p if p == 2 else (to_q if q == 2 else 0)) - shape[3]
-        solid = field[k, j, i] < 0.0 or (skin.size > 0 and skin[k, j, i] < 0.0)
-        if solid and domain[k, j, i] < 0.0:
+        at[p] = corner[p] + (turn & 1)
+        at[q] = corner[q] + (turn >> 1)
+        if _solid(surfaces, at[0], at[1], at[2]):
             case |= 1 << turn
     return case in (6, 9)
 
 
 @jit
 def meeting_point(
-    a: int,
-    b: int,
-    cube: NDArray[np.int64],
-    vertices: NDArray[np.float64],
-    edge: NDArray[np.int64],
-    on: NDArray[np.uint8],
-    triangle: NDArray[np.int32],
-    field: NDArray[np.float32],
-    domain: NDArray[np.float32],
-    skin: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    shape: NDArray[np.int64],
-    crossed: NDArray[np.int64],
-    shares: NDArray[np.float64],
-    owners: NDArray[np.int32],
-    normals: NDArray[np.float64],
-    loops: NDArray[np.int64],
-    point: NDArray[np.float64],
+    a: int, b: int, cube: NDArray[np.int64], placed: Placed, surfaces: Surfaces, point: NDArray[np.float64]
 ) -> int:
     """The point at which the surfaces of two vertices on one face of a cube meet, and that face; -1 if they do not.
 
-    Nor do they where the surface passes through the face twice, or through the cube beyond it in several polygons.
+    Nor do they where the surface passes through the face twice, or where polygons in one of both cubes at the face
+    would not be apart with that point, by `Surfaces.planes`.
     Faces are numbered 2 * axis + side within their cube; here the side is left out.
     """
+    vertices, edge, on, triangle = placed.vertices, placed.edge, placed.on, placed.triangle
+    origin, spacing, shape, normals = surfaces.origin, surfaces.spacing, surfaces.shape, surfaces.normals
+    crossed, owners = surfaces.crossed, surfaces.owners
     if on[a] == on[b] and on[a] != DOMAIN:
         return -1
     if on[a] != FIELD and on[b] != FIELD and on[a] != on[b]:
@@ -151,11 +165,7 @@ def meeting_point(
     corner = np.empty(3, np.int64)
     for d in range(3):
         corner[d] = min(na[d], nb[d])
-    if _passed_twice(corner, p, q, field, domain, skin, shape):
-        return -1
-    beyond = cube.copy()
-    beyond[flat] += -1 if corner[flat] == cube[flat] else 1
-    if loops_of_cube(beyond, field, domain, skin, shape, loops) > 1:
+    if _passed_twice(corner, p, q, surfaces):
         return -1
     # places in the face, 0..1
     up = (vertices[a, p] - origin[p]) / spacing[p] - corner[p]
@@ -181,10 +191,10 @@ def meeting_point(
     else:
         other = b if on[a] == FIELD else a
         sp, sq = (vp, vq) if other == b else (up, uq)  # the line begins here, on domain or skin
-        flat_values = domain if on[other] == DOMAIN else skin
+        flat_values = surfaces.domain if on[other] == DOMAIN else surfaces.skin
         node = np.empty(3, np.int64)
         patch = np.empty((4, 4))
-        _patch(field, corner[2] - shape[3], corner[1], corner[0], p, q, patch)
+        _patch(surfaces.field, corner[2] - shape[3], corner[1], corner[0], p, q, patch)
         at_start = _bicubic(patch, sp, sq)
         found = False
         best = np.inf
@@ -205,7 +215,7 @@ def meeting_point(
                     while r < crossed.size and crossed[r] == key:
                         m, n = normals[triangle[other]], normals[owners[r]]
                         if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] >= SHARP:
-                            share = shares[r]
+                            share = surfaces.shares[r]
                         r += 1
                 else:
                     kz = node[2] - shape[3]
@@ -261,6 +271,14 @@ def meeting_point(
             at_p, at_q = 0.5 * (up + vp), 0.5 * (uq + vq)
     at_p = min(max(at_p, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
     at_q = min(max(at_q, EDGE_MARGIN), 1.0 - EDGE_MARGIN)
+    side = int(corner[flat] != cube[flat])
+    beyond = cube.copy()
+    for _turn in range(2):
+        case = _case_of_cube(beyond, surfaces)
+        if not _apart(surfaces.planes[case, 2 * flat + side], flat, float(side), at_p, at_q):
+            return -1
+        beyond[flat] += 2 * side - 1
+        side = 1 - side
     point[flat] = origin[flat] + corner[flat] * spacing[flat]
     point[p] = origin[p] + (corner[p] + at_p) * spacing[p]
     point[q] = origin[q] + (corner[q] + at_q) * spacing[q]

@@ -200,3 +200,17 @@ def tile_fresh(mask: ArrayLike, *, periodic: bool = False) -> tuple[NDArray[np.i
         else:
             faces.append(_numbered(there))
     return _numbered(cells), (faces[0], faces[1], faces[2])
+
+
+def meetings(interior: NDArray[np.int32], faces: Faces) -> NDArray[np.int64]:
+    """Rows (interior, axis, side, face) of all meetings in the lattice."""
+    rows = []
+    filled = interior >= 0
+    for axis in range(3):
+        for side in range(2):
+            planes = [slice(None)] * 3
+            planes[axis] = slice(1, None) if side else slice(None, -1)
+            own = interior[filled]
+            face = faces[axis][tuple(planes)][filled]
+            rows.append(np.stack([own, np.full_like(own, axis), np.full_like(own, side), face], 1))
+    return np.concatenate(rows).astype(np.int64)

@@ -83,13 +83,7 @@ class CheckPrint(Stage):
         help="what closes the part from below: the build plate, or nothing, as it stands on supports",
         choices=("sealed", "supports"),
     )
-    overhang_angle: float = option(
-        45.0,
-        help="solid is held by what lies below it within this angle from upright, and within a pixel",
-        unit="degrees",
-        minimum=0,
-        maximum=89,
-    )
+    overhang_angle: float = options.overhang_angle(45.0)
     drain: Length | None = option(
         None, help="narrowest throat through which resin or powder leaves; not measured if omitted", unit="mm", above=0,
         maximum=100,
@@ -114,7 +108,7 @@ class CheckPrint(Stage):
         0.05, help="resin that is washed away, as a fraction of what becomes solid", minimum=0, maximum=10
     )
     pictures: int = option(6, help="worst layers that are drawn with colors", minimum=0, maximum=100)
-    fail: tuple[str, ...] = option((), help="rules that reject the print, such as trap or 'cup > 100 mm2'")
+    fail: tuple[str, ...] = options.fail((), note="such as trap or 'cup > 100 mm2'")
 
     def check_options(self) -> None:
         """Rules that can be read, a resin that is known, and both of its depths or none."""

@@ -15,7 +15,7 @@ from sppm_pipeline.data.print_report import rounded
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.part import Part, coarse_size
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
@@ -51,7 +51,7 @@ class FixDrains(Stage):
     report: str = options.write_path("drains", note="with drains.json and plugs.stl")
 
     def estimate(self, palette: Palette, part: Size) -> Size:
-        return part
+        return coarse_size(part)
 
     def run(self, context: Context, part: Part) -> Part:
         """Drill, look again, and drill the next."""

@@ -31,9 +31,11 @@ LEAK = 0.01
 class HomogenizeConductivity(Homogenizer):
     """Compute the effective conductivity of a periodic cell on voxels: of heat, charge, or what diffuses.
 
-    One phase conducts, the other insulates: the solid, or the void with ``of: void`` (diffusion in the pores). The
-    result is a tensor, and the tortuosity along each axis. Voxels that touch at an edge or corner only conduct a
-    little there; if most of the flow passes there, raise the resolution.
+    One phase conducts, the other insulates: the solid, or the void with ``of: void`` (diffusion in the pores). With
+    ``of: both`` what fills the void conducts as well, as a gas does beside a poor conductor; voxels at the surface then
+    have the mean of both, weighted by volume. The result is a tensor, and the tortuosity along each axis. Voxels that
+    touch at an edge or corner only conduct a little there; if most of the flow passes there, raise the resolution.
+    Permittivity and magnetic permeability obey the same equations.
     """
 
     name: ClassVar[str] = "homogenize.conductivity"
@@ -42,13 +44,22 @@ class HomogenizeConductivity(Homogenizer):
         Headline("k.1.1", "k11"), Headline("k.2.2", "k22"), Headline("k.3.3", "k33"),
         Headline("tortuosity"), Headline("porosity"),
     )  # fmt: skip
-    of: str = option("solid", help="which phase conducts", choices=("solid", "void"))
+    of: str = option("solid", help="which phase conducts", choices=("solid", "void", "both"))
     bulk: float | tuple[float, ...] = option(
         1.0, help="conductivity of that phase, or of each phase of the solid from 1 on", above=0, maximum=1e15
+    )
+    fluid: float | None = option(
+        None, help="conductivity of what fills the void, if both conduct; 0.026 W/(m K) for air", above=0, maximum=1e15
     )
 
     def check_options(self) -> None:
         """At least one conductivity, and one only for the void."""
+        if (self.of == "both") != (self.fluid is not None):
+            given = "is not given" if self.fluid is None else f"is {self.fluid:g}"
+            raise ConfigError(
+                f"with `of: {self.of}` the conductivity `fluid` {given}",
+                hint="give `fluid` with `of: both`, and only then",
+            )
         if not self._bulk() or (self.of == "void" and len(self._bulk()) > 1):
             raise ConfigError(
                 f"`bulk` has {len(self._bulk())} conductivities for the {self.of}", hint="give one number"
@@ -84,6 +95,7 @@ class HomogenizeConductivity(Homogenizer):
             k=found.conductivity,
             of=self.of,
             bulk=self._bulk(),
+            fluid=self.fluid,
             porosity=cell.porosity,
             tortuosity=tuple(tortuosity(found.conductivity, float(k.mean(dtype=np.float64)))),
             grid=cell.shape,
@@ -133,7 +145,7 @@ class HomogenizeConductivity(Homogenizer):
                     f"the image has phases up to {phases}, and conductivities are given for {len(bulk)}",
                     hint="give `bulk` a value for every phase from 1 on",
                 )
-            table: NDArray[Any] = np.array([0.0, *bulk], dtype)
+            table: NDArray[Any] = np.array([self.fluid or 0.0, *bulk], dtype)
             return np.asarray(table[cell.phase.T])
         if len(bulk) > 1:
             raise DesignError(
@@ -141,5 +153,6 @@ class HomogenizeConductivity(Homogenizer):
                 hint="give one number",
             )
         assert cell.fraction is not None
-        fraction: NDArray[Any] = cell.fraction.T if self.of == "solid" else 1 - cell.fraction.T
-        return fraction.astype(dtype) * dtype.type(bulk[0])
+        fraction: NDArray[Any] = 1 - cell.fraction.T if self.of == "void" else cell.fraction.T
+        fluid = self.fluid or 0.0
+        return dtype.type(fluid) + fraction.astype(dtype) * dtype.type(bulk[0] - fluid)

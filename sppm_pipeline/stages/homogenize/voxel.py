@@ -14,7 +14,7 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Cell, Homogenizer
+from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Cell, Homogenizer, grids_below, refined
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
 
@@ -51,13 +51,16 @@ class ElasticHomogenizer(Homogenizer):
         """Six fields, their work space for each load case in progress, Lamé constants."""
         return 4 * (3 * 6 + 16 * min(threads, 6) + 12)
 
-    def stiffness_of(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
-        """Solve six load cases."""
+    def stiffness_of(
+        self, context: Context, source: ScalarField | Voxels, expansion: tuple[float, ...] = ()
+    ) -> StiffnessReport:
+        """Solve six load cases; `expansion` has coefficients of the phases from 1 on, or nothing."""
         from sppm_pipeline.numerics.connectivity.components import phase_report
         from sppm_pipeline.numerics.homogenization.elasticity import stiffness
 
         cell = self.cell_of(context, source)
-        found = stiffness(*self._lame(cell), cell.edges, **self.solver_options(context.threads))
+        expanding = self._expansion(cell, expansion) if expansion else None
+        found = stiffness(*self._lame(cell), cell.edges, expansion=expanding, **self.solver_options(context.threads))
         connected = phase_report(cell.occupied().T)
         warnings = self.solver_warnings(found.solved, found.precision)
         without = [word for word, value in zip(_STRAINS, np.diag(found.stiffness), strict=True) if value == 0]
@@ -75,6 +78,7 @@ class ElasticHomogenizer(Homogenizer):
             self._phases(cell),
             f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.fraction is None else 'solid fractions'}",
             unit=None if self.stress_unit == "relative" else self.stress_unit,
+            expansion=found.expansion,
             solver={
                 "grid": list(cell.shape),
                 "precision": found.precision,
@@ -98,6 +102,12 @@ class ElasticHomogenizer(Homogenizer):
             (float(fractions[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(fractions))
         )
         return (*solid, (float(fractions[0]), *void))
+
+    def _expansion(self, cell: Cell, expansion: tuple[float, ...]) -> NDArray[Any]:
+        """Coefficients of all voxels, (nz, ny, nx); the void, if it has a stiffness, expands as phase 1 does."""
+        if cell.phase is None:
+            return np.full(cell.shape[::-1], expansion[0], np.float32)
+        return np.array([expansion[0], *expansion])[cell.phase.T]
 
     def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
         """Lamé constants of all voxels, (nz, ny, nx)."""
@@ -141,6 +151,8 @@ class HomogenizeVoxel(ElasticHomogenizer):
 
     With more than one grid, each coarser by a third than the next, the limit of fine grids is extrapolated
     (Richardson), and the difference becomes the error bar of the result, which stays that of the finest grid.
+
+    Given the coefficients of thermal expansion of the phases, it finds that of the cell as well.
     """
 
     name: ClassVar[str] = "homogenize.voxel"
@@ -151,6 +163,26 @@ class HomogenizeVoxel(ElasticHomogenizer):
         1, help="grids over which the error is estimated, for fields; 1 for no estimate", minimum=1, maximum=3
     )
 
+    expansion: float | tuple[float, ...] | None = option(
+        None, help="coefficient of thermal expansion of the solid, or of each phase from 1 on", unit="1/K",
+        minimum=-1, maximum=1,
+    )  # fmt: skip
+
+    def check_options(self) -> None:
+        """As many expansions as materials, or none."""
+        super().check_options()
+        phases = len(self._materials()[0])
+        if self.expansion is not None and len(self._expansions()) != phases:
+            raise ConfigError(
+                f"`expansion` has {len(self._expansions())} coefficients, and `young` {phases} Young's moduli",
+                hint="give one for each phase, or none",
+            )
+
+    def _expansions(self) -> tuple[float, ...]:
+        if self.expansion is None:
+            return ()
+        return self.expansion if isinstance(self.expansion, tuple) else (self.expansion,)
+
     def estimate(self, palette: Palette, source: Size) -> Size:
         """All grids; the finest needs most memory."""
         found = [self.solving(source, n) for n in self._resolutions()]
@@ -158,25 +190,20 @@ class HomogenizeVoxel(ElasticHomogenizer):
                        voxels=sum(s.voxels for s in found))  # fmt: skip
 
     def _resolutions(self) -> list[int]:
-        """Voxels along an edge of the cell of each grid, the coarsest first."""
-        return [max(2, round(self.resolution * (2 / 3) ** step)) for step in reversed(range(self.grids))]
+        return grids_below(self.resolution, self.grids)
 
     def run(self, context: Context, source: ScalarField | Voxels) -> StiffnessReport:
         """Homogenize, on coarser grids first if an error bar is requested."""
         if self.grids == 1:
-            return self.stiffness_of(context, source)
-        if isinstance(source, Voxels):
-            raise ConfigError("an image has one grid only", hint="leave out `grids`, or homogenize the field")
-        from sppm_pipeline.numerics.homogenization.stiffness.convergence import richardson
-
+            return self.stiffness_of(context, source, self._expansions())
         counts = self._resolutions()
-        if len(set(counts)) < self.grids:
-            raise ConfigError(f"a resolution of {self.resolution} has no coarser grids")
-        reports = []
-        for number, count in enumerate(counts):
-            reports.append(replace(self, resolution=count).stiffness_of(context, source))
-            context.progress(number + 1, self.grids, "grids")
-        limit = richardson([1 / count for count in counts], [report.stiffness for report in reports])
+        reports, limit = refined(
+            context,
+            source,
+            counts,
+            lambda count: replace(self, resolution=count).stiffness_of(context, source, self._expansions()),
+            lambda report: report.stiffness,
+        )
         context.report(
             convergence={
                 "resolutions": counts,

@@ -31,6 +31,9 @@ SUSPICIOUS = 10.0
 FLAT = 1e-9
 """A part is flat if it is thinner than this share of its size, or encloses less than this share of its box."""
 
+LISTED_GROUPS = 100
+"""Names of groups that the run record lists."""
+
 HEADER, PROBED = 4096, 4096
 """Bytes at the start of a file that may tell how many triangles follow, and triangles that tell the size of a part."""
 
@@ -48,7 +51,8 @@ class ReadMesh(Stage):
 
     The unit that a file or its format states is honored, and so is its upward axis: 3MF files name their unit, GLB
     files are in meters with y up; other formats are read if the library trimesh reads them. Then the mesh is
-    turned, then scaled, then placed.
+    turned, then scaled, then placed. Names of groups are kept (objects, groups and materials of OBJ, objects of 3MF,
+    solids of an ASCII STL), so that `skin_groups` of `fill.implicit` can choose among them.
     """
 
     name: ClassVar[str] = "read.mesh"
@@ -154,7 +158,9 @@ class ReadMesh(Stage):
                 f"{self.path.name} encloses nothing: its volume is {enclosed:g} mm3",
                 hint="are its faces there twice, back to back?",
             )
-        return SurfaceMesh(vertices, faces.astype(np.int32), name=self.path.name)
+        if file.groups:
+            context.report(groups=list(dict.fromkeys(name for name, _, _ in file.groups))[:LISTED_GROUPS])
+        return SurfaceMesh(vertices, faces.astype(np.int32), self.path.name, file.groups)
 
 
 def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:

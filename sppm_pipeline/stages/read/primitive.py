@@ -13,6 +13,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Geometry, Size
+from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 
 SHAPES = ("box", "ball", "cylinder", "torus", "torus_knot")
@@ -27,9 +28,7 @@ class ReadPrimitive(Stage):
     advice: ClassVar[str] = "lower `facets`"
 
     shape: str = option(help="which body", choices=SHAPES)
-    size: tuple[Length, Length, Length] = option(
-        help="box that the body just fills, along x, y, z", unit="mm", minimum=1e-3, maximum=1e5
-    )
+    size: tuple[Length, Length, Length] = options.size()
     facets: int = option(128, help="straight edges around a full turn of a round body", minimum=8, maximum=4096)
 
     def estimate(self, palette: Palette) -> Size:

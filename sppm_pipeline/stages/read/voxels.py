@@ -13,20 +13,17 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.families import options
-from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE, VoxelImage
 from sppm_pipeline.stage import Context, Stage, option
-
-ENDINGS = (".npy", ".tif", ".tiff", ".nrrd")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReadVoxels(Stage):
-    """Read a voxel image: .npy, a TIFF file of many pages, a folder of PNG or TIFF files, or .nrrd.
+    """Read a voxel image: .npy, .nrrd, a TIFF file of many pages, a folder of PNG or TIFF files, or .vti of one array.
 
     The image becomes phases (0 is void) or solid fractions. An image of two values is void and solid; one with the
     values 0, 1, 2 ... holds phases; a gray one needs a threshold, or the statement that its values are fractions.
-    The size of a voxel is read from .nrrd, and from a TIFF file that states pixels per unit and, as ImageJ does, the
-    distance of layers.
+    The size of a voxel is read from .nrrd and .vti, and from a TIFF file that states pixels per unit and, as ImageJ
+    does, the distance of layers.
     """
 
     name: ClassVar[str] = "read.voxels"
@@ -54,7 +51,9 @@ class ReadVoxels(Stage):
 
     def run(self, context: Context) -> Voxels:
         """Read the image and make phases or fractions of it."""
-        image = self._read()
+        from sppm_pipeline.formats.voxel_image import read_image
+
+        image = read_image(self.path)
         values = image.values if self.axes == "xyz" or self.path.suffix != ".npy" else image.values.transpose(2, 1, 0)
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise InputError(f"{self.path.name} holds values that are not finite")
@@ -70,25 +69,6 @@ class ReadVoxels(Stage):
         if not solid.any() or solid.all():
             context.warn(f"{self.path.name} is all {'solid' if solid.all() else 'void'}")
         return voxels
-
-    def _read(self) -> VoxelImage:
-        from sppm_pipeline.formats import image_stack, nrrd, voxel_image
-        from sppm_pipeline.formats.input_file import content_of
-
-        if self.path.is_dir():
-            return image_stack.read_folder(self.path)
-        ending = self.path.suffix.lower()
-        if ending not in ENDINGS:
-            hints = {
-                ".png": "PNG files are read as a folder of one picture a layer",
-                ".vti": "save the image as .nrrd, .tif or .npy, for instance by ParaView or by pyvista and numpy.save",
-            }
-            raise InputError(
-                f"{self.path.name} ends in {ending!r}; voxel images end in {', '.join(ENDINGS)}", hint=hints.get(ending)
-            )
-        data = content_of(self.path, LARGEST_IMAGE)
-        decode = {".npy": voxel_image.decode_npy, ".nrrd": nrrd.decode}.get(ending, image_stack.decode_tiff)
-        return decode(data, self.path.name)
 
     def _segmented(self, context: Context, values: NDArray[Any]) -> NDArray[Any]:
         """Phases or fractions."""

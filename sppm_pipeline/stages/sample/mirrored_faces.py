@@ -107,13 +107,20 @@ class MirroredFaces(Stage):
             return self._scattered(context, base, context.palette.blocks)
         colors = context.palette.colors
         if self.faces_margin == "paper":
+            if context.palette.face_totals is not None:
+                raise ConfigError(
+                    "faces with numbers of pores of their own need pores on the edges", hint="leave out `faces_margin`"
+                )
             patterns, spacing = self._packed(context, cell)
         else:
             from sppm_pipeline.numerics.sampling.edges import homogeneous_faces
 
             met = _met(context.palette)
             total, spacing = self._homogeneous(None if self.spacing is None else cell.fraction(self.spacing), met)
-            patterns = homogeneous_faces(context.rng(), total, spacing, colors, face_count=self.count, met=met)
+            totals = context.palette.face_totals
+            patterns = homogeneous_faces(
+                context.rng(), total, spacing, colors, face_count=self.count, met=met, totals=totals
+            )
         flat = [pattern for per_axis in patterns for pattern in per_axis]
         piece = np.repeat(np.arange(len(flat)) + base.interiors, [len(p) for p in flat]).astype(np.int32)
         return base.extended(np.concatenate(flat), piece, colors=colors, spacing=spacing)

@@ -42,6 +42,7 @@ class SliceField(Stage):
     cards: Path | None = options.cards(None)
     islands: str = options.islands("remove", note="a part decides for itself")
     gray: int = options.gray(1, formerly="grey")
+    gray_layers: int = options.gray_layers(1)
     exact: bool = options.exact(False)
 
     def check_options(self) -> None:
@@ -59,7 +60,7 @@ class SliceField(Stage):
     def estimate(self, palette: Palette, field: Size) -> Size:
         passes = 2 if self.islands == "remove" else 1
         body = replace(field.body, coarse=math.inf) if self.exact else field.body
-        made = stack_size(body, self._cut(body.scale)[1], self.gray, passes=passes)
+        made = stack_size(body, self._cut(body.scale)[1], self.gray, self.gray_layers, passes=passes)
         return replace(made, design=field.design)
 
     def run(self, context: Context, field: ScalarField) -> SliceStack:
@@ -76,7 +77,7 @@ class SliceField(Stage):
         ox, oy, oz = field.origin_mm
         if (coarse := field.coarseness(max(hx, hy, hz))) is not None:
             context.warn(coarse)
-        samples = (pitch[0] / self.gray, pitch[1] / self.gray, pitch[2])
+        samples = (pitch[0] / self.gray, pitch[1] / self.gray, pitch[2] / self.gray_layers)
         if isinstance(field, Part) and (gap := field.skin_gap(samples)) is not None:
             context.warn(gap)
         stack = FieldSlices(
@@ -86,6 +87,7 @@ class SliceField(Stage):
             lower=(ox + i * hx * edge, oy + j * hy * edge, oz + k * hz * edge),
             islands=field.islands if isinstance(field, Part) else self.islands,
             subsamples=self.gray,
+            sublayers=self.gray_layers,
             machine=printer,
         )
         return require_room(stack, self.cards)

@@ -49,6 +49,7 @@ class SliceMesh(Stage):
     )
     islands: str = options.islands("keep")
     gray: int = options.gray(1, formerly="grey")
+    gray_layers: int = options.gray_layers(1)
     inside: str = options.inside("auto")
 
     def check_options(self) -> None:
@@ -59,7 +60,7 @@ class SliceMesh(Stage):
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
         passes = 2 if self.islands == "remove" else 1
-        made = stack_size(mesh.body.in_unit(1.0), self._cut()[1], self.gray, passes=passes)
+        made = stack_size(mesh.body.in_unit(1.0), self._cut()[1], self.gray, self.gray_layers, passes=passes)
         return replace(made, triangles=mesh.triangles)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:
@@ -84,6 +85,7 @@ class SliceMesh(Stage):
             lower=lower,
             islands=self.islands,
             subsamples=self.gray,
+            sublayers=self.gray_layers,
             method=method,
             machine=printer,
         )

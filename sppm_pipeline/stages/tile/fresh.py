@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
@@ -54,7 +51,7 @@ class FreshTiling(Stage):
 
     def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
         """Number the cells and faces, then draw them all."""
-        from sppm_pipeline.numerics.tiling.lattice import tile_fresh, with_halo
+        from sppm_pipeline.numerics.tiling.lattice import meetings, tile_fresh, with_halo
 
         lattice = lattice_for(self.cell, self.cells, cover, None)
         halo = 0 if self.periodic else HALO
@@ -68,7 +65,7 @@ class FreshTiling(Stage):
             )
         interior, faces = tile_fresh(mask, periodic=self.periodic)
         colors = tuple(int(f.max()) + 1 for f in faces)
-        palette = Palette(wanted, (colors[0], colors[1], colors[2]), _meetings(interior, faces))
+        palette = Palette(wanted, (colors[0], colors[1], colors[2]), meetings(interior, faces))
         micro = recipe.run(context, palette=palette)
         if not isinstance(micro, Microstructure):
             raise ConfigError(
@@ -80,19 +77,3 @@ class FreshTiling(Stage):
         arrays = TilingArrays(interior, faces, self.periodic, halo)
         tiling = Tiling(TileSet(micro, "fresh", 0), arrays, edge, lattice.origin)
         return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)
-
-
-def _meetings(
-    interior: NDArray[np.int32], faces: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
-) -> NDArray[np.int64]:
-    """Rows (interior, axis, side, face) of all meetings in the lattice."""
-    rows = []
-    filled = interior >= 0
-    for axis in range(3):
-        for side in range(2):
-            planes = [slice(None)] * 3
-            planes[axis] = slice(1, None) if side else slice(None, -1)
-            own = interior[filled]
-            face = faces[axis][tuple(planes)][filled]
-            rows.append(np.stack([own, np.full_like(own, axis), np.full_like(own, side), face], 1))
-    return np.concatenate(rows).astype(np.int64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, cast
 
@@ -15,7 +16,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.part import Part, coarse_size
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
 COSTS = ("supports_mm2", "cups_mm2", "height_mm", "area_mm2")
@@ -26,9 +27,9 @@ class TuneOrientation(Stage):
     """Score a part in 6 or 26 orientations, and tell the `turn` of `read.mesh` for the best; the part is passed on.
 
     The part is sampled once, on about a million cubic voxels, and turned by nearest voxels. In each orientation the
-    layers are scanned as by `check.print`: area that hangs beyond the layer below by more than a voxel (45 degrees),
-    for supports; the largest area of suction cups; height; and the largest area of a layer, for peeling. Each cost is
-    divided by its largest over all orientations; the score is the sum, weighted. Lower is better.
+    layers are scanned as by `check.print`: area that hangs beyond the layer below by more than `overhang_angle`, and
+    than a voxel, for supports; the largest area of suction cups; height; and the largest area of a layer, for peeling.
+    Each cost is divided by its largest over all orientations; the score is the sum, weighted. Lower is better.
 
     Struts and channels thinner than about two of these voxels (`voxel_mm`) are not seen, or are seen broken, and turned
     surfaces have stairs, which add up to a sixth to the supports of a ball of 92 voxels: run `check.print` on the
@@ -52,6 +53,7 @@ class TuneOrientation(Stage):
         (0.0, 0.0, 0.0), help="`turn` that `read.mesh` has made; what is told replaces it", unit="degrees",
         minimum=-1e6, maximum=1e6,
     )  # fmt: skip
+    overhang_angle: float = options.overhang_angle(45.0, note="which is one of the voxels")
     plate: str = option(
         "sealed",
         help="what closes the part from below: the build plate, or nothing, as it stands on supports",
@@ -68,7 +70,7 @@ class TuneOrientation(Stage):
             raise ConfigError("all `cost_weights` are 0, so that every orientation is the best")
 
     def estimate(self, palette: Palette, part: Size) -> Size:
-        return part
+        return coarse_size(part)
 
     def run(self, context: Context, part: Part) -> Part:
         """Sample, then turn and scan."""
@@ -81,9 +83,10 @@ class TuneOrientation(Stage):
         h = grid.spacing[0]
         ups = upward_directions(cast(Literal[6, 26], self.directions))
         plate = cast(Literal["sealed", "supports"], self.plate)
+        reach = max(1.0, math.tan(math.radians(self.overhang_angle)))
         scores = []
         for number, up in enumerate(ups):
-            scores.append(score_turned(solid, turn_up(up), plate))
+            scores.append(score_turned(solid, turn_up(up), plate, reach))
             context.progress(number + 1, len(ups), "orientations")
         costs = np.array([[s.supports * h**2, s.cups * h**2, s.height * h, s.area * h**2] for s in scores])
         largest = costs.max(0)
@@ -115,7 +118,10 @@ class TuneOrientation(Stage):
 
         folder = context.output(self.report)
         folder.mkdir()
-        found = {"voxel_mm": voxel, "cost_weights": list(self.cost_weights), "orientations": rows}
+        found = {
+            "voxel_mm": voxel, "overhang_angle": self.overhang_angle, "cost_weights": list(self.cost_weights),
+            "orientations": rows,
+        }  # fmt: skip
         (folder / "orientations.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")

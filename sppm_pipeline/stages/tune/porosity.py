@@ -52,9 +52,7 @@ class TunePorosity(Stage):
     fit_count: bool = option(
         False, help="choose the number of pores by a fitted line; the recipe's stages then need `total`"
     )
-    trials: int = option(
-        3, help="trial cells for each number of pores on the line", minimum=1, maximum=200, formerly="samples"
-    )
+    trials: int = options.trials(3, note="on the line", formerly="samples")
     resolution: int = options.resolution(64, minimum=8, maximum=512)
     tolerance: float = options.tolerance(0.001)
     evaluations: int = options.evaluations(40, note="cells drawn while the gap is searched")

@@ -8,8 +8,9 @@ from typing import ClassVar
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.fields.picture import MAX_SAMPLES, MAX_TILES, field_picture, tile_sheet
+from sppm_pipeline.fields.picture import MAX_SAMPLES, MAX_TILES, mesh_picture, scene_of, tile_sheet
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.stage import Context, Stage, option
@@ -17,22 +18,27 @@ from sppm_pipeline.stage import Context, Stage, option
 
 @dataclass(frozen=True, kw_only=True)
 class WritePicture(Stage):
-    """Render a mesh, a cell, a tiling or a part as PNG; a tile set becomes a sheet of all its tiles."""
+    """Render a mesh, a cell, a tiling or a part as PNG; a tile set becomes a sheet of all its tiles.
+
+    What is solid of a field is seen by rays, within the triangles of the part: rims are exact. Islands that are removed
+    from the layers of a part are not shown, and their share of the solid is reported. Cut faces, and the skin, have
+    colors of their own.
+    """
 
     name: ClassVar[str] = "write.picture"
     advice: ClassVar[str] = "lower `resolution` or `image_size`"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
+    reported: ClassVar[tuple[str, ...]] = ("removed_share",)
 
     path: str = options.write_path("picture.png", suffixes=(".png",))
     resolution: int = options.resolution(32, note="fewer where the picture could not show them", minimum=4, maximum=512)
     image_size: tuple[int, int] = options.image_size((1200, 900), minimum=16, formerly="size")
-    azimuth: float = option(-60.0, help="direction of view around z", unit="degrees", minimum=-360, maximum=360)
-    elevation: float = option(
-        25.0, help="height of the view above the xy plane", unit="degrees", minimum=-90, maximum=90
-    )
-    section: float | None = option(
-        None, help="keep only this share along y, the far side, to look inside", above=0, maximum=1
-    )
+    azimuth: float = options.azimuth(-60.0)
+    elevation: float = options.elevation(25.0)
+    section: float | None = options.section(None)
+    section_along: str = option("y", help="axis across which `section` cuts", choices=("x", "y", "z"))
+    annotate: bool = option(True, help="draw the directions of the axes and a scale bar; not on sheets of tiles")
+    background: str = option("light", help="what is behind the part", choices=("light", "dark", "transparent"))
 
     def estimate(self, palette: Palette, what: Size) -> Size:
         pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution
@@ -55,21 +61,32 @@ class WritePicture(Stage):
         from PIL import Image
 
         from sppm_pipeline.render.camera import Camera
-        from sppm_pipeline.render.mesh_view import render_mesh
 
         camera, threads = Camera(azimuth=self.azimuth, elevation=self.elevation), context.threads
-        if isinstance(what, SurfaceMesh):
-            picture = render_mesh(what.vertices, what.faces, camera=camera, size=self.image_size)
-        elif isinstance(what, TileSet):
+        if isinstance(what, TileSet):
             picture = tile_sheet(
                 what,
                 self.resolution,
                 camera,
+                background=self.background,
                 threads=threads,
                 progress=lambda done, of: context.progress(done, of, "tiles drawn"),
             )
-        else:
-            picture = field_picture(
-                what, self.resolution, self.image_size, camera, section=self.section, threads=threads
+        elif isinstance(what, SurfaceMesh) and self.section is None:
+            picture = mesh_picture(
+                what, self.image_size, camera, annotate=self.annotate, background=self.background, threads=threads
             )
+        else:
+            if isinstance(what, SurfaceMesh) and not what.bounds_solid:
+                raise ConfigError(
+                    "`section` cuts solids, and this mesh has a border, so that nothing is inside of it",
+                    hint="leave out `section`, or close the mesh",
+                )
+            scene = scene_of(what, self.resolution, threads=threads)
+            if scene.removed_share:
+                context.report(removed_share=scene.removed_share)
+            picture = scene.picture(
+                self.image_size, camera, section=self.section, section_along=self.section_along,
+                annotate=self.annotate, background=self.background, threads=threads,
+            )  # fmt: skip
         Image.fromarray(picture).save(context.output(self.path))

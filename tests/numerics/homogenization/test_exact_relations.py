@@ -188,3 +188,48 @@ def test_poissons_ratios_of_a_laminate_are_not_interchangeable(axis):
 def test_an_isotropic_cell_stays_isotropic_in_any_frame():
     c = composite(np.zeros((3, 4, 5)), (2.0,), (0.25,))
     assert c == pytest.approx(isotropic(2.0, 0.25), abs=1e-12)
+
+
+def heated(image, young, poisson, expansion, **options):
+    lam, mu, alpha = on_voxels(image, *lame(np.array(young), np.array(poisson)), expansion)
+    return stiffness(lam, mu, expansion=alpha, **options)
+
+
+def test_one_material_expands_as_it_does_whatever_its_shape():
+    # a slab of random shape that carries no load along z: nothing is known of the strains along it
+    image = random_image((6, 5, 4), 0.7, 2)
+    image[:, :, 0] = False
+    image[:, :, 1] = True
+    found = heated(image, (0.0, 2.0), (0.3, 0.3), (0.0, 1.7e-5), edges=(1.0, 0.8, 1.2), tolerance=1e-8).expansion
+    assert found[[0, 1, 5]] == pytest.approx([1.7e-5, 1.7e-5, 0], rel=1e-4, abs=2e-9)
+    assert np.isnan(found[[2, 3, 4]]).all()
+    found = heated(random_image((6, 5, 4), 0.7, 2), (0.0, 2.0), (0.3, 0.3), (0.0, 1.7e-5)).expansion
+    assert found == pytest.approx([1.7e-5] * 3 + [0] * 3, rel=1e-6, abs=1e-11)
+    assert np.isnan(heated(0 * image, (0.0, 1.0), (0.3, 0.3), (0.0, 1.0)).expansion).all()
+
+
+def test_levin():
+    """Two isotropic phases expand as their effective stiffness says (Levin 1967; Rosen and Hashin 1970)."""
+    young, poisson, alpha = (1.0, 30.0), (0.4, 0.2), np.array((2.0, -3.0))
+    lam, mu = lame(np.array(young), np.array(poisson))
+    bulk = lam + 2 * mu / 3
+    found = heated(random_image((6, 5, 7), 0.5, 3), young, poisson, alpha, edges=(1.0, 0.8, 1.3))
+    slope = (bulk[1] * alpha[1] - bulk[0] * alpha[0]) / (bulk[1] - bulk[0])
+    compliance = np.linalg.inv(found.stiffness)
+    expected = 3 * bulk[0] * (alpha[0] - slope) * compliance[:, :3].sum(axis=1) + slope * np.array([1, 1, 1, 0, 0, 0])
+    assert found.expansion == pytest.approx(expected, rel=1e-4, abs=1e-3)
+    trace = alpha[0] + np.diff(alpha)[0] * (compliance[:3, :3].sum() - 1 / bulk[0]) / (1 / bulk[1] - 1 / bulk[0])
+    assert found.expansion[:3].sum() == pytest.approx(3 * trace, rel=1e-4)
+
+
+def test_the_expansion_of_a_laminate():
+    """Layers across z: along them the strains are equal and stresses average, across them it is the other way round."""
+    image = np.zeros((2, 3, 8), bool)
+    image[:, :, :3] = True
+    shares, alpha = np.array([5 / 8, 3 / 8]), np.array([1.0, 4.0])
+    lam, mu = lame(np.array((1.0, 5.0)), np.array((0.35, 0.2)))
+    plane = 2 * mu * (3 * lam + 2 * mu) / (lam + 2 * mu)
+    along = (shares * plane * alpha).sum() / (shares * plane).sum()
+    across = (shares * ((3 * lam + 2 * mu) * alpha - 2 * lam * along) / (lam + 2 * mu)).sum()
+    found = heated(image, (1.0, 5.0), (0.35, 0.2), alpha).expansion
+    assert found == pytest.approx([along, along, across, 0, 0, 0], rel=1e-4, abs=1e-4)

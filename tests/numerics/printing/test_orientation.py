@@ -91,3 +91,18 @@ def test_not_dominated_against_all_pairs():
     costs = np.random.default_rng(3).integers(0, 4, (40, 3)).astype(float)
     expected = [not any((other <= one).all() and (other < one).any() for other in costs) for one in costs]
     assert not_dominated(costs).tolist() == expected
+
+
+def test_overhang_counts_beyond_its_reach():
+    """A pyramid on its tip that widens by two voxels a layer, by one on a side of each."""
+    solid = np.zeros((6, 24, 24), np.uint8)
+    for k in range(6):
+        solid[k, 11 - 2 * k : 13 + 2 * k, 11 - 2 * k : 13 + 2 * k] = 1
+    found = [score_turned(solid, (0.0, 0.0, 0.0), "supports", reach).supports for reach in (1.0, 1.5, 2.0, 3.0)]
+    inner, outer = ([(2 + 4 * k + 2 * more) ** 2 for k in range(5)] for more in (1, 2))
+    # of each ring the corners are farther than its sides: at reach 1 all but the inner ring without its corners
+    assert found[0] == sum(o - i + 4 for i, o in zip(inner, outer, strict=True))
+    # a reach of 1.5 takes in the corners of the inner ring, one of 2 the sides of the outer one
+    assert found[1] == sum(o - i for i, o in zip(inner, outer, strict=True))
+    assert found[2] == 5 * 4 * 3
+    assert found[3] == 0

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.surface.marching_tables import case_tables
+from sppm_pipeline.numerics.surface.marching_tables import case_tables, separations
 
 CORNERS = np.array([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)])
 ENDS = {
@@ -74,3 +74,19 @@ def test_solid_corners_on_the_diagonal_of_a_face_are_separated() -> None:
 def test_at_most_five_triangles() -> None:
     assert case_tables().counts.max() == 5
     assert case_tables().counts[0] == case_tables().counts[255] == 0
+
+
+def test_polygons_of_a_cube_are_kept_apart():
+    """Two opposite corners: what is next to one may not reach beyond the middle between them."""
+    planes = separations()
+    several = [case for case in range(256) if planes[case].any()]
+    assert len(several) == 90  # and two whose faces are all passed twice
+    assert not planes[0b00000001].any()
+    opposite = planes[0b10000001]
+    assert np.count_nonzero(opposite.any(axis=2)) == 6  # one other polygon, and each face has a side of one of them
+    for face in range(6):
+        axis, side = divmod(face, 2)
+        for place in ((0.1, 0.2), (0.3, 0.35), (0.9, 0.95)):
+            point = np.insert(np.array(place), axis, side)
+            near = point.sum() < 1.5 if side == 0 else point.sum() > 1.5
+            assert (planes[0b10000001, face, 0, :3] @ point <= planes[0b10000001, face, 0, 3]) == near

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.surface.marching_tables import polygon_counts
 from sppm_pipeline.numerics.surface.polygons import crossing, fans_from_ends
 
 ANGLES = np.linspace(0, 2 * np.pi, 6, endpoint=False)
@@ -59,11 +58,3 @@ def test_crossing_triangles_are_seen():
     assert crossing(np.array([[0, 1, 2], [3, 4, 5]]), 2, places)
     assert not crossing(np.array([[0, 1, 2], [3, 4, 5]]), 1, places)
     assert not crossing(np.array([[0, 1, 2], [1, 5, 2]]), 2, places)
-
-
-def test_polygons_of_cases():
-    counts = polygon_counts()
-    assert counts[0] == counts[255] == 0
-    assert counts[1] == counts[254] == 1
-    assert counts[0b10000001] == counts[0b01111110] == 2
-    assert counts[0b01101001] == 4  # four corners, no two of which share an edge

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, ResourceError
 from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.stage import Rejected
 from sppm_pipeline.stages.check.sizes import CheckSizes
 from sppm_pipeline.stages.extract.voxels import ExtractVoxels
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -92,3 +94,44 @@ def test_what_cannot_be_measured(cell):
         measured(Voxels(np.ones((2, 2, 2), np.uint8), (1, 1, 2), True, (True,) * 3))
     with pytest.raises(ResourceError, match="resolution"):
         measured(Bubble(0.3, (100, 100, 100)), resolution=64)
+
+
+def plates(spacing=0.1):
+    """Plates of 3 and 9 voxels, with gaps of 5 and 15 between them."""
+    solid = np.zeros((8, 8, 32), np.uint8)
+    solid[:, :, :3] = solid[:, :, 8:17] = 1
+    return Voxels(solid, (spacing,) * 3, True, (True,) * 3)
+
+
+def test_what_the_machine_makes():
+    """A plate as thick as the limit is not thinner; a nozzle limits walls only, powder has a limit for each."""
+    found = measured(plates(), nozzle=Length(0.9, "mm"))
+    assert found["thin_solid_share"] == 3 / 12
+    assert found["solid_limit_mm"] == 0.9
+    assert "narrow_void_share" not in found
+    assert "void_limit_mm" not in found
+    assert measured(plates(), nozzle=Length(0.3, "mm"))["thin_solid_share"] == 0
+    assert measured(plates(), nozzle=Length(0.91, "mm"))["thin_solid_share"] == 1
+    found = measured(plates(), powder=(Length(0.2, "mm"), Length(1.0, "mm")), nozzle=Length(0.4, "mm"))
+    assert (found["thin_solid_share"], found["narrow_void_share"]) == (3 / 12, 5 / 20)
+    assert (found["solid_limit_mm"], found["void_limit_mm"]) == (0.4, 1.0)
+    context = PlainContext()
+    CheckSizes(powder=(Length(0.8, "mm"), Length(0.5, "mm"))).run(context, plates())
+    assert context.warnings[0] == "share of the solid that is thinner than the machine makes it: 25.0%, below 0.8 mm"
+    assert "0.5 mm are 5 voxels" in context.warnings[1]
+    assert len(context.warnings) == 2
+
+
+def test_rules_reject_what_the_machine_does_not_make(cell):
+    thin = {"nozzle": Length(0.8, "mm"), "fail": ("thin > 0.2",)}
+    with pytest.raises(Rejected, match=r"thinner than the machine makes it: 0\.25, more than 0\.2"):
+        measured(plates(), **thin)
+    assert measured(plates(), nozzle=Length(0.8, "mm"), fail=("thin > 0.3",))["thin_solid_share"] == 0.25
+    with pytest.raises(Rejected, match="narrower"):
+        measured(plates(), printable=Length(0.8, "mm"), fail=("narrow",))
+    for rule, message in (("narrow > 0.1", "there is none"), ("wide", "thin > 0.1"), ("thin < 1", "can't be compared")):
+        with pytest.raises(ConfigError) as caught:
+            CheckSizes(nozzle=Length(0.8, "mm"), fail=(rule,)).check_options()
+        assert message in f"{caught.value} {caught.value.hint}"
+    with pytest.raises(ConfigError, match="no physical size"):
+        measured(Bubble(0.3, (1, 1, 1), None), **thin)

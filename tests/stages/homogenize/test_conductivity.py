@@ -64,6 +64,28 @@ def test_phases_of_the_solid():
     assert report.k == pytest.approx(np.diag([1.5, 2.0, 2.0]), rel=1e-5, abs=1e-5)
 
 
+def test_gas_and_solid_together(cell):
+    values = np.ones((4, 3, 3), np.uint8)
+    values[1:2] = 2
+    values[2:] = 0
+    report = conducted(voxels(values), of="both", bulk=(1.0, 4.0), fluid=0.1, residual=1e-6)
+    along, across = (1 + 4 + 2 * 0.1) / 4, 4 / (1 + 1 / 4 + 2 / 0.1)
+    assert report.k == pytest.approx(np.diag([across, along, along]), rel=1e-5, abs=1e-5)
+    assert report.summary()["fluid"] == 0.1
+    # between the bounds of Hashin and Shtrikman, on average over the axes, and above the solid alone
+    report, alone = (conducted(cell, resolution=16, bulk=5.0, **more) for more in ({"of": "both", "fluid": 0.5}, {}))
+    phi = report.porosity
+    low = 0.5 + (1 - phi) / (1 / 4.5 + phi / 1.5)
+    high = 5 - phi / (1 / 4.5 - (1 - phi) / 15)
+    assert low < np.trace(report.k) / 3 < high
+    assert np.linalg.eigvalsh(report.k - alone.k)[0] > 0
+    uniform = conducted(cell, resolution=8, of="both", bulk=2.0, fluid=2.0)
+    assert uniform.k == pytest.approx(2 * np.eye(3), rel=1e-5, abs=1e-5)
+    for options in ({"of": "both"}, {"fluid": 1.0}):
+        with pytest.raises(ConfigError, match="`fluid`"):
+            HomogenizeConductivity(**options).check_options()
+
+
 @pytest.mark.parametrize("of", ["solid", "void"])
 def test_a_cell_of_the_paper(cell, of):
     report = conducted(cell, resolution=24, of=of)

@@ -178,3 +178,20 @@ def test_a_broken_report_is_noticed():
     for matrix in (np.full((6, 6), np.nan), np.zeros((3, 3)), -np.eye(6), np.eye(6) + np.eye(6, k=1)):
         with pytest.raises(ValueError, match="stiffness"):
             StiffnessReport(matrix, good.phases, "broken").check()
+
+
+def test_thermal_expansion(cell):
+    report = homogenized(cell, resolution=12, expansion=5e-5, solver_tolerance=0.01)
+    assert report.expansion == pytest.approx([5e-5] * 3 + [0] * 3, rel=1e-4, abs=1e-8)
+    assert report.summary()["expansion"] == list(report.expansion)
+    layers = np.ones((2, 2, 4), np.uint8)
+    layers[:, :, 2:] = 2
+    values = {"young": (1.0, 2.0), "poisson": (0.3, 0.3), "expansion": (1.0e-5, 4.0e-5)}
+    found = homogenized(voxels(layers), **values).expansion
+    assert found[:2] == pytest.approx((1e-5 + 2 * 4e-5) / 3, rel=1e-3)
+    assert found[2] > found[0]
+    assert homogenized(voxels(layers), young=(1.0, 2.0), poisson=0.3).expansion is None
+    flat = homogenized(voxels(cross()), expansion=2e-5)
+    assert flat.summary()["expansion"][2] is None
+    with pytest.raises(ConfigError, match="`expansion` has 1 coefficients"):
+        HomogenizeVoxel(**(values | {"expansion": 1e-5})).check_options()

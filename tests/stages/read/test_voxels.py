@@ -100,9 +100,8 @@ def test_what_cannot_be_read(tmp_path, save):
     with pytest.raises(InputError, match="raw"):
         read(tmp_path / "a.raw")
     (tmp_path / "a.vti").write_bytes(b"x")
-    with pytest.raises(InputError, match="vti") as caught:
+    with pytest.raises(InputError, match=r"a\.vti: this is no well-formed XML"):
         read(tmp_path / "a.vti")
-    assert "nrrd" in caught.value.hint
     with pytest.raises(InputError, match="not finite"):
         read(save(np.full((2, 2, 2), np.nan)))
     with pytest.raises(ConfigError, match="belong together"):

@@ -70,12 +70,13 @@ def test_islands_are_removed_as_on_the_whole(wang_tiling, monkeypatch):
     assert found_again == findings
 
 
-@pytest.mark.parametrize(("pixel", "layer", "gray"), [(0.4, 0.25, 1), (0.37, 0.11, 1), (0.4, 0.4, 3)])
+@pytest.mark.parametrize(("pixel", "layer", "gray"), [(0.4, 0.25, 1), (0.37, 0.11, 1), (0.4, 0.4, (3, 2))])
 def test_threads_and_slabs_change_no_byte(wang_tiling, ball, monkeypatch, pixel, layer, gray):
     part = Part(wang_tiling, ball, 0.5)
 
     def made(threads):
-        return layers(slices(part, pixel=Length(pixel, MM), layer=Length(layer, MM), gray=gray), threads).tobytes()
+        shades = {"gray": gray[0], "gray_layers": gray[1]} if gray != 1 else {}
+        return layers(slices(part, pixel=Length(pixel, MM), layer=Length(layer, MM), **shades), threads).tobytes()
 
     first = made(1)
     assert made(2) == first
@@ -117,6 +118,16 @@ def test_gray_is_the_share_of_the_pixel(wang_tiling):
     assert len(np.unique(found)) > 5
     assert findings["solid_share_of_box"] == pytest.approx(fine.mean())
     assert not slices(wang_tiling, resolution=4).gray
+    # over the height of the layer as well, and over that alone
+    for across in (4, 1):
+        stack = slices(wang_tiling, pixel=Length(0.4, MM), gray=across, gray_layers=2, islands="keep")
+        assert stack.gray
+        found, findings = layers_and_findings(stack)
+        pitch = {"pixel": Length(0.4 / across, MM), "layer": Length(0.2, MM)}
+        fine = layers(slices(wang_tiling, **pitch, islands="keep")) > 0
+        share = fine.reshape(30, 2, 30, across, 40, across).mean((1, 3, 5))
+        assert np.mean(np.abs(found / 255 - share) > 0.5 / 255 + 1e-9) < 1e-3  # samples that rounding moves
+        assert findings["solid_volume_mm3"] == pytest.approx(fine.mean() * 16 * 12 * 12, rel=1e-4)
 
 
 def test_a_part_decides_about_its_islands(wang_tiling, ball):

@@ -111,8 +111,13 @@ def test_slabs_and_gray(monkeypatch):
     padded[:, : fine.shape[1], : fine.shape[2]] = fine
     share = padded.reshape(-1, ny, 3, nx, 3).mean((2, 4))
     assert np.abs(shades - share).max() <= 0.5 + 1e-6
+    high = layers(slices(KNOT, pixel=0.3, layer=0.3, gray_layers=3))
+    low = layers(slices(KNOT, pixel=0.3, layer=0.1)) > 0
+    low = np.pad(low, ((0, 3 * len(high) - len(low)), (0, 0), (0, 0))).reshape(len(high), 3, *low.shape[1:])
+    assert np.abs(high - 255 * low.mean(1)).max() <= 0.5 + 1e-6
     monkeypatch.setattr(sampled_slices, "SLAB_PIXELS", 1)
     assert layers(slices(KNOT, pixel=0.3, layer=0.2)).tobytes() == found.tobytes()
+    assert layers(slices(KNOT, pixel=0.3, layer=0.3, gray_layers=3)).tobytes() == high.tobytes()
 
 
 @pytest.mark.parametrize("inside", ["auto", "vote"])

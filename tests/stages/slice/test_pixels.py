@@ -276,6 +276,7 @@ def test_the_expected_size_counts_three_pitches():
     body = Geometry(edge_mm=2.0, box=(3.0, 4.0, 5.0), volume=60.0)
     size = stack_size(body, (0.02, 0.05, 0.1), 2)
     assert (size.pixels, size.layers, size.samples) == (300 * 160, 100, 300 * 160 * 100 * 4)
+    assert stack_size(body, (0.02, 0.05, 0.1), 2, 3).samples == 3 * size.samples
     turned = stack_size(body, (0.05, 0.02, 0.1), 2)
     assert turned.pixels == 120 * 400
     assert size.outline == pytest.approx(turned.outline)

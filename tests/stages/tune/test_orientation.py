@@ -40,6 +40,8 @@ def test_the_flattest_way_is_found_and_told(tower):
     assert np.ptp(turned[:, 2]) == pytest.approx(3.0)
     assert found["score"] < found["score_as_is"] == 1.0
     assert found["orientations"] == 6
+    steep = tuned(tower, directions=6, cost_weights=(1, 0, 0, 0), overhang_angle=80.0).reported
+    assert steep["supports_mm2"] < tuned(tower, directions=6, cost_weights=(1, 0, 0, 0)).reported["supports_mm2"]
 
 
 def test_files_of_a_part_that_was_turned_before(tower):

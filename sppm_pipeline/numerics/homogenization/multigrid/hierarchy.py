@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY, BLOCK, HEAD, LANES, RESIDUAL, SMOOTH, STRIDE
-from sppm_pipeline.numerics.homogenization.multigrid.transfer import interpolate_add, restrict
+from sppm_pipeline.numerics.homogenization.multigrid.transfer import NodalTransfer
 from sppm_pipeline.numerics.homogenization.multigrid.vectors import dense_product, dot, weighted
 
 COARSEST = 2
@@ -32,8 +33,6 @@ class Level(Protocol):
     Attributes
     ----------
     shape : (nz, ny, nx)
-    edges : (hx, hy, hz)
-        Of a voxel.
     components : int
         Unknowns of a node.
     diagonal : (nz * ny * nx,) float64 or float32
@@ -43,7 +42,6 @@ class Level(Protocol):
     """
 
     shape: tuple[int, int, int]
-    edges: tuple[float, float, float]
     components: int
     diagonal: NDArray[Any]
     weight: NDArray[Any]
@@ -52,12 +50,36 @@ class Level(Protocol):
         """Apply the operator in one of the modes of `rows`: APPLY, RESIDUAL, SMOOTH; vectors are flat."""
         ...
 
+
+class Body(Level, Protocol):
+    """A grid that can be loaded, as `solver.load_cases` does.
+
+    Attributes
+    ----------
+    edges : (hx, hy, hz)
+        Of a voxel.
+    """
+
+    edges: tuple[float, float, float]
+
     def forces(self, load: NDArray[np.float64], out: NDArray[Any], work: Workspace) -> None:
         """Nodal forces of a constant load, a mean strain or gradient, written to `out`."""
         ...
 
     def rounding(self) -> float:
         """Rounding error to expect in forces that should be zero, for each node."""
+        ...
+
+
+class Transfer(Protocol):
+    """The way between a grid and the next coarser one."""
+
+    def restrict(self, fine: NDArray[Any], out: NDArray[Any], line: NDArray[Any]) -> None:
+        """From residuals of the fine grid to those of the coarse one; `line` is scratch, a row and two more."""
+        ...
+
+    def interpolate_add(self, coarse: NDArray[Any], out: NDArray[Any], line: NDArray[Any]) -> None:
+        """Add a correction of the coarse grid to a vector of the fine one: the transpose."""
         ...
 
 
@@ -119,24 +141,37 @@ class Hierarchy:
     Attributes
     ----------
     levels : list of Level
-    transfers : list of (6,) int64
-        Shapes of each pair of grids, as `transfer.restrict` needs them.
+    transfers : list of Transfer
+        Between each pair of grids.
     inverse : (m, m) float64
         Of the coarsest matrix.
     scratch_rows : int
     twice : bool
         Whether coarse grids are visited twice in a cycle. That saves iterations, but if a coarse grid is much softer
         than it should be, the cycle is no longer positive definite; with single visits it always is.
+    sweeps : int
+        Steps of the smoother before and after.
     """
 
     levels: list[Level]
-    transfers: list[NDArray[np.int64]]
+    transfers: Sequence[Transfer]
     inverse: NDArray[np.float64]
     scratch_rows: int
     twice: bool
+    sweeps: int = 1
 
     @classmethod
-    def of(cls, levels: list[Level], scratch_rows: int, largest: float) -> Hierarchy:
+    def of(
+        cls,
+        levels: list[Level],
+        scratch_rows: int,
+        largest: float,
+        *,
+        transfers: Sequence[Transfer] | None = None,
+        damping: float = 0.5,
+        sweeps: int = 1,
+        twice: bool | None = None,
+    ) -> Hierarchy:
         """Set the damping of all levels and invert the coarsest matrix.
 
         Parameters
@@ -146,6 +181,12 @@ class Hierarchy:
         largest : float
             Bound of the eigenvalues of the matrix over its diagonal, for cycles that are always
             positive definite; 0 to estimate it, and to visit coarse grids twice.
+        transfers : sequence of Transfer, optional
+            Those between nodes if omitted.
+        damping : float
+            Of the smoother, if `largest` allows so much.
+        sweeps, twice
+            As the attributes; where `twice` is omitted, `largest` decides.
         """
         work = Workspace(levels, scratch_rows)
         for level in levels:
@@ -153,18 +194,19 @@ class Hierarchy:
             np.divide(1, level.diagonal, out=inverse, where=level.diagonal > 0)
             level.weight[:] = inverse
             # damped Jacobi converges below 2 / (largest eigenvalue), which power steps approach from below
-            damping = 1.9 / (largest or _largest_eigenvalue(level, work))
-            level.weight *= level.weight.dtype.type(min(0.5, damping))
-        pairs = pairwise(levels)
-        transfers = [np.array([*fine.shape[::-1], *coarse.shape[::-1]], np.int64) for fine, coarse in pairs]
-        return cls(levels, transfers, _inverse(levels[-1], work), scratch_rows, largest == 0)
+            bound = 1.9 / (largest or _largest_eigenvalue(level, work))
+            level.weight *= level.weight.dtype.type(min(damping, bound))
+        if transfers is None:
+            transfers = [NodalTransfer.between(fine.shape, coarse.shape) for fine, coarse in pairwise(levels)]
+        inverse = _inverse(levels[-1], work)
+        return cls(levels, transfers, inverse, scratch_rows, largest == 0 if twice is None else twice, sweeps)
 
     def workspace(self) -> Workspace:
         """For one thread."""
         return Workspace(self.levels, self.scratch_rows)
 
     def cycle(self, r: NDArray[Any], work: Workspace, depth: int = 0) -> tuple[NDArray[Any], float]:
-        """One V- or W-cycle with one damped Jacobi step before and after: an approximation of the solution for `r`.
+        """One V- or W-cycle with damped Jacobi steps before and after: an approximation of the solution for `r`.
 
         Returns
         -------
@@ -179,10 +221,16 @@ class Hierarchy:
             dense_product(self.inverse, r, z)
             return z, dot(r, z)
         weighted(r, level.weight, z)
+        for _ in range(1, self.sweeps):
+            level.apply(SMOOTH, z, r, q, work)
+            z, q = q, z
         level.apply(RESIDUAL, z, r, q, work)
-        restrict(q, work.r[depth + 1], self.transfers[depth], work.line)
+        self.transfers[depth].restrict(q, work.r[depth + 1], work.line)
         correction = self._correction(work, depth + 1)
-        interpolate_add(correction, z, self.transfers[depth], work.line)
+        self.transfers[depth].interpolate_add(correction, z, work.line)
+        for _ in range(1, self.sweeps):
+            level.apply(SMOOTH, z, r, q, work)
+            z, q = q, z
         return q, level.apply(SMOOTH, z, r, q, work)
 
     def _correction(self, work: Workspace, depth: int) -> NDArray[Any]:

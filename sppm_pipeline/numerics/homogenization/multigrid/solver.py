@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Hierarchy, Workspace
+from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Body, Hierarchy, Workspace
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY
 from sppm_pipeline.numerics.homogenization.multigrid.vectors import dot, step, turn
 
@@ -102,7 +102,7 @@ def solve(
     work : Workspace
     stop : Stop
     energy : float
-        Energy of ``u = 0``, from which `Stop.energy` is measured.
+        Energy of ``u = 0``, from which `Stop.energy` is measured; 0 for a force alone, whose energy is negative.
     floor : float
         Energies below this count as this, so that an energy of zero is reached at all.
     """
@@ -125,7 +125,7 @@ def solve(
         rr = step(u, b, p, q, alpha)
         gains.append(alpha * rz)
         energy -= gains[-1]
-        error = _remaining(gains) / max(energy, floor)
+        error = remaining(gains) / max(abs(energy), floor)
         reached = rr <= start * stop.residual**2 or error <= stop.energy
         # what is left is rounding: the energy, of second order in it, is exact
         if reached or rr <= start * rounding**2:
@@ -136,7 +136,7 @@ def solve(
     return Solved(stop.iterations, math.sqrt(rr / start), energy, error, False, True)
 
 
-def _remaining(gains: list[float]) -> float:
+def remaining(gains: list[float]) -> float:
     """Estimate of what all further iterations will gain."""
     done = len(gains)
     if done < 3:
@@ -195,7 +195,7 @@ def load_cases(
     """
     for attempt, safe in ((dtype, False), (dtype, True), (np.dtype(np.float64), True)):
         hierarchy = hierarchy_of(attempt, safe)
-        level = hierarchy.levels[0]
+        level = cast(Body, hierarchy.levels[0])
         volume = float(np.prod(level.edges)) * level.weight.size
         fields = np.empty((len(mean), level.components * level.weight.size), attempt)
         solved = _solve_all(hierarchy, fields, volume * mean, stop, floor, threads)
@@ -218,7 +218,7 @@ def _solve_all(
     floor: float,
     threads: int,
 ) -> tuple[Solved, ...]:
-    level = hierarchy.levels[0]
+    level = cast(Body, hierarchy.levels[0])
     count, length = fields.shape
     spare: list[tuple[Workspace, NDArray[Any], NDArray[Any]]] = []
 

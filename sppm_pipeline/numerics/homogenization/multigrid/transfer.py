@@ -8,7 +8,7 @@ between two coarse ones take their mean.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,3 +141,28 @@ def restrict(fine: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s
                 factor = (1.0 if k == _1 else 0.5) * (1.0 if j == _1 else 0.5)
                 _add_ring(fine, ((c * nz + z1) * ny + y1) * nx, s.dtype.type(factor), s, nx)
         _restrict_row(s, out, line * mx, nx, mx)
+
+
+class NodalTransfer(NamedTuple):
+    """Between the nodes of two grids; see `hierarchy.Transfer`.
+
+    Attributes
+    ----------
+    shapes : (6,) int64
+        As `restrict` takes them.
+    """
+
+    shapes: NDArray[np.int64]
+
+    @classmethod
+    def between(cls, fine: tuple[int, int, int], coarse: tuple[int, int, int]) -> NodalTransfer:
+        """From the voxels (nz, ny, nx) of both grids."""
+        return cls(np.array([*fine[::-1], *coarse[::-1]], np.int64))
+
+    def restrict(self, fine: NDArray[Any], out: NDArray[Any], line: NDArray[Any]) -> None:
+        """See `restrict`."""
+        restrict(fine, out, self.shapes, line)
+
+    def interpolate_add(self, coarse: NDArray[Any], out: NDArray[Any], line: NDArray[Any]) -> None:
+        """See `interpolate_add`."""
+        interpolate_add(coarse, out, self.shapes, line)

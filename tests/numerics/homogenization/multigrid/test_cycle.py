@@ -66,7 +66,7 @@ def test_the_coarse_operator_is_that_of_galerkin_where_voxels_agree(physics, edg
     """Trilinear functions of a coarse grid are ones of the fine grid: restricted and interpolated, forces are equal."""
     image = materials((4, 3, 5)).repeat(2, 0).repeat(2, 1).repeat(2, 2)
     hierarchy = hierarchy_of(physics, image, edges)
-    work, shapes = hierarchy.workspace(), hierarchy.transfers[0]
+    work, shapes = hierarchy.workspace(), hierarchy.transfers[0].shapes
     coarse = hierarchy.levels[1]
     v = np.random.default_rng(1).standard_normal(coarse.components * coarse.weight.size)
     fine, forces = np.zeros(8 * v.size), np.empty_like(v)

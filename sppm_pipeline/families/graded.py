@@ -1,0 +1,184 @@
+"""What stages that lay graded cells share: the curve of a recipe, and kernels with sizes that follow maps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.artifact import frozen
+from sppm_pipeline.data.grading import Grading
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.fields.microstructure import Microstructure
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
+from sppm_pipeline.numerics.grading.curve import PorosityCurve, porosity_curve
+from sppm_pipeline.stage import Context, Recipe
+
+STEP = 1.35
+"""Factor between the numbers of pores of a curve: a choice, five of them from a porosity of .2 to one of .5."""
+
+LONGEST = 20
+"""Numbers of pores that are tried for a curve at the most."""
+
+FEWEST = 4
+"""Pores of a cell, and of its interior, at the least."""
+
+WIDER = 0.02
+"""A curve goes on beyond the porosities that are asked for by this much, so that rounds have room."""
+
+
+def recipe_total(recipe: Recipe) -> int:
+    """The number of pores of a cell that a recipe states.
+
+    Raises
+    ------
+    ConfigError
+        If no stage of it has the option `total`.
+    """
+    totals = [values["total"] for values in recipe.options().values() if values.get("total") is not None]
+    if not totals:
+        raise ConfigError(
+            "graded cells need a recipe whose number of pores can be changed",
+            hint="give its samplers `total: 66` and `share: 0.5` instead of `count`",
+        )
+    return int(totals[0])
+
+
+def trial(
+    context: Context, recipe: Recipe, total: int | None, attempt: int, palette: Palette | None = None
+) -> Microstructure:
+    """A cell of a recipe with another number of pores.
+
+    Raises
+    ------
+    ConfigError
+        If the recipe makes no microstructure.
+    """
+    stages = [i for i, values in recipe.options().items() if values.get("total") is not None]
+    options = {} if total is None else {stage: {"total": total} for stage in stages}
+    micro = recipe.run(context, palette=palette or Palette(), attempt=attempt, options=options)
+    if not isinstance(micro, Microstructure):
+        raise ConfigError(
+            f"the recipe {recipe.name!r} makes a {type(micro).__name__}; graded cells need a Microstructure",
+            hint="end the recipe with `field.gaussian`",
+        )
+    return micro
+
+
+def curve_of(
+    context: Context, recipe: Recipe, total: int, targets: NDArray[np.float64], trials: int, resolution: int
+) -> PorosityCurve:
+    """The porosity of periodic cells of a recipe over their number of pores, wide enough for all targets.
+
+    Raises
+    ------
+    DesignError
+        If a target is out of reach.
+    """
+    low, high = float(targets.min()) - WIDER, float(targets.max()) + WIDER
+    counts: list[int] = []
+    porosities: list[float] = []
+
+    def probe(n: int) -> float:
+        found = []
+        for sample in range(trials):
+            cell = trial(context, recipe, n, 1 + sample)
+            found.append(float((cell.sample(resolution, context.threads) >= 0).mean()))
+        counts.extend([n] * trials)
+        porosities.extend(found)
+        context.progress(len(counts), LONGEST * trials, "trial cells")
+        return float(np.mean(found))
+
+    def widened(n: int, factor: float, enough: Callable[[float], bool]) -> str:
+        """Go from n on by a factor until the porosity is enough; why it went no further."""
+        try:
+            found = probe(n) if n not in counts else float(np.mean(porosities[: counts.count(n)]))
+            while not enough(found) and 0.01 < found < 0.99 and n > FEWEST and len(counts) < LONGEST * trials:
+                n = max(FEWEST, round(n * factor))
+                found = probe(n)
+        except DesignError as error:  # so many pores do not fit, or so few do not make faces
+            return f": {error}"
+        return ""
+
+    more = widened(total, STEP, lambda found: found >= high)
+    fewer = widened(total, 1 / STEP, lambda found: found <= low)
+    curve = porosity_curve(counts, porosities)
+    for worst, out, why in (
+        (float(targets.max()), targets.max() > curve.porosities[-1], more),
+        (float(targets.min()), targets.min() < curve.porosities[0], fewer),
+    ):
+        if out:
+            raise DesignError(
+                f"the map asks for a porosity of {worst:.4g}, but with {curve.counts[0]:g} to {curve.counts[-1]:g} "
+                f"pores a cell the recipe gives {curve.porosities[0]:.4g} to {curve.porosities[-1]:.4g}{why}",
+                hint="bound the map by clip(), or change the radii of the recipe",
+            )
+    return curve
+
+
+def sites_of(arrays: TilingArrays) -> NDArray[np.int64]:
+    """The cell of each interior, (interiors, 3), counted from that of the box; that within the box, if in many."""
+    interior = arrays.interior
+    sites = np.zeros((int(interior.max()) + 1, 3), np.int64)
+    place = np.argwhere(interior >= 0)
+    inside = ((place >= arrays.halo) & (place < np.array(interior.shape) - arrays.halo)).all(1)
+    for some in (place[~inside], place[inside]):
+        sites[interior[tuple(some.T)]] = some - arrays.halo
+    return sites
+
+
+def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Tiling:
+    """The tiling with pores and tunnels of the sizes that `pore_radius`, `tunnel_radius` and `scale` say.
+
+    Parameters
+    ----------
+    tiling : Tiling
+        Every interior in one place.
+    grading : Grading
+    faces_differ : bool
+        Whether every face pattern is in one place, too; otherwise those keep their sizes.
+    """
+    from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
+
+    maps = [name for name in ("pore_radius", "tunnel_radius", "scale") if name in grading]
+    if not maps or tiling.edge is None:
+        return tiling
+    grading, edge = grading.in_cells(tiling.edge, tiling.origin), tiling.edge
+    micro, arrays = tiling.tileset.micro, tiling.arrays
+    pieces, kernels = micro.pieces, micro.pieces.kernels
+    sites = np.full((len(pieces), 3), np.nan)
+    sites[: pieces.interiors] = sites_of(arrays)
+    if faces_differ:
+        for axis, faces in enumerate(arrays.faces):
+            place = np.argwhere(faces >= 0)
+            sites[pieces.interiors + axis * pieces.colors + faces[tuple(place.T)]] = place - arrays.halo
+    sites[pieces.interiors + 3 * pieces.colors :] = sites[pieces.codes // (6 * pieces.colors)] if pieces.colors else 0
+    box = np.array(arrays.shape, np.float64)
+
+    def factors(first: NDArray[np.int64], points: NDArray[np.float64], name: str, usual: float) -> NDArray[np.float64]:
+        """Factor of the radius of each kernel; 1 where its place is not known."""
+        place = points + np.repeat(sites, np.diff(first), axis=0)
+        known = np.isfinite(place[:, 0])
+        factor = np.ones(len(points))
+        at = np.clip(place[known], 0.0, box) * edge + np.array(tiling.origin)
+        if "scale" in grading:
+            factor[known] = grading["scale"].at(at)
+        if name in grading:
+            factor[known] = grading[name].at(at) / (usual * edge)
+        return factor
+
+    profile = TUNNEL_PROFILES[kernels.profile]
+    omega, mu = kernels.omega, kernels.mu
+    if len(omega):
+        usual = PORE_PROFILE.radius(float(np.median(omega)), micro.level)
+        omega = omega * PORE_PROFILE.scaled_radius(factors(pieces.first_pore, kernels.centers, "pore_radius", usual))
+    if len(mu):
+        usual = profile.radius(float(np.median(mu)), micro.level)
+        middles = (kernels.starts + kernels.ends) / 2
+        mu = mu * profile.scaled_radius(factors(pieces.first_tunnel, middles, "tunnel_radius", usual))
+    changed = replace(pieces, kernels=kernels._replace(omega=frozen(omega), mu=frozen(mu)))
+    return replace(tiling, tileset=replace(tiling.tileset, micro=replace(micro, pieces=changed)))

@@ -1,0 +1,147 @@
+"""What stages that grade or measure porosity place by place share: targets, cells, and samples of single cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.grading import Grading
+from sppm_pipeline.fields.kernel_sum import KernelSum
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.fields.wrapped import WrappedField
+from sppm_pipeline.numerics.grid import Grid, cell_centers
+
+Cells = list[tuple[int, int, int]]
+
+POINTS = 4
+"""Points along a cell edge at which a map is asked for its mean over a cell: a choice; maps are smooth or steps between
+cells."""
+
+LEAST_SHARE = 0.25
+"""A cell of which less lies in the part gets no level of its own, but one that continues those around it."""
+
+
+def cell_means(
+    grading: Grading, name: str, edge: float, origin: tuple[float, float, float], cells: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """Means of a map over cells of a lattice, (m,).
+
+    Parameters
+    ----------
+    grading : Grading
+    name : str
+        Name of the map.
+    edge : float
+        Cell edge, mm.
+    origin : tuple of 3 floats
+        Low corner of cell (0, 0, 0), mm.
+    cells : (m, 3) int
+    """
+    t = (np.arange(POINTS) + 0.5) / POINTS
+    inner = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
+    points = (cells[:, None] + inner).reshape(-1, 3) * edge + np.array(origin)
+    values = grading.in_cells(edge, origin)[name].at(points)
+    return np.asarray(values.reshape(len(cells), -1).mean(1))
+
+
+class LatticeCells:
+    """The cells of a field, or those of a part's field that lie in the part, and samples of one at a time.
+
+    Parameters
+    ----------
+    field : ScalarField
+        A `Part` stands for its field, seen where the part is.
+    n : int
+        Samples along a cell edge.
+    threads : int
+    only : list of (i, j, k), optional
+        Cells to look at; all unless given.
+
+    Attributes
+    ----------
+    base : ScalarField
+        The field that is sampled.
+    cells : list of (i, j, k)
+        Those that hold something, and of which enough lies in the part.
+    shares : (m,) float64
+        Share of each that lies in the part.
+    """
+
+    def __init__(self, field: ScalarField, n: int, threads: int = 1, only: Cells | None = None) -> None:
+        self.n, self._threads = n, threads
+        self.base = field.base if isinstance(field, Part) else field
+        self._inside: dict[tuple[int, int, int], NDArray[np.uint8]] = {}
+        filled = filled_cells(self.base)
+        if only is not None:
+            chosen = np.zeros_like(filled)
+            chosen[tuple(np.array(only).T)] = True
+            filled &= chosen
+        share = filled.astype(np.float64)
+        if isinstance(field, Part):
+            share *= self._shares_of(field, filled)
+        self.cells: Cells = [(int(i), int(j), int(k)) for i, j, k in np.argwhere(share >= LEAST_SHARE)]
+        self.shares = share[share >= LEAST_SHARE]
+
+    def _shares_of(self, part: Part, filled: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Share of each cell that lies in the part; bits of the samples inside are kept where it is not whole."""
+        n, (nx, ny, _) = self.n, self.base.cells
+        grid, shares = cell_centers(n, self.base.cells), np.zeros(self.base.cells)
+        for k in np.flatnonzero(filled.any((0, 1))).tolist():
+            blocks = part.inside_zyx(grid, k * n, (k + 1) * n).reshape(n, ny, n, nx, n)
+            shares[:, :, k] = blocks.mean((0, 2, 4)).T
+            for i, j in np.argwhere(filled[:, :, k] & (shares[:, :, k] > 0) & (shares[:, :, k] < 1)):
+                self._inside[int(i), int(j), k] = np.packbits(blocks[:, j, :, i])
+        return shares
+
+    def grid(self, cell: tuple[int, int, int]) -> Grid:
+        """Centers of the voxels of one cell."""
+        h = 1.0 / self.n
+        x, y, z = (c + h / 2 for c in cell)
+        return Grid((x, y, z), (h,) * 3, (self.n,) * 3)
+
+    def inside(self, cell: tuple[int, int, int]) -> NDArray[np.bool_] | None:
+        """Which samples of a cell lie in the part, (n, n, n) indexed z, y, x; None for all."""
+        bits = self._inside.get(cell)
+        if bits is None:
+            return None
+        return np.unpackbits(bits, count=self.n**3).reshape((self.n,) * 3).view(np.bool_)
+
+    def values(self, cell: tuple[int, int, int]) -> NDArray[np.float32]:
+        """What a level is compared with, (n, n, n) indexed z, y, x: ln G of a sum G of kernels, or the field."""
+        grid = self.grid(cell)
+        if isinstance(self.base, KernelSum) and self.base.additive:
+            sums = self.base.sums(grid, self._threads).T
+            return np.log(np.maximum(sums, np.float32(1e-9)))
+        return self.base.sample_zyx(grid, 0, self.n, self._threads)
+
+    def porosity(self, cell: tuple[int, int, int]) -> float:
+        """Share of void in a cell, or in that of it which lies in the part."""
+        void = self.base.solid_zyx(self.grid(cell), 0, self.n, self._threads) == 0
+        inside = self.inside(cell)
+        return float(void.mean() if inside is None else void[inside].mean())
+
+
+def filled_cells(field: ScalarField) -> NDArray[np.bool_]:
+    """Which cells of a field hold something with all that reaches into it, (nx, ny, nz)."""
+    cells, inner = tuple(field.cells), field
+    while isinstance(inner, WrappedField) and tuple(inner.base.cells) == cells:
+        inner = inner.base
+    if isinstance(inner, Tiling) and tuple(inner.cells) == cells:
+        return inner.arrays.surrounded().interior >= 0
+    return np.ones(cells, bool)
+
+
+def error_summary(errors: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
+    """Bias, rms, 95th percentile of the size, and the largest size of errors."""
+    e = np.asarray(errors, np.float64)
+    size = np.abs(e)
+    return {
+        "error_mean": float(e.mean()),
+        "error_rms": float(np.sqrt((e**2).mean())),
+        "error_p95": float(np.quantile(size, 0.95)),
+        "error_max": float(size.max()),
+    }

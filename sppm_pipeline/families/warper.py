@@ -1,0 +1,132 @@
+"""Base class of stages that bend a tiling to another shape: one method maps points."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families.tiler import HALO
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.fields.warped import LaidGraph, cloud, laid_graph
+from sppm_pipeline.stage import Context, Stage, option
+
+SEAMS = 17
+"""Places along an edge of the box at which it is mapped to find what box it fills: a choice."""
+
+
+class Mapped(NamedTuple):
+    """Points of the box in the part.
+
+    Attributes
+    ----------
+    points : (n, 3) float64, mm
+    volume : (n,) float64
+        Volume of what was a cell there over that of a cell.
+    """
+
+    points: NDArray[np.float64]
+    volume: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Warper(Stage):
+    """Common base of the family ``warp``: implement `mapped`, and `wraps` if the box bites its tail.
+
+    Pores go where the mapping puts them, tunnels stay straight between them.
+    """
+
+    sizes: str = option(
+        "cell",
+        help="cell: radii grow and shrink with the cube root of the volume of a cell, which keeps the porosity; fixed: "
+        "they stay as they are in mm",
+        choices=("cell", "fixed"),
+    )
+
+    @abstractmethod
+    def mapped(self, tiling: Tiling, places: NDArray[np.float64]) -> Mapped:
+        """Where places (n, 3) of the box go, which are in cell sizes from its low corner."""
+
+    def wraps(self, tiling: Tiling) -> tuple[bool, bool, bool]:
+        """Axes along which the end of the box meets its beginning."""
+        return (False, False, False)
+
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        return field
+
+    def run(self, context: Context, field: Tiling) -> Tiling:
+        """Map the graph, and lay it in blocks."""
+        if field.edge is None:
+            raise ConfigError("the size of a cell is missing", hint="give the `tile` stage `cell: 5 mm`")
+        micro, edge = field.tileset.micro, field.edge
+        if not micro.additive:
+            raise ConfigError("walls can't be warped", hint="warp structures that end with `field.gaussian`")
+        wraps = self.wraps(field)
+        if any(wraps) and not field.periodic:
+            raise ConfigError(
+                "a full turn brings the last cell to the first one, and they do not fit",
+                hint="lay the cells with `periodic: true`, or turn less",
+            )
+        graph = laid_graph(field, wraps)
+        there = self.mapped(field, graph.points)
+        middles = self.mapped(field, _middles(graph, field.cells, wraps))
+        stretch = np.cbrt(np.maximum(there.volume, 1e-9)), np.cbrt(np.maximum(middles.volume, 1e-9))
+        if self.sizes == "fixed":
+            stretch = np.ones_like(stretch[0]), np.ones_like(stretch[1])
+        good = there.volume > 0
+        block = edge * max(1.0, micro.reach * float(np.max(stretch[0][good], initial=1.0)) / HALO)
+        from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
+
+        profile = TUNNEL_PROFILES[micro.pieces.kernels.profile]
+        changed = LaidGraph(
+            np.where(good[:, None], there.points, np.inf),
+            graph.omega * PORE_PROFILE.scaled_radius(stretch[0] * edge / block),
+            graph.edges,
+            graph.mu * profile.scaled_radius(stretch[1] * edge / block),
+        )
+        made = cloud(
+            _without_lost(changed),
+            block,
+            self._box(field),
+            micro.pieces.kernels.profile,
+            micro.level,
+            exact=field.exact,
+        )
+        if made.tileset.micro.reach > HALO + 1e-9:
+            raise DesignError(
+                "the kernels reach farther than the next block", hint="give smaller radii or larger cells"
+            )
+        context.report(volume_min=float(there.volume[good].min()), volume_max=float(there.volume[good].max()))
+        return made
+
+    def _box(self, tiling: Tiling) -> NDArray[np.float64]:
+        """Low and high corner of the mapped box, (2, 3) mm."""
+        axes = [np.linspace(0, n, SEAMS * 2 - 1) for n in tiling.cells]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        points = self.mapped(tiling, grid).points
+        return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+def _middles(graph: LaidGraph, cells: tuple[int, int, int], wraps: tuple[bool, bool, bool]) -> NDArray[np.float64]:
+    """Middles of the tunnels in the box; those that go around by the shorter way."""
+    start, end = (graph.points[graph.edges[:, k]] for k in range(2))
+    way = end - start
+    for axis in range(3):
+        if wraps[axis]:
+            way[:, axis] -= cells[axis] * np.round(way[:, axis] / cells[axis])
+    middle: NDArray[np.float64] = start + way / 2
+    return middle
+
+
+def _without_lost(graph: LaidGraph) -> LaidGraph:
+    """The graph without pores that have no place, and their tunnels."""
+    kept: NDArray[np.bool_] = np.isfinite(graph.points[:, 0])
+    number = np.cumsum(kept) - 1
+    whole = kept[graph.edges].all(axis=1)
+    return LaidGraph(graph.points[kept], graph.omega[kept], number[graph.edges[whole]], graph.mu[whole])

@@ -1,0 +1,109 @@
+"""A field that is cut at a level of its own in every place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.artifact import frozen
+from sppm_pipeline.fields.kernel_sum import KernelSum
+from sppm_pipeline.fields.wrapped import WrappedField
+from sppm_pipeline.numerics.grading.level_spline import LayerSpline
+from sppm_pipeline.numerics.grid import Grid
+
+
+@dataclass(frozen=True, eq=False)
+class LevelField(WrappedField, KernelSum):
+    """Another field cut at a level that is a smooth function of place, a quadratic spline over the lattice.
+
+    Of a sum G of kernels the spline is ln C, and solid is where G < C. What is sampled is ``(G / C - 1)`` times the
+    mean level, which has the same sign and is as smooth. Of any other field the spline is the value at which it is cut,
+    and is taken off.
+
+    Attributes
+    ----------
+    base : ScalarField
+        The field; not itself one with a level of its own.
+    control : (nx, ny, nz) float64
+        Control points in the middles of the cells: ln C, or values of the field.
+    """
+
+    control: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "control", frozen(np.asarray(self.control, np.float64)))
+
+    def check(self) -> None:
+        """One finite control point for each cell."""
+        self.base.check()
+        if self.control.shape != tuple(self.cells) or not np.isfinite(self.control).all():
+            raise ValueError(
+                f"the level has one finite control point for each cell of {list(self.cells)}, not those of an array "
+                f"{self.control.shape}"
+            )
+
+    @property
+    def additive(self) -> bool:
+        return isinstance(self.base, KernelSum) and self.base.additive
+
+    @property
+    def periodic(self) -> bool:
+        return False
+
+    @property
+    def solid_below(self) -> float:
+        return math.exp(float(self.control.mean())) if self.additive else 0.0
+
+    @property
+    def sum_level(self) -> float | None:
+        return self.solid_below if self.additive else None
+
+    @property
+    def _narrowing(self) -> float:
+        """The least radius of a tunnel over that at the field's own level; tunnels are taken as linear kernels."""
+        level = self.base.sum_level
+        if not self.additive or level is None or not 0 < level < 1:
+            return 1.0
+        return max(0.0, min(1.0, float(self.control.max()) / math.log(level)))
+
+    @property
+    def finest_radius(self) -> float | None:
+        radius = self.base.finest_radius
+        return None if radius is None else radius * self._narrowing
+
+    @property
+    def coarse_pitch(self) -> float | None:
+        pitch = self.base.coarse_pitch if isinstance(self.base, KernelSum) else None
+        return None if pitch is None or not self._narrowing else pitch * self._narrowing
+
+    def kernel_sums(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.float32]:
+        assert isinstance(self.base, KernelSum)
+        sums = self.base.kernel_sums(grid, start, stop, threads, wanted)
+        mean = np.float32(self.control.mean())
+        for k, level in enumerate(self._levels(grid, start, stop)):
+            np.subtract(mean, level, out=level)
+            sums[k] *= np.exp(level, out=level)
+        return sums
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        values = self.base.sample_zyx(grid, start, stop, threads)
+        for k, level in enumerate(self._levels(grid, start, stop)):
+            values[k] -= level
+        return values
+
+    def _levels(self, grid: Grid, start: int, stop: int) -> Any:
+        spline = LayerSpline(self.control, grid.axis(0), grid.axis(1))
+        return (spline.layer(float(z)) for z in grid.axis(2)[start:stop])
+
+    def summary(self) -> dict[str, Any]:
+        """The summary of the field, and the range of its level."""
+        least, most = float(self.control.min()), float(self.control.max())
+        if self.additive:
+            least, most = math.exp(least), math.exp(most)
+        return {**self.base.summary(), "level_min": least, "level_max": most}

@@ -1,0 +1,1 @@
+"""Curves of tests and simulations: measures, corrections, spread."""

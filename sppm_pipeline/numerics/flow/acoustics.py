@@ -1,0 +1,160 @@
+"""Sound in the pores of a rigid material as an equivalent fluid, after Johnson, Champoux, Allard, Pride and Lafarge.
+
+Eight numbers of the pores, all static, give density and bulk modulus of the fluid at any frequency: Johnson et al. 1987
+and Champoux and Allard 1991 for short waves, Lafarge et al. 1997 and Pride et al. 1993 for long ones; as collected by
+Allard and Atalla, "Propagation of Sound in Porous Media", 2009, ch. 5. Time goes as ``exp(j omega t)``.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class Gas(NamedTuple):
+    """What fills the pores.
+
+    Attributes
+    ----------
+    density : float
+        kg / m^3.
+    viscosity : float
+        Pa s.
+    conductivity : float
+        Of heat, W / (m K).
+    heat_capacity : float
+        At constant pressure, J / (kg K).
+    heat_ratio : float
+        That over the one at constant volume.
+    pressure : float
+        Pa.
+    """
+
+    density: float
+    viscosity: float
+    conductivity: float
+    heat_capacity: float
+    heat_ratio: float
+    pressure: float
+
+    @property
+    def impedance(self) -> float:
+        """Of free plane waves, Pa s / m."""
+        return float(np.sqrt(self.heat_ratio * self.pressure * self.density))
+
+
+def air(celsius: float) -> Gas:
+    """Dry air at normal pressure; viscosity and conductivity by Sutherland's law (White, "Viscous Fluid Flow")."""
+    kelvin, pressure = celsius + 273.15, 101325.0
+    viscosity = 1.716e-5 * (kelvin / 273.15) ** 1.5 * (273.15 + 110.6) / (kelvin + 110.6)
+    conductivity = 0.0241 * (kelvin / 273.15) ** 1.5 * (273.15 + 194.4) / (kelvin + 194.4)
+    return Gas(pressure / (287.05 * kelvin), viscosity, conductivity, 1006.0, 1.4, pressure)
+
+
+class Pores(NamedTuple):
+    """Parameters of the model, in meters.
+
+    Attributes
+    ----------
+    porosity : float
+    permeability, thermal_permeability : float
+        m^2.
+    tortuosity : float
+        In the limit of high frequencies.
+    viscous_tortuosity, thermal_tortuosity : float
+        Static ones.
+    viscous_length, thermal_length : float
+        Characteristic lengths Lambda and Lambda', m.
+    """
+
+    porosity: float
+    permeability: float
+    thermal_permeability: float
+    tortuosity: float
+    viscous_tortuosity: float
+    thermal_tortuosity: float
+    viscous_length: float
+    thermal_length: float
+
+
+def equivalent_fluid(
+    pores: Pores, gas: Gas, frequency: ArrayLike
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Density (kg / m^3) and bulk modulus (Pa) of the fluid that takes the place of material and gas.
+
+    Parameters
+    ----------
+    pores : Pores
+    gas : Gas
+    frequency : (n,)
+        Hz, positive.
+    """
+    omega = 2 * np.pi * np.asarray(frequency, np.float64)
+    phi, turns = pores.porosity, pores.tortuosity
+    w = omega * gas.density * pores.permeability * turns / (gas.viscosity * phi)
+    m = 8 * turns * pores.permeability / (phi * pores.viscous_length**2)
+    f = _relaxation(w, m, pores.viscous_tortuosity / turns)
+    density = gas.density / phi * turns * (1 + f / (1j * w))
+    w = omega * gas.density * gas.heat_capacity * pores.thermal_permeability / (gas.conductivity * phi)
+    m = 8 * pores.thermal_permeability / (phi * pores.thermal_length**2)
+    f = _relaxation(w, m, pores.thermal_tortuosity)
+    gamma = gas.heat_ratio
+    return density, gamma * gas.pressure / phi / (gamma - (gamma - 1) / (1 + f / (1j * w)))
+
+
+def _relaxation(w: NDArray[np.float64], m: float, ratio: float) -> NDArray[Any]:
+    """The function F of Pride's model; `ratio` is that of the static tortuosity over the one of short waves."""
+    if ratio <= 1:
+        raise ValueError(f"the static tortuosity is larger than that of short waves, got {ratio} times as large")
+    p = m / (4 * (ratio - 1))
+    return np.asarray(1 - p + p * np.sqrt(1 + 1j * w * m / (2 * p * p)))
+
+
+def absorption(
+    density: NDArray[np.complex128], modulus: NDArray[np.complex128], thickness: float, frequency: ArrayLike, gas: Gas
+) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Absorption of plane waves at normal incidence by a layer on a rigid wall, and the impedance of its surface.
+
+    Parameters
+    ----------
+    density, modulus : (n,) complex
+        Of the equivalent fluid.
+    thickness : float
+        m.
+    frequency : (n,)
+        Hz.
+    gas : Gas
+        In front of the layer.
+
+    Returns
+    -------
+    absorption : (n,)
+        Share of the incoming energy that does not come back.
+    impedance : (n,) complex
+        Pressure over velocity, Pa s / m.
+    """
+    omega = 2 * np.pi * np.asarray(frequency, np.float64)
+    wave = omega * np.sqrt(density / modulus)
+    impedance = -1j * np.sqrt(density * modulus) / np.tan(wave * thickness)
+    back = (impedance - gas.impedance) / (impedance + gas.impedance)
+    return 1 - np.abs(back) ** 2, impedance
+
+
+THIRD_OCTAVES = (
+    100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500, 3150, 4000, 5000, 6300,
+)  # fmt: skip
+"""Nominal middle frequencies, Hz (ISO 266)."""
+
+NRC_BANDS = (250, 500, 1000, 2000)
+"""Bands whose mean is the noise reduction coefficient (ASTM C423)."""
+
+_INSIDE = 12
+"""Frequencies of a band whose absorption is averaged; a choice."""
+
+
+def third_octave(nominal: int) -> NDArray[np.float64]:
+    """Frequencies inside of a third-octave band, evenly spread on a logarithmic axis, Hz."""
+    number = round(10 * np.log10(nominal))
+    return np.asarray(10 ** ((number + (np.arange(_INSIDE) + 0.5) / _INSIDE - 0.5) / 10))

@@ -1,0 +1,193 @@
+"""Which faces of voxels a fluid passes, how near its walls are, and what of it is closed off.
+
+On the staggered grid of Harlow and Welch (1965) the velocity along an axis lives on the faces across that axis, the
+pressure in the voxels. Face (i, j, k) of family d is the low face of voxel (i, j, k) along d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.grid import Grid
+
+_NEAREST = 0.05
+"""Least distance between a face and a wall in edges of a voxel; nearer walls would only spoil the condition."""
+
+
+class Faces(NamedTuple):
+    """Faces that a fluid passes; arrays (nz, ny, nx), one for each of the families x, y, z.
+
+    Attributes
+    ----------
+    active : 3 bool arrays
+    walls : 3 float32 arrays
+        Drag of the walls on active faces: the sum over neighbors of the same family beyond a wall, in edges h of a
+        voxel, of ``1 / (theta h^2)``, the wall being ``theta h`` away.
+    edges : (hx, hy, hz)
+        Of a voxel.
+    porosity : float
+        Fraction of the cell that is fluid.
+    surface : float or None
+        Area of the walls over the volume of the cell; None for whole voxels, which have only stairs.
+    """
+
+    active: tuple[NDArray[np.bool_], ...]
+    walls: tuple[NDArray[np.float32], ...]
+    edges: tuple[float, float, float]
+    porosity: float
+    surface: float | None
+
+    def voxels(self) -> NDArray[np.bool_]:
+        """Voxels with an active face, (nz, ny, nx)."""
+        held = np.zeros_like(self.active[0])
+        for d, active in enumerate(self.active):
+            held |= active | np.roll(active, -1, 2 - d)
+        return held
+
+
+def faces_of_field(sample: Callable[[Grid], NDArray[np.float32]], shape: tuple[int, int, int], spacing: float) -> Faces:
+    """Faces of a field that is positive in the fluid, the walls where it is zero on the way from a face to the next.
+
+    Parameters
+    ----------
+    sample : callable
+        Values of the field on a grid, (nz, ny, nx).
+    shape : (nx, ny, nz)
+        Voxels.
+    spacing : float
+        Edge of a voxel in the field's coordinates; that of the result is 1.
+    """
+
+    def theta(here: NDArray[Any], there: NDArray[Any], along: bool) -> NDArray[Any]:
+        return np.asarray(here / (here - there))
+
+    levels = []
+    for d in range(3):
+        x, y, z = (0.0 if axis == d else spacing / 2 for axis in range(3))
+        levels.append(sample(Grid((x, y, z), (spacing,) * 3, shape)))
+    edges = (1.0, 1.0, 1.0)
+    measured = [_porosity_and_surface(level, d, edges) for d, level in enumerate(levels)]
+    porosity, surface = np.mean([p for p, _ in measured]), sum(s for _, s in measured)
+    return _faces(levels, theta, edges, float(porosity), surface)
+
+
+def faces_of_fractions(solid: NDArray[Any], edges: tuple[float, float, float]) -> Faces:
+    """Faces between voxels of which a part is solid, (nz, ny, nx); exact for walls along the axes.
+
+    The mean f of two voxels belongs to the face between them, which is active below 1/2; the wall between two faces is
+    3/2 less their sum away, where a plane across has them.
+    """
+
+    def theta(here: NDArray[Any], there: NDArray[Any], along: bool) -> NDArray[Any]:
+        return np.asarray(np.minimum(here + there + np.float32(0.5), np.float32(1)))
+
+    fraction = np.asarray(solid, np.float32)
+    levels = [_half_less(fraction, d) for d in range(3)]
+    surface = sum(_porosity_and_surface(level, d, edges)[1] for d, level in enumerate(levels))
+    return _faces(levels, theta, edges, 1 - float(fraction.mean(dtype=np.float64)), surface)
+
+
+def _half_less(fraction: NDArray[np.float32], d: int) -> NDArray[np.float32]:
+    """1/2 less the fraction of the faces of a family: positive in the fluid."""
+    mean: NDArray[np.float32] = (fraction + np.roll(fraction, 1, 2 - d)) * np.float32(0.5)
+    return np.subtract(np.float32(0.5), mean, out=mean)
+
+
+def faces_of_voxels(void: NDArray[Any], edges: tuple[float, float, float]) -> Faces:
+    """Faces between two voxels of the void, (nz, ny, nx): walls are a face away across, half of one beside."""
+
+    def theta(here: NDArray[Any], there: NDArray[Any], along: bool) -> NDArray[Any]:
+        return np.full_like(here, 1.0 if along else 0.5)
+
+    levels = [np.where(void & np.roll(void, 1, 2 - d), np.float32(1), np.float32(-1)) for d in range(3)]
+    return _faces(levels, theta, edges, float(np.count_nonzero(void)) / void.size, None)
+
+
+def _porosity_and_surface(level: NDArray[np.float32], d: int, edges: tuple[float, float, float]) -> tuple[float, float]:
+    """Fraction where a field is positive, and the share of axis d of the area of its zeros over the volume.
+
+    A wall of area A and unit normal n meets ``A |n_d|`` lines along d in each unit of area across, and the three
+    ``n_d^2`` sum to 1; so each crossing of a line counts ``|n_d|``, as the slopes on both sides of it have it.
+    """
+    slopes = [(np.roll(level, -1, 2 - axis) - np.roll(level, 1, 2 - axis)) / 2 for axis in range(3)]
+    # nearly the part of a voxel on one side of a plane
+    reach = np.abs(slopes[0]) + np.abs(slopes[1]) + np.abs(slopes[2]) + np.float32(1e-30)
+    porosity = float(np.clip(np.float32(0.5) + level / reach, 0, 1).mean(dtype=np.float64))
+    crossed = (level > 0) != (np.roll(level, -1, 2 - d) > 0)
+    at_wall = [(slope[crossed] + np.roll(slope, -1, 2 - d)[crossed]) / np.float32(h)
+               for slope, h in zip(slopes, edges, strict=True)]  # fmt: skip
+    length = np.sqrt(at_wall[0] ** 2 + at_wall[1] ** 2 + at_wall[2] ** 2)
+    normal = np.divide(np.abs(at_wall[d]), length, out=np.zeros_like(length), where=length > 0)
+    return porosity, float(normal.sum(dtype=np.float64)) / level.size / edges[d]
+
+
+def _faces(
+    levels: list[NDArray[np.float32]],
+    theta: Callable[..., NDArray[Any]],
+    edges: tuple[float, float, float],
+    porosity: float,
+    surface: float | None,
+) -> Faces:
+    active, walls = [], []
+    for d, here in enumerate(levels):
+        passed = here > 0
+        drag = np.zeros_like(here)
+        for axis in range(3):
+            for step in (1, -1):
+                there = np.roll(here, step, 2 - axis)
+                wall = passed & ~(there > 0)
+                distance = np.maximum(theta(here[wall], there[wall], axis == d), np.float32(_NEAREST))
+                drag[wall] += np.float32(1 / edges[axis] ** 2) / distance
+        active.append(passed)
+        walls.append(drag)
+    return Faces(tuple(active), tuple(walls), edges, porosity, surface)
+
+
+class Percolation(NamedTuple):
+    """The part of a fluid that flows.
+
+    Attributes
+    ----------
+    faces : Faces
+        Without pockets, the parts that wrap along no axis.
+    wraps : 3 bools
+        Whether something is connected to its own periodic image along x, y, z.
+    pockets : int
+    pocket_share : float
+        Share of the fluid's voxels and faces that is in pockets.
+    """
+
+    faces: Faces
+    wraps: tuple[bool, bool, bool]
+    pockets: int
+    pocket_share: float
+
+
+def percolating(faces: Faces) -> Percolation:
+    """Leave out pockets: a pressure balances whatever drives the fluid in them."""
+    from sppm_pipeline.numerics.connectivity.components import find_components, paint_runs
+
+    nz, ny, nx = faces.active[0].shape
+    # voxels and the faces between them on one grid, where neighbors are connected
+    joined = np.zeros((2 * nz, 2 * ny, 2 * nx), np.uint8)
+    odd = slice(1, None, 2)
+    joined[odd, odd, odd] = faces.voxels()
+    places = [tuple(slice(0, None, 2) if axis == d else odd for axis in (2, 1, 0)) for d in range(3)]
+    for place, active in zip(places, faces.active, strict=True):
+        joined[place] = active
+    found = find_components(joined, (True, True, True))
+    flows = np.asarray(found.wraps.any(axis=1))
+    x, y, z = np.asarray(found.wraps.any(axis=0)).tolist()
+    lost = int(found.sizes[~flows].sum())
+    if lost:
+        kept = np.zeros(joined.shape, np.int32)
+        paint_runs(found.runs.rows, found.runs.bounds, flows[found.of_run].astype(np.int32), kept)
+        flowing = tuple(kept[place] > 0 for place in places)
+        walls = tuple(np.where(a, w, np.float32(0)) for a, w in zip(flowing, faces.walls, strict=True))
+        faces = faces._replace(active=flowing, walls=walls)
+    share = lost / max(1, int(found.sizes.sum()))
+    return Percolation(faces, (x, y, z), int((~flows).sum()), share)

@@ -1,0 +1,208 @@
+"""``check.local_porosity``: the porosity from place to place, compared with a map."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.grading import Grading
+from sppm_pipeline.data.palette import Blocks, Palette
+from sppm_pipeline.data.size import Size
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
+from sppm_pipeline.families.graded import trial
+from sppm_pipeline.families.local_porosity import LEAST_SHARE, error_summary, filled_cells
+from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.numerics.grid import cell_centers
+from sppm_pipeline.stage import Context, Headline, Recipe, Stage
+
+ROOM = 3
+"""Most cells along an edge of the box in which the noise of a homogeneous structure is measured."""
+
+
+class BlockMap(NamedTuple):
+    """What is known of each block, all (nx, ny, nz): the share inside, that of void in it, and the wanted one."""
+
+    inside: NDArray[np.float64]
+    void: NDArray[np.float64]
+    target: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckLocalPorosity(Stage):
+    """Measure the porosity of every cell, and in a window that moves, and compare both with a map.
+
+    The window is a Gaussian with a standard deviation of half a cell edge; the map is smoothed by it, too, and only
+    what lies in the part counts. With a recipe the noise is measured that a homogeneous structure of that recipe shows
+    in the same window. Written are `cells.csv`, the smoothed porosity as `porosity.vti`, `section.png` with target,
+    measured porosity and error, and `scatter.png`.
+    """
+
+    name: ClassVar[str] = "check.local_porosity"
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("cell_error_rms", "error of cells, rms"), Headline("cell_error_max", "largest"),
+        Headline("error_rms", "error in the window, rms"), Headline("noise", "noise of a homogeneous structure"),
+    )  # fmt: skip
+    reported: ClassVar[tuple[str, ...]] = (
+        "cells", "cell_error_mean", "cell_error_rms", "cell_error_p95", "cell_error_max", "error_mean", "error_rms",
+        "error_p95", "error_max", "slope", "intercept", "noise", "noise_at",
+    )  # fmt: skip
+
+    resolution: int = options.resolution(48, note="a multiple of 8 is taken", minimum=8, maximum=256)
+    path: str | None = options.write_path(None, note="none if omitted", suffixes=("/",))
+
+    def check_options(self) -> None:
+        """Charts need matplotlib."""
+        if self.path is not None:
+            from sppm_pipeline.render.charts import check_chart
+
+            check_chart("scatter.png")
+
+    def estimate(self, palette: Palette, field: Size, grading: Size, recipe: object = None) -> Size:
+        return field.grid(self.resolution)
+
+    def run(self, context: Context, field: ScalarField, grading: Grading, recipe: Recipe | None = None) -> None:
+        """Count layer by layer, smooth, compare."""
+        from sppm_pipeline.numerics.grading.local_means import smoothed_means
+
+        blocks = self._blocks(context, field, grading)
+        cells, shares, wanted, found = _of_cells(blocks)
+        if not len(cells):
+            raise ConfigError("no cell lies in the part", hint="give smaller cells")
+        context.report(
+            cells=len(cells), **{f"cell_{name}": value for name, value in error_summary(found - wanted).items()}
+        )
+        target, measured = (smoothed_means(values, blocks.inside) for values in (blocks.target, blocks.void))
+        there = blocks.inside >= 0.5
+        x, y = target[there], measured[there]
+        context.report(**error_summary(y - x))
+        if x.std() > 1e-9:
+            slope, intercept = np.polyfit(x, y, 1)
+            context.report(slope=float(slope), intercept=float(intercept))
+        noise = None
+        if recipe is not None:
+            noise, at = self._noise(context, recipe, field.cells, _kind(field) == "scattered")
+            context.report(noise=noise, noise_at=at)
+        if self.path is not None:
+            self._write(context, field, (cells, shares, wanted, found), (target, measured, there), noise)
+
+    def _blocks(self, context: Context, field: ScalarField, grading: Grading) -> BlockMap:
+        """Shares of blocks, a layer of blocks at a time."""
+        from sppm_pipeline.numerics.grading.local_means import BLOCKS, block_counts
+
+        n = BLOCKS * -(-self.resolution // BLOCKS)
+        size, grid, edge = n // BLOCKS, cell_centers(n, field.cells), field.physical_edge()
+        grading = grading.in_cells(edge, field.origin_mm)
+        nx, ny, nz = (BLOCKS * cells for cells in field.cells)
+        filled = filled_cells(field.base if isinstance(field, Part) else field)
+        made = BlockMap(*(np.zeros((nx, ny, nz)) for _ in range(3)))
+        place = [(np.arange(count) + 0.5) / BLOCKS for count in (nx, ny, nz)]
+        whole = float(size**3)
+        for k in range(nz):
+            start, stop = k * size, (k + 1) * size
+            full = np.repeat(np.repeat(filled[:, :, k // BLOCKS], BLOCKS, 0), BLOCKS, 1)
+            void = field.solid_zyx(grid, start, stop, context.threads) == 0
+            inside = field.inside_zyx(grid, start, stop).view(np.bool_) if isinstance(field, Part) else None
+            open_, all_ = (counts[0].T * full for counts in block_counts(void, inside, size))
+            made.inside[:, :, k] = all_ / whole
+            made.void[:, :, k] = open_ / np.maximum(all_, 1)
+            some = np.argwhere(all_ > 0)
+            points = np.column_stack([place[0][some[:, 0]], place[1][some[:, 1]], np.full(len(some), place[2][k])])
+            made.target[some[:, 0], some[:, 1], k] = grading["porosity"].at(points * edge + np.array(field.origin_mm))
+            context.progress(k + 1, nz, "layers of blocks")
+        return made
+
+    def _noise(
+        self, context: Context, recipe: Recipe, cells: tuple[int, int, int], scattered: bool
+    ) -> tuple[float, float]:
+        """Standard deviation in the window, and mean, of the porosity of equal cells in a box of at most 3^3 of them.
+
+        Cells around the box are those of it once more; the window ends at the box, as it does at that of the field.
+        """
+        from sppm_pipeline.numerics.assembly.contents import TilingArrays
+        from sppm_pipeline.numerics.grading.local_means import BLOCKS, block_counts, smoothed_means
+
+        nx, ny, nz = (min(ROOM, n) for n in cells)
+        blocks = Blocks(np.ones((nx, ny, nz), bool), True) if scattered else None
+        colors = (0, 0, 0) if scattered else (1, 1, 1)
+        micro = trial(context, recipe, None, 1, Palette(nx * ny * nz, colors, blocks=blocks))
+        interior = np.arange(nx * ny * nz, dtype=np.int32).reshape(nx, ny, nz)
+        color = -1 if scattered else 0
+        x, y, z = (np.full((nx + (a == 0), ny + (a == 1), nz + (a == 2)), color, np.int32) for a in range(3))
+        kind = "scattered" if scattered else "fresh"
+        tiling = Tiling(TileSet(micro, kind, 0), TilingArrays(interior, (x, y, z), True), None)
+        void = tiling.solid(BLOCKS * 3, context.threads).T == 0
+        counts, of = block_counts(void, None, 3)
+        means = smoothed_means(counts / of, np.ones(of.shape))
+        return float(means.std()), float(void.mean())
+
+    def _write(
+        self,
+        context: Context,
+        field: ScalarField,
+        cells: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+        maps: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]],
+        noise: float | None,
+    ) -> None:
+        from PIL import Image
+
+        from sppm_pipeline.formats.voxel_image import encode_vti
+        from sppm_pipeline.numerics.grading.local_means import BLOCKS
+        from sppm_pipeline.render.local_maps import map_sections, porosity_scatter
+
+        assert self.path is not None
+        folder = context.output(self.path)
+        folder.mkdir()
+        edge, origin = field.physical_edge(), np.array(field.origin_mm)
+        text = io.StringIO()
+        rows = csv.writer(text, lineterminator="\n")
+        rows.writerow(["i", "j", "k", "x_mm", "y_mm", "z_mm", "share_inside", "target", "measured", "error"])
+        for cell, share, wanted, found in zip(*cells, strict=True):
+            middle = (cell + 0.5) * edge + origin
+            rows.writerow(
+                [*cell.tolist(), *(f"{v:.6g}" for v in (*middle, share)), f"{wanted:.6f}", f"{found:.6f}",
+                 f"{found - wanted:.6f}"]
+            )  # fmt: skip
+        (folder / "cells.csv").write_text(text.getvalue(), encoding="utf-8", newline="")
+        target, measured, there = maps
+        spacing = (edge / BLOCKS,) * 3
+        x, y, z = origin.tolist()
+        image = np.where(there, measured, np.nan).astype(np.float32)
+        with (folder / "porosity.vti").open("wb") as file:
+            file.writelines(encode_vti(image, spacing, (x, y, z), "porosity"))
+        Image.fromarray(map_sections(target, measured, there)).save(folder / "section.png")
+        (folder / "scatter.png").write_bytes(
+            porosity_scatter(cells[2], cells[3], target[there], measured[there], noise)
+        )
+
+
+def _of_cells(
+    blocks: BlockMap,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Cells of which enough lies in the part, (m, 3), the share inside, and the wanted and found porosity of it."""
+    from sppm_pipeline.numerics.grading.local_means import BLOCKS
+
+    nx, ny, nz = (n // BLOCKS for n in blocks.inside.shape)
+
+    def summed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(values.reshape(nx, BLOCKS, ny, BLOCKS, nz, BLOCKS).sum((1, 3, 5)))
+
+    inside = summed(blocks.inside)
+    enough = inside >= LEAST_SHARE * BLOCKS**3
+    wanted, found = (summed(values * blocks.inside)[enough] / inside[enough] for values in (blocks.target, blocks.void))
+    return np.argwhere(enough), inside[enough] / BLOCKS**3, wanted, found
+
+
+def _kind(field: ScalarField) -> str:
+    """Kind of the tile set that a field is made of; empty for other fields."""
+    while not isinstance(field, Tiling) and hasattr(field, "base"):
+        field = field.base
+    return field.tileset.kind if isinstance(field, Tiling) else ""

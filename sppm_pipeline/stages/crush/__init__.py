@@ -1,0 +1,1 @@
+"""Stages that compress a block between plates."""

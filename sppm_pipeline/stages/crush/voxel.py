@@ -1,0 +1,341 @@
+"""``crush.voxel``: a block of voxels is compressed to large strains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.compression import CrushedBody
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Size
+from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
+from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.stage import Context, Headline, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.crushing.march import History, March
+    from sppm_pipeline.numerics.crushing.material import Material
+
+SHARES = {
+    "kinetic": (0.05, "is in motion: the plates are too fast; lower `rate`"),
+    "hourglass": (0.10, "bends voxels rather than walls: raise `resolution`, walls want 4 voxels or more"),
+    "contact": (0.05, "is stored in overlapping surfaces: raise `resolution`, or lower `rate`"),
+    "damping": (0.10, "went into damping, which is numerical: lower `rate`"),
+    "unbalanced": (0.02, "is missing from the balance: lower `rate`, and don't trust this run"),
+}
+"""Shares of the work of the plates above which a run is not quiet enough; choices."""
+
+ADDED_MASS, PLATES = 0.30, 0.05
+"""Share of mass that may be added to crushed voxels, and by which the forces of both plates may differ; choices."""
+
+AUTO, HALVED = (0.02, 0.01, 0.005, 0.0025), 0.02
+"""Rates that `auto` tries, and the change of plateau stress and work that ends it."""
+
+PERMUTED = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}
+"""Axes of an image z, y, x in the order that turns the axis of compression into the first."""
+
+Table = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrushVoxel(Stage):
+    """Compress a block between two plates to large strains, and record stress and energies (paper, section 3.3).
+
+    Voxels are trilinear bricks at finite strain, hyperelastic or plastic with isotropic hardening; walls that meet
+    push each other away. An explicit march in time: the plates are slow against waves, and the balance of energy says
+    whether slowly enough. A field is cut so that the voxels have its porosity; voxels are whole or void. Phases of an
+    image have materials of their own.
+
+    No fracture, no viscosity, no rate effects: brittle resins are beyond this model once they crack.
+    """
+
+    name: ClassVar[str] = "crush.voxel"
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("numbers.plateau", "plateau stress", "{unit}"), Headline("numbers.work", "work per volume", "{unit}"),
+        Headline("numbers.relative_density", "relative density"), Headline("numbers.unbalanced", "unbalanced"),
+    )  # fmt: skip
+    advice: ClassVar[str] = "lower `resolution`, or raise `rate`"
+
+    resolution: int = options.resolution(24, note="of fields; images keep theirs", maximum=256)
+    axis: str = option("z", help="axis along which the block is compressed", choices=("x", "y", "z"))
+    strain: float = option(0.6, help="strain at the end", minimum=0.01, maximum=0.8)
+    rate: float | str = option(
+        0.01, help="speed of the plate over that of waves in a bar of the solid; auto halves it until nothing changes",
+        minimum=1e-4, maximum=0.05, choices=("auto",),
+    )  # fmt: skip
+    plates: str = option(
+        "slip", help="whether the block slides on the plates, sticks to them, or is held by friction",
+        choices=("slip", "stick", "friction"),
+    )  # fmt: skip
+    friction: float = option(
+        0.2, help="coefficient of friction where the block touches itself, and of the plates", minimum=0, maximum=2
+    )
+    sides: str = option("free", help="whether the sides may bulge or are held by rollers", choices=("free", "confined"))
+    young: float | tuple[float, ...] = options.young(1.0, note="or of each phase from 1 on")
+    poisson: float | tuple[float, ...] = options.poisson(0.35, note="or of each phase from 1 on")
+    yield_stress: float | Table | tuple[Table, ...] = option(
+        (),
+        help="yield stress, or its table [[plastic strain, true stress], ...], or a table for each phase; an elastic "
+        "solid if empty",
+        minimum=0,
+        maximum=1e15,
+    )
+    stress_unit: str = options.stress_unit("relative")
+    density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
+    frames: tuple[float, ...] = option(
+        (0.0, 0.15, 0.3, 0.45, 0.6), help="strains at which the deformed block is kept", minimum=0, maximum=0.8
+    )
+
+    def check_options(self) -> None:
+        """As many materials as phases, tables that rise from 0, stress that is not beyond the modulus."""
+        young, poisson, tables = self._young(), self._poisson(), self._tables()
+        if not young or len(poisson) != len(young) or len(tables) != len(young):
+            raise ConfigError(
+                f"`young` has {len(young)} values, `poisson` {len(poisson)}, and `yield_stress` {len(tables)} tables",
+                hint="give one of each, or one for every phase",
+            )
+        for modulus, table in zip(young, tables, strict=True):
+            strains, stresses = [row[0] for row in table], [row[1] for row in table]
+            if table and (strains[0] != 0 or any(b <= a for a, b in pairwise(strains))):
+                raise ConfigError(f"the plastic strains of `yield_stress` are {strains}; they start at 0 and rise")
+            if any(not 0 < stress <= modulus / 2 for stress in stresses):
+                raise ConfigError(
+                    f"`yield_stress` has {stresses} beside a Young's modulus of {modulus:g}",
+                    hint="give both in the same unit; yield stresses lie above 0 and below half of the modulus",
+                )
+
+    def _young(self) -> tuple[float, ...]:
+        return self.young if isinstance(self.young, tuple) else (self.young,)
+
+    def _poisson(self) -> tuple[float, ...]:
+        given = self.poisson if isinstance(self.poisson, tuple) else (self.poisson,)
+        return given * len(self._young()) if len(given) == 1 else given
+
+    def _tables(self) -> tuple[Table, ...]:
+        """A table for each phase."""
+        given: Any = self.yield_stress
+        if isinstance(given, float):
+            given = ((0.0, given),)
+        flat = not given or isinstance(given[0][0:1] and given[0][0], float)
+        tables: tuple[Table, ...] = (given,) if flat else given
+        return tables * len(self._young()) if len(tables) == 1 else tables
+
+    def _materials(self) -> tuple[Material, ...]:
+        from sppm_pipeline.numerics.crushing.material import Material
+
+        return tuple(map(Material, self._young(), self._poisson(), self._tables()))
+
+    def estimate(self, palette: Palette, source: Size) -> Size:
+        """Elements times steps."""
+        grid = Size(voxels=source.voxels) if source.voxels else source.grid(self.resolution)
+        voxels = source.voxels or grid.samples
+        solid = 1 - (source.geometry.porosity if source.geometry else 0.5)
+        box = source.geometry.box if source.geometry and not source.voxels else (1.0, 1.0, 1.0)
+        layers = (voxels / np.prod(box)) ** (1 / 3) * box["xyz".index(self.axis)]
+        rate = sum(1 / r for r in AUTO[:2]) if isinstance(self.rate, str) else 1 / self.rate
+        steps = (self.strain + 0.1) * layers * rate * 2.1
+        return Size(samples=grid.samples, sums=grid.sums, voxels=voxels * solid * steps, resident=voxels * solid)
+
+    def run(self, context: Context, source: ScalarField | Voxels) -> CrushedBody:
+        """Crush, more slowly until that changes nothing if the rate is chosen automatically."""
+        image, spacing, physical = self._image(context, source)
+        if not isinstance(self.rate, str):
+            return self._crushed(context, image, spacing, physical, self.rate)
+        made: CrushedBody | None = None
+        for rate in AUTO:
+            last, made = made, self._crushed(context, image, spacing, physical, rate)
+            if last is not None:
+                changes = [abs(made.numbers[k] / last.numbers[k] - 1) for k in ("plateau", "work") if last.numbers[k]]
+                if max(changes, default=0.0) < HALVED:
+                    return made
+        assert made is not None
+        context.warn(f"plateau stress and work still change by {max(changes):.2g} where the rate is {AUTO[-1]:g}")
+        return made
+
+    def _image(self, context: Context, source: ScalarField | Voxels) -> tuple[NDArray[np.uint8], float, bool]:
+        """Phases (nz, ny, nx), edge of a voxel, and whether that is in mm."""
+        if isinstance(source, Voxels):
+            edges = source.spacing
+            if max(edges) > (1 + 1e-4) * min(edges):
+                raise DesignError(
+                    f"the voxels measure {' x '.join(f'{e:g}' for e in edges)}; only cubes can be crushed",
+                    hint="resample the image to cubes",
+                )
+            image = source.solid().astype(np.uint8) if source.fractions else np.asarray(source.values)
+            image, spacing, physical = image.T, edges[0], source.physical
+        else:
+            if coarse := source.coarseness(1 / self.resolution):
+                context.warn(coarse)
+            image = _binary(source, self.resolution, context.threads)
+            spacing, physical = (source.edge_mm or 1.0) / self.resolution, source.edge_mm is not None
+        if (phases := int(image.max())) > len(self._young()):
+            raise DesignError(
+                f"the image has phases up to {phases}, and materials are given for {len(self._young())}",
+                hint="give `young`, `poisson` and `yield_stress` a value for every phase from 1 on",
+            )
+        if not phases:
+            raise DesignError("the block is empty: there is nothing to crush", hint="lower the porosity")
+        return image, spacing, physical
+
+    def _crushed(
+        self, context: Context, image: NDArray[np.uint8], spacing: float, physical: bool, rate: float
+    ) -> CrushedBody:
+        """Crush at one rate."""
+        from sppm_pipeline.numerics.crushing.body import body_of
+        from sppm_pipeline.numerics.crushing.march import Failed, Load, March
+
+        turned = np.ascontiguousarray(image.transpose(PERMUTED[self.axis]))
+        used = np.flatnonzero(turned.any((1, 2)))
+        first, last = int(used[0]), int(used[-1]) + 1
+        if first > 0 or last < len(turned):
+            context.warn(
+                f"the block touches no plate at an end: it begins {first} voxels above the lower and ends "
+                f"{len(turned) - last} below the upper one; plates and height are taken where the solid is"
+            )
+        warnings = _loose(turned[first:last])
+        body = body_of(turned[first:last], confined=self.sides == "confined")
+        plates = {"slip": 0.0, "stick": -1.0, "friction": self.friction}[self.plates]
+        load = Load(self.strain, rate, plates, self.sides == "confined", self.friction)
+        frames = sorted({min(f, self.strain) for f in self.frames} | {0.0, self.strain})
+        kept: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
+        march = March(body, self._materials(), load, context.threads)
+
+        def told(strain: float) -> None:
+            context.progress(march.step, march.steps, f"strain {strain:.3f}")
+
+        try:
+            for frame in frames:
+                march.to(frame, told)
+                kept.append((march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32)))
+        except Failed as error:
+            raise DesignError(
+                f"{error}, after {march.step} of {march.steps} steps",
+                hint="lower `rate`, raise `resolution`, or end at a smaller `strain`",
+            ) from None
+        finally:
+            march.close()
+        context.report(steps=march.steps, elements=len(body.corners))
+        history = march.history()
+        area = float(body.shape[0] * body.shape[1])
+        numbers = _numbers(history, march, area, rate, self._young()[0])
+        warnings += _warnings(numbers, self._tables())
+        for warning in warnings:
+            context.warn(warning)
+        return self._result(body, history, kept, numbers, image, spacing, physical, first)
+
+    def _result(
+        self, body: Any, history: History, kept: list[Any], numbers: dict[str, Any], image: NDArray[np.uint8],
+        spacing: float, physical: bool, first: int,
+    ) -> CrushedBody:  # fmt: skip
+        nx, ny, nz = body.shape
+        unit = self._young()[0] / (nx * ny)
+        per_volume = unit / nz
+        energies = {name: values * per_volume for name, values in history.energies.items()}
+        axis = "xyz".index(self.axis)
+        # places and positions of the turned block back to x, y, z
+        back = [(2, 0, 1), (1, 2, 0), (0, 1, 2)][axis]
+        lift = np.array([0, 0, first])
+        columns = [_corner(c, axis) for c in range(8)]
+        size = spacing if physical else None
+        solid = np.count_nonzero(image) / image[0].size / len(image)
+        return CrushedBody(
+            strain=history.strain,
+            stress=0.5 * unit * (history.top + history.bottom),
+            unit=self.stress_unit,
+            origin="simulated",
+            area=nx * ny * size**2 if size else None,
+            height=nz * size if size else None,
+            density=self.density * solid if self.density else None,
+            energies={"external": history.work * per_volume, **energies},
+            plates=unit * np.stack([history.bottom, history.top], axis=1),
+            numbers=numbers,
+            grid=image.shape[::-1],
+            spacing=spacing,
+            physical=physical,
+            axis=self.axis,
+            voxels=(body.voxels + lift)[:, back],
+            phases=body.phases + 1,
+            elements=body.corners[:, columns],
+            frame_strains=np.array([frame[0] for frame in kept]),
+            frame_nodes=np.stack([((frame[1] + lift) * spacing)[:, back] for frame in kept]),
+            frame_alpha=np.stack([frame[2] for frame in kept]),
+        )
+
+
+def _corner(column: int, axis: int) -> int:
+    """The corner of a turned voxel that is at the upper end along x, y, z where bits 0, 1, 2 of `column` are set."""
+    low = [1 - (column >> c & 1) for c in range(3)]
+    x, y, z = low if axis == 2 else (low[1], low[2], low[0]) if axis == 0 else (low[2], low[0], low[1])
+    return x + 2 * y + 4 * z
+
+
+def _binary(field: ScalarField, resolution: int, threads: int) -> NDArray[np.uint8]:
+    """Whole voxels of a field, (nz, ny, nx): as many of the fullest as make up the volume of its solid."""
+    from sppm_pipeline.numerics.porosity.fractions import solid_fractions
+
+    nx, ny, nz = (resolution * cells for cells in field.cells)
+    fractions = solid_fractions(
+        lambda grid, start, stop: field.sample_zyx(grid, start, stop, threads), (nx, ny, nz), resolution
+    )
+    count = round(float(fractions.sum(dtype=np.float64)))
+    if not count:
+        return np.zeros(fractions.shape, np.uint8)
+    # all that are equally full, so that symmetry stays
+    least = np.partition(fractions.reshape(-1), -count)[-count]
+    return (fractions >= max(least, np.finfo(np.float32).eps)).view(np.uint8)
+
+
+def _loose(image: NDArray[np.uint8]) -> list[str]:
+    """Warnings for solid that carries nothing."""
+    from sppm_pipeline.numerics.connectivity.components import find_components
+
+    found = find_components((image > 0).view(np.uint8), (False,) * 3, 6)
+    spanning = found.faces[:, 4] & found.faces[:, 5]
+    if not spanning.any():
+        return ["no solid goes from one plate to the other; there is no force until pieces meet"]
+    loose = float(found.sizes[~spanning].sum() / found.sizes.sum())
+    return [f"{loose:.2g} of the solid does not hang together with what goes from plate to plate"] if loose else []
+
+
+def _numbers(history: History, march: March, area: float, rate: float, young: float) -> dict[str, Any]:
+    """What is said of a run, its balance of energy first."""
+    stress = 0.5 * young / area * (history.top + history.bottom)
+    end = float(history.strain[-1])
+    # of a run that ends early, the second half
+    within = (history.strain >= min(0.2, end / 2)) & (history.strain <= max(0.4, end / 2))
+    later = history.strain >= min(0.05, end / 2)
+    nx, ny, nz = march.body.shape
+    difference = np.sqrt(np.mean((history.top - history.bottom)[later] ** 2))
+    return {
+        "plateau": float(stress[within].mean()),
+        "work": float(history.work[-1] * young / (area * nz)),
+        "relative_density": len(march.body.corners) / (nx * ny * nz),
+        "rate": rate,
+        **{name: round(float(share), 6) for name, share in march.shares().items()},
+        "plates_differ": round(float(difference / max(np.abs(history.top[later]).mean(), 1e-300)), 6),
+        "added_mass": round(march.added_mass, 6),
+    }
+
+
+def _warnings(numbers: Mapping[str, Any], tables: tuple[Table, ...]) -> list[str]:
+    """What makes a run less than trustworthy."""
+    if numbers["work"] <= 0:
+        return ["the plates met no resistance"]
+    found = [
+        f"{abs(numbers[name]):.1%} of the work {what}" for name, (most, what) in SHARES.items()
+        if abs(numbers[name]) > most
+    ]  # fmt: skip
+    if numbers["plates_differ"] > PLATES:
+        found.append(f"the forces of both plates differ by {numbers['plates_differ']:.1%}: lower `rate`")
+    if numbers["added_mass"] > ADDED_MASS:
+        found.append(f"crushed voxels were given {numbers['added_mass']:.0%} more mass: lower `rate`, or end earlier")
+    if any(b[1] < a[1] for table in tables for a, b in pairwise(table)):
+        found.append("the solid softens: strain gathers in single voxels, so that the result depends on `resolution`")
+    return found

@@ -1,0 +1,1 @@
+"""Stages that say how a parameter varies through a part."""

@@ -1,0 +1,169 @@
+"""``tile.graded``: cells whose number of pores follows a map of the porosity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.grading import Grading
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import RecipeSize, Size
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families import lattice_for, options, tiling_size
+from sppm_pipeline.families.graded import FEWEST, curve_of, graded_radii, recipe_total, sites_of, trial
+from sppm_pipeline.families.local_porosity import LatticeCells, cell_means, error_summary
+from sppm_pipeline.families.tiler import HALO, Lattice, laid_cells
+from sppm_pipeline.families.tileset_maker import check_faces
+from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.numerics.assembly.contents import TilingArrays
+from sppm_pipeline.numerics.grading.curve import PorosityCurve
+from sppm_pipeline.stage import Context, Recipe, Stage, option
+
+BESIDE = 0.25
+"""Cell sizes on either side of a face at which the map is asked for its number of pores: a choice."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GradedTiling(Stage):
+    """Lay cells whose numbers of pores follow a map of the porosity (paper, "graded").
+
+    Every cell has an interior of its own. Its number of pores comes from a curve that trial cells of the recipe give,
+    and is then corrected in rounds by what the laid cell is found to have. What whole numbers of pores leave is left to
+    `tune.local_porosity`. The recipe's samplers need `total` or `count`.
+    """
+
+    name: ClassVar[str] = "tile.graded"
+    advice: ClassVar[str] = "give larger cells"
+    reported: ClassVar[tuple[str, ...]] = (
+        "cell_deviation", "pores_min", "pores_max", "error_mean", "error_rms", "error_p95", "error_max",
+        "error_rms_of_rounds.*",
+    )  # fmt: skip
+
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
+    faces: str = option(
+        "same",
+        help="same: one pattern for each axis, with the recipe's number of pores, as in the paper; fresh: every face "
+        "has its own; graded: its own, with as many pores as the map says there",
+        choices=("same", "fresh", "graded"),
+    )
+    rounds: int = options.rounds(2, note="in which pores are added and taken away", minimum=0, maximum=10)
+    trials: int = options.trials(3, note="of the curve")
+    resolution: int = options.resolution(48, note="for measuring the porosity", minimum=8, maximum=256)
+    limit: int = option(100_000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
+
+    def estimate(self, palette: Palette, recipe: RecipeSize, grading: Size, cover: Size | None) -> Size:
+        made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
+        cells = made.cells if self.faces == "same" else laid_cells(made, False)
+        recipe(palette, cells * (1 + self.rounds) + 8 * self.trials)
+        samples = made.cells * float(self.resolution) ** 3 * (1 + self.rounds)
+        return made.at_porosity(None, cells=cells, samples=samples, sums=samples * made.body.kernels)
+
+    def run(self, context: Context, recipe: Recipe, grading: Grading, cover: SurfaceMesh | None) -> Tiling:
+        """Number the cells, draw them, measure them and draw them again."""
+        from sppm_pipeline.numerics.tiling.lattice import meetings
+
+        lattice = lattice_for(self.cell, self.cells, cover, None)
+        edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
+        lattice = Lattice(lattice.mask, edge, lattice.origin)
+        arrays = self._arrays(lattice.mask)
+        sites = sites_of(arrays)
+        wanted = np.clip(sites, 0, np.array(lattice.mask.shape) - 1)  # beyond the part a map goes on as a constant
+        targets = cell_means(grading, "porosity", edge, lattice.origin, wanted)
+        if len(targets) > self.limit:
+            raise DesignError(
+                f"the part takes {len(targets)} cells, and each would be drawn anew; the limit is {self.limit}",
+                hint=f"give larger cells, or raise `limit: {len(targets)}`",
+            )
+        total = recipe_total(recipe)
+        curve = curve_of(context, recipe, total, targets, self.trials, max(24, self.resolution // 2))
+        count, (x, y, z) = curve.pores(targets), arrays.faces
+        palette = Palette(
+            len(targets),
+            (int(x.max()) + 1, int(y.max()) + 1, int(z.max()) + 1),
+            None if self.faces == "same" else meetings(arrays.interior, arrays.faces),
+            totals=np.rint(count).astype(np.int64),
+            spacings=(total / count) ** (1 / 3),
+            face_totals=self._face_totals(grading, curve, arrays, lattice) if self.faces == "graded" else None,
+        )
+        rms, made = [], None
+        for _ in range(self.rounds + 1):
+            made = self._laid(context, recipe, grading, palette, arrays, lattice)
+            cells = LatticeCells(made, self.resolution, context.threads)
+            own = arrays.box[tuple(np.array(cells.cells).T)]
+            errors = np.array([cells.porosity(cell) for cell in cells.cells]) - targets[own]
+            summary = error_summary(errors)
+            rms.append(summary["error_rms"])
+            assert palette.totals is not None
+            totals = palette.totals.copy()
+            totals[own] -= np.rint(errors / curve.slope(totals[own].astype(np.float64))).astype(np.int64)
+            if len(rms) <= self.rounds:
+                palette = replace(palette, totals=np.maximum(totals, FEWEST))
+        assert made is not None
+        assert palette.totals is not None
+        context.report(
+            **summary,
+            error_rms_of_rounds=rms,
+            cell_deviation=curve.deviation,
+            pores_min=int(palette.totals.min()),
+            pores_max=int(palette.totals.max()),
+        )
+        return made
+
+    def _arrays(self, mask: NDArray[np.bool_]) -> TilingArrays:
+        """Interiors and faces of the part and of the cells around it."""
+        from sppm_pipeline.numerics.tiling.lattice import face_presence, tile_fresh, with_halo
+
+        around = with_halo(mask, HALO)
+        if self.faces != "same":
+            return TilingArrays(*tile_fresh(around), False, HALO)
+        # what fits anywhere goes on around the part: the cells there are those nearest to them once more
+        from scipy.ndimage import distance_transform_edt
+
+        interior, _ = tile_fresh(mask)
+        padded = np.pad(interior, HALO, constant_values=-1)
+        nearest = distance_transform_edt(padded < 0, return_distances=False, return_indices=True)
+        laid = np.where(around, padded[tuple(nearest)], -1).astype(np.int32)
+        x, y, z = (np.where(there, 0, -1).astype(np.int32) for there in face_presence(around))
+        return TilingArrays(laid, (x, y, z), False, HALO)
+
+    def _face_totals(
+        self, grading: Grading, curve: PorosityCurve, arrays: TilingArrays, lattice: Lattice
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """For each face the number of pores that a cell around it would have: the mean of its two sides."""
+        assert lattice.edge is not None
+        low, high = np.zeros(3), np.array(lattice.mask.shape, np.float64)
+        porosity, found = grading.in_cells(lattice.edge, lattice.origin)["porosity"], []
+        for axis, faces in enumerate(arrays.faces):
+            place = np.argwhere(faces >= 0)
+            middle = place - arrays.halo + np.where(np.arange(3) == axis, 0.0, 0.5)
+            sides = []
+            for step in (-BESIDE, BESIDE):
+                points = np.clip(middle + step * np.eye(3)[axis], low, high)
+                values = porosity.at(points * lattice.edge + np.array(lattice.origin))
+                sides.append(curve.pores(np.clip(values, curve.porosities[0], curve.porosities[-1])))
+            totals = np.zeros(len(place), np.int64)
+            totals[faces[tuple(place.T)]] = np.rint((sides[0] + sides[1]) / 2)
+            found.append(np.maximum(totals, FEWEST))
+        return found[0], found[1], found[2]
+
+    def _laid(
+        self,
+        context: Context,
+        recipe: Recipe,
+        grading: Grading,
+        palette: Palette,
+        arrays: TilingArrays,
+        lattice: Lattice,
+    ) -> Tiling:
+        micro = trial(context, recipe, None, 0, palette)
+        check_faces(micro, palette, recipe.name)
+        assert lattice.edge is not None
+        tiling = Tiling(TileSet(micro, "fresh", 0), arrays, lattice.edge, lattice.origin)
+        return graded_radii(tiling, grading, faces_differ=self.faces != "same")

@@ -1,0 +1,1 @@
+"""Stages that bend a tiling to another shape."""

@@ -1,0 +1,42 @@
+"""``warp.cylinder``: a box of cells becomes the wall of a tube."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.families import options
+from sppm_pipeline.families.warper import Mapped, Warper
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.stage import option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarpCylinder(Warper):
+    """Bend a box of cells to the wall of a tube around the z axis: x goes around, y along the axis, z outwards.
+
+    The tube stands on z = 0. Cells keep their size along the axis and through the wall; around it they are as long as
+    the circumference asks for.
+    """
+
+    name: ClassVar[str] = "warp.cylinder"
+    reported: ClassVar[tuple[str, ...]] = ("volume_min", "volume_max")
+
+    inner_radius: Length = options.inner_radius()
+    around: float = option(360.0, help="angle that the box fills around the axis", unit="degrees", above=0, maximum=360)
+
+    def wraps(self, tiling: Tiling) -> tuple[bool, bool, bool]:
+        return (self.around == 360, False, False)
+
+    def mapped(self, tiling: Tiling, places: NDArray[np.float64]) -> Mapped:
+        edge = tiling.physical_edge()
+        turn = math.radians(self.around) / tiling.cells[0]
+        angle, r = turn * places[:, 0], self.inner_radius.mm() + edge * places[:, 2]
+        points = np.stack([r * np.cos(angle), r * np.sin(angle), edge * places[:, 1]], axis=1)
+        # x, y, z of the box are around, upwards, outwards: a right-handed frame
+        return Mapped(points, turn * r / edge)

@@ -1,0 +1,52 @@
+"""``warp.sphere``: a box of cells becomes a zone of a spherical shell."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.data.length import Length
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
+from sppm_pipeline.families.warper import Mapped, Warper
+from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.stage import option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarpSphere(Warper):
+    """Bend a box of cells to a zone of a shell around the origin: x goes along the equator, y to the north, z outwards.
+
+    Towards the poles cells get narrower; the zone has to end before them.
+    """
+
+    name: ClassVar[str] = "warp.sphere"
+    reported: ClassVar[tuple[str, ...]] = ("volume_min", "volume_max")
+
+    inner_radius: Length = options.inner_radius()
+    around: float = option(360.0, help="angle that the box fills around the axis", unit="degrees", above=0, maximum=360)
+    latitudes: tuple[float, float] = option(
+        (-45.0, 45.0), help="latitudes between which the box lies", unit="degrees", minimum=-85, maximum=85
+    )
+
+    def check_options(self) -> None:
+        if not self.latitudes[0] < self.latitudes[1]:
+            raise ConfigError(f"`latitudes: {list(self.latitudes)}` are in the wrong order")
+
+    def wraps(self, tiling: Tiling) -> tuple[bool, bool, bool]:
+        return (self.around == 360, False, False)
+
+    def mapped(self, tiling: Tiling, places: NDArray[np.float64]) -> Mapped:
+        edge = tiling.physical_edge()
+        turn = math.radians(self.around) / tiling.cells[0]
+        rise = math.radians(self.latitudes[1] - self.latitudes[0]) / tiling.cells[1]
+        longitude = turn * places[:, 0]
+        latitude = math.radians(self.latitudes[0]) + rise * places[:, 1]
+        r = self.inner_radius.mm() + edge * places[:, 2]
+        across = r * np.cos(latitude)
+        points = np.stack([across * np.cos(longitude), across * np.sin(longitude), r * np.sin(latitude)], axis=1)
+        return Mapped(points, turn * across * rise * r / edge**2)
