@@ -158,7 +158,7 @@ def _lattice(field: ScalarField) -> tuple[dict[str, Any], dict[str, NDArray[Any]
     tiling = field.base if isinstance(field, Part) else field
     if not isinstance(tiling, Tiling) or tiling.tileset.kind in ("fresh", "scattered") or not tiling.additive:
         return None
-    if isinstance(field, Part) and (field.skin_mm or field.drains):
+    if isinstance(field, Part) and (field.skin_mm or len(field.drains) or len(field.fills)):
         return None
     pieces, arrays = tiling.tileset.micro.pieces, tiling.arrays
     k = pieces.kernels
