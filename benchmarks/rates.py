@@ -238,6 +238,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: read.primitive, shape: torus_knot, size: [$k mm, $k mm, $k mm], facets: $f}
   - {stage: tile.wang_3color, cell: 4 mm}
   - {stage: fill.implicit}
+  - {stage: write.view, grid_samples: $v}
   - {stage: slice.field, pixel: $pixel}
   - {stage: write.png}
   - {stage: write.picture, resolution: $r}
@@ -250,6 +251,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: check.print, from: even}
 """,
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "f": (32, 32, 64, 96), "r": (16, 16, 24, 32),
+         "v": (100_000, 100_000, 1_000_000, 3_500_000),
          "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.08 mm")},
     ),
     "repairs": (
