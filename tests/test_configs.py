@@ -317,6 +317,18 @@ def test_walls_tetrahedra(run_yaml, tmp_path):
     assert "agreement.md" in outputs(folder)
 
 
+def test_crush_density(run_yaml, tmp_path):
+    path = reduced(
+        "crush_density.yaml", tmp_path,
+        porosity=("porosity: [0.6, 0.7, 0.8]", "porosity: [0.5, 0.8]"), pores=("pores: [20, 42, 70]", "pores: [20]"),
+        cells=("cells: [2, 2, 2]", "cells: [1, 1, 1]"),
+    )  # fmt: skip
+    _, folder = run_yaml(path, p=["resolution=10", "rate=0.05"], s=["tune.porosity.resolution=24"])
+    dense, light = json.loads((folder / "sweep.json").read_text())
+    assert dense["measured.energy_40"] > 2 * light["measured.energy_40"] > 0
+    assert {"energy.md", "energy.png"} <= outputs(folder)
+
+
 def test_no_configuration_is_forgotten():
     tested = {name[5:] for name in globals() if name.startswith("test_")}
     # those that need a plugin are run by its tests
