@@ -206,6 +206,15 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
             "pixel": ("0.33 mm", "0.33 mm", "0.17 mm", "0.13 mm"),
         },
     ),
+    "graded": (
+        TILES + """
+  - {stage: grade.table, of: porosity, along: x, values: [[0, 0.5], [30, 0.7]]}
+  - {stage: tile.graded, recipe: cell, cells: [$c, $c, 1], cell: 5 mm, resolution: $r}
+  - {stage: tune.local_porosity, resolution: $r}
+  - {stage: check.local_porosity, resolution: $r}
+""",
+        {"n": (42, 42, 60, 72), "c": (1, 2, 3, 4), "r": (16, 24, 32, 40)},
+    ),
     "parts": (
         TILES + """
   - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
@@ -249,6 +258,16 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: fill.combine, operation: difference, from: {mesh: fill.boolean, tool: tool}}
 """,
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 12), "f": (32, 32, 64, 64), "r": (12, 16, 32, 48)},
+    ),
+    "crushing": (
+        TILES + """
+  - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24}
+  - {stage: crush.voxel, resolution: $h, rate: 0.02, yield_stress: 0.02}
+  - {stage: write.frames, from: crush.voxel}
+  - {stage: tune.plateau, recipe: cell, resolution: $h, rate: 0.02, yield_stress: 0.02, vary: field.gaussian.level,
+     low: 0.1, high: 0.6, first: 3, target: 0.003, accuracy: 0.45}
+""",
+        {"n": (42, 42, 60, 72), "h": (8, 10, 16, 24)},
     ),
     "curves": (
         """pipeline:

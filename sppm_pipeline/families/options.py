@@ -55,6 +55,7 @@ colors = _shared("number of colors c", minimum=1)
 interiors = _shared("number of interiors K", minimum=1, maximum=1024)
 target = _shared("target value", above=0)
 trials = _shared("trial cells for each number of pores", minimum=1, maximum=200)
+accuracy = _shared("largest relative error of what is tuned", above=0, below=0.5)
 evaluations = _shared("maximum number of evaluations", minimum=3, maximum=1000)
 
 # solvers and materials
