@@ -256,7 +256,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: crush.voxel, resolution: $h, rate: 0.02, yield_stress: 0.02}
   - {stage: write.frames, from: crush.voxel}
   - {stage: tune.plateau, recipe: cell, resolution: $h, rate: 0.02, yield_stress: 0.02, vary: field.gaussian.level,
-     low: 0.1, high: 0.6, first: 3, target: 0.003, accuracy: 0.45}
+     low: 0.25, high: 0.6, first: 3, target: 0.003, accuracy: 0.45}
 """,
         {"n": (42, 42, 60, 72), "h": (8, 10, 16, 24)},
     ),
