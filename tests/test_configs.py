@@ -162,6 +162,7 @@ def test_graded_bar(run_yaml, summary):
     )  # fmt: skip
     assert summary(record, "check.local_porosity")["cell_error_max"] < 0.004
     assert summary(record, "tune.local_porosity")["cells_at_bound"] == 0
+    assert summary(record, "check.connectivity")["graph_parts"] == 1
     rows = (folder / "porosity" / "cells.csv").read_text().splitlines()
     assert [row.split(",")[7] for row in rows[1:]] == [f"{p:.6f}" for p in (0.75, 0.65, 0.55, 0.45, 0.35, 0.25)]
     assert {"bar.png", "porosity/section.png", "porosity/scatter.png", "porosity/porosity.vti"} <= outputs(folder)
