@@ -206,12 +206,39 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
             "pixel": ("0.33 mm", "0.33 mm", "0.17 mm", "0.13 mm"),
         },
     ),
+    "graded": (
+        TILES + """
+  - {stage: grade.table, of: porosity, along: x, values: [[0, 0.5], [30, 0.7]]}
+  - {stage: tile.graded, recipe: cell, cells: [$c, $c, 1], cell: 5 mm, resolution: $r}
+  - {stage: tune.local_porosity, resolution: $r}
+  - {stage: check.local_porosity, resolution: $r}
+""",
+        {"n": (42, 42, 60, 72), "c": (1, 2, 3, 4), "r": (16, 24, 32, 40)},
+    ),
+    "maps": (
+        TILES + """
+  - {stage: read.primitive, shape: ball, size: [20, 20, 20], facets: $f}
+  - {stage: grade.table, of: stress, along: x, values: [[-10, 0], [10, 40]]}
+  - {stage: grade.distance, of: depth}
+  - {stage: grade.formula, of: weight, formula: "smoothstep(2, 8, x) + 0*depth*stress"}
+  - {stage: tileset.free_faces, id: one, recipe: cell, colors: 1, interiors: 2, resolution: 16}
+  - {stage: tileset.free_faces, id: two, recipe: cell, colors: 1, interiors: 2, resolution: 16}
+  - {stage: tileset.join, from: {first: one, second: two}}
+  - {stage: tile.joined, cells: [$k, $k, 2], cell: 3 mm}
+  - {stage: tile.free_faces, id: box, cells: [$k, $k, 2], cell: 3 mm, periodic: true}
+  - {stage: field.blend, probes: $p, from: {first: box, second: box}}
+  - {stage: warp.cylinder, inner_radius: 4 mm, from: box}
+  - {stage: warp.sphere, inner_radius: 4 mm, from: box}
+""",
+        {"n": (42, 42, 60, 72), "f": (32, 32, 64, 128), "k": (2, 3, 6, 10), "p": (30000, 30000, 200000, 1000000)},
+    ),
     "parts": (
         TILES + """
   - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
   - {stage: read.primitive, shape: torus_knot, size: [$k mm, $k mm, $k mm], facets: $f}
   - {stage: tile.wang_3color, cell: 4 mm}
   - {stage: fill.implicit}
+  - {stage: write.view, grid_samples: $v}
   - {stage: slice.field, pixel: $pixel}
   - {stage: write.png}
   - {stage: write.picture, resolution: $r}
@@ -224,6 +251,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: check.print, from: even}
 """,
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "f": (32, 32, 64, 96), "r": (16, 16, 24, 32),
+         "v": (100_000, 100_000, 1_000_000, 3_500_000),
          "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.08 mm")},
     ),
     "repairs": (
@@ -249,6 +277,16 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: fill.combine, operation: difference, from: {mesh: fill.boolean, tool: tool}}
 """,
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 12), "f": (32, 32, 64, 64), "r": (12, 16, 32, 48)},
+    ),
+    "crushing": (
+        TILES + """
+  - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24}
+  - {stage: crush.voxel, resolution: $h, rate: 0.02, yield_stress: 0.02}
+  - {stage: write.frames, from: crush.voxel}
+  - {stage: tune.plateau, recipe: cell, resolution: $h, rate: 0.02, yield_stress: 0.02, vary: field.gaussian.level,
+     low: 0.1, high: 0.6, first: 3, target: 0.003, accuracy: 0.45}
+""",
+        {"n": (42, 42, 60, 72), "h": (8, 10, 16, 24)},
     ),
     "curves": (
         """pipeline:

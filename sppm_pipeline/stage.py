@@ -194,6 +194,20 @@ class Context(ABC):
     def warn(self, message: str) -> None:
         """Tell the user something that does not stop the run; it is kept in the run record."""
 
+    def remember(self, key: str, state: Any) -> None:  # noqa: B027 - not every context can
+        """Keep the state of long work, so that a later run may go on from there; None forgets it.
+
+        Parameters
+        ----------
+        key : str
+            Digest of all that the result depends on but for the program, which is added.
+        state : arrays, numbers, strings, and mappings and sequences of them
+        """
+
+    def recall(self, key: str) -> Any:
+        """What an earlier run has kept under a key by `remember` and not forgotten; None if nothing is kept."""
+        return None
+
     @abstractmethod
     def output(self, name: str) -> Path:
         """A path for a final file or folder of this stage.

@@ -162,6 +162,7 @@ def test_graded_bar(run_yaml, summary):
     )  # fmt: skip
     assert summary(record, "check.local_porosity")["cell_error_max"] < 0.004
     assert summary(record, "tune.local_porosity")["cells_at_bound"] == 0
+    assert summary(record, "check.connectivity")["graph_parts"] == 1
     rows = (folder / "porosity" / "cells.csv").read_text().splitlines()
     assert [row.split(",")[7] for row in rows[1:]] == [f"{p:.6f}" for p in (0.75, 0.65, 0.55, 0.45, 0.35, 0.25)]
     assert {"bar.png", "porosity/section.png", "porosity/scatter.png", "porosity/porosity.vti"} <= outputs(folder)
@@ -314,6 +315,18 @@ def test_walls_tetrahedra(run_yaml, tmp_path):
     assert fine["tetrahedra.isotropic.E"] / fine["voxels.isotropic.E"] > 1.03
     assert limits[0] / limits[1] == pytest.approx(1, abs=0.02)
     assert "agreement.md" in outputs(folder)
+
+
+def test_crush_density(run_yaml, tmp_path):
+    path = reduced(
+        "crush_density.yaml", tmp_path,
+        porosity=("porosity: [0.6, 0.7, 0.8]", "porosity: [0.5, 0.8]"), pores=("pores: [20, 42, 70]", "pores: [20]"),
+        cells=("cells: [2, 2, 2]", "cells: [1, 1, 1]"),
+    )  # fmt: skip
+    _, folder = run_yaml(path, p=["resolution=10", "rate=0.05"], s=["tune.porosity.resolution=24"])
+    dense, light = json.loads((folder / "sweep.json").read_text())
+    assert dense["measured.energy_40"] > 2 * light["measured.energy_40"] > 0
+    assert {"energy.md", "energy.png"} <= outputs(folder)
 
 
 def test_no_configuration_is_forgotten():

@@ -18,10 +18,20 @@ class Blocks:
         Blocks that hold pores; interior t is the t-th of them in C order of (x, y, z).
     periodic : bool
         Whether the lattice repeats.
+    density : (m nx + 1, m ny + 1, m nz + 1) float64 or None
+        Pores per volume over what the recipe's samplers state, at m nodes along the edge of a block; spacings go with
+        its power -1/3. None for 1 everywhere.
+    kept : ((n, 3) float64, (n,) int32) or None
+        Centers and interiors of pores that are there already, sorted by interior: samplers then only add `added`.
+    added : (interiors,) int64 or None
+        Pores that are thrown beside those kept.
     """
 
     mask: NDArray[np.bool_]
     periodic: bool
+    density: NDArray[np.float64] | None = None
+    kept: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None
+    added: NDArray[np.int64] | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:

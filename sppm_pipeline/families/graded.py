@@ -12,6 +12,7 @@ from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.grading import Grading
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families.sampler import FEWEST
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
@@ -23,9 +24,6 @@ STEP = 1.35
 
 LONGEST = 20
 """Numbers of pores that are tried for a curve at the most."""
-
-FEWEST = 4
-"""Pores of a cell, and of its interior, at the least."""
 
 WIDER = 0.02
 """A curve goes on beyond the porosities that are asked for by this much, so that rounds have room."""
@@ -70,9 +68,24 @@ def trial(
 
 
 def curve_of(
-    context: Context, recipe: Recipe, total: int, targets: NDArray[np.float64], trials: int, resolution: int
+    context: Context,
+    porosity: Callable[[int, int], float],
+    total: int,
+    targets: NDArray[np.float64],
+    trials: int,
 ) -> PorosityCurve:
-    """The porosity of periodic cells of a recipe over their number of pores, wide enough for all targets.
+    """The porosity of a recipe over the number of pores of a cell, wide enough for all targets.
+
+    Parameters
+    ----------
+    context : Context
+    porosity : callable of a number of pores and an attempt
+        Porosity of a trial.
+    total : int
+        Number of pores to begin with.
+    targets : (m,) float64
+    trials : int
+        For each number of pores.
 
     Raises
     ------
@@ -84,10 +97,7 @@ def curve_of(
     porosities: list[float] = []
 
     def probe(n: int) -> float:
-        found = []
-        for sample in range(trials):
-            cell = trial(context, recipe, n, 1 + sample)
-            found.append(float((cell.sample(resolution, context.threads) >= 0).mean()))
+        found = [porosity(n, 1 + sample) for sample in range(trials)]
         counts.extend([n] * trials)
         porosities.extend(found)
         context.progress(len(counts), LONGEST * trials, "trial cells")
@@ -118,6 +128,16 @@ def curve_of(
                 hint="bound the map by clip(), or change the radii of the recipe",
             )
     return curve
+
+
+def of_periodic_cells(context: Context, recipe: Recipe, resolution: int) -> Callable[[int, int], float]:
+    """For `curve_of`: the porosity of one cell that repeats."""
+
+    def porosity(n: int, attempt: int) -> float:
+        cell = trial(context, recipe, n, attempt)
+        return float((cell.sample(resolution, context.threads) >= 0).mean())
+
+    return porosity
 
 
 def sites_of(arrays: TilingArrays) -> NDArray[np.int64]:

@@ -189,4 +189,7 @@ class LayerWriter(Stage):
             from sppm_pipeline.render.sheets import layer_sheet
 
             stem = self.path.rstrip("/") if target.is_dir() else str(PurePosixPath(self.path).with_suffix(""))
-            Image.fromarray(layer_sheet(overview, pixel=stack.pixel_mm)).save(context.output(f"{stem}-overview.png"))
+            heights = [stack.origin_mm[2] + (number + 0.5) * stack.layer_mm for number in sorted(shown)]
+            labels = [f"layer {k}, z = {z:.4g} mm" for k, z in zip(sorted(shown), heights, strict=True)]
+            sheet = layer_sheet(overview, labels, pixel=stack.pixel_mm)
+            Image.fromarray(sheet).save(context.output(f"{stem}-overview.png"))

@@ -55,6 +55,7 @@ colors = _shared("number of colors c", minimum=1)
 interiors = _shared("number of interiors K", minimum=1, maximum=1024)
 target = _shared("target value", above=0)
 trials = _shared("trial cells for each number of pores", minimum=1, maximum=200)
+accuracy = _shared("largest relative error of what is tuned", above=0, below=0.5)
 evaluations = _shared("maximum number of evaluations", minimum=3, maximum=1000)
 
 # solvers and materials
@@ -67,6 +68,8 @@ stress_unit = _shared("unit of Young's modulus and of the result", choices=("rel
 # curves of compression
 plateau = _shared("strains between which the plateau stress is taken", minimum=0, maximum=1)
 energy_to = _shared("strain up to which energy is taken", minimum=0.01, maximum=1)
+
+axis = _shared("axis of the load, flow or sound", choices=("x", "y", "z"))
 
 # parts and meshes
 accept = _shared("which meshes are accepted")

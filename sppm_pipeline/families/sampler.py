@@ -19,6 +19,9 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.scattered import block_by_block
 from sppm_pipeline.stage import Context, Stage, option
 
+FEWEST = 4
+"""Pores of the interior of a graded cell at the least: fewer have no three neighbors each."""
+
 
 class InteriorBox(NamedTuple):
     """Where a sampler puts the pores of one interior.
@@ -162,20 +165,29 @@ class Sampler(Stage):
             kept *= min(1.0, float(palette.spacings.min()))
         return base.extended(np.concatenate(centers), np.concatenate(piece), spacing=kept)
 
+    def with_pores(self, count: int, face_pores: int = 0) -> Sampler:
+        """The same stage for an interior of so many pores, by its options `total` or `count`.
+
+        Raises
+        ------
+        ConfigError
+            If it has neither.
+        """
+        if getattr(self, "total", None) is not None:
+            return replace(self, total=count + face_pores)  # type: ignore[call-arg]
+        if getattr(self, "count", None) is not None:
+            return replace(self, count=count)  # type: ignore[call-arg]
+        raise ConfigError(f"{self.name} can't be told how many pores a graded cell has", hint="give it a `total`")
+
     def _graded(self, palette: Palette, interior: int, box: InteriorBox, before: int) -> tuple[Sampler, InteriorBox]:
         """The stage and the box with the number and the spacing of pores that the palette wants of an interior."""
-        stage = self
         if palette.spacings is not None and box.spacing is not None:
             box = box._replace(spacing=box.spacing * float(palette.spacings[interior]))
-        if palette.totals is not None:
-            total = int(palette.totals[interior])
-            face_pores = round(float(box.folded[before:, 3].sum()))
-            box = box._replace(face_pores=face_pores)
-            if getattr(self, "total", None) is not None:
-                stage = replace(self, total=max(total, 2))  # type: ignore[call-arg]
-            elif getattr(self, "count", None) is not None:
-                stage = replace(self, count=max(total - face_pores, 0))  # type: ignore[call-arg]
-        return stage, box
+        if palette.totals is None:
+            return self, box
+        face_pores = round(float(box.folded[before:, 3].sum()))
+        count = max(int(palette.totals[interior]) - face_pores, FEWEST)
+        return self.with_pores(count, face_pores), box._replace(face_pores=face_pores)
 
     def scatter(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
         """Throw the pores of all blocks of a lattice without faces, block by block; for samplers with a faster way."""

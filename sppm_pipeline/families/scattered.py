@@ -40,6 +40,8 @@ def with_darts(
     """
     from sppm_pipeline.numerics.sampling.blocks import block_quotas, check_block_spacing, throw_blocks
 
+    if blocks.density is not None:
+        return _with_graded_darts(context, base, blocks, mean, spacing)
     check_block_spacing(mean, spacing)
     before = (base.centers, _first_of_blocks(base.piece, blocks)) if obstacles and len(base.centers) else None
     quotas = block_quotas(blocks.mask, mean)
@@ -48,6 +50,31 @@ def with_darts(
         seed, quotas, spacing, periodic=blocks.periodic, before=before, threads=context.threads
     )
     return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], spacing)
+
+
+def _with_graded_darts(context: Context, base: PoreSet, blocks: Blocks, mean: float, spacing: float) -> PoreSet:
+    """`with_darts` where density and spacing vary, or more pores beside those that are kept."""
+    from sppm_pipeline.numerics.sampling.graded_blocks import graded_quotas, throw_graded_blocks
+
+    assert blocks.density is not None
+    if len(base.centers):
+        raise ConfigError(
+            "graded cells are scattered by one sampler",
+            hint="give `sample.mirrored_faces` a `total` instead of `count`",
+        )
+    before = None
+    if blocks.kept is not None:
+        assert blocks.added is not None
+        base = base.extended(*blocks.kept)
+        before = base.centers, _first_of_blocks(base.piece, blocks)
+        quotas = np.zeros(blocks.shape, np.int64)
+        quotas[blocks.mask] = blocks.added
+    else:
+        quotas = graded_quotas(blocks.mask, mean, blocks.density)
+    seed = int(context.rng().integers(0, 2**64, dtype=np.uint64))
+    centers, first = throw_graded_blocks(seed, quotas, spacing, blocks.density, before=before, threads=context.threads)
+    least = spacing * float(blocks.density.max()) ** (-1 / 3)
+    return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], least)
 
 
 def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Blocks) -> PoreSet:
@@ -68,6 +95,9 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
             "that are their own neighbors",
             hint="give at least 2 cells along each axis",
         )
+    quotas = factors = None
+    if blocks.density is not None:
+        base, quotas, factors = _graded_by_block(sampler, base, blocks)
     spacing = sampler.requested_spacing(base.cell) or base.spacing
     sites, numbers = blocks.sites, blocks.numbers
     thrown = [base.of_piece(t) for t in range(base.interiors)]
@@ -84,11 +114,32 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
                 around.append(thrown[numbers[tuple(place)]] + shift)
         own = np.column_stack([thrown[t], np.ones(len(thrown[t]))])
         box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, 0, folded=own)
-        new[t] = sampler.thrown(context, int(t), box)
+        stage = sampler
+        if quotas is not None and factors is not None:
+            if not quotas[t]:
+                continue
+            stage = sampler.with_pores(int(quotas[t]))
+            box = box._replace(spacing=None if spacing is None else spacing * float(factors[t]))
+        new[t] = stage.thrown(context, int(t), box)
         thrown[t] = np.concatenate([thrown[t], new[t]])
         context.progress(done + 1, base.interiors, "blocks")
     counts = np.array([len(points) for points in new])
     return _extended(base, blocks, np.concatenate(new), counts, sampler.kept_spacing(base.cell, base))
+
+
+def _graded_by_block(
+    sampler: Sampler, base: PoreSet, blocks: Blocks
+) -> tuple[PoreSet, NDArray[np.int64], NDArray[np.float64]]:
+    """The pores that are kept, and for each block how many more and the factor of their spacing."""
+    from sppm_pipeline.numerics.sampling.graded_blocks import block_means, graded_quotas
+
+    assert blocks.density is not None
+    factors = block_means(blocks.density)[blocks.mask] ** (-1 / 3)
+    if blocks.kept is not None:
+        assert blocks.added is not None
+        return base.extended(*blocks.kept), blocks.added, factors
+    total = getattr(sampler, "total", None) or sampler.expected_count(0.0)
+    return base, graded_quotas(blocks.mask, float(total), blocks.density)[blocks.mask], factors
 
 
 def _extended(

@@ -125,7 +125,7 @@ class KernelSum(ScalarField):
                 (bank, arrays), (x, y, z) = placed
                 box = (z[0] + start, z[0] + stop, *x, *y)
                 return assemble_solid(bank, arrays, self.solid_below, *box, threads=threads)
-            return (self.kernel_sums(grid, start, stop, threads, rows) < np.float32(self.solid_below)).view(np.uint8)
+            return (self._summed(grid, start, stop, threads, rows) < np.float32(self.solid_below)).view(np.uint8)
 
         return self._each_once(grid, start, stop, solid).T
 

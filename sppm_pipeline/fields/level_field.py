@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,9 +85,19 @@ class LevelField(WrappedField, KernelSum):
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.float32]:
         assert isinstance(self.base, KernelSum)
-        sums = self.base.kernel_sums(grid, start, stop, threads, wanted)
+        return self._over_level(self.base.kernel_sums(grid, start, stop, threads, wanted), grid, start)
+
+    def _summed(
+        self, grid: Grid, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None
+    ) -> NDArray[np.float32]:
+        # by patches of the field that repeats, where it has such
+        assert isinstance(self.base, KernelSum)
+        return self._over_level(self.base._summed(grid, start, stop, threads, wanted), grid, start)
+
+    def _over_level(self, sums: NDArray[np.float32], grid: Grid, start: int) -> NDArray[np.float32]:
+        """G in some layers becomes G / C times the mean level."""
         mean = np.float32(self.control.mean())
-        for k, level in enumerate(self._levels(grid, start, stop)):
+        for k, level in enumerate(self._levels(grid, start, start + len(sums))):
             np.subtract(mean, level, out=level)
             sums[k] *= np.exp(level, out=level)
         return sums
@@ -97,7 +108,7 @@ class LevelField(WrappedField, KernelSum):
             values[k] -= level
         return values
 
-    def _levels(self, grid: Grid, start: int, stop: int) -> Any:
+    def _levels(self, grid: Grid, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
         spline = LayerSpline(self.control, grid.axis(0), grid.axis(1))
         return (spline.layer(float(z)) for z in grid.axis(2)[start:stop])
 

@@ -180,8 +180,10 @@ def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
         if skin is not None:
             skin[layers] = shell
     removed = _remove_islands((field,) if skin is None else (field, skin), held) if held.size else 0.0
-    vertices, faces = (part.domain.vertices - part.origin_mm) / part.physical_edge(), part.domain.faces
-    solid = Solid(grid, *((vertices, faces) if closed else _box(grid)), field)
+    vertices, faces = _box(grid)
+    if closed:
+        vertices, faces = (part.domain.vertices - part.origin_mm) / part.physical_edge(), part.domain.faces
+    solid = Solid(grid, vertices, faces, field)
     if skin is not None:
         solid = solid._replace(skin=skin)
     return solid if outer is None else solid._replace(outer=outer), removed

@@ -35,6 +35,9 @@ is too light for a line on white."""
 _MARKERS = "os^DvPXp"  # one more than colors, so that 56 series differ
 _GRAY = "#888888"
 
+MANY = 20
+"""Means over more x than this are a line in a band, instead of markers with error bars: a choice."""
+
 # No date and no version, so that bytes depend on the data only.
 _METADATA: dict[str, dict[str, None]] = {
     "pdf": dict.fromkeys(("Creator", "Producer", "CreationDate")),
@@ -82,7 +85,8 @@ class Series(NamedTuple):
         Entry in the legend; none if empty.
     kind : {"points", "line", "dashed", "boxes", "means"}
         Markers, a line, a box plot of the values at each x (box from quartile to quartile, whiskers to the last value
-        within 1.5 interquartile ranges of it, after Tukey), or their mean with its standard deviation as error bar.
+        within 1.5 interquartile ranges of it, after Tukey), or their mean with its standard deviation, as error bars
+        or, where there are more than `MANY` x, as a band.
     error : (n,) float, optional
         Half lengths of error bars of points; NaN for none.
     color : str, optional
@@ -237,6 +241,11 @@ def chart(
                 joined = one.kind == "means"
                 if joined:
                     x, y, error = _means(x, y)
+                if joined and len(x) > MANY:
+                    around = np.nan_to_num(error)
+                    axes.fill_between(x, y - around, y + around, color=color, alpha=0.22, linewidth=0)
+                    drawn += axes.plot(x, y, "-", color=color)
+                    continue
                 drawn.append(axes.errorbar(
                     x, y, error if np.isfinite(error).any() else None, color=color, capsize=2.5, elinewidth=0.9,
                     linestyle="-" if joined else "none", marker=_MARKERS[number % len(_MARKERS)],

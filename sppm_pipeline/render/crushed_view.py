@@ -82,12 +82,14 @@ def frame_pictures(
         In the turned axes.
     size : (width, height)
     section : float, optional
-        Share of the undeformed block that is kept, along the second of the turned axes, the far side.
+        Share of the undeformed block that is kept, along the second of the turned axes, the far side; a layer of voxels
+        at least.
     """
     turned = list(UPRIGHT[axis])
     kept = np.ones(len(voxels), bool)
     if section is not None:
-        kept = voxels[:, turned[1]] >= (1 - section) * grid[turned[1]] - 0.5
+        along = voxels[:, turned[1]]
+        kept = along >= min((1 - section) * grid[turned[1]] - 0.5, along.max())  # the farthest layer at least
     triangles, owners = exposed_triangles(voxels[kept], grid, elements[kept])
     nodes, faces = np.unique(triangles, return_inverse=True)
     faces = faces.reshape(triangles.shape)

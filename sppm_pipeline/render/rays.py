@@ -354,7 +354,7 @@ def _trace(
             back = ahead / toward if toward < 0.0 else -np.inf
             if toward == 0.0 and ahead < 0.0:
                 continue
-            winding, entry, f = 0, 0.0, np.int64(0)
+            winding, entry, f = 0, 0.0, int(np.int64(0))
             for s in range(n - 1):
                 before = winding
                 winding += 1 if found[s] >= 0 else -1
@@ -364,7 +364,7 @@ def _trace(
                 if distance > 0.0:
                     d, end = distance - 1.0 / d, distance - 1.0 / end
                 if before <= 0:
-                    entry, f = d, found[s]
+                    entry, f = d, int(found[s])
                 end = max(end, back)
                 if end >= min(d, front):
                     continue
@@ -525,8 +525,10 @@ def render_solid(
     seen = empty_seen(width, height)
     middle = np.array([[0.5, 0.5]]) + _ASIDE
     for pixels, found in _traced(scene, np.flatnonzero(np.diff(scene.starts)), middle, threads):
-        for whole, part in zip(seen, found, strict=True):
-            whole.reshape(width * height, -1)[pixels] = part.reshape(len(pixels), -1)
+        rows, columns = np.divmod(pixels, width)
+        seen.depth[rows, columns] = found.depth[:, 0]
+        seen.normal[rows, columns] = found.normal[:, 0]
+        seen.color[rows, columns] = found.color[:, 0]
     hidden = hidden_sky(seen, threads) if occlusion > 0.0 else Hidden(*(np.zeros_like(seen.depth),) * 2)
     light = lit(seen, hidden, occlusion)
     if antialias:

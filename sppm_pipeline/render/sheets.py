@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
 INK: Color = (52, 58, 66)
 PAPER: Color = (255, 255, 255)
-_SOLID: Color = (64, 74, 88)
-_VOID: Color = (238, 240, 243)
+_SOLID: Color = (255, 255, 255)
+_VOID: Color = (0, 0, 0)
+_AROUND_LAYERS: Color = (206, 211, 218)
 
 AXES: tuple[Color, ...] = ((213, 94, 0), (0, 158, 115), (0, 114, 178))
 """Colors of the axes x, y, z, which all kinds of color vision tell apart (Okabe and Ito 2008)."""
@@ -183,7 +184,7 @@ def layer_sheet(
     pixel : (float, float)
         Pitch along x and y, of which the ratio counts: a round part is shown round.
     solid, void : (r, g, b)
-        Colors of material and of nothing.
+        Colors of material and of nothing; white and black, as in the files of the layers.
 
     Returns
     -------
@@ -215,7 +216,7 @@ def layer_sheet(
         share = gray[..., None] / 255.0
         mixed = share * np.array(solid) + (1.0 - share) * np.array(void)
         pictures.append(np.rint(mixed).astype(np.uint8))
-    return contact_sheet(pictures, labels, columns=columns, title=title)
+    return contact_sheet(pictures, labels, columns=columns, title=title, background=_AROUND_LAYERS)
 
 
 def colors_of(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.uint8]:
@@ -256,7 +257,7 @@ def with_scale(picture: NDArray[np.uint8], low: float, high: float, title: str, 
 
 
 def annotated(
-    picture: NDArray[np.uint8], frame: Frame, unit_mm: float | None, *, dark: bool = False
+    picture: NDArray[np.uint8], frame: Frame, unit_mm: float | None, *, bar: bool = True, dark: bool = False
 ) -> NDArray[np.uint8]:
     """A picture with the directions of the axes at its lower left, and a scale bar at its lower right.
 
@@ -267,6 +268,8 @@ def annotated(
         Of the camera; the bar is as long as it says at the middle of the part.
     unit_mm : float or None
         Unit of length of the frame, mm; None for cells without a physical size.
+    bar : bool
+        Whether there is a scale bar.
     dark : bool
         Whether the background is dark.
 
@@ -279,7 +282,8 @@ def annotated(
     canvas = Image.fromarray(picture)
     ink, halo = (LIGHT_INK, INK) if dark else (INK, PAPER)
     _draw_axes(canvas, frame, ink)
-    _draw_bar(canvas, frame.scale / (unit_mm or 1.0), "mm" if unit_mm else "cell sizes", ink, halo)
+    if bar:
+        _draw_bar(canvas, frame.scale / (unit_mm or 1.0), "mm" if unit_mm else "cell sizes", ink, halo)
     return np.asarray(canvas, np.uint8).copy()
 
 

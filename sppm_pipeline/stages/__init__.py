@@ -38,6 +38,7 @@ BUILT_IN = {
     "field.blend": "BlendFields",
     "tune.porosity": "TunePorosity",
     "tune.stiffness": "TuneStiffness",
+    "tune.plateau": "TunePlateau",
     "tune.local_porosity": "TuneLocalPorosity",
     "tune.retry": "Retry",
     "tune.orientation": "TuneOrientation",

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.engine.run.context import StageLog, generator
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.engine.cache.store import Store
+from sppm_pipeline.engine.run.context import RunContext, StageLog, generator
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.testing.plain_context import PlainContext
 
@@ -85,3 +87,25 @@ def test_a_warning_is_told_once():
     log.warn("t", "x")
     assert monitor.told == 2
     assert log.warnings == [("s", "x"), ("t", "x")]
+
+
+def test_unfinished_work_is_remembered_until_it_is_forgotten(tmp_path):
+    def context(store):
+        log = StageLog(Monitor(), "a")
+        return RunContext(
+            seed=1, path=("a",), address="a", threads=1, palette=Palette(), log=log, folder=None, store=store
+        )
+
+    first = context(Store(tmp_path))
+    assert first.recall("key") is None
+    first.remember("key", {"step": 3, "x": np.arange(5.0)})
+    first.remember("key", {"step": 4, "x": np.arange(6.0)})
+    found = context(Store(tmp_path)).recall("key")
+    assert found["step"] == 4
+    assert np.array_equal(found["x"], np.arange(6.0))
+    assert first.recall("other") is None
+    first.remember("key", None)
+    assert context(Store(tmp_path)).recall("key") is None
+    nowhere = context(None)
+    nowhere.remember("key", 1)
+    assert nowhere.recall("key") is None

@@ -8,7 +8,7 @@ import pytest
 from sppm_pipeline.fields.formula import FormulaField
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.numerics.grading.level_spline import spline_values
-from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +54,16 @@ def test_fine_grids_are_interpolated_from_coarser_ones_than_the_tunnels_need(lev
     assert leveled.coarse_pitch < leveled.base.coarse_pitch
     assert flips <= 1e-4 * np.prod(grid.shape)
     assert leveled.finest_radius < leveled.base.finest_radius
+
+
+def test_patches_of_tiles_that_repeat_are_used(wang_tiling):
+    field = LevelField(wang_tiling, np.log(wang_tiling.solid_below) + np.linspace(-0.2, 0.1, 36).reshape(4, 3, 3))
+    grid = cell_centers(16, (4, 3, 3))
+    assert wang_tiling.patches(16, 0.5) is not None
+    level = np.exp(spline_values(field.control, *(grid.axis(a) for a in range(3)))).T
+    mean = field.solid_below
+    assert np.abs(field.sample(grid) - (wang_tiling.sums(grid) * (mean / level) - mean)).max() < 1e-5
+    assert np.array_equal(field.solid(grid), field.sample(grid) < 0)
 
 
 def test_there_is_no_seam_at_the_planes_of_the_lattice(leveled):

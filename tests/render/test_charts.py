@@ -24,7 +24,7 @@ NAMES = ["one", "two", "three"]
 @pytest.fixture
 def figure_of(monkeypatch):
     """Function from the arguments of a drawing function to the figure, in place of the file."""
-    monkeypatch.setattr(charts, "_file", lambda figure, path: figure)
+    monkeypatch.setattr(charts, "figure_file", lambda figure, path: figure)
     return lambda draw, *arguments, **options: draw(*arguments, "a.png", **options)
 
 
@@ -212,3 +212,15 @@ def test_charts_of_nothing_and_of_one_value():
         [Series([3], [3], kind="boxes")],
     ):
         assert chart(series, "a.png").startswith(b"\x89PNG")
+
+
+def test_means_over_many_places_are_a_line_in_a_band():
+    rng = np.random.default_rng(1)
+    x = np.repeat(np.arange(40.0), 9)
+    y = x + 3 * rng.standard_normal(x.size)
+    many, few = (chart([Series(x[x < end], y[x < end], kind="means")], "c.svg").decode() for end in (40.0, 20.0))
+    assert "FillBetween" in many
+    assert "FillBetween" not in few
+    assert few.count("<use") > many.count("<use") + 10  # no markers
+    constant = chart([Series(x, x, kind="means")], "c.svg").decode()
+    assert constant != many

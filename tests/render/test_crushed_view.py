@@ -63,6 +63,10 @@ def test_all_frames_are_seen_at_one_scale_with_the_axis_of_compression_upright()
         assert same == wide
 
 
+def test_a_section_keeps_a_layer_at_least():
+    assert covered(*pictures([NODES], section=1e-300)) == covered(*pictures([NODES], section=1 / 3))
+
+
 def test_colors_are_those_of_the_voxels_and_a_section_leaves_some_out():
     red = np.tile(np.array((250, 20, 20), np.uint8), (len(VOXELS), 1))
     blue = red[:, ::-1]

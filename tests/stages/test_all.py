@@ -21,6 +21,7 @@ REQUIRED = {
     "grade.points": {"of": "ct", "path": "a.csv"},
     "grade.nodes": {"of": "ct", "path": "a.vtu"},
     "grade.distance": {"of": "depth"},
+    "tune.plateau": {"target": 1.0},
     "warp.cylinder": {"inner_radius": Length(5.0)},
     "warp.sphere": {"inner_radius": Length(5.0)},
     "warp.hexahedra": {"path": "a.vtu"},

@@ -148,6 +148,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.voxels": (IMAGE, "", []),
     "write.stiffness": ([*REPEATED, "  - {stage: homogenize.voxel, resolution: 4}"], "image_size: [300, 300]", []),
     "write.curves": (TEST, "", []),
+    "write.frames": (
+        [*REPEATED, "  - {stage: crush.voxel, resolution: 8, rate: 0.05, strain: 0.05, frames: [0, 0.05]}"],
+        "image_size: [40, 40]", []),
     "write.flow": ([*REPEATED, "  - {stage: homogenize.permeability, resolution: 6}"], "image_size: [300, 300]", []),
     "write.absorption": ([*REPEATED, "  - {stage: homogenize.acoustics, resolution: 6, cell: 5 mm}"], "", []),
     "write.graph": (AS_CELL[:3], "", []),
@@ -155,7 +158,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
 }  # fmt: skip
 """What comes before a stage, the options it gets, and what comes after."""
 
-NO_PIPELINE = {"write.bars", "write.chart", "write.sheet", "write.table", "write.frames"}
+NO_PIPELINE = {"write.bars", "write.chart", "write.sheet", "write.table"}
 """Stand only after a sweep."""
 
 HOSTILE = [

@@ -189,13 +189,27 @@ def test_stiffest_grid(tmp_path):
         assert (tmp_path / "run" / name).stat().st_size > 0
 
 
+def test_crush_structures(tmp_path):
+    rows = run(
+        "crush_structures.yaml", tmp_path, "{structure: [tpms_p, sppm_1]}",
+        "-p", "resolution=10", "-p", "cells=[1, 1, 1]", "-p", "rate=0.04", "-s", "tune.porosity.resolution=24",
+        "-s", "write.frames.image_size=[160, 120]",
+    )  # fmt: skip
+    for row in rows.values():
+        assert row["crush.numbers.relative_density"] == pytest.approx(0.3, abs=0.03)
+        assert 0.2 < row["measured.energy_25"] < row["measured.energy_40"] < 0.4 * 29
+    # struts bend before walls do
+    assert rows["tpms_p"]["measured.energy_25"] > 1.3 * rows["sppm_1"]["measured.energy_25"]
+    assert len((tmp_path / "run" / "crushed.md").read_text().splitlines()) == 4
+
+
 def test_all_structures_are_compared():
     session = open_session(RunRequest(str(ROOT / "configs" / "compare_structures.yaml"), ("sppm_pipeline.stages",), ()))
     listed = [node.value for node in session.configuration.sweep.value["structure"].node.value]
     assert listed == list(session.configuration.recipes) == STRUCTURES
 
 
-@pytest.mark.parametrize("name", ["compare_structures.yaml", "published_curves.yaml"])
+@pytest.mark.parametrize("name", ["compare_structures.yaml", "crush_structures.yaml", "published_curves.yaml"])
 def test_without_this_plugin_the_missing_stages_are_named(name):
     request = RunRequest(str(ROOT / "configs" / name), ("sppm_pipeline.stages",), (), False)
     with pytest.raises(ConfigErrors, match=r"there is no stage 'field\.(tpms|struts)'"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import operator
 import threading
@@ -11,6 +12,10 @@ from typing import Any
 import numpy as np
 
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.storage import DamagedError
+from sppm_pipeline.engine.cache.identity import environment, program_digest
+from sppm_pipeline.engine.cache.keys import key_of
+from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.strict_json import jsonable
@@ -104,6 +109,8 @@ class RunContext(Context):
     log : StageLog
     folder : RunFolder, Scratch or None
         None if there is nowhere to write.
+    store : Store or None
+        The cache, which keeps what stages have not finished; None if nothing is kept.
     """
 
     def __init__(
@@ -116,8 +123,10 @@ class RunContext(Context):
         palette: Palette,
         log: StageLog,
         folder: RunFolder | Scratch | None,
+        store: Store | None = None,
     ) -> None:
         self._seed = seed
+        self._store = store
         self.path = path
         self.address = address
         self.threads = threads
@@ -137,6 +146,7 @@ class RunContext(Context):
             palette=palette,
             log=self.log,
             folder=self.folder,
+            store=self._store,
         )
 
     def rng(self, *key: int) -> np.random.Generator:
@@ -160,9 +170,41 @@ class RunContext(Context):
         check()
         self.log.warn(self.address, message)
 
+    def remember(self, key: str, state: Any) -> None:
+        """See `Context.remember`; stages call this on their way out of an interrupted run, too."""
+        if self._store is None:
+            return
+        about = {
+            "stage": self.address,
+            "id": self.address,
+            "seconds": 0.0,
+            "random": False,
+            "facts": {},
+            "same_as": None,
+        }
+        with contextlib.suppress(OSError):
+            self._store.remove(_unfinished(key))
+            if state is not None:
+                self._store.put(_unfinished(key), {**about, "same_as": None}, value=state)
+
+    def recall(self, key: str) -> Any:
+        """See `Context.recall`."""
+        check()
+        if self._store is None:
+            return None
+        try:
+            entry = self._store.find(_unfinished(key))
+            return None if entry is None else self._store.load(entry)
+        except (DamagedError, OSError):
+            return None
+
     def output(self, name: str) -> Path:
         """See `Context.output`."""
         check()
         if self.folder is None:
             raise ConfigError(f"there is no run directory for the output {name!r}")
         return self.folder.claim(self.address, name)
+
+
+def _unfinished(key: str) -> str:
+    return key_of({"unfinished": key, "program": program_digest(), "environment": environment()})

@@ -364,6 +364,7 @@ class StepRunner:
             palette=Palette(),
             log=log,
             folder=folder,
+            store=None if self._cache is None else self._cache.store,
         )
         return run_step(step, step.stage, inputs, context, self._recipes)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.crushing import contact, element, plates
 from sppm_pipeline.numerics.crushing.body import Body, wave_speed
-from sppm_pipeline.numerics.crushing.material import ALPHA, PLASTIC, RATIO, Material, constants
+from sppm_pipeline.numerics.crushing.material import ALPHA, LANES, PLASTIC, RATIO, Material, constants
 
 COURANT = 0.6
 """Time step over the time that a pressure wave takes for an edge."""
@@ -32,6 +32,9 @@ POINTS = 600
 """Points of a curve to 60 % strain: one for each .1 %."""
 
 ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
+
+
+_ARRAYS = ("v", "f", "state", "mass", "sums", "node_sums")
 
 
 class Failed(ArithmeticError):
@@ -129,7 +132,7 @@ class March:
         self._v = np.zeros_like(self.x)
         self._v[:, 2] = -self._speed(0) * self.x[:, 2] / nz
         self._f = np.zeros_like(self.x)
-        self._state = np.zeros((len(body.lanes), element.STATE, element.LANES))
+        self._state = np.zeros((len(body.lanes), element.STATE, LANES))
         self._state[:, :3] = 1
         self._state[:, 8 : element.STATE] = 1
         self._mass0 = self._node_masses(self._density)
@@ -161,15 +164,15 @@ class March:
         self._lossy, self._push = np.zeros(shape), np.zeros(shape)
         self._pushed = np.zeros(len(body.surface), np.uint8)
         self._room = 64
+        self._contact_sums = np.zeros((0, contact.SUMS))
         self._starts = np.zeros(8 * len(body.surface) + 1, np.int32)
         self._everything = np.arange(len(body.surface), dtype=np.int32)
-        self._list()
+        self.relist()
 
-    def _list(self) -> None:
+    def relist(self) -> None:
         """Search the pairs that may come to touch, and what touches now."""
         self._listed, self._listed_height = self.x.copy(), self._height(self.step)
-        if self.step:
-            self._contact_lost += float(self._contact_sums[:, 1].sum())
+        self._contact_lost += float(self._contact_sums[:, 1].sum())
         now, before, _ = self._balls
         self._place(now, self._everything, 0.0)
         centers = now.mean(1)
@@ -227,7 +230,7 @@ class March:
             self._place(self._balls[0], self._active, 0.0)
             self._repel()
         if float(self._node_sums[:, plates.MOVED].max()) > contact.SLACK**2:
-            self._list()
+            self.relist()
 
     # -- the step
 
@@ -277,7 +280,7 @@ class March:
         for odd in (0, 1):
 
             def part(a: int, b: int, odd: int = odd) -> None:
-                scratch = np.zeros(element.ROWS * element.LANES)
+                scratch = np.zeros(element.ROWS * LANES)
                 element.forces(
                     self.x, self._corners, self._phases, self.body.slabs, 2 * a + odd, min(2 * b + odd, slabs),
                     self._table, self._state, self._surface, self._pushed, self._push, scratch, self._f, self._sums,
@@ -286,7 +289,8 @@ class March:
             self._share((slabs + 1 - odd) // 2, part)
 
     def _node_masses(self, masses: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.bincount(self.body.corners.ravel(), np.repeat(masses / 8, 8), len(self.body.nodes))
+        shares = np.repeat(masses / 8, 8)
+        return np.bincount(self.body.corners.ravel(), shares, len(self.body.nodes)).astype(np.float64)
 
     def _rescale(self) -> None:
         """Give crushed elements, which are stiffer, so much more mass that the step stays stable."""
@@ -360,6 +364,30 @@ class March:
             self._advance()
             if len(self._records) > records:
                 told(self.strain)
+
+    def kept(self) -> dict[str, NDArray[np.float64]]:
+        """All that another march of the same body needs to go on from here by `resume`, with the same result.
+
+        Contacts are searched anew, here and there, so that a march in which this is called differs in rounding from one
+        in which it is not.
+        """
+        self.relist()
+        kept = {name: np.array(getattr(self, "_" + name)) for name in _ARRAYS}
+        scalars = (self.step, self._work, self._from_mass, self._contact_lost, self._recorded, self._given)
+        return {**kept, "x": self.x.copy(), "scalars": np.array(scalars), "last": np.array(self._last),
+                "records": np.array(self._records).reshape(-1, 4 + len(ENERGIES))}  # fmt: skip
+
+    def resume(self, kept: Mapping[str, NDArray[np.float64]]) -> None:
+        """Go on from where another march was."""
+        for name in _ARRAYS:
+            setattr(self, "_" + name, np.array(kept[name]))
+        self.x = np.array(kept["x"])
+        step, self._work, self._from_mass, lost, self._recorded, self._given = kept["scalars"].tolist()
+        self.step = int(step)
+        self._contact_sums = np.zeros((0, contact.SUMS))
+        self.relist()
+        self._contact_lost = lost
+        self._last, self._records = kept["last"].tolist(), kept["records"].tolist()
 
     def history(self) -> History:
         """All records; the first one is the body at rest."""

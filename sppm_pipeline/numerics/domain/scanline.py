@@ -233,8 +233,8 @@ def _list_by_chunks(
     starts = np.zeros(n_chunks + 1, np.int64)
     for f in range(faces.shape[0]):
         a, b, c = vertices[faces[f, 0], 2], vertices[faces[f, 1], 2], vertices[faces[f, 2], 2]
-        low = _first_at(origin, spacing, 0, n_layer, min(a, b, c))
-        high = _first_at(origin, spacing, 0, n_layer, max(a, b, c))
+        low = _first_at(origin, spacing, int(np.int64(0)), n_layer, min(a, b, c))
+        high = _first_at(origin, spacing, int(np.int64(0)), n_layer, max(a, b, c))
         span[f, 0] = low // chunk
         span[f, 1] = (high + chunk - 1) // chunk if high > low else low // chunk
         for i in range(span[f, 0], span[f, 1]):
@@ -312,8 +312,8 @@ def _crossings(
                     y_up, x_up = y, x
                 else:
                     y_down, x_down = y, x
-            j_up = _first_at(origin[1], spacing[1], 0, n_row, y_up)
-            j_down = _first_at(origin[1], spacing[1], 0, n_row, y_down)
+            j_up = _first_at(origin[1], spacing[1], int(np.int64(0)), n_row, y_up)
+            j_down = _first_at(origin[1], spacing[1], int(np.int64(0)), n_row, y_down)
             entering = 1 if j_up < j_down else 0
             j_stop = max(j_up, j_down)
             for j in range(min(j_up, j_down), j_stop):
@@ -331,7 +331,7 @@ def _crossings(
                     found = more_found
                 row = (k - first) * n_row + j
                 rows[n] = row
-                found[n] = 2 * _first_at(origin[0], spacing[0], 0, n_ray, x) + entering
+                found[n] = 2 * _first_at(origin[0], spacing[0], int(np.int64(0)), n_ray, x) + entering
                 starts[row + 1] += 1
                 n += 1
     for r in range(starts.size - 1):

@@ -113,10 +113,15 @@ def _porosity_and_surface(level: NDArray[np.float32], d: int, edges: tuple[float
     A wall of area A and unit normal n meets ``A |n_d|`` lines along d in each unit of area across, and the three
     ``n_d^2`` sum to 1; so each crossing of a line counts ``|n_d|``, as the slopes on both sides of it have it.
     """
-    slopes = [(np.roll(level, -1, 2 - axis) - np.roll(level, 1, 2 - axis)) / 2 for axis in range(3)]
+    slopes, mean, reach = [], np.float32(0.75) * level, np.full_like(level, 1e-30)
+    for axis in range(3):
+        before, after = np.roll(level, 1, 2 - axis), np.roll(level, -1, 2 - axis)
+        slopes.append((after - before) / 2)
+        reach += np.abs(slopes[-1])
+        # the mean over a voxel, to second order: curved walls would all be displaced to one side
+        mean += (before + after) / 24
     # nearly the part of a voxel on one side of a plane
-    reach = np.abs(slopes[0]) + np.abs(slopes[1]) + np.abs(slopes[2]) + np.float32(1e-30)
-    porosity = float(np.clip(np.float32(0.5) + level / reach, 0, 1).mean(dtype=np.float64))
+    porosity = float(np.clip(np.float32(0.5) + mean / reach, 0, 1).mean(dtype=np.float64))
     crossed = (level > 0) != (np.roll(level, -1, 2 - d) > 0)
     at_wall = [(slope[crossed] + np.roll(slope, -1, 2 - d)[crossed]) / np.float32(h)
                for slope, h in zip(slopes, edges, strict=True)]  # fmt: skip

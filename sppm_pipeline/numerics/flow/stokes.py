@@ -39,6 +39,9 @@ _FLOOR = 1e-6
 _SPAN, _SLOWEST = 6, 0.98
 """So many changes tell what is to come; the fall from one to the next that counts at most."""
 
+_SINGLE = 1e-5
+"""Tolerances and residuals below this are beyond single precision; a cautious choice."""
+
 _CHUNK = 16384
 """Entries of vectors that are updated at once, so that they stay in the cache from one operation to the next."""
 
@@ -115,6 +118,8 @@ def stokes_flow(
     squares = float(np.mean([dot(psi, psi) / psi.size for psi in torsion]))
     wanted = [d for d in range(3) if axes[d] and thermal > 0]
     stop, dtype = Stop(residual, tolerance, iterations), np.dtype(precision)
+    if 0 < tolerance < _SINGLE or 0 < residual < _SINGLE:
+        dtype = np.dtype(np.float64)
     for attempt, twice in ((dtype, True), (dtype, False), (np.dtype(np.float64), False)):
         problem = _Problem(faces, edges, velocity, torsion, twice)
         fields, solved = problem.solve(wanted, stop, _FLOOR * thermal, attempt, threads)
@@ -142,7 +147,7 @@ def _flow(
         if d not in by_axis:
             viscous.append(math.inf)
             hydraulic.append(math.inf)
-            slices.append(np.where(_middle(pores, d), np.float32(0), np.float32(np.nan)))
+            slices.append(np.where(middle_plane(pores, d), np.float32(0), np.float32(np.nan)))
             solved.append(Solved(0, 0.0, 0.0, 0.0, True, True))
             continue
         u, case = by_axis[d]
@@ -150,7 +155,7 @@ def _flow(
         viscous.append(porosity * dot(u, u) / (u.size // 3) / k[d, d] ** 2)
         speed = _speed(u.reshape(3, *shape))
         hydraulic.append(float(speed.mean(dtype=np.float64)) / k[d, d])
-        slices.append(np.where(_middle(pores, d), _middle(speed, d) / k[d, d], np.nan).astype(np.float32))
+        slices.append(np.where(middle_plane(pores, d), middle_plane(speed, d) / k[d, d], np.nan).astype(np.float32))
         solved.append(case._replace(energy=case.energy * unit))
     missing = [d for d in range(3) if d not in by_axis]
     k[:, missing] = 0
@@ -166,7 +171,7 @@ def _flow(
     )
 
 
-def _middle(values: NDArray[Any], d: int) -> NDArray[Any]:
+def middle_plane(values: NDArray[Any], d: int) -> NDArray[Any]:
     """The middle plane along an axis and the next one, (next axis, axis)."""
     x = values.transpose(2, 1, 0)
     across = (d + 2) % 3

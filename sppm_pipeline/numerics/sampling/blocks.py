@@ -200,7 +200,7 @@ def _throw_in_turn(
         wanted = first[block + 1] - first[block]
         most = np.int64(min(wanted, naive))
         for _ in range(attempts):
-            _list_neighbors(cells, block, shape, periodic, wraps, streams, first, centers, old_centers, old_first)
+            list_neighbors(cells, block, shape, periodic, wraps, streams, first, centers, old_centers, old_first)
             start = cells.used[0]
             placed = throw_darts(cells, stream, low, side, most, NAIVE_BUDGET * most + 1000, _BLOCK_PORE, 0)
             if placed < wanted:
@@ -215,7 +215,7 @@ def _throw_in_turn(
 
 
 @jit
-def _list_neighbors(
+def list_neighbors(
     cells: CellList,
     block: int | np.int64,
     shape: NDArray[np.int64],

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
-from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, Placed, cubic, sample_line
+from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, Placed, cubic, first_place, sample_line
 
 SHARP = math.cos(math.radians(25.0))
 """Triangles of the domain whose normals differ by more meet in a sharp edge; a choice."""
@@ -211,7 +211,7 @@ def meeting_point(
                     continue
                 share = -1.0
                 if on[other] == DOMAIN and triangle[other] >= 0:
-                    r = np.searchsorted(crossed, key)
+                    r = first_place(crossed, key)
                     while r < crossed.size and crossed[r] == key:
                         m, n = normals[triangle[other]], normals[owners[r]]
                         if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] >= SHARP:

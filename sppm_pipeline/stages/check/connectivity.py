@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,7 +12,9 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.families import options
+from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.wrapped import CleanedField
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Rejected, Stage, option
@@ -24,12 +27,16 @@ class CheckConnectivity(Stage):
     A periodic cell is labeled on the torus, where opposite faces are one; so removing everything but the largest
     component keeps it periodic. The paper labels without wrapping and calls a cell erroneous if a component that had
     to be removed touches its surface; that is ``islands: reject``, to be used inside ``tune.retry``.
+
+    Of cells that were laid from pores and tunnels the parts of their graph are counted, too. At the center of every
+    pore and along the axis of every tunnel the sum of the kernels is at least 1, above any level that is below 1: one
+    part proves, without voxels, that all pores and tunnels are one void, with the cells around the box taken along.
     """
 
     name: ClassVar[str] = "check.connectivity"
     reported: ClassVar[tuple[str, ...]] = (
         "solid_components", "solid_wraps.#3", "solid_removed_share", "void_components", "void_wraps.#3",
-        "void_removed_share", "porosity", "islands_at_surface",
+        "void_removed_share", "porosity", "islands_at_surface", "graph_parts",
     )  # fmt: skip
 
     resolution: int = options.resolution(48, minimum=4, maximum=512)
@@ -63,6 +70,8 @@ class CheckConnectivity(Stage):
                 }
             )
         context.report(porosity=1 - float(solid.mean()))
+        if (parts := _graph_parts(field)) is not None:
+            context.report(graph_parts=parts)
         if self.islands == "reject":
             loose = loose_parts(solid)
             context.report(islands_at_surface=loose.at_boundary)
@@ -77,6 +86,22 @@ class CheckConnectivity(Stage):
             return field
         # voxels of what stays may touch an island across an edge or a corner
         return CleanedField(field, _grown(solid - kept, field.periodic) & ~kept, n)
+
+
+def _graph_parts(field: ScalarField) -> int | None:
+    """Connected parts of the pores and tunnels of a layout; None of other fields, and of levels that reach 1."""
+    from sppm_pipeline.numerics.connectivity.laid_graph import parts_of_layout
+
+    level = 0.0
+    while isinstance(field, (LevelField, CleanedField)):
+        if isinstance(field, LevelField):
+            level = math.exp(float(field.control.max())) if field.additive else math.inf
+        field = field.base
+    if not (isinstance(field, Tiling) and field.additive and max(level, field.solid_below) < 1):
+        return None
+    graph = field.tileset.micro.graph
+    pores = graph.pores
+    return parts_of_layout(pores.piece, graph.edges, graph.shift, pores.interiors, pores.colors, field.arrays)
 
 
 def _grown(mask: NDArray[Any], periodic: bool) -> NDArray[np.uint8]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
 if TYPE_CHECKING:
+    from sppm_pipeline.numerics.crushing.body import Body
     from sppm_pipeline.numerics.crushing.march import History, March
     from sppm_pipeline.numerics.crushing.material import Material
 
@@ -41,30 +44,30 @@ AUTO, HALVED = (0.02, 0.01, 0.005, 0.0025), 0.02
 PERMUTED = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}
 """Axes of an image z, y, x in the order that turns the axis of compression into the first."""
 
+STRIDE, PAUSE = 0.02, 20.0
+"""Strains between states from which an interrupted run can go on, and seconds between those that are written; choices.
+When they are written has no influence on the result."""
+
+
+class Frame(NamedTuple):
+    """Strain, positions of the nodes and plastic strain of the elements."""
+
+    strain: float
+    nodes: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+
+
 Table = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CrushVoxel(Stage):
-    """Compress a block between two plates to large strains, and record stress and energies (paper, section 3.3).
+class Crusher(Stage):
+    """Base of stages that crush blocks: how, of which material, and what comes of it."""
 
-    Voxels are trilinear bricks at finite strain, hyperelastic or plastic with isotropic hardening; walls that meet
-    push each other away. An explicit march in time: the plates are slow against waves, and the balance of energy says
-    whether slowly enough. A field is cut so that the voxels have its porosity; voxels are whole or void. Phases of an
-    image have materials of their own.
-
-    No fracture, no viscosity, no rate effects: brittle resins are beyond this model once they crack.
-    """
-
-    name: ClassVar[str] = "crush.voxel"
-    headline: ClassVar[tuple[Headline, ...]] = (
-        Headline("numbers.plateau", "plateau stress", "{unit}"), Headline("numbers.work", "work per volume", "{unit}"),
-        Headline("numbers.relative_density", "relative density"), Headline("numbers.unbalanced", "unbalanced"),
-    )  # fmt: skip
     advice: ClassVar[str] = "lower `resolution`, or raise `rate`"
 
     resolution: int = options.resolution(24, note="of fields; images keep theirs", maximum=256)
-    axis: str = option("z", help="axis along which the block is compressed", choices=("x", "y", "z"))
+    axis: str = options.axis("z")
     strain: float = option(0.6, help="strain at the end", minimum=0.01, maximum=0.8)
     rate: float | str = option(
         0.01, help="speed of the plate over that of waves in a bar of the solid; auto halves it until nothing changes",
@@ -88,7 +91,7 @@ class CrushVoxel(Stage):
         maximum=1e15,
     )
     stress_unit: str = options.stress_unit("relative")
-    density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
+    solid_density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
     frames: tuple[float, ...] = option(
         (0.0, 0.15, 0.3, 0.45, 0.6), help="strains at which the deformed block is kept", minimum=0, maximum=0.8
     )
@@ -132,7 +135,7 @@ class CrushVoxel(Stage):
 
         return tuple(map(Material, self._young(), self._poisson(), self._tables()))
 
-    def estimate(self, palette: Palette, source: Size) -> Size:
+    def crushing(self, source: Size) -> Size:
         """Elements times steps."""
         grid = Size(voxels=source.voxels) if source.voxels else source.grid(self.resolution)
         voxels = source.voxels or grid.samples
@@ -140,10 +143,16 @@ class CrushVoxel(Stage):
         box = source.geometry.box if source.geometry and not source.voxels else (1.0, 1.0, 1.0)
         layers = (voxels / np.prod(box)) ** (1 / 3) * box["xyz".index(self.axis)]
         rate = sum(1 / r for r in AUTO[:2]) if isinstance(self.rate, str) else 1 / self.rate
-        steps = (self.strain + 0.1) * layers * rate * 2.1
-        return Size(samples=grid.samples, sums=grid.sums, voxels=voxels * solid * steps, resident=voxels * solid)
+        nu = self._poisson()[0]
+        # the slow start takes as long as .09 more strain; pressure waves cross .6 of a voxel in a step
+        steps = (self.strain + 0.09) * layers * rate * ((1 - nu) / (1 + nu) / (1 - 2 * nu)) ** 0.5 / 0.6
+        solid *= voxels
+        return Size(
+            samples=grid.samples, sums=grid.sums, voxels=solid * steps, nodes=solid * (3 + len(self.frames)),
+            resident=solid,
+        )  # fmt: skip
 
-    def run(self, context: Context, source: ScalarField | Voxels) -> CrushedBody:
+    def crush(self, context: Context, source: ScalarField | Voxels) -> CrushedBody:
         """Crush, more slowly until that changes nothing if the rate is chosen automatically."""
         image, spacing, physical = self._image(context, source)
         if not isinstance(self.rate, str):
@@ -168,7 +177,7 @@ class CrushVoxel(Stage):
                     f"the voxels measure {' x '.join(f'{e:g}' for e in edges)}; only cubes can be crushed",
                     hint="resample the image to cubes",
                 )
-            image = source.solid().astype(np.uint8) if source.fractions else np.asarray(source.values)
+            image = (source.solid() if source.fractions else source.values).astype(np.uint8)
             image, spacing, physical = image.T, edges[0], source.physical
         else:
             if coarse := source.coarseness(1 / self.resolution):
@@ -189,7 +198,7 @@ class CrushVoxel(Stage):
     ) -> CrushedBody:
         """Crush at one rate."""
         from sppm_pipeline.numerics.crushing.body import body_of
-        from sppm_pipeline.numerics.crushing.march import Failed, Load, March
+        from sppm_pipeline.numerics.crushing.march import Load, March
 
         turned = np.ascontiguousarray(image.transpose(PERMUTED[self.axis]))
         used = np.flatnonzero(turned.any((1, 2)))
@@ -203,24 +212,8 @@ class CrushVoxel(Stage):
         body = body_of(turned[first:last], confined=self.sides == "confined")
         plates = {"slip": 0.0, "stick": -1.0, "friction": self.friction}[self.plates]
         load = Load(self.strain, rate, plates, self.sides == "confined", self.friction)
-        frames = sorted({min(f, self.strain) for f in self.frames} | {0.0, self.strain})
-        kept: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
         march = March(body, self._materials(), load, context.threads)
-
-        def told(strain: float) -> None:
-            context.progress(march.step, march.steps, f"strain {strain:.3f}")
-
-        try:
-            for frame in frames:
-                march.to(frame, told)
-                kept.append((march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32)))
-        except Failed as error:
-            raise DesignError(
-                f"{error}, after {march.step} of {march.steps} steps",
-                hint="lower `rate`, raise `resolution`, or end at a smaller `strain`",
-            ) from None
-        finally:
-            march.close()
+        kept = self._marched(context, march, body)
         context.report(steps=march.steps, elements=len(body.corners))
         history = march.history()
         area = float(body.shape[0] * body.shape[1])
@@ -230,8 +223,55 @@ class CrushVoxel(Stage):
             context.warn(warning)
         return self._result(body, history, kept, numbers, image, spacing, physical, first)
 
+    def _marched(self, context: Context, march: March, body: Body) -> list[Frame]:
+        """The frames of a march that goes on where an interrupted run has left it."""
+        from sppm_pipeline.numerics.crushing.march import Failed
+
+        frames = sorted({min(f, self.strain) for f in self.frames} | {0.0, self.strain})
+        stops = sorted({*frames, *(step * STRIDE for step in range(1, int(self.strain / STRIDE) + 1))})
+        described = repr((self._materials(), march.load, frames, body.shape))
+        key = hashlib.sha256(described.encode() + body.voxels.tobytes() + body.phases.tobytes()).hexdigest()
+        found: list[Frame] = []
+        state = context.recall(key)
+        if state is not None:
+            march.resume(state["march"])
+            found = [Frame(*frame) for frame in state["frames"]]
+            state = None
+        saved = time.monotonic()
+
+        def told(strain: float) -> None:
+            context.progress(march.step, march.steps, f"strain {strain:.3f}")
+
+        try:
+            for stop in stops:
+                if march.step and stop <= march.strain + 1e-6:
+                    continue
+                march.to(stop, told)
+                if stop in frames:
+                    found.append(
+                        Frame(march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32))
+                    )
+                state = {"march": march.kept(), "frames": [tuple(frame) for frame in found]}
+                if time.monotonic() > saved + PAUSE:
+                    context.remember(key, state)
+                    state, saved = None, time.monotonic()
+        except KeyboardInterrupt:
+            if state is not None and march.step:
+                context.remember(key, state)
+            raise
+        except Failed as error:
+            context.remember(key, None)
+            raise DesignError(
+                f"{error}, after {march.step} of {march.steps} steps",
+                hint="lower `rate`, raise `resolution`, or end at a smaller `strain`",
+            ) from None
+        finally:
+            march.close()
+        context.remember(key, None)
+        return found
+
     def _result(
-        self, body: Any, history: History, kept: list[Any], numbers: dict[str, Any], image: NDArray[np.uint8],
+        self, body: Body, history: History, kept: list[Frame], numbers: dict[str, Any], image: NDArray[np.uint8],
         spacing: float, physical: bool, first: int,
     ) -> CrushedBody:  # fmt: skip
         nx, ny, nz = body.shape
@@ -252,7 +292,7 @@ class CrushVoxel(Stage):
             origin="simulated",
             area=nx * ny * size**2 if size else None,
             height=nz * size if size else None,
-            density=self.density * solid if self.density else None,
+            density=self.solid_density * solid if self.solid_density else None,
             energies={"external": history.work * per_volume, **energies},
             plates=unit * np.stack([history.bottom, history.top], axis=1),
             numbers=numbers,
@@ -263,10 +303,39 @@ class CrushVoxel(Stage):
             voxels=(body.voxels + lift)[:, back],
             phases=body.phases + 1,
             elements=body.corners[:, columns],
-            frame_strains=np.array([frame[0] for frame in kept]),
-            frame_nodes=np.stack([((frame[1] + lift) * spacing)[:, back] for frame in kept]),
-            frame_alpha=np.stack([frame[2] for frame in kept]),
+            frame_strains=np.array([frame.strain for frame in kept]),
+            frame_nodes=np.stack([((frame.nodes + lift) * spacing)[:, back] for frame in kept]),
+            frame_alpha=np.stack([frame.alpha for frame in kept]),
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrushVoxel(Crusher):
+    """Compress a block between two plates to large strains, and record stress and energies (paper, section 3.3).
+
+    Voxels are trilinear bricks at finite strain, hyperelastic or plastic with isotropic hardening; walls that meet
+    push each other away. An explicit march in time: the plates are slow against waves, and the balance of energy says
+    whether slowly enough. A field is cut so that the voxels have its porosity; voxels are whole or void. Phases of an
+    image have materials of their own.
+
+    No fracture, no viscosity, no rate effects: brittle resins are beyond this model once they crack.
+    """
+
+    name: ClassVar[str] = "crush.voxel"
+    reported: ClassVar[tuple[str, ...]] = ("steps", "elements")
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("numbers.plateau", "plateau stress", "{unit}"),
+        Headline("numbers.work", "work per volume", "{unit}"),
+        Headline("numbers.relative_density", "relative density"),
+        Headline("numbers.unbalanced", "unbalanced"),
+    )
+
+    def estimate(self, palette: Palette, source: Size) -> Size:
+        return self.crushing(source)
+
+    def run(self, context: Context, source: ScalarField | Voxels) -> CrushedBody:
+        """Crush."""
+        return self.crush(context, source)
 
 
 def _corner(column: int, axis: int) -> int:
@@ -277,19 +346,17 @@ def _corner(column: int, axis: int) -> int:
 
 
 def _binary(field: ScalarField, resolution: int, threads: int) -> NDArray[np.uint8]:
-    """Whole voxels of a field, (nz, ny, nx): as many of the fullest as make up the volume of its solid."""
-    from sppm_pipeline.numerics.porosity.fractions import solid_fractions
-
-    nx, ny, nz = (resolution * cells for cells in field.cells)
-    fractions = solid_fractions(
-        lambda grid, start, stop: field.sample_zyx(grid, start, stop, threads), (nx, ny, nz), resolution
-    )
-    count = round(float(fractions.sum(dtype=np.float64)))
+    """Whole voxels of a field, (nz, ny, nx), cut at the level at which they have the density of a finer grid."""
+    values = field.sample(resolution, threads).T
+    density = float(field.solid(2 * resolution, threads).mean(dtype=np.float64))
+    count = round(density * values.size)
     if not count:
-        return np.zeros(fractions.shape, np.uint8)
-    # all that are equally full, so that symmetry stays
-    least = np.partition(fractions.reshape(-1), -count)[-count]
-    return (fractions >= max(least, np.finfo(np.float32).eps)).view(np.uint8)
+        return np.zeros(values.shape, np.uint8)
+    # voxels of one value go together, so that symmetry stays
+    most = np.partition(values.reshape(-1), count - 1)[count - 1]
+    with_them, without = values <= most, values < most
+    fewer = count - np.count_nonzero(without) < np.count_nonzero(with_them) - count
+    return np.asarray(without if fewer and without.any() else with_them).view(np.uint8)
 
 
 def _loose(image: NDArray[np.uint8]) -> list[str]:

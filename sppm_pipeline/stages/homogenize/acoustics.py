@@ -12,6 +12,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
 from sppm_pipeline.stages.homogenize.permeability import FlowHomogenizer
@@ -44,8 +45,8 @@ class HomogenizeAcoustics(FlowHomogenizer):
         Headline("resistivity", unit="Pa s/m^2"), Headline("tortuosity"), Headline("porosity"),
     )  # fmt: skip
 
-    layer: Length = option(Length(50.0), help="thickness of the layer on a rigid wall", unit="mm", above=0, maximum=1e5)
-    axis: str = option("z", help="axis along which the sound comes", choices=("x", "y", "z"))
+    depth: Length = option(Length(50.0), help="thickness of the layer on a rigid wall", unit="mm", above=0, maximum=1e5)
+    axis: str = options.axis("z")
     temperature: float = option(20.0, help="of the air", unit="degrees Celsius", minimum=-50, maximum=200)
 
     def estimate(self, palette: Palette, source: Size) -> Size:
@@ -69,21 +70,29 @@ class HomogenizeAcoustics(FlowHomogenizer):
         )
         narrow, wide = conducted
         open_share = 1 - flow.pocket_share
-        tortuosity = float(np.mean([open_share * p / k for p, k in zip(porosity, conducted, strict=True)]))
-        length = 2 * (narrow + wide) / 2 * (2 * SHIFT / self.resolution) / (wide - narrow)
+        tortuosity = float(np.mean([open_share * p / max(k, 1e-12) for p, k in zip(porosity, conducted, strict=True)]))
         viscous = flow.viscous_tortuosity[axis]
         assert viscous is not None
+        # straight pores have a tortuosity of 1, and rounding errors
+        sound = wide > narrow > 0 and tortuosity > 0.98 and viscous > max(1.0, tortuosity)
+        if not (sound and flow.thermal_tortuosity > 1):
+            raise DesignError(
+                f"flow and conduction contradict each other: the static tortuosity is {viscous:.4g}, that of high "
+                f"frequencies {tortuosity:.4g}",
+                hint="raise `resolution`, or `iterations` if the solver was stopped",
+            )
+        length = (narrow + wide) * (2 * SHIFT / self.resolution) / (wide - narrow)
         return AcousticReport(
             axis=self.axis,
             porosity=flow.porosity,
             permeability=flow.k[axis, axis] * (1e-3 * edge) ** 2,
             thermal_permeability=flow.thermal * (1e-3 * edge) ** 2,
-            tortuosity=tortuosity,
+            tortuosity=max(1.0, tortuosity),
             viscous_tortuosity=viscous,
             thermal_tortuosity=flow.thermal_tortuosity,
             viscous_length=length * edge,
             thermal_length=2 * flow.porosity / flow.surface * edge,
-            layer=self.layer.mm(),
+            layer=self.depth.mm(),
             temperature=self.temperature,
             edge_mm=edge,
             grid=flow.grid,
@@ -95,14 +104,14 @@ class HomogenizeAcoustics(FlowHomogenizer):
         from sppm_pipeline.numerics.homogenization.conduction import conductivity
         from sppm_pipeline.numerics.porosity.fractions import solid_fractions
 
-        shape, edges = self.grid_of(context, source)
+        x, y, z = (self.resolution * n for n in source.cells)
         solid = solid_fractions(
             lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads),
-            shape,
+            (x, y, z),
             self.resolution,
             shift=shift,
         )
         options = self.solver_options(context.threads)
         options["tolerance"] = max(1e-7, SHARPER * options["tolerance"])
-        found = conductivity(1 - solid, edges, **options)
+        found = conductivity(1 - solid, **options)
         return float(found.conductivity[axis, axis]), 1 - float(solid.mean(dtype=np.float64))

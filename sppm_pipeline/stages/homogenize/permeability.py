@@ -17,6 +17,7 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.homogenizer import Homogenizer, grids_below, refined
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.flow.faces import Faces
+from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Headline, option
 
 ORDER = 1.5
@@ -59,7 +60,8 @@ class FlowHomogenizer(Homogenizer):
             solid = source.values >= 0.5 if source.fractions else source.values > 0
             return faces_of_voxels(~solid.T, edges), self._longest(source)
         if self.fractions == "binary":
-            return faces_of_voxels(self.cell_of(context, source).occupied().T == 0, edges), float(self.resolution)
+            solid = source.solid(cell_centers(self.resolution, source.cells), context.threads)
+            return faces_of_voxels(solid.T == 0, edges), float(self.resolution)
         faces = faces_of_field(
             lambda grid: source.sample_zyx(grid, 0, grid.shape[2], context.threads), shape, 1 / self.resolution
         )

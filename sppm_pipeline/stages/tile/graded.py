@@ -15,8 +15,9 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
-from sppm_pipeline.families.graded import FEWEST, curve_of, graded_radii, recipe_total, sites_of, trial
+from sppm_pipeline.families.graded import curve_of, graded_radii, of_periodic_cells, recipe_total, sites_of, trial
 from sppm_pipeline.families.local_porosity import LatticeCells, cell_means, error_summary
+from sppm_pipeline.families.sampler import FEWEST
 from sppm_pipeline.families.tiler import HALO, Lattice, laid_cells
 from sppm_pipeline.families.tileset_maker import check_faces
 from sppm_pipeline.fields.tileset import TileSet
@@ -82,7 +83,8 @@ class GradedTiling(Stage):
                 hint=f"give larger cells, or raise `limit: {len(targets)}`",
             )
         total = recipe_total(recipe)
-        curve = curve_of(context, recipe, total, targets, self.trials, max(24, self.resolution // 2))
+        trials = of_periodic_cells(context, recipe, max(24, self.resolution // 2))
+        curve = curve_of(context, trials, total, targets, self.trials)
         count, (x, y, z) = curve.pores(targets), arrays.faces
         palette = Palette(
             len(targets),

@@ -6,19 +6,24 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sppm_pipeline.data.grading import Grading
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
-from sppm_pipeline.families.tiler import HALO, at_porosity, check_repeats, laid_cells
+from sppm_pipeline.families.graded import trial
+from sppm_pipeline.families.graded_cloud import GradedCloud, without_faces
+from sppm_pipeline.families.tiler import HALO, Lattice, at_porosity, check_repeats, laid_cells
 from sppm_pipeline.fields.microstructure import Microstructure
-from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
-from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.stage import Context, Recipe, Stage
+
+FOLLOWED = ("porosity", "scale", "pore_radius", "tunnel_radius")
+"""Maps that change what is scattered."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +33,10 @@ class ScatteredTiling(Stage):
     An extension of the paper. The lattice only says how many pores lie in each of its blocks: the recipe's number for a
     cell, faces and interior together. Pores keep their spacing and are joined across blocks. Samplers that need the
     whole cell are refused.
+
+    With maps of `porosity`, `scale` or `pore_radius` density and spacing follow them: the number of pores comes from a
+    curve that trial boxes give, and pores are then added and taken away at random where a block is found to be off, in
+    rounds. Sizes at a scale s are s times those of the recipe. The recipe's samplers then need `total`.
     """
 
     name: ClassVar[str] = "tile.scattered"
@@ -38,8 +47,10 @@ class ScatteredTiling(Stage):
     periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
     porosity: float | None = options.porosity(None, note="that of the assembly; the recipe's own level if omitted")
     resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
+    rounds: int = options.rounds(2, note="in which pores are added and taken away, with maps", minimum=0, maximum=10)
+    trials: int = options.trials(3, note="of the curve, with maps")
 
-    def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None) -> Size:
+    def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None, grading: Size | None) -> Size:
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
         blocks = laid_cells(made, self.periodic)
         recipe(palette, blocks)
@@ -50,26 +61,48 @@ class ScatteredTiling(Stage):
     def check_options(self) -> None:
         check_repeats(self.periodic, self.cells)
 
-    def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None) -> Tiling:
+    def run(
+        self, context: Context, recipe: Recipe, cover: SurfaceMesh | None, grading: Grading | None = None
+    ) -> Tiling:
         """Throw and join the pores of all blocks of the part, and of those around it."""
         from sppm_pipeline.numerics.tiling.lattice import with_halo
 
         lattice = lattice_for(self.cell, self.cells, cover, None)
         halo = 0 if self.periodic else HALO
         blocks = Blocks(with_halo(lattice.mask, halo), self.periodic)
+        if grading is not None and any(name in grading for name in FOLLOWED):
+            return self._graded(context, recipe, grading, lattice, blocks.mask)
         micro = recipe.run(context, palette=Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks))
         if not isinstance(micro, Microstructure):
             raise ConfigError(
                 f"the recipe {recipe.name!r} makes a {type(micro).__name__}; scattered cells need a Microstructure",
                 hint="end the recipe with `field.gaussian`",
             )
-        if micro.reach > HALO:
-            raise DesignError(
-                f"the kernels reach {micro.reach:.3g} cell sizes, but only the next cell is looked at",
-                hint="give larger cells with more pores, or smaller radii",
-            )
-        none = [np.full(tuple(n + (a == axis) for a, n in enumerate(blocks.shape)), -1, np.int32) for axis in range(3)]
-        arrays = TilingArrays(blocks.numbers, (none[0], none[1], none[2]), self.periodic, halo)
+        check_reach(micro)
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
-        tiling = Tiling(TileSet(micro, "scattered", 0), arrays, edge, lattice.origin)
+        tiling = without_faces(micro, blocks, halo, edge, lattice.origin)
         return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)
+
+    def _graded(
+        self, context: Context, recipe: Recipe, grading: Grading, lattice: Lattice, mask: NDArray[np.bool_]
+    ) -> Tiling:
+        if self.periodic:
+            raise ConfigError("graded cells do not repeat", hint="leave out `periodic`")
+        if self.porosity is not None and "porosity" in grading:
+            raise ConfigError("the porosity is given twice, by a map and by the option", hint="leave out `porosity`")
+        edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
+        cloud = GradedCloud(
+            recipe, grading, mask, HALO, edge, lattice.origin, self.porosity, self.trials, self.resolution
+        )
+        tiling = cloud.laid(context, self.rounds)
+        check_reach(tiling.tileset.micro)
+        return tiling
+
+
+def check_reach(micro: Microstructure) -> None:
+    """Raise `DesignError` if kernels are felt beyond the next cell."""
+    if micro.reach > HALO:
+        raise DesignError(
+            f"the kernels reach {micro.reach:.3g} cell sizes, but only the next cell is looked at",
+            hint="give larger cells with more pores, or smaller radii",
+        )

@@ -15,8 +15,8 @@ from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage
 from sppm_pipeline.stages.write.bars import CHARTS
 
-CURVE = np.geomspace(50.0, 6400.0, 141)
-"""Frequencies of the curve, Hz: 20 an octave."""
+CURVE = np.geomspace(50.0, 6400.0, 281)
+"""Frequencies of the curve, Hz: 40 an octave."""
 
 
 @dataclass(frozen=True, kw_only=True)

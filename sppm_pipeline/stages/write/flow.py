@@ -9,7 +9,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.permeability import PermeabilityReport
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.families import options
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class WriteFlow(Stage):
     advice: ClassVar[str] = "give a smaller `image_size`"
 
     path: str = options.write_path("flow.png", suffixes=(".png",))
-    axis: str = option("x", help="axis along which the fluid is driven", choices=("x", "y", "z"))
+    axis: str = options.axis("x")
     image_size: tuple[int, int] = options.image_size((900, 760), minimum=300)
 
     def estimate(self, palette: Palette, report: Size) -> Size:

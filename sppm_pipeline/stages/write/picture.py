@@ -42,18 +42,17 @@ class WritePicture(Stage):
 
     def estimate(self, palette: Palette, what: Size) -> Size:
         pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution
-        tiles, share = 1.0, self.section or 1.0
+        tiles = 1.0
         if what.triangles:
             return Size(pixels=pixels, triangles=what.triangles)
         body = what.body
         if what.cells > body.volume:  # a sheet of a tile set
             tiles, pixels = min(what.cells, MAX_TILES), 300.0 * 270
-        while n > 4 and body.samples(n) * share > MAX_SAMPLES:
+        while n > 4 and body.samples(n) > MAX_SAMPLES:
             n -= 1
-        grid, shown = what.grid(n), share * tiles
+        grid = what.grid(n)
         return Size(
-            pixels=tiles * pixels, triangles=shown * body.triangles(n), samples=shown * grid.samples,
-            sums=shown * grid.sums, resident=share * grid.samples,
+            pixels=tiles * pixels, samples=tiles * grid.samples, sums=tiles * grid.sums, resident=grid.samples
         )  # fmt: skip
 
     def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet) -> None:

@@ -29,7 +29,7 @@ class WriteStiffness(Stage):
     """
 
     name: ClassVar[str] = "write.stiffness"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     advice: ClassVar[str] = "give a smaller `image_size`"
 
     path: str = options.write_path("stiffness", suffixes=("/",))
@@ -98,15 +98,18 @@ def young_picture(
     unit: str | None,
     size: tuple[int, int],
 ) -> NDArray[np.uint8]:
-    """The surface of moduli in color, with a scale beside it."""
+    """The surface of moduli in color, with the directions of the axes and a scale beside it."""
+    from sppm_pipeline.render.camera import Camera, framed
     from sppm_pipeline.render.mesh_view import render_mesh
-    from sppm_pipeline.render.sheets import colors_of, with_scale
+    from sppm_pipeline.render.sheets import annotated, colors_of, with_scale
 
     low, high = float(young.min()), float(young.max())
     # of a nearly isotropic material a range of rounding errors would look like a range
     low = min(low, 0.999 * high)
     colors = colors_of(young[faces].mean(axis=1), low, high)
-    picture = render_mesh(surface, faces, size=(size[0] - 140, size[1]), face_colors=colors)
+    shape = size[0] - 140, size[1]
+    picture = render_mesh(surface, faces, size=shape, face_colors=colors)
+    picture = annotated(picture, framed(Camera(), surface, shape), None, bar=False)
     return with_scale(picture, low, high, f"E(n) / {unit}" if unit else "E(n)", 140)
 
 

@@ -8,7 +8,7 @@ from scipy.sparse import bmat, coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from sppm_pipeline.numerics.flow.faces import faces_of_field, faces_of_voxels, percolating
-from sppm_pipeline.numerics.flow.stokes import stokes_flow
+from sppm_pipeline.numerics.flow.stokes import middle_plane, stokes_flow
 from tests.numerics.flow.conftest import sampled
 
 
@@ -148,5 +148,19 @@ def test_error_estimates_hold(gyroid):
     for tolerance in (1e-2, 1e-3, 1e-4):
         found = np.diag(stokes_flow(faces, 0.5, tolerance=tolerance, precision=np.float64).permeability)
         assert (abs(found / exact - 1) < tolerance).all()
+    # more than single precision has to give
+    finest = stokes_flow(faces, 0.5, tolerance=1e-8)
+    assert finest.precision == "float64"
+    assert np.diag(finest.permeability) == pytest.approx(exact, rel=1e-8)
     few = stokes_flow(faces, 0.5, tolerance=1e-4, iterations=5, precision=np.float64)
     assert not any(case.converged for case in few.solved)
+
+
+def test_planes_have_the_axis_to_the_right_and_the_next_one_upward():
+    z, y, x = np.indices((5, 4, 3))
+    values = 100 * z + 10 * y + x
+    rows = [np.arange(n)[:, None] for n in (3, 4, 5)]
+    columns = [np.arange(n) for n in (3, 4, 5)]
+    assert (middle_plane(values, 0) == 200 + 10 * rows[1] + columns[0]).all()
+    assert (middle_plane(values, 1) == 1 + 100 * rows[2] + 10 * columns[1]).all()
+    assert (middle_plane(values, 2) == 20 + rows[0] + 100 * columns[2]).all()

@@ -73,3 +73,13 @@ def test_cells_and_slabs():
     assert share[8:16] == pytest.approx(share[:8], abs=1e-5)
     assert share[24:32] == pytest.approx(share[:8], abs=1e-5)
     assert share[:, :, 8:] == pytest.approx(share[:, :, :8], abs=1e-5)
+
+
+def test_walls_move_by_the_same_distance_everywhere():
+    n, radius, step = 16, 0.3, 0.4
+    ball = sampled(lambda x, y, z: ((x - 0.51) ** 2 + (y - 0.48) ** 2 + (z - 0.5) ** 2 - radius**2) * np.exp(3 * x))
+    small, large = (float(solid_fractions(ball, (n, n, n), n, shift=shift).mean()) for shift in (step, -step))
+    # the slope is that at the voxel, not at the wall: an error of second order, the same to both sides
+    expected = [4 / 3 * np.pi * (radius + shift / n) ** 3 for shift in (-step, step)]
+    assert [small, large] == pytest.approx(expected, rel=0.02)
+    assert large - small == pytest.approx(expected[1] - expected[0], rel=0.02)

@@ -43,7 +43,7 @@ class TestContract(StageContract):
 
 @pytest.fixture(scope="module")
 def report():
-    found = HomogenizeAcoustics(resolution=32, axis="y", cell=Length(0.5), layer=Length(2, "cm")).run(
+    found = HomogenizeAcoustics(resolution=28, axis="y", cell=Length(0.5), depth=Length(2, "cm")).run(
         PlainContext(), Pore(0.4)
     )
     found.check()

@@ -45,6 +45,9 @@ def test_stress_is_force_over_area_and_strain_displacement_over_height(write):
     assert (curve.origin, curve.unit, curve.name) == ("measured", "MPa", "test")
     assert curve.notes[-1] == "no correction"
     assert not context.warnings
+    slab = curve_of(write(STRESS * 600, STRAIN * 50), size=(Length(30.0), Length(20.0), Length(50.0)))
+    assert slab.stress == pytest.approx(STRESS, abs=1e-8)
+    assert slab.strain == pytest.approx(STRAIN, abs=1e-7)
     round_one = curve_of(write(STRESS * 2025, STRAIN * 45), area=1000.0, specimen="SPPM-1")
     assert round_one.stress == pytest.approx(STRESS * 2.025)
     assert round_one.name == "SPPM-1"
@@ -107,6 +110,8 @@ def test_unloading_is_kept_if_asked_for(write):
     with pytest.raises(InputError, match=r"goes back at a strain of 0\.3, and on again"):
         curve_of(path)
     assert len(curve_of(path, unload="keep").strain) == 3300
+    with pytest.raises(InputError, match="goes back"):
+        curve_of(path, strain=0.4)
     before = curve_of(path, strain=0.29)
     assert before.strain.max() == pytest.approx(0.29, abs=3e-4)
     assert "left out" in before.notes[-1]

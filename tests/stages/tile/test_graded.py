@@ -11,6 +11,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.domain import primitive_meshes
+from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.check.local_porosity import CheckLocalPorosity
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.field.gaussian import GaussianField
@@ -73,6 +74,9 @@ def test_counts_do_most_of_it_and_the_level_the_rest(bar):
 
 
 def test_void_is_one_with_what_lies_around_the_bar(bar):
+    context = PlainContext(1)
+    CheckConnectivity(resolution=24, islands="keep").run(context, bar[2])
+    assert context.reported["graph_parts"] == 1
     void = np.pad(bar[2].sample(40) >= 0, 1, constant_values=True)
     numbers = label(void)[0]
     assert np.count_nonzero(numbers != numbers[0, 0, 0]) - np.count_nonzero(~void) < 2e-3 * void.size

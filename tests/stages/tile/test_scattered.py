@@ -5,19 +5,23 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from sppm_pipeline.data.grading import Grading, TableLaw
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import Sampler, start_of
+from sppm_pipeline.families.local_porosity import LatticeCells
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.connectivity.components import phase_report
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.kernels.kernels import concatenated
+from sppm_pipeline.numerics.sampling.blocks import spacing_at_share
 from sppm_pipeline.stage import option
 from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity
 from sppm_pipeline.stages.check.tiling import CheckTiling
@@ -297,3 +301,93 @@ def test_a_gap_without_faces_is_told():
     context = PlainContext(1)
     scattered(DartThrowing(total=20, gap=Length(0.1)), TREE, FIELD, cells=(2, 1, 1), context=context)
     assert any("no faces" in message for message in context.warnings)
+
+
+GRADED = (DartThrowing(total=30, share=0.5), BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
+          GaussianField(pore_radius=Length(0.14), tunnel_radius=Length(0.04)))  # fmt: skip
+
+
+def ramp(name, low, high, cells):
+    return TableLaw(name, "", "cell_x", np.array([0.0, cells]), np.array([low, high]), "linear")
+
+
+def laid(*laws, cells=(4, 1, 1), seed=1, **options):
+    context = PlainContext(seed, threads=options.pop("threads", 1))
+    stage = ScatteredTiling(cells=cells, cell=Length(4, "mm"), trials=1, **{"resolution": 24} | options)
+    tiling = stage.run(context, recipe_of(*GRADED), None, Grading(laws))
+    tiling.check()
+    tiling.tileset.micro.graph.check()
+    return tiling, context
+
+
+def test_a_porosity_that_rises_is_followed_and_pores_keep_the_mean_of_their_spacings():
+    tiling, context = laid(ramp("porosity", 0.35, 0.75, 4))
+    report = context.reported
+    assert report["error_rms_of_rounds"][-1] < 0.012
+    assert report["error_rms_of_rounds"][-1] <= report["error_rms_of_rounds"][0]
+    pores = tiling.tileset.micro.graph.pores
+    counts = np.bincount(pores.piece)[tiling.arrays.box[:, 0, 0]]
+    assert (np.diff(counts) > 0).all()
+    assert parts(tiling) == 1
+    cells = LatticeCells(tiling, 24)
+    for cell in cells.cells:
+        assert cells.porosity(cell) == pytest.approx(0.4 + 0.1 * cell[0], abs=0.03)
+    density = pores.blocks.density
+    points, nodes = in_lattice(tiling), [np.arange(n) / 4 for n in density.shape]
+    spacing = spacing_at_share(30, 0.5) * RegularGridInterpolator(nodes, density)(points) ** (-1 / 3)
+    i, j = cKDTree(points).query_pairs(1.0, output_type="ndarray").T
+    apart = np.linalg.norm(points[i] - points[j], axis=1) / (spacing[i] + spacing[j]) * 2
+    assert 1 - 1e-9 <= apart.min() < 1.05
+
+
+def test_a_scale_changes_sizes_and_numbers_but_not_the_porosity():
+    tiling, _ = laid(ramp("scale", 1.0, 0.5, 2), cells=(2, 1, 1), porosity=0.5, resolution=32)
+    pores, kernels = tiling.tileset.micro.graph.pores, tiling.tileset.micro.pieces.kernels
+    x = np.clip(in_lattice(tiling)[:, 0] - 1, 0, 2)
+    assert np.allclose(np.sqrt(np.log(4) / kernels.omega), 0.14 * (1 - x / 4))
+    counts = np.bincount(pores.piece)[tiling.arrays.box[:, 0, 0]]
+    assert counts[1] / counts[0] == pytest.approx(20 / 7, rel=0.25)  # the mean of scale^-3
+    cells = LatticeCells(tiling, 32)
+    assert [cells.porosity(cell) for cell in cells.cells] == pytest.approx([0.5, 0.5], abs=0.02)
+
+
+def test_graded_pores_are_the_same_on_any_number_of_threads_and_for_one_density_as_many_as_asked():
+    one, many = (laid(ramp("scale", 1.0, 0.6, 2), cells=(2, 1, 1), threads=n)[0] for n in (1, 3))
+    assert one.digest() == many.digest()
+    flat, _ = laid(ramp("scale", 1.0, 1.0, 2), cells=(2, 2, 1))
+    pores = flat.tileset.micro.graph.pores
+    assert (np.bincount(pores.piece) == 30).all()
+
+
+def test_graded_blocks_that_cannot_be_are_refused():
+    with pytest.raises(ConfigError, match="do not repeat"):
+        laid(ramp("porosity", 0.4, 0.5, 2), periodic=True)
+    with pytest.raises(ConfigError, match="given twice"):
+        laid(ramp("porosity", 0.4, 0.5, 2), porosity=0.5)
+    with pytest.raises(DesignError, match=r"spacing reaches 1\.\d+ cell sizes"):
+        laid(ramp("scale", 5.0, 5.0, 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counted(Careful):
+    """As somebody else would write a sampler whose number of pores is that of a cell."""
+
+    name: ClassVar[str] = "sample.counted"
+    count: int | None = option(None, help="number of pores in an interior")
+    total: int | None = option(20, help="number of pores in a cell")
+
+    def throw(self, rng, box):
+        return replace(self, count=self.total - box.face_pores, total=None)._thrown(rng, box)
+
+    def _thrown(self, rng, box):
+        return Careful(count=self.count, reach=0.7 * box.spacing if box.spacing else 0.15).throw(rng, box)
+
+
+def test_samplers_of_others_follow_maps_block_by_block():
+    stage = ScatteredTiling(cells=(3, 1, 1), cell=Length(4, "mm"), trials=1, rounds=1, resolution=24)
+    context, law = PlainContext(1), ramp("porosity", 0.35, 0.65, 3)
+    tiling = stage.run(context, recipe_of(Counted(), *GRADED[1:]), None, Grading((law,)))
+    tiling.check()
+    counts = np.bincount(tiling.tileset.micro.graph.pores.piece)[tiling.arrays.box[:, 0, 0]]
+    assert (np.diff(counts) > 0).all()
+    assert context.reported["error_rms_of_rounds"][-1] < 0.04

@@ -1,0 +1,231 @@
+"""Dart throwing on a lattice of blocks where density and spacing vary from place to place.
+
+Two pores at p and q keep the mean of the spacings there, ``(l(p) + l(q)) / 2``. A dart is uniform in its block and kept
+with a probability proportional to the density at its place; blocks, colors and random streams are those of
+`blocks.throw_blocks`. The density is given at nodes, `NODES` to an edge of a block, and linear in between.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.sampling.blocks import ATTEMPTS, block_colors, list_neighbors
+from sppm_pipeline.numerics.sampling.cell_list import (
+    CellList,
+    add_point,
+    bucket_of,
+    empty_cell_list,
+    next_uniform,
+    search_range,
+)
+from sppm_pipeline.numerics.threads import ordered_map
+from sppm_pipeline.numerics.tiling.lattice import INTERIOR, hash_places
+
+NODES = 4
+"""Nodes along an edge of a block."""
+
+DARTS = 400
+"""Darts for each pore that is wanted before a block is thrown anew: a choice, as at 60 % of the packing limit some 30
+are needed."""
+
+
+def graded_quotas(mask: NDArray[np.bool_], mean: float, density: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Numbers of pores of the blocks, (nx, ny, nz): the integral of the density, the rest carried on in order z, y, x.
+
+    Parameters
+    ----------
+    mask : (nx, ny, nz) bool
+    mean : float
+        Pores of a block where the density is 1.
+    density : (NODES nx + 1, NODES ny + 1, NODES nz + 1) float64
+        At the nodes.
+    """
+    nx, ny, nz = mask.shape
+    wanted = mean * block_means(density)
+    steps = np.floor(np.concatenate([[0.0], np.cumsum(np.where(mask, wanted, 0.0).transpose(2, 1, 0).ravel())]) + 0.5)
+    return np.diff(steps).astype(np.int64).reshape(nz, ny, nx).transpose(2, 1, 0)
+
+
+def block_means(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means over the blocks, (nx, ny, nz), of values at nodes, linear in between."""
+    cells = nodes
+    for axis in range(3):
+        n = cells.shape[axis]
+        cells = (np.take(cells, range(n - 1), axis) + np.take(cells, range(1, n), axis)) / 2
+    nx, ny, nz = (n // NODES for n in cells.shape)
+    return np.asarray(cells.reshape(nx, NODES, ny, NODES, nz, NODES).mean((1, 3, 5)))
+
+
+def throw_graded_blocks(
+    seed: int,
+    quotas: NDArray[np.int64],
+    spacing: float,
+    density: NDArray[np.float64],
+    *,
+    before: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None,
+    threads: int = 1,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Throw the pores of a lattice of blocks that does not repeat.
+
+    Parameters
+    ----------
+    seed : int
+        Taken modulo 2^64.
+    quotas : (nx, ny, nz) int64
+        Pores of each block.
+    spacing : float
+        Smallest distance of two pores where the density is 1, block edges; elsewhere it goes with density^(-1/3).
+    density : (NODES nx + 1, ...) float64
+        At the nodes; positive.
+    before : ((k, 3) float64, (blocks + 1,) int64), optional
+        Pores that are there already, in the form of the result.
+    threads : int
+        Number of threads; the result does not depend on it.
+
+    Returns
+    -------
+    centers : (n, 3) float64
+        Relative to the low corner of the block, in block edges; blocks in C order of (x, y, z).
+    first : (blocks + 1,) int64
+        Where the pores of each block begin.
+
+    Raises
+    ------
+    DesignError
+        If the spacing is longer than a block somewhere, or a block holds fewer pores than its quota.
+    """
+    quotas = np.ascontiguousarray(quotas, np.int64)
+    widest, closest = (spacing * float(d) ** (-1 / 3) for d in (density.min(), density.max()))
+    if not 0 < widest <= 1:
+        raise DesignError(
+            f"the pore spacing reaches {widest:.4g} cell sizes where pores are fewest; at most 1 is possible",
+            hint="give a larger cell: pores of a block look at the neighboring blocks only",
+        )
+    first = np.concatenate([[0], np.cumsum(quotas.ravel())])
+    centers = np.empty((int(first[-1]), 3))
+    old = before if before is not None else (np.zeros((0, 3)), np.zeros(quotas.size + 1, np.int64))
+    streams = hash_places(seed, INTERIOR, *np.ogrid[tuple(slice(n) for n in quotas.shape)]).ravel()
+    colors = block_colors(quotas.shape).ravel()
+    most = int((quotas.ravel() + np.diff(old[1])).max(initial=0))
+    # no packing of balls is denser than pi / sqrt(18); those around a block lie within the widest spacing
+    rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * widest) ** 3 / closest**3 + 27)) + most
+    missing = np.zeros(quotas.size, np.int64)
+    nodes = np.ascontiguousarray(density, np.float64)
+
+    def throw(blocks: NDArray[np.int64]) -> None:
+        cells = empty_cell_list(rows, widest, np.zeros(3), np.ones(3), (False, False, False))
+        _throw_in_turn(cells, blocks, np.array(quotas.shape), streams, first, centers, *old, nodes, spacing, missing)
+
+    for color in range(int(colors.max()) + 1):
+        blocks = np.flatnonzero((colors == color) & (quotas.ravel() > 0))
+        if len(blocks):
+            parts = np.array_split(blocks, min(len(blocks), 4 * threads)) if threads > 1 else [blocks]
+            for _ in ordered_map(throw, parts, threads):
+                pass
+    if missing.any():
+        worst = int(missing.argmax())
+        place = tuple(int(i) for i in np.unravel_index(worst, quotas.shape))
+        wanted = int(quotas.ravel()[worst])
+        raise DesignError(
+            f"only {wanted - missing[worst]} of {wanted} pores fit into the block {place} with the spacing there; "
+            f"{np.count_nonzero(missing)} of {np.count_nonzero(quotas)} blocks are too full",
+            hint="ask for a smaller `share` or `spacing` in the recipe",
+        )
+    return centers, first
+
+
+@jit
+def _density(nodes: NDArray[np.float64], x: float, y: float, z: float) -> float:
+    """The density at a place of the lattice, linear between nodes and constant beyond them."""
+    px = min(max(x * NODES, 0.0), nodes.shape[0] - 1.0)
+    py = min(max(y * NODES, 0.0), nodes.shape[1] - 1.0)
+    pz = min(max(z * NODES, 0.0), nodes.shape[2] - 1.0)
+    i = min(int(px), nodes.shape[0] - 2)
+    j = min(int(py), nodes.shape[1] - 2)
+    k = min(int(pz), nodes.shape[2] - 2)
+    total = 0.0
+    for a in range(2):
+        for b in range(2):
+            for c in range(2):
+                weight = abs(1.0 - a - px + i) * abs(1.0 - b - py + j) * abs(1.0 - c - pz + k)
+                total += weight * nodes[i + a, j + b, k + c]
+    return total
+
+
+@jit
+def _free(cells: CellList, spacings: NDArray[np.float64], x: float, y: float, z: float, own: float) -> bool:
+    """Whether all points are at least the mean of their spacing and `own` away."""
+    nz, ny, nx = cells.first.shape
+    i, j, k = bucket_of(cells, x, y, z)
+    i0, ni = search_range(i, nx, False)
+    j0, nj = search_range(j, ny, False)
+    k0, nk = search_range(k, nz, False)
+    for kk in range(k0, k0 + nk):
+        for jj in range(j0, j0 + nj):
+            for ii in range(i0, i0 + ni):
+                row = cells.first[kk, jj, ii]
+                while row >= 0:
+                    dx, dy, dz = cells.points[row, 0] - x, cells.points[row, 1] - y, cells.points[row, 2] - z
+                    apart = 0.5 * (spacings[row] + own)
+                    if dx * dx + dy * dy + dz * dz < apart * apart:
+                        return False
+                    row = cells.following[row]
+    return True
+
+
+@jit
+def _throw_in_turn(
+    cells: CellList,
+    blocks: NDArray[np.int64],
+    shape: NDArray[np.int64],
+    streams: NDArray[np.uint64],
+    first: NDArray[np.int64],
+    centers: NDArray[np.float64],
+    old_centers: NDArray[np.float64],
+    old_first: NDArray[np.int64],
+    nodes: NDArray[np.float64],
+    spacing: float,
+    missing: NDArray[np.int64],
+) -> None:
+    """Throw the pores of blocks that are not neighbors; what can't be placed is noted in `missing`."""
+    spacings = np.empty(cells.points.shape[0])
+    wraps = np.zeros(3, np.bool_)
+    for block in blocks:
+        stream = streams[block : block + 1].copy()
+        wanted = first[block + 1] - first[block]
+        x0, y0, z0 = block // (shape[1] * shape[2]), block // shape[2] % shape[1], block % shape[2]
+        largest = 0.0
+        for i in range(NODES + 1):
+            for j in range(NODES + 1):
+                for k in range(NODES + 1):
+                    largest = max(largest, nodes[x0 * NODES + i, y0 * NODES + j, z0 * NODES + k])
+        for _ in range(ATTEMPTS):
+            list_neighbors(cells, block, shape, False, wraps, streams, first, centers, old_centers, old_first)
+            start = cells.used[0]
+            for row in range(start):
+                p = cells.points[row]
+                spacings[row] = spacing * _density(nodes, x0 + p[0], y0 + p[1], z0 + p[2]) ** (-1.0 / 3.0)
+            placed, darts = 0, 0
+            while placed < wanted and darts < DARTS * wanted + 1000:
+                x, y, z = next_uniform(stream), next_uniform(stream), next_uniform(stream)
+                here = _density(nodes, x0 + x, y0 + y, z0 + z)
+                if next_uniform(stream) * largest > here:
+                    continue
+                darts += 1
+                own = spacing * here ** (-1.0 / 3.0)
+                if _free(cells, spacings, x, y, z, own):
+                    spacings[cells.used[0]] = own
+                    add_point(cells, x, y, z, 0, 0)
+                    placed += 1
+            missing[block] = wanted - placed
+            if placed == wanted:
+                break
+        for row in range(placed):
+            for axis in range(3):
+                centers[first[block] + row, axis] = cells.points[start + row, axis]
+        streams[block] = 0
