@@ -44,7 +44,8 @@ class Pipeline:
     Parameters
     ----------
     stages : sequence of stages, or str or Path
-        A file, the name of a packaged example or YAML, as `from_yaml` takes it; or a list: entries made with `step`, calls of stages without artifacts, names, or mappings as in YAML.
+        A file, the name of a packaged example or YAML, as `from_yaml` takes it; or a list of entries made with `step`,
+        calls of stages without artifacts, names, or mappings as in YAML.
     recipes : mapping of name to sequence of stages, or to ``{"preset": NAME, ...}``, optional
         Lists of stages that others repeat.
     params : mapping of name to value, optional
@@ -55,6 +56,8 @@ class Pipeline:
     plugins : sequence of paths, optional
         Python files with further stages.
     """
+
+    _request: RunRequest
 
     def __init__(
         self,
