@@ -15,7 +15,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
@@ -196,20 +196,32 @@ def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet)
     return interior, (faces[0], faces[1], faces[2])
 
 
-def at_porosity(context: Context, tiling: Tiling, porosity: float, resolution: int) -> Tiling:
-    """The tiling cut at the level that gives this porosity; some cells, spread over the part, stand for all."""
+def at_porosity(
+    context: Context, tiling: Tiling, cover: SurfaceMesh | None, porosity: float, resolution: int
+) -> Tiling:
+    """The tiling cut at the level that gives this porosity, within the part if there is one.
+
+    Some cells, spread over the part, stand for all.
+    """
+    from sppm_pipeline.fields.part import Part
     from sppm_pipeline.numerics.grid import Grid
     from sppm_pipeline.numerics.porosity.level import level_for_porosity
 
     micro, filled = tiling.tileset.micro, np.argwhere(tiling.arrays.surrounded().interior >= 0)
     h = 1.0 / resolution
-    sums = np.concatenate(
-        [
-            tiling.sums(Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (resolution,) * 3), context.threads)
-            for x, y, z in filled[:: max(1, len(filled) // 64)].astype(float)
-        ]
-    )
-    micro = micro.with_level(level_for_porosity(sums, porosity).level)
+    part = None if cover is None else Part(tiling, cover, 0.0, "keep")
+    sums = []
+    for x, y, z in filled[:: max(1, len(filled) // 64)].astype(float):
+        grid = Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (resolution,) * 3)
+        found = tiling.sums(grid, context.threads)
+        sums.append(found.reshape(-1) if part is None else found.T[part.inside_zyx(grid, 0, resolution) != 0])
+    samples = np.concatenate(sums)
+    if not samples.size:
+        raise DesignError(
+            f"no voxel of {resolution} along a cell edge lies in the part, so that its porosity can't be measured",
+            hint="raise `resolution`, or give smaller cells",
+        )
+    micro = micro.with_level(level_for_porosity(samples, porosity).level)
     return Tiling(TileSet(micro, tiling.tileset.kind, 0), tiling.arrays, tiling.edge, tiling.origin)
 
 

@@ -34,7 +34,7 @@ class FreshTiling(Stage):
     cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
     cells: tuple[int, int, int] | None = options.cells(None)
     periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
-    porosity: float | None = options.porosity(None, note="that of the assembly; the recipe's own level if omitted")
+    porosity: float | None = options.porosity(None, note="that of the part or box; the recipe's own level if omitted")
     resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
     limit: int = option(100_000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
 
@@ -76,4 +76,4 @@ class FreshTiling(Stage):
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
         arrays = TilingArrays(interior, faces, self.periodic, halo)
         tiling = Tiling(TileSet(micro, "fresh", 0), arrays, edge, lattice.origin)
-        return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)
+        return tiling if self.porosity is None else at_porosity(context, tiling, cover, self.porosity, self.resolution)

@@ -45,7 +45,7 @@ class ScatteredTiling(Stage):
     cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
     cells: tuple[int, int, int] | None = options.cells(None)
     periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
-    porosity: float | None = options.porosity(None, note="that of the assembly; the recipe's own level if omitted")
+    porosity: float | None = options.porosity(None, note="that of the part or box; the recipe's own level if omitted")
     resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
     rounds: int = options.rounds(2, note="in which pores are added and taken away, with maps", minimum=0, maximum=10)
     trials: int = options.trials(3, note="of the curve, with maps")
@@ -81,7 +81,7 @@ class ScatteredTiling(Stage):
         check_reach(micro)
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
         tiling = without_faces(micro, blocks, halo, edge, lattice.origin)
-        return tiling if self.porosity is None else at_porosity(context, tiling, self.porosity, self.resolution)
+        return tiling if self.porosity is None else at_porosity(context, tiling, cover, self.porosity, self.resolution)
 
     def _graded(
         self, context: Context, recipe: Recipe, grading: Grading, lattice: Lattice, mask: NDArray[np.bool_]

@@ -176,6 +176,18 @@ def test_one_void(torus, box, in_ball, ball):
         assert label(np.pad(void, 1, constant_values=True))[1] == 1
 
 
+def test_the_porosity_is_that_of_the_part_not_of_its_cells(ball):
+    """An ellipsoid, that a transposed one would not do for."""
+    squeezed = replace(ball, vertices=ball.vertices * [1.0, 0.8, 0.5])
+    tiling = scattered(DartThrowing(total=20), TREE, FIELD, cell=Length(2.5), cover=squeezed, porosity=0.5, seed=2)
+    part = Part(tiling, squeezed, 0.0, "keep")
+    n, cells = 40, part.cells
+    grid = Grid((0.5 / n,) * 3, (1 / n,) * 3, (cells[0] * n, cells[1] * n, cells[2] * n))
+    inside = part.inside_zyx(grid, 0, grid.shape[2]) != 0
+    assert np.mean(part.sample_zyx(grid, 0, grid.shape[2])[inside] >= 0) == pytest.approx(0.5, abs=2e-3)
+    assert abs(np.mean(tiling.sample_zyx(grid, 0, grid.shape[2]) >= 0) - 0.5) > 4e-3
+
+
 @pytest.mark.parametrize("name", ["torus", "box"])
 def test_slabs_and_threads_change_no_byte(request, name):
     tiling = request.getfixturevalue(name)
