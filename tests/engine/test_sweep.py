@@ -16,9 +16,9 @@ from sppm_pipeline.engine.config.parameters import sweep_rows
 from sppm_pipeline.engine.plan import session as sessions
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor
+from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor, serve
 from sppm_pipeline.engine.run.runner import StepRunner
-from sppm_pipeline.engine.run.sweep import _serve, csv_text, numbers_of, rows_of, run_sweep
+from sppm_pipeline.engine.run.sweep import csv_text, numbers_of, rows_of, run_sweep
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
 
 TEXT = """name: sweep
@@ -315,7 +315,7 @@ def test_a_row_of_a_long_sweep_costs_what_one_of_a_short_sweep_does():
             order.append((number, result["row"]))
             pool.finish(number + 1)
 
-        assert _serve(pool, {number: {} for number in range(count)}, ended) == (False, [])
+        assert serve(pool, dict, {number: {} for number in range(count)}, ended, None, most=99) == (None, [])
         assert order == [(number, number) for number in range(count)]
         taken.append(Counted.taken)
     assert taken[0] > 0
