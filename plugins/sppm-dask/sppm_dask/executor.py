@@ -7,6 +7,7 @@ import functools
 import importlib
 import importlib.util
 import logging
+import threading
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, InvalidStateError
 from pathlib import Path
@@ -18,6 +19,7 @@ from distributed import Client, LocalCluster
 from distributed.scheduler import KilledWorker
 
 from sppm_pipeline.errors import ConfigError, NativeCrash, ResourceError
+from sppm_pipeline.process.interruption import requested
 
 QUEUES = {
     "slurm": "SLURMCluster",
@@ -107,10 +109,20 @@ class DaskExecutor(Executor):
         return outer
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End; a cluster that was started here ends as well. May be called twice."""
+        """End; a cluster that was started here ends as well. May be called twice.
+
+        When the sweep is interrupted there is no time: processes of this machine end with this one, jobs of a queue are
+        canceled in the background while the records are put in order.
+        """
         if self._closed:
             return
         self._closed = True
+        if requested() and isinstance(self._client.cluster, LocalCluster):
+            self._client.cluster.shutdown_on_close = False
+            return
+        if requested():
+            threading.Thread(target=self._ending.close).start()
+            return
         try:
             # cancels what has not ended, unless it waits for it
             self._tasks.shutdown(wait=wait and not cancel_futures)
