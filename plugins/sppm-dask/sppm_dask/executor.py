@@ -7,6 +7,7 @@ import functools
 import importlib
 import importlib.util
 import logging
+import multiprocessing
 import threading
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, InvalidStateError
@@ -34,6 +35,9 @@ QUEUES = {
 
 CONNECTING = "20s"
 """How long a scheduler may take to answer; a choice."""
+
+AT_ONCE = 0.2
+"""Seconds that an interrupted sweep waits for its cluster; a choice below the patience of the program."""
 
 LOCAL = {
     # a row that kills its worker is found soon: the engine repeats those that were hit, each alone
@@ -117,11 +121,15 @@ class DaskExecutor(Executor):
         if self._closed:
             return
         self._closed = True
-        if requested() and isinstance(self._client.cluster, LocalCluster):
-            self._client.cluster.shutdown_on_close = False
-            return
         if requested():
-            threading.Thread(target=self._ending.close).start()
+            closing = threading.Thread(target=self._ending.close, daemon=True)
+            if isinstance(self._client.cluster, LocalCluster):
+                self._client.cluster.shutdown_on_close = False
+                for process in multiprocessing.active_children():
+                    process.kill()
+                    process.join(AT_ONCE)
+            closing.start()
+            closing.join(AT_ONCE)
             return
         try:
             # cancels what has not ended, unless it waits for it
