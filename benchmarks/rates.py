@@ -215,12 +215,30 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         {"n": (42, 42, 60, 72), "c": (1, 2, 3, 4), "r": (16, 24, 32, 40)},
     ),
+    "maps": (
+        TILES + """
+  - {stage: read.primitive, shape: ball, size: [20, 20, 20], facets: $f}
+  - {stage: grade.table, of: stress, along: x, values: [[-10, 0], [10, 40]]}
+  - {stage: grade.distance, of: depth}
+  - {stage: grade.formula, of: weight, formula: "smoothstep(2, 8, x) + 0*depth*stress"}
+  - {stage: tileset.free_faces, id: one, recipe: cell, colors: 1, interiors: 2, resolution: 16}
+  - {stage: tileset.free_faces, id: two, recipe: cell, colors: 1, interiors: 2, resolution: 16}
+  - {stage: tileset.join, from: {first: one, second: two}}
+  - {stage: tile.joined, cells: [$k, $k, 2], cell: 3 mm}
+  - {stage: tile.free_faces, id: box, cells: [$k, $k, 2], cell: 3 mm, periodic: true}
+  - {stage: field.blend, probes: $p, from: {first: box, second: box}}
+  - {stage: warp.cylinder, inner_radius: 4 mm, from: box}
+  - {stage: warp.sphere, inner_radius: 4 mm, from: box}
+""",
+        {"n": (42, 42, 60, 72), "f": (32, 32, 64, 128), "k": (2, 3, 6, 10), "p": (30000, 30000, 200000, 1000000)},
+    ),
     "parts": (
         TILES + """
   - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
   - {stage: read.primitive, shape: torus_knot, size: [$k mm, $k mm, $k mm], facets: $f}
   - {stage: tile.wang_3color, cell: 4 mm}
   - {stage: fill.implicit}
+  - {stage: write.view, grid_samples: $v}
   - {stage: slice.field, pixel: $pixel}
   - {stage: write.png}
   - {stage: write.picture, resolution: $r}
@@ -233,6 +251,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: check.print, from: even}
 """,
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "f": (32, 32, 64, 96), "r": (16, 16, 24, 32),
+         "v": (100_000, 100_000, 1_000_000, 3_500_000),
          "pixel": ("0.2 mm", "0.2 mm", "0.1 mm", "0.08 mm")},
     ),
     "repairs": (
@@ -260,14 +279,20 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 12), "f": (32, 32, 64, 64), "r": (12, 16, 32, 48)},
     ),
     "crushing": (
-        TILES + """
-  - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24}
+        """recipes:
+  cell:
+    - {stage: sample.dart_throwing, total: $n}
+    - {stage: connect.mst}
+    - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.06}
+  tuned:
+    - {stage: tune.porosity, recipe: cell, target: 0.5, resolution: 24, tolerance: 0.01}
+pipeline:
+  - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24, tolerance: 0.01}
   - {stage: crush.voxel, resolution: $h, rate: 0.02, yield_stress: 0.02}
-  - {stage: write.frames, from: crush.voxel}
-  - {stage: tune.plateau, recipe: cell, resolution: $h, rate: 0.02, yield_stress: 0.02, vary: field.gaussian.level,
-     low: 0.1, high: 0.6, first: 3, target: 0.003, accuracy: 0.45}
+  - {stage: tune.plateau, recipe: tuned, resolution: $h, rate: 0.02, yield_stress: 0.02, low: 0.4, high: 0.7, first: 3,
+     target: 0.003, accuracy: 0.49}
 """,
-        {"n": (42, 42, 60, 72), "h": (8, 10, 16, 24)},
+        {"n": (20, 20, 20, 20), "h": (8, 10, 16, 24)},
     ),
     "curves": (
         """pipeline:

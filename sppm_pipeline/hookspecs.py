@@ -86,7 +86,7 @@ def sppm_commands() -> Mapping[str, Command]:  # type: ignore[empty-body]
 
         @hookimpl
         def sppm_commands():
-            return {"view": Command("show a run in a window", "sppm_view.cli:configure", "sppm_view.cli:execute")}
+            return {"show": Command("show a run in a window", "sppm_show.cli:configure", "sppm_show.cli:execute")}
     """
 
 

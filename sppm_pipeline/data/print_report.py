@@ -44,6 +44,7 @@ MEASURES: Mapping[str, Measure] = {
     "floating": Measure("floating_mm3", "mm3", "solid that never joins the part"),
     "overhang": Measure("largest_overhang_mm2", "mm2", "largest overhang of a layer"),
     "undrained": Measure("undrained_mm3", "mm3", "void that does not drain through throats of `drain`"),
+    "way": Measure("way_out_mm", "mm", "longest way out of void that drains through throats of `drain`"),
     "thin": Measure("thin_solid_share", "", "share of the solid that is thinner than `min_feature`"),
     "clogged": Measure("clogged_mm3", "mm3", "void that later layers cure shut"),
     "adhesion": Measure("adhesion", "", "first layer over the largest one", "<"),

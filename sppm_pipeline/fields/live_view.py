@@ -13,6 +13,7 @@ from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.live.data import encode_view
 from sppm_pipeline.live.page import live_page
 from sppm_pipeline.numerics.assembly.contents import lone_periodic_cell, site_pieces, sites_between
@@ -28,6 +29,15 @@ DEPTH = 3.0
 
 SUMMED = 64
 """Samples along a cell edge at which the browser sums kernels; a choice, for a third of a second."""
+
+FINE = 24
+"""Samples along a cell edge at which the browser sums a few cells of a tiling that was sampled more coarsely."""
+
+COARSE, OVERVIEW = 8, 600_000
+"""Samples along a cell edge below which they only give an overview, and how many of them are enough for one."""
+
+NO_PIECE = 255
+"""Byte that stands for no interior, and for no face."""
 
 MAX_FRAME_KERNELS = 600
 """Kernels of a live view in a notebook, which then takes 60 kB at most."""
@@ -98,7 +108,7 @@ def _kernel_view(what: ScalarField | TileSet, tiles: list[Kernels], threads: int
         "level": micro.level, "top": DEPTH * micro.level, "base": 0.0, "level_name": "level C", "domain": False,
         "periodic": True, "power": profile.power, "cutoff": CUTOFF,
         "pores": [len(p) for p in pores], "tunnels": [len(t) for t in tunnels],
-        "porosity": porosity[0] if len(porosity) == 1 else None, "tile_porosity": porosity,
+        "porosity": porosity[0] if len(porosity) == 1 else None, "tile_porosity": porosity, "explore": None,
     }  # fmt: skip
     return encode_view(head, {"pores": np.concatenate(pores), "tunnels": np.concatenate(tunnels)})
 
@@ -106,6 +116,8 @@ def _kernel_view(what: ScalarField | TileSet, tiles: list[Kernels], threads: int
 def _sampled_view(field: ScalarField, samples: int, threads: int) -> bytes:
     """G / (3 C), or a field without a level about its zero, and the distance from the domain in samples; both bytes."""
     grid = _view_grid(field, samples)
+    if grid.spacing[0] * COARSE > 1:
+        grid = _view_grid(field, min(samples, OVERVIEW))
     inner, outer, level, top = _sampled(field, grid, threads)
     base = 0.0 if level else -top
     edge = field.edge_mm or 1.0
@@ -117,6 +129,7 @@ def _sampled_view(field: ScalarField, samples: int, threads: int) -> bytes:
         "size": (step * grid.shape).tolist(), "origin": (np.array(field.origin_mm) + edge * low - step / 2).tolist(),
         "level": level, "top": top - base, "base": base, "level_name": "level C" if level else "offset",
         "domain": outer is not None, "periodic": field.periodic and outer is None, "per_cell": 1 / grid.spacing[0],
+        "lattice_mm": list(field.origin_mm), "explore": None,
     }  # fmt: skip
     inside = np.ones(inner.shape, np.float32) if outer is None else np.clip(0.5 - outer, 0, 1)
     whole = float(inside.sum(dtype=np.float64))
@@ -125,7 +138,7 @@ def _sampled_view(field: ScalarField, samples: int, threads: int) -> bytes:
     if outer is not None:
         area = inside.sum(axis=(1, 2), dtype=np.float64) * step[0] * step[1]
         head |= {"inside_mm2": area.tolist(), "z_mm": [field.origin_mm[2] + edge * low[2], step[2]]}
-    arrays = {"field": _bytes((inner - base) / (top - base))}
+    arrays: dict[str, NDArray[Any]] = {"field": _bytes((inner - base) / (top - base))}
     if outer is not None:
         from scipy.ndimage import binary_dilation
 
@@ -133,7 +146,37 @@ def _sampled_view(field: ScalarField, samples: int, threads: int) -> bytes:
         arrays["field"][~near] = 0  # nothing is seen of it, and equal bytes take no room
         # six bits place a rim within 1/32 of a sample, and take three quarters of the room of eight
         arrays["domain"] = np.minimum(4 * np.rint(64 * np.clip(0.5 + outer / 2, 0, 1)), 255).astype(np.uint8)
+    found = _lattice(field) if grid.spacing[0] * FINE > 1 else None
+    if found is not None:
+        head["explore"] = found[0]
+        arrays |= found[1]
     return encode_view(head, arrays)
+
+
+def _lattice(field: ScalarField) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
+    """What the browser needs to sum the kernels of any few cells of a tiling; None if it can't, or nothing repeats."""
+    tiling = field.base if isinstance(field, Part) else field
+    if not isinstance(tiling, Tiling) or tiling.tileset.kind in ("fresh", "scattered") or not tiling.additive:
+        return None
+    if isinstance(field, Part) and (field.skin_mm or len(field.drains) or len(field.fills)):
+        return None
+    pieces, arrays = tiling.tileset.micro.pieces, tiling.arrays
+    k = pieces.kernels
+    if max(pieces.interiors, pieces.colors) >= NO_PIECE or len(k.omega) + len(k.mu) > MAX_KERNELS:
+        return None
+    head = {
+        "shape": list(arrays.interior.shape), "halo": arrays.halo, "periodic": arrays.periodic,
+        "cutoff": CUTOFF, "power": TUNNEL_PROFILES[k.profile].power,
+        "interiors": pieces.interiors, "colors": pieces.colors, "codes": pieces.codes.tolist(),
+        "first_pore": pieces.first_pore.tolist(), "first_tunnel": pieces.first_tunnel.tolist(),
+    }  # fmt: skip
+    listed = {"interior": arrays.interior, **{f"faces{axis}": faces for axis, faces in enumerate(arrays.faces)}}
+    packed: dict[str, NDArray[Any]] = {
+        name: np.where(numbers < 0, NO_PIECE, numbers).astype(np.uint8) for name, numbers in listed.items()
+    }
+    packed["pores"] = np.column_stack([k.centers, k.omega]).astype(np.float32)
+    packed["tunnels"] = np.column_stack([k.starts, k.ends, k.mu]).astype(np.float32)
+    return head, packed
 
 
 def _view_grid(field: ScalarField, samples: int) -> Grid:

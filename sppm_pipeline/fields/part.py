@@ -282,7 +282,7 @@ class Part(WrappedField):
 
 
 def coarse_size(part: Size, pitch: Length | None = None) -> Size:
-    """Expected work of `Part.coarse_solid`; the part is passed on."""
+    """Expected work of `Part.coarse_solid`, as for a part without a thin skin, which wants finer voxels."""
     body = part.body
     extent = [body.scale * side for side in body.box]
     own = max(max(extent) / COARSE_ALONG, math.cbrt(math.prod(extent) / COARSE_VOXELS))

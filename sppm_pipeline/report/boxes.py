@@ -63,7 +63,7 @@ def boxes(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]], view: 
     for what, value, stage in known:
         others = [(name, value - other) for name, other, _ in known if name != what]
         far = max((abs(gap) for _, gap in others), default=0.0) > FAR
-        gaps = ", ".join(f"{100 * gap:+.2f} to {name}" for name, gap in others)
+        gaps = ", ".join(f"{100 * gap:+.2f} to {name}".replace("-0.00", "+0.00") for name, gap in others)
         note = f"{gaps} ({stage})" if gaps else stage
         made.append(Box(f"porosity: {what}", f"{100 * value:.2f} %", note, far and what != "wanted"))
     numbers = {

@@ -39,7 +39,8 @@ def sweep_context(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """
     runs: list[Mapping[str, Any]] = list(record["runs"])
     table = _table(path)
-    names = list(table[0])[:MAX_COLUMNS] if table else []
+    params = list(runs[0]["params"]) if runs else []
+    names = _names(table, params)
     rows = [[row.get(name) for name in names] for row in table[:MAX_ROWS]]
     done = sum(run["status"] == "done" for run in runs)
     failed = [run for run in runs if run.get("error")]
@@ -59,7 +60,7 @@ def sweep_context(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
             {"run": run["run"], "params": shown(run["params"]), "message": str(run["error"].get("message", ""))}
             for run in failed[:STATIC_ROWS]
         ],
-        "charts": _charts(names, rows, list(runs[0]["params"]) if runs else []),
+        "charts": _charts(names, rows, params),
         "multiples": _multiples(path, runs),
     }
 
@@ -70,6 +71,22 @@ def _table(path: Path) -> list[dict[str, Any]]:
     except (OSError, ValueError, RecursionError):
         return []
     return [row for row in table if isinstance(row, dict)] if isinstance(table, list) else []
+
+
+def _names(table: Sequence[Mapping[str, Any]], params: Sequence[str]) -> list[str]:
+    """Columns that are shown: what names a row, and of the others those that differ, the most asked for if many."""
+    first = ("run", *params, "status", "error")
+    columns = list(dict.fromkeys(name for row in table[:MAX_ROWS] for name in row))
+    differ = [n for n in columns if n not in first and len({str(row.get(n)) for row in table[:MAX_ROWS]}) > 1]
+    chosen = set(sorted(differ, key=_rank)[: MAX_COLUMNS - len(first)])
+    return [name for name in columns if name in first or name in chosen]
+
+
+def _rank(name: str) -> int:
+    """Smaller for what sweeps are mostly run for; a choice."""
+    words = ("porosity", "E_relative", "E.", "E", "nu", "xi", "volume", "share", "seconds")
+    own = name.rsplit(".", 2)[1:] if name.count(".") > 1 else name.split(".")[1:]
+    return next((i for i, word in enumerate(words) if any(part.startswith(word) for part in own)), len(words))
 
 
 def _cell(value: Any) -> str:
@@ -90,9 +107,8 @@ def _charts(names: Sequence[str], rows: Sequence[Sequence[Any]], params: Sequenc
     along = max((name for name in counts if name != "seed"), key=lambda name: counts[name], default=None)
     if along is None or counts[along] < 2:
         return []
-    words = ("porosity", "E_relative", "E.x", "volume", "seconds")
     numbers = [n for n in names if n not in params and len({v for v in columns[n] if v is not None}) > 1]
-    numbers.sort(key=lambda name: next((i for i, word in enumerate(words) if word in name), len(words)))
+    numbers.sort(key=_rank)
     step = -(-len(rows) // MAX_POINTS)
     drawn = []
     for name in numbers[:MAX_CHARTS]:

@@ -266,6 +266,9 @@ def test_views_of_cells_tiles_and_fields(cell, wang, wang_tiling):
     assert tiles["tile_porosity"] == list(wang.porosity)
     view = view_of(wang_tiling, samples=60_000)
     sampled, arrays = head_of(view), arrays_of(view)
+    assert sampled["explore"]["interiors"] == 8
+    assert (arrays["interior"] == wang_tiling.arrays.interior.ravel()).all()
+    assert head_of(view_of(cell))["explore"] is None
     nx, ny, nz = sampled["shape"]
     assert nx * ny * nz <= 60_000
     assert nx / 4 == ny / 3 == nz / 3

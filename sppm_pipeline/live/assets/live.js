@@ -10,7 +10,7 @@ async function startLive(bytes) {
   }
   const { head, arrays } = await readView(bytes);
   const kernels = head.kind === "kernels", slider = (name) => byId(`live-${name}`);
-  const state = { tile: 0, pore: 1, tunnel: 1 };
+  const state = { tile: 0, pore: 1, tunnel: 1, cells: null };
   const design = (head.level - head.base) / head.top;
   let porosity;
 
@@ -19,7 +19,33 @@ async function startLive(bytes) {
     return array.subarray(width * first, width * (first + counts[state.tile]));
   };
 
+  // A few cells of a tiling, summed; what the part leaves of them is known from the coarser samples of the whole.
+  function fillCells() {
+    const { explore } = head, m = 3, n = 24, side = m * n, edge = head.edge_mm || 1, h = head.size[0] / head.shape[0];
+    const low = state.cells.map((c) => c - 1), field = sumBytes(sumCells(explore, arrays, low, m, n), head.top);
+    let domain = null;
+    if (arrays.domain) {
+      const [nx, ny, nz] = head.shape, scale = (h * n) / edge;
+      const corner = low.map((c, a) => (head.lattice_mm[a] + c * edge - head.origin[a]) / h - 0.5);
+      domain = new Uint8Array(side ** 3);
+      const place = (i, a) => Math.max(0, Math.min(head.shape[a] - 1.001, corner[a] + ((i + 0.5) * edge) / (n * h)));
+      for (let k = 0, s = 0; k < side; k++) for (let j = 0; j < side; j++) for (let i = 0; i < side; i++, s++) {
+        const p = [place(i, 0), place(j, 1), place(k, 2)], f = p.map(Math.floor), w = p.map((v, a) => v - f[a]);
+        let value = 0;
+        for (let c = 0; c < 8; c++) {
+          const b = [c & 1, (c >> 1) & 1, c >> 2];
+          const weight = b.reduce((all, on, a) => all * (on ? w[a] : 1 - w[a]), 1);
+          value += weight * arrays.domain[((f[2] + b[2]) * ny + f[1] + b[1]) * nx + f[0] + b[0]];
+        }
+        domain[s] = Math.max(0, Math.min(255, 127.5 + (value - 127.5) * scale));
+      }
+    }
+    view.load(field, domain, [side, side, side], [1, 1, 1], false);
+    porosity = new Porosity(field, domain);
+  }
+
   function fill(n) {
+    if (state.cells) return fillCells();
     if (kernels) {
       const sums = sumKernels(head, part(arrays.pores, head.pores, 4), part(arrays.tunnels, head.tunnels, 7), n, state.pore, state.tunnel);
       const field = sumBytes(sums, head.top);
@@ -34,7 +60,7 @@ async function startLive(bytes) {
 
   function said() {
     const recorded = kernels ? head.tile_porosity[state.tile] ?? null : head.porosity;
-    const asDesigned = Math.abs(view.level - design) < 1e-6 && state.pore === 1 && state.tunnel === 1;
+    const asDesigned = Math.abs(view.level - design) < 1e-6 && state.pore === 1 && state.tunnel === 1 && !state.cells;
     const value = asDesigned && recorded !== null ? recorded : porosity.at(view.level);
     const level = head.base + view.level * head.top;
     slider("readout").textContent = `porosity ${(100 * value).toFixed(2)} %, ${head.level_name} ${level.toPrecision(4)}`;
@@ -42,7 +68,9 @@ async function startLive(bytes) {
   }
 
   function cutSaid() {
-    const { axis, at } = view.cut, z = head.origin[axis] + at * head.size[axis] * (kernels ? view.repeat : 1);
+    const { axis, at } = view.cut, edge = head.edge_mm || 1;
+    const z = state.cells ? head.lattice_mm[axis] + (state.cells[axis] - 1 + 3 * at) * edge
+      : head.origin[axis] + at * head.size[axis] * view.repeat;
     slider("cut-readout").textContent = at < 1 ? `${"xyz"[axis]} ${z.toPrecision(4)} ${head.unit === "mm" ? "mm" : "cells"}` : "no cut";
     canvas.dataset.cut = at < 1 ? String(z) : "";
     return z;
@@ -84,8 +112,20 @@ async function startLive(bytes) {
   };
   on("cut", "input", cut);
   on("axis", "change", cut);
+  const explore = () => {
+    state.cells = slider("explore").checked ? ["x", "y", "z"].map((name) => +slider(`cell-${name}`).value) : null;
+    fill(head.n);
+    view.fit();
+    said();
+    cutSaid();
+    canvas.dataset.cells = state.cells ? state.cells.join(" ") : "";
+    view.changed();
+  };
+  on("explore", "change", explore);
+  for (const name of ["x", "y", "z"]) on(`cell-${name}`, "change", () => { slider("explore").checked = true; explore(); });
   on("reset", "click", () => { view.camera.reset(); view.fit(); view.changed(); });
   document.addEventListener("sppm-cut", (event) => {
+    if (state.cells) return;
     const at = Math.max(0.001, Math.min(1, (event.detail - head.origin[2]) / head.size[2]));
     view.cut = { axis: 2, at };
     slider("axis").value = "2";

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.connectivity.runs import find_runs
+from sppm_pipeline.numerics.printing.depth import Depth
 from sppm_pipeline.numerics.printing.distance import Coarsened, StreamedDistance
 from sppm_pipeline.numerics.printing.tracker import NEVER, Tracker
 
@@ -54,9 +55,18 @@ class Throats:
     pitch : (float, float, float)
     diameters : sequence of float
         In the unit of `pitch`.
+    depth : (float, Depth), optional
+        Takes in where a ball of one of the diameters has room.
     """
 
-    def __init__(self, shape: tuple[int, int], pitch: tuple[float, float, float], diameters: Sequence[float]) -> None:
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        pitch: tuple[float, float, float],
+        diameters: Sequence[float],
+        depth: tuple[float, Depth] | None = None,
+    ) -> None:
+        self._depth = depth
         self._diameters = tuple(diameters)
         self._bounds = [np.float32(_squared_room(d, pitch)) for d in self._diameters]
         self._distance = StreamedDistance(shape, pitch, (max(self._diameters) + sum(pitch) / 3) / 2)
@@ -72,6 +82,8 @@ class Throats:
         for squares in finished:
             for i, bound in enumerate(self._bounds):
                 roomy = (squares >= bound).view(np.uint8)
+                if self._depth is not None and self._depth[0] == self._diameters[i]:
+                    self._depth[1].add(roomy)
                 self._room[i] += self._trackers[i].add(find_runs(roomy[None]), self._layers).area
             self._layers += 1
 

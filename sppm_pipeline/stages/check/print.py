@@ -39,6 +39,9 @@ VOXELS_ACROSS = 4
 """Voxels across the smallest size that is looked for; layers with finer pixels are taken together. A choice: sizes are
 right to within one of these voxels."""
 
+MOST_BLOCKS = 2**26
+"""Blocks in which ways out are searched, which are held in memory, five bytes each."""
+
 SOLID_FROM = 128
 """Gray values from here on count as solid: half of the pixel is covered."""
 
@@ -54,11 +57,12 @@ class CheckPrint(Stage):
     which errs on the safe side for both. The suction is an upper bound: the pressure of the air on all cups of a layer.
 
     With `drain`, throats are measured: void from which a ball of that diameter, or of half to twice of it, can't be
-    moved out is undrained. With `min_feature`, walls and channels are found that no ball of that diameter fits into;
-    sharp edges of solid count among them. Both look at voxels of about a quarter of the smallest size. With
-    a `resin`, or its `penetration` and `cure_depth`, resin that later layers cure in the void below them is found
-    (Jacobs' working curve): a model, not a measurement of your resin. Time is that of exposures and ways of the plate,
-    if the layers were cut for a `printer`.
+    moved out is undrained; how far it has to go at most where it can is told as the longest way out, along the axes and
+    to within two diameters, which loose powder has to take. With `min_feature`, walls and channels are found that no
+    ball of that diameter fits into; sharp edges of solid count among them. Both look at voxels of about a quarter of
+    the smallest size. With a `resin`, or its `penetration` and `cure_depth`, resin that later layers cure in the void
+    below them is found (Jacobs' working curve): a model, not a measurement of your resin. Time is that of exposures and
+    ways of the plate, if the layers were cut for a `printer`.
 
     With `fail`, a print that breaks a rule is rejected (exit code 3), and the report stays; without, it is all.
     """
@@ -68,8 +72,8 @@ class CheckPrint(Stage):
         "traps", "trap_mm3", "largest_trap_mm3", "cups", "cups_at_plate", "cups_open_at_top", "largest_cup_mm2",
         "suction_n", "islands", "largest_island_mm2", "floating_parts", "floating_mm3", "overhang_mm2",
         "largest_overhang_mm2", "solid_mm3", "largest_layer_mm2", "largest_section_mm2", "adhesion",
-        "center_of_mass_mm.#3", "foot_margin_mm", "undrained_mm3", "thin_solid_share", "thin_void_mm3", "clogged_mm3",
-        "clogged_trap_mm3", "resin_ml", "print_time_s", "price",
+        "center_of_mass_mm.#3", "foot_margin_mm", "undrained_mm3", "way_out_mm", "thin_solid_share", "thin_void_mm3",
+        "clogged_mm3", "clogged_trap_mm3", "resin_ml", "print_time_s", "price",
     )  # fmt: skip
     advice: ClassVar[str] = "slice with a larger `pixel` or `layer`"
     headline: ClassVar[tuple[Headline, ...]] = (
@@ -278,6 +282,7 @@ class Passes:
 
     def __init__(self, stage: CheckPrint, stack: SliceStack) -> None:
         from sppm_pipeline.numerics.printing.curing import CureThrough
+        from sppm_pipeline.numerics.printing.depth import Depth
         from sppm_pipeline.numerics.printing.distance import Coarsened, coarse_factors
         from sppm_pipeline.numerics.printing.openings import Coarse, ThinFeatures, Throats
         from sppm_pipeline.numerics.printing.scan import PrintScan
@@ -299,7 +304,12 @@ class Passes:
         if stage.drain is not None:
             sizes = [stage.drain.mm() * factor for factor in THROATS]
             coarse = coarsened("throats", sizes[0])
-            self._throats = Throats(coarse.shape, self.pitches["throats"], sizes)
+            blocks = math.prod(coarse.shape) * stack.shape[2] * h / self.pitches["throats"][2]
+            block = max(VOXELS_ACROSS, math.ceil(math.cbrt(blocks / MOST_BLOCKS)))
+            self._depth = Depth(coarse.shape, block)
+            self._throats = Throats(
+                coarse.shape, self.pitches["throats"], sizes, (sizes[THROATS.index(1.0)], self._depth)
+            )
             self._coarse.append(Coarse(coarse, (self._throats, False)))
         if stage.min_feature is not None:
             smallest = stage.min_feature.mm()
@@ -340,7 +350,7 @@ class Passes:
         from sppm_pipeline.numerics.printing.tracker import NEVER
 
         found: dict[str, Any] = dict.fromkeys(
-            ("undrained_mm3", "thin_solid_share", "thin_void_mm3", "clogged_mm3", "clogged_trap_mm3")
+            ("undrained_mm3", "way_out_mm", "thin_solid_share", "thin_void_mm3", "clogged_mm3", "clogged_trap_mm3")
         )
         if self._throats is not None:
             voxel = math.prod(self.pitches["throats"])
@@ -352,6 +362,7 @@ class Passes:
                         "undrained_mm3": level.undrained * voxel,
                     }
                 )
+            found["way_out_mm"] = self._depth.longest() * max(self.pitches["throats"])
             found["undrained_mm3"] = self.throat_rows[THROATS.index(1.0)]["undrained_mm3"]
         if self._thin is not None:
             voxel = math.prod(self.pitches["features"])

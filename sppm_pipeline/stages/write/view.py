@@ -32,7 +32,7 @@ class WriteView(Stage):
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         share = self.grid_samples / max(1.0, field.body.samples(1.0))
-        return field.grid(max(1.0, share ** (1 / 3)))
+        return field.grid(max(1.0, share ** (1 / 3)), voxels=float(self.grid_samples))
 
     def run(self, context: Context, field: ScalarField | TileSet) -> None:
         """Write the file."""

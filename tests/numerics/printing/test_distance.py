@@ -9,6 +9,7 @@ import pytest
 from scipy import ndimage
 
 from sppm_pipeline.numerics.printing.curing import CureThrough, print_through
+from sppm_pipeline.numerics.printing.depth import Depth
 from sppm_pipeline.numerics.printing.distance import Coarsened, StreamedDistance, coarse_factors
 from sppm_pipeline.numerics.printing.openings import ThinFeatures, Throats
 
@@ -151,3 +152,30 @@ def test_a_single_layer_cures_to_its_cure_depth():
     # layer 20 - j has seen exp(-j h / D_p): cured while j h <= C_d
     assert np.flatnonzero(cured[:, 1, 1]).tolist() == list(range(20 - math.floor(0.13 / 0.02), 21))
     assert cured[:, 0].sum() == 0
+
+
+def test_the_longest_way_out_is_that_of_steps_through_blocks():
+    """Against dilations of what is reached, and a channel that goes back and forth."""
+    rng = np.random.default_rng(4)
+    for block, porosity in ((1, 0.45), (2, 0.12), (3, 0.05)):
+        void = (rng.random((13, 17, 20)) < porosity).astype(np.uint8)
+        shape = [-(-n // block) for n in void.shape]
+        padded = np.pad(void, [(0, block * m - n) for m, n in zip(shape, void.shape, strict=True)])
+        blocks = padded.reshape(shape[0], block, shape[1], block, shape[2], block).max((1, 3, 5)) > 0
+        inner = np.zeros(shape, bool)
+        inner[1:-1, 1:-1, 1:-1] = True
+        reached, steps = blocks & ~inner, 0
+        while (more := ndimage.binary_dilation(reached) & blocks).sum() > reached.sum():
+            reached, steps = more, steps + 1
+        depth = Depth(void.shape[:0:-1], block)
+        for layer in void:
+            depth.add(layer)
+        assert depth.longest() == block * steps > 0
+    maze = np.zeros((3, 9, 9), np.uint8)
+    maze[1, 1:8:2, 1:8] = 1
+    maze[1, 2, 7] = maze[1, 4, 1] = maze[1, 6, 7] = maze[1, 1, 0] = 1
+    depth = Depth((9, 9), 1)
+    for layer in maze:
+        depth.add(layer)
+    assert depth.longest() == 4 * 7 + 3
+    assert Depth((3, 3), 2).longest() == 0

@@ -174,6 +174,8 @@ def test_throats_walls_and_cure_through_of_a_box_with_a_hole():
     by_size = {row["diameter_mm"]: row["undrained_mm3"] for row in report["throats"]}
     assert [size for size, stays in by_size.items() if stays] == pytest.approx([0.5 * 2**0.5, 1.0], rel=1e-5)
     assert found["undrained_mm3"] == 0
+    # from a corner of the room of 26 voxels, in which the ball has 22, to the hole in the middle of a side, and out
+    assert found["way_out_mm"] == pytest.approx(0.1 * (22 + 11 + 11 + 7), abs=2 * 0.4)
     assert report["settings"]["coarse_voxel_mm"] == {"throats": [0.1] * 3, "features": [0.1] * 3}
     # flat walls of five voxels are thick enough, and only edges are rounded off
     assert 0 < found["thin_solid_share"] < 0.05
