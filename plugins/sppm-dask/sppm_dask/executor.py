@@ -74,7 +74,8 @@ class DaskExecutor(Executor):
     """
 
     def __init__(self, workers: int, where: str = "") -> None:
-        logging.getLogger("distributed").setLevel(logging.ERROR)
+        # what it logs as errors are tracebacks, of what the rows' own errors say
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._ending = contextlib.ExitStack()
         self._closed = False
         with contextlib.ExitStack() as ending:
@@ -91,6 +92,10 @@ class DaskExecutor(Executor):
         if link := self._client.dashboard_link if importlib.util.find_spec("bokeh") else "":
             self.about += f", dashboard at {link}"
 
+    @property
+    def _alive(self) -> bool:
+        return self._client.status in ("running", "connecting")
+
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Hand a task to the cluster; if its workers died of it, its exception is a `NativeCrash`.
 
@@ -103,7 +108,7 @@ class DaskExecutor(Executor):
         """
         if self._closed:
             raise RuntimeError("the executor was shut down")
-        if self._client.status not in ("running", "connecting"):
+        if not self._alive:
             raise BrokenExecutor("the Dask scheduler is gone")
         # the arguments are the task's own, and none of them Dask's
         inner = self._tasks.submit(functools.partial(fn, *args, **kwargs))
@@ -133,7 +138,8 @@ class DaskExecutor(Executor):
             return
         try:
             # cancels what has not ended, unless it waits for it
-            self._tasks.shutdown(wait=wait and not cancel_futures)
+            if self._alive:
+                self._tasks.shutdown(wait=wait and not cancel_futures)
         finally:
             self._ending.close()
 
@@ -151,7 +157,7 @@ def _client(workers: int, where: str, ending: contextlib.ExitStack) -> Any:
             memory_limit=0,  # stages say what they need; Dask would end a row that needs more than its share
             dashboard_address="127.0.0.1:0",  # any free port
             local_directory=scratch,
-            silence_logs=logging.ERROR,
+            silence_logs=logging.CRITICAL,
         )
         return Client(ending.enter_context(cluster), set_as_default=False)
     if "://" in where:
@@ -188,9 +194,8 @@ def _cancel(inner: Future[Any], outer: Future[Any]) -> None:
 def _pass_on(outer: Future[Any], inner: Future[Any]) -> None:
     """Give the outcome of Dask's future to ours, which somebody may cancel meanwhile."""
     with contextlib.suppress(InvalidStateError):
-        if inner.cancelled():
-            outer.cancel()
-            outer.set_running_or_notify_cancel()
+        if inner.cancelled():  # not by us
+            outer.set_exception(ConnectionError("the Dask scheduler is gone"))
         elif (error := inner.exception()) is None:
             outer.set_result(inner.result())
         elif isinstance(error, KilledWorker):

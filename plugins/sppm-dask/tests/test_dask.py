@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import time
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -97,6 +98,16 @@ def test_places_that_are_none(monkeypatch):
     with pytest.raises(ConfigError, match="dask:slurm needs dask-jobqueue") as caught:
         DaskExecutor(1, "slurm")
     assert "sppm-dask[jobqueue]" in caught.value.hint
+
+
+def test_a_task_that_the_scheduler_gives_up_says_so(cluster):
+    with DaskExecutor(1, cluster.scheduler_address) as executor:
+        future = executor.submit(time.sleep, 0.2)
+        executor._client.cancel(list(executor._tasks._futures))
+        assert isinstance(future.exception(timeout=30), ConnectionError)
+        executor._client.close()
+        with pytest.raises(BrokenExecutor, match="scheduler is gone"):
+            executor.submit(int)
 
 
 def test_a_queue_starts_as_many_jobs_as_are_asked_for(cluster, monkeypatch):
