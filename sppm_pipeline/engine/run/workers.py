@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import secrets
 import socket
 from collections.abc import Iterator
@@ -43,7 +44,9 @@ class Driver:
 def announced(path: Path, cache: Path | None, plugins: Plugins) -> Iterator[Driver]:
     """This process as a driver, with its tokens in the run directory and in the cache for as long as rows run."""
     distributions = _distributions(plugins)
-    tokens = [folder / staging_name() for folder in (path, cache) if folder is not None]
+    tokens = [path / staging_name()]
+    if cache is not None:  # the same sweep again takes the place of what a killed one has left there
+        tokens.append(cache / f"driver-{hashlib.sha256(str(path).encode()).hexdigest()[:16]}")
     driver = Driver(
         host=socket.gethostname(),
         program=program_digest(),
