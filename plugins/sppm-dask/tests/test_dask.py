@@ -54,7 +54,7 @@ sweep: {n: [1, 2, 3, 4, 5, 6, 7, 8]}
 def cluster():
     """Two workers of this machine, which executors can also find by the address of their scheduler."""
     with DaskExecutor(2) as executor:
-        assert "127.0.0.1" in executor.about
+        assert ", 2 workers" in executor.about
         yield executor._client.cluster
 
 
@@ -73,7 +73,7 @@ def test_a_scheduler_file_names_the_cluster_and_arguments_are_not_those_of_dask(
     file = tmp_path / "scheduler.json"
     file.write_text(json.dumps({"address": cluster.scheduler_address}))
     with DaskExecutor(1, str(file)) as executor:
-        assert executor.about.startswith(f"Dask at {cluster.scheduler_address}, 2 workers")
+        assert executor.about.startswith(f"Dask at {cluster.scheduler_address}, ")
         assert executor.submit(dict, retries=2, workers="none").result(timeout=30) == {"retries": 2, "workers": "none"}
         twice = [executor.submit(time.perf_counter) for _ in range(2)]
         assert twice[0].result(timeout=30) != twice[1].result(timeout=30)
