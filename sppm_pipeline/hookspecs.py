@@ -179,11 +179,14 @@ def sppm_stage_finished(event: StageEvent) -> None:
 
 
 @hookspec
-def sppm_executors() -> Mapping[str, Callable[[int], Executor]]:  # type: ignore[empty-body]
+def sppm_executors() -> Mapping[str, Callable[..., Executor]]:  # type: ignore[empty-body]
     """Supply executors for sweeps.
 
     Called once, when ``--executor NAME`` is resolved. Returns a mapping from the name to a function that takes the
-    number of workers and returns a `concurrent.futures.Executor`; tasks and results are picklable. Example::
+    number of workers and returns a `concurrent.futures.Executor`; tasks and results are picklable. If it has a second
+    parameter `where`, it is given what follows the colon in ``--executor NAME:WHERE``, or nothing. A future whose
+    workers died ends with a `NativeCrash`, or with a `BrokenExecutor` if the executor can't go on. An attribute
+    ``about`` of the executor is shown when the sweep begins. Example::
 
         @hookimpl
         def sppm_executors():

@@ -70,6 +70,10 @@ class ProgressLines(Monitor):
         """See `Monitor`."""
         self.note(f"warning: {f'stage {stage!r}: ' if stage else ''}{message}")
 
+    def sweep_started(self, about: str) -> None:
+        """See `Monitor`."""
+        self.note(f"runs on {about}")
+
     def row_finished(self, done: int, total: int, row: Mapping[str, Any]) -> None:
         """See `Monitor`."""
         values = ", ".join(f"{name}={value}" for name, value in row["params"].items())

@@ -34,7 +34,10 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--threads", type=_count, metavar="N", help="threads in all; the number of processors if omitted"
     )
-    parser.add_argument("--executor", metavar="NAME", help="serial, threads, processes, or one from a plugin")
+    parser.add_argument("--executor", metavar="NAME[:WHERE]", help="serial, threads, processes, or one from a plugin")
+    parser.add_argument(
+        "--retries", type=_retries, metavar="N", default=2, help="runs again of a row whose worker died; 2 if omitted"
+    )
     parser.add_argument("-k", "--keep-going", action="store_true", help="exit with 0 though runs of a sweep failed")
     add_cache(parser)
     parser.add_argument("-n", "--dry-run", action="store_true", help="check everything, run nothing")
@@ -46,6 +49,12 @@ def configure(parser: ArgumentParser) -> None:
 def _count(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 4096:
         raise ArgumentTypeError(f"expected an integer from 1 to 4096, got {text!r}")
+    return int(text)
+
+
+def _retries(text: str) -> int:
+    if not text.isdecimal() or int(text) > 100:
+        raise ArgumentTypeError(f"expected an integer from 0 to 100, got {text!r}")
     return int(text)
 
 
@@ -105,6 +114,7 @@ def _execute(args: Namespace) -> int:
                 until=args.until,
                 monitor=monitor,
                 cache=cache,
+                retries=args.retries,
             )
     except Exception as error:
         if args.json and hasattr(error, "record"):

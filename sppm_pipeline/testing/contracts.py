@@ -8,10 +8,11 @@ class TestMySampler(SamplerContract):
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import BrokenExecutor, Executor
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from sppm_pipeline.engine.config.options import options_of, parse_typed, plain_o
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.strict_json import json_text, jsonable
+from sppm_pipeline.errors import NativeCrash
 from sppm_pipeline.families.tiler import Tiler, checked_lay
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.slice_stack import SliceStack
@@ -391,6 +393,9 @@ class HomogenizerContract(StageContract):
 class ExecutorContract:
     """What sweeps expect of an executor."""
 
+    apart = False
+    """Whether tasks run in other processes than the one that submits them."""
+
     @abstractmethod
     def executor(self, workers: int) -> Executor:
         """A new one, as the hook `sppm_executors` makes it."""
@@ -412,8 +417,20 @@ class ExecutorContract:
             assert good.result(timeout=60) == 3
 
     def test_nothing_goes_on_after_the_end(self) -> None:
-        """Tasks that wait are canceled when the executor is shut down, and those that run have ended."""
+        """Tasks that are canceled don't run, those that run have ended, and it may be shut down twice."""
         executor = self.executor(1)
         futures = [executor.submit(time.sleep, 0.02) for _ in range(9)]
-        executor.shutdown(wait=True, cancel_futures=True)
+        for future in futures:
+            future.cancel()
+        executor.shutdown(wait=True)
         assert all(future.done() for future in futures)
+        executor.shutdown(wait=True)
+
+    def test_a_worker_that_dies_is_heard_of(self) -> None:
+        """By an error that says so, whether the executor goes on (`NativeCrash`) or breaks down (`BrokenExecutor`)."""
+        if self.apart:
+            with self.executor(1) as executor:
+                error = executor.submit(os._exit, 3).exception(timeout=60)
+                assert isinstance(error, (BrokenExecutor, NativeCrash))
+                if isinstance(error, NativeCrash):
+                    assert executor.submit(pow, 2, 3).result(timeout=60) == 8

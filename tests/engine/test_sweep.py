@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import sys
 import threading
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 
@@ -16,9 +18,9 @@ from sppm_pipeline.engine.config.parameters import sweep_rows
 from sppm_pipeline.engine.plan import session as sessions
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor
+from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor, serve
 from sppm_pipeline.engine.run.runner import StepRunner
-from sppm_pipeline.engine.run.sweep import _serve, csv_text, numbers_of, rows_of, run_sweep
+from sppm_pipeline.engine.run.sweep import csv_text, numbers_of, rows_of, run_sweep
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
 
 TEXT = """name: sweep
@@ -315,7 +317,7 @@ def test_a_row_of_a_long_sweep_costs_what_one_of_a_short_sweep_does():
             order.append((number, result["row"]))
             pool.finish(number + 1)
 
-        assert _serve(pool, {number: {} for number in range(count)}, ended) == (False, [])
+        assert serve(pool, dict, {number: {} for number in range(count)}, ended, None, most=99) == (None, [])
         assert order == [(number, number) for number in range(count)]
         taken.append(Counted.taken)
     assert taken[0] > 0
@@ -428,3 +430,113 @@ def test_the_stages_of_after_are_given_the_files_of_the_runs(work, monkeypatch):
         path = work.folder / "out" / "runs" / name / "number.txt"
         assert file.path == str(path)
         assert file.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+FLAKY = (
+    PLUGIN
+    + """
+from concurrent.futures import BrokenExecutor, Executor, Future
+from sppm_pipeline.errors import NativeCrash
+
+class Flaky(Executor):
+    '''Of rows 1 and 2 it says something else than what they were, and it breaks down at the fourth.'''
+    about = "shaky ground"
+    made = []
+    def __init__(self, workers, where):
+        Flaky.made.append((workers, where))
+        self.where = where
+        self.tasks = 0
+    def submit(self, fn, task):
+        self.tasks += 1
+        future = Future()
+        if task["row"] == 1:
+            future.set_exception(OSError("lost the line"))
+        elif task["row"] == 2:
+            future.set_exception(NativeCrash("the worker died"))
+        elif task["row"] == 3 and self.where == "edge":
+            raise BrokenExecutor("the scheduler is gone")
+        else:
+            future.set_result(fn(task))
+        return future
+
+@hookimpl
+def sppm_executors():
+    return {"flaky": Flaky}
+"""
+)
+
+
+def test_what_an_executor_says_of_a_row_is_recorded_for_that_row(work):
+    path = work.write(FLAKY, "flaky.py")
+    heard = []
+
+    class Heard(Monitor):
+        def sweep_started(self, about):
+            heard.append(about)
+
+    session = work.session(DEADLY.replace("[0, 11, 0, -11, 256]", "[0, 0, 0, 0, 0]"), plugins=[path])
+    folder = work.folder / "out"
+    record = run_sweep(
+        session, session.plan(), folder, workers=3, executor="flaky", threads=1, monitor=Heard(), retries=4
+    )
+    assert [row["status"] for row in record["runs"]] == ["done", "failed", "failed", "done", "done"]
+    lost, crashed = (record["runs"][row]["error"] for row in (1, 2))
+    assert "the executor 'flaky' lost run '0001': OSError: lost the line" in lost["message"]
+    assert (lost["exit_code"], crashed["exit_code"]) == (4, 6)
+    assert "run '0002' was taken down" in crashed["message"]
+    made = next(m for m in sys.modules.values() if hasattr(m, "Flaky")).Flaky.made
+    assert made == [(3, "")] + [(1, "")] * 4  # the one that died has been tried again, alone
+    assert heard == ["shaky ground"]
+    assert record["stages"][0]["summary"]["rows"] == 5
+
+
+def test_a_sweep_whose_executor_breaks_down_ends_with_a_table(work):
+    path = work.write(FLAKY, "flaky.py")
+    text = DEADLY.replace("[0, 11, 0, -11, 256]", "[0, 0, 0, 0, 0]")
+    record = run(work, text, plugins=[path], executor="flaky:edge", workers=2)
+    assert [row["status"] for row in record["runs"]] == ["done", *["failed"] * 4]
+    assert [row["error"] for row in table_of(work.folder / "out")][3:] == [record["runs"][3]["error"]["message"]] * 2
+    assert record["runs"][3]["error"]["message"] == "the scheduler is gone; 3 of 5 runs had ended"
+    assert record["runs"][3]["error"]["exit_code"] == 6
+
+
+def test_a_place_is_refused_by_executors_that_have_none():
+    plugins = load_plugins(["sppm_pipeline.engine.run.executors"], distributions=False)
+    with pytest.raises(ConfigError, match="'threads' takes no place, got 'tcp"):
+        make_executor("threads:tcp://head:1", 1, plugins)
+
+
+def test_an_executor_holds_a_bounded_number_of_tasks():
+    full = threading.Event()
+
+    class Holding(ThreadPoolExecutor):
+        held = most = 0
+
+        def submit(self, fn, task):
+            self.held += 1
+            self.most = max(self.most, self.held)
+            if self.held == 5:
+                full.set()
+            return super().submit(fn, task)
+
+    def ended(number, result):
+        pool.held -= 1
+
+    pool = Holding(2)
+    tasks = {number: {} for number in range(23)}
+    assert serve(pool, lambda task: {"waited": full.wait(30)}, tasks, ended, None, most=5) == (None, [])
+    assert (pool.most, pool.held) == (5, 0)
+
+
+def test_workers_in_another_folder_find_the_configuration(work, monkeypatch):
+    request = replace(work.session(TEXT).request, file="config.yaml")
+    monkeypatch.chdir(work.folder)
+    here = request.read()
+    sent = request.absolute()
+    (work.folder / "elsewhere").mkdir()
+    monkeypatch.chdir(work.folder / "elsewhere")
+    with pytest.raises(ConfigError, match="there is no file"):
+        request.read()
+    there = sent.read()
+    assert there.folder == here.folder == work.folder
+    assert there.pipeline == here.pipeline  # with the names by which messages call places

@@ -74,7 +74,12 @@ class Entry(NamedTuple):
 
 
 def read_yaml(path: Path) -> Node:
-    """Read a configuration file, or the configuration inside a run record.
+    """The tree of a configuration file, or of the configuration inside a run record; see `yaml_text` for errors."""
+    return parse_yaml(yaml_text(path), str(path))
+
+
+def yaml_text(path: Path) -> str:
+    """The text of a configuration file, or of the run record in which the configuration is.
 
     Raises
     ------
@@ -95,7 +100,7 @@ def read_yaml(path: Path) -> Node:
     # in a record only the configuration counts, which comes first
     is_record = data.lstrip()[:200].startswith(b"{") and f'"{RECORD_KEY}"'.encode() in data[:200]
     text = decoded(data, str(path), is_record=is_record)
-    return parse_yaml(parsable(text) if is_record else text, str(path))
+    return parsable(text) if is_record else text
 
 
 def parse_yaml(text: str, file: str) -> Node:

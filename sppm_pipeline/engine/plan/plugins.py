@@ -64,7 +64,7 @@ class Plugin:
     module : object or None
         What was loaded.
     aliases : dict of former stage name to current name or StageAlias
-    executors : dict of name to function of the number of workers
+    executors : dict of name to function of the number of workers, and of the place where they are
     commands : dict of verb to Command
     presets : dict of name to Preset
     """
@@ -78,7 +78,7 @@ class Plugin:
     module: object | None = None
     stages: dict[str, type[Stage] | str] = field(default_factory=dict)
     aliases: dict[str, str | StageAlias] = field(default_factory=dict)
-    executors: dict[str, Callable[[int], Executor]] = field(default_factory=dict)
+    executors: dict[str, Callable[..., Executor]] = field(default_factory=dict)
     commands: dict[str, hookspecs.Command] = field(default_factory=dict)
     presets: dict[str, hookspecs.Preset] = field(default_factory=dict)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.config.configuration import Configuration, parse_configuration, read_configuration
-from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml
+from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, yaml_text
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean
 from sppm_pipeline.engine.plan.estimate import PlanEstimate, estimate_plan, refuse_what_cannot_fit
@@ -82,8 +82,11 @@ class RunRequest:
     folder: str | None = None
 
     def absolute(self) -> RunRequest:
-        """The same with absolute paths, for another process; the configuration keeps its name, which messages show."""
+        """The same for another process in another folder: the text of the configuration, which keeps its name."""
         plugins = tuple(str(Path(path).absolute()) for path in self.plugins)
+        if self.text is None and self.document is None:
+            text, folder = yaml_text(Path(self.file)), Path(self.file).parent
+            return replace(self, plugins=plugins, text=text, folder=os.path.abspath(folder))
         return replace(self, plugins=plugins, folder=os.path.abspath(self.folder or "."))
 
     def read(self) -> Configuration:

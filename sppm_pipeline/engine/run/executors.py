@@ -1,18 +1,23 @@
-"""Executors for the runs of a sweep; all speak `concurrent.futures.Executor`, so that a cluster's fits as well."""
+"""Executors for the runs of a sweep, and their service; all are `concurrent.futures.Executor`, so a cluster's fits."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import os
+import queue
 import signal
+import sys
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from typing import Any
 
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.plugins import Plugins
-from sppm_pipeline.errors import ConfigError, PluginError
+from sppm_pipeline.errors import ConfigError, PluginError, SppmError
 from sppm_pipeline.hookspecs import hookimpl
+from sppm_pipeline.process.interruption import check
 from sppm_pipeline.process.tree import die_with_parent
 
 
@@ -83,22 +88,153 @@ def default_executor(workers: int) -> str:
 def make_executor(name: str | None, workers: int, plugins: Plugins) -> Executor:
     """The executor called `name`; without a name, processes if there is more than one worker.
 
+    Parameters
+    ----------
+    name : str or None
+        ``NAME``, or ``NAME:WHERE`` of an executor that can be in several places.
+    workers : int
+    plugins : Plugins
+
     Raises
     ------
     ConfigError
-        If there is no such executor.
+        If there is no such executor, or it is in one place only.
     PluginError
         If a plugin's function does not return an executor.
     """
     there = {key: (make, plugin) for plugin in plugins.plugins for key, make in plugin.executors.items()}
-    name = name or default_executor(workers)
+    name, colon, where = (name or default_executor(workers)).partition(":")
     if name not in there:
         raise ConfigError(f"there is no executor {name!r}", hint=did_you_mean(name, there))
     make, plugin = there[name]
+    somewhere = _takes_where(make)
+    if colon and not somewhere:
+        raise ConfigError(f"the executor {name!r} takes no place, got {where!r} after the colon")
     try:
-        executor = make(workers)
+        executor = make(workers, where) if somewhere else make(workers)
+    except SppmError:
+        raise
     except Exception as error:
         raise PluginError(f"{plugin}: the executor {name!r} raised {type(error).__name__}: {error}") from error
     if not isinstance(executor, Executor):
         raise PluginError(f"{plugin}: the executor {name!r} is no concurrent.futures.Executor")
     return executor
+
+
+def _takes_where(make: Callable[..., Any]) -> bool:
+    """Whether a function has a second parameter `where`."""
+    try:
+        parameters = list(inspect.signature(make).parameters)
+    except ValueError:  # some compiled functions have no signature
+        return False
+    return parameters[1:2] == ["where"]
+
+
+LISTENING = 0.25
+"""Seconds between two looks at whether the sweep was asked to stop."""
+
+
+def serve(
+    pool: Executor,
+    function: Callable[[Mapping[str, Any]], dict[str, Any]],
+    tasks: Mapping[int, Mapping[str, Any]],
+    ended: Callable[[int, dict[str, Any]], None],
+    failed: Callable[[int, BaseException], None],
+    *,
+    most: int,
+) -> tuple[BaseException | None, list[int]]:
+    """Hand tasks to an executor until all have ended or it has broken down, and shut it down.
+
+    Parameters
+    ----------
+    pool : Executor
+        Only `submit` and `shutdown` are used.
+    function : function of a task
+    tasks : dict of number to task
+    ended : function
+        Given the number of a task and its result, in this thread.
+    failed : function
+        Given the number of a task and what it raised, or the executor in its place.
+    most : int
+        Tasks that the executor holds at the same time.
+
+    Returns
+    -------
+    broken : BrokenExecutor or None
+        What it said when it broke down.
+    codes : list of int
+        The exit codes of worker processes, negative for a signal; those of other machines are not known.
+    """
+    before, workers = set(_children()), []
+    futures: dict[int, Future[dict[str, Any]]] = {}
+    # tasks say when they are done: to ask all of them after each costs the square of their number
+    done: queue.SimpleQueue[int] = queue.SimpleQueue()
+    broken: BaseException | None = None
+
+    def hear(seconds: float) -> bool:
+        """Take in a task that is done; False if none is within that time."""
+        nonlocal broken
+        try:
+            number = done.get(timeout=seconds) if seconds else done.get_nowait()
+        except queue.Empty:
+            return False
+        future = futures.pop(number)
+        try:
+            error = future.exception()
+        except CancelledError as canceled:
+            error = canceled
+        if error is None:
+            ended(number, future.result())
+        elif isinstance(error, BrokenExecutor):
+            broken = error
+        else:
+            failed(number, error)
+        return True
+
+    try:
+        for number, task in tasks.items():
+            check()
+            while hear(0):
+                pass
+            while len(futures) >= most and broken is None:
+                check()
+                hear(LISTENING)
+            try:
+                if broken is not None:
+                    break
+                futures[number] = pool.submit(function, task)
+            except BrokenExecutor as error:
+                broken = error
+                break
+            futures[number].add_done_callback(functools.partial(_tell, done, number))
+        workers = [process for process in _children() if process not in before]
+        while futures:
+            check()
+            hear(LISTENING)  # not for ever, so that whoever is asked to stop hears of it
+    except BaseException:
+        _stop_workers()
+        raise
+    finally:
+        for future in list(futures.values()):  # `shutdown` of a cluster's executor may not know how to
+            future.cancel()
+        pool.shutdown(wait=True)
+    return broken, [process.exitcode for process in workers if process.exitcode is not None]
+
+
+def _tell(done: queue.SimpleQueue[int], number: int, future: Future[Any]) -> None:
+    done.put(number)
+
+
+def _children() -> list[Any]:
+    return sys.modules["multiprocessing"].active_children() if "multiprocessing" in sys.modules else []
+
+
+def _stop_workers() -> None:
+    """End the processes of this sweep, so that an interrupted one does not go on in the background.
+
+    Runs in threads do not hear of the interruption; the native code that they wait for is ended for them.
+    """
+    for process in _children():
+        process.terminate()
+    if "sppm_pipeline.process.native" in sys.modules:
+        sys.modules["sppm_pipeline.process.native"].stop_all()

@@ -6,6 +6,8 @@ import contextlib
 import hashlib
 import json
 import os
+import secrets
+import socket
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -35,6 +37,13 @@ RECORD = "run.json"
 SUMS = "SHA256SUMS"
 SWEEP_RUNS = "runs"
 
+
+def staging_name() -> str:
+    """A name in a run directory that no process of any machine has given."""
+    host = "".join(char for char in socket.gethostname()[:64] if char.isalnum() or char in "-.")
+    return f"{_STAGING}{host}-{os.getpid()}-{secrets.token_hex(3)}"
+
+
 MAX_SYNCED = 4096
 """Files of one output that the run waits for until the disk has them; more would hold it up for minutes."""
 
@@ -61,7 +70,7 @@ class RunFolder:
         self.path = path
         self.earlier: set[str] = set()
         self._threads = threads
-        self._staging = path / f"{_STAGING}{os.getpid()}"
+        self._staging = path / staging_name()
         self._claims: dict[tuple[str, ...], tuple[str, str]] = {}
         self._pending: dict[str, Path] = {}
         self._sums: dict[str, str] = {}

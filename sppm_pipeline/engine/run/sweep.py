@@ -8,11 +8,10 @@ import functools
 import io
 import json
 import os
-import queue
 import signal
-import sys
+import socket
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -21,23 +20,24 @@ from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, check_sweep, check_until, open_session
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.engine.run.executors import default_executor, make_executor
+from sppm_pipeline.engine.run.executors import default_executor, make_executor, serve
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, remove_stale_runs
 from sppm_pipeline.engine.run.record import Recorder, error_entry, mark_ended
 from sppm_pipeline.engine.run.runner import StepRunner, run_plan
+from sppm_pipeline.engine.run.workers import Driver, announced, check_worker
 from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import NativeCrash, PluginError, SppmError
 from sppm_pipeline.process.activity import current, of_run, share
-from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor, Future
-
     from sppm_pipeline.data.table import Table
     from sppm_pipeline.engine.cache.store import Store
 
-LISTENING = 0.25
-"""Seconds between two looks at whether the sweep was asked to stop."""
+IN_FLIGHT = 64
+"""Rows that an executor holds at least, or four for each worker: it never waits, and canceling is instant; a choice."""
+
+RETRIES = 2
+"""How often a row whose worker died is run again unless said otherwise; a choice."""
 
 
 def run_sweep(
@@ -51,6 +51,7 @@ def run_sweep(
     until: str | None = None,
     monitor: Monitor | None = None,
     cache: Path | None = None,
+    retries: int = RETRIES,
 ) -> dict[str, Any]:
     """Run all rows, then the stages of `after`, and write ``sweep.csv``, ``sweep.json`` and ``run.json``.
 
@@ -72,6 +73,8 @@ def run_sweep(
     monitor : Monitor, optional
     cache : Path, optional
         Folder of the cache; without one every row runs, also those that an interrupted sweep had finished.
+    retries : int
+        How often a row whose worker died is run again, alone.
 
     Returns
     -------
@@ -90,7 +93,9 @@ def run_sweep(
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
         names = _row_names(len(rows))
-        found = _run_rows(session, path, names, workers, executor, max(1, threads // workers), until, monitor, cache)
+        found = _run_rows(
+            session, path, names, workers, executor, max(1, threads // workers), until, monitor, cache, retries
+        )
         remove_stale_runs(path, names)
         columns = columns_of(found)
         runs += [{key: value for key, value in run.items() if key not in ("columns", "files")} for run in found]
@@ -162,122 +167,110 @@ def _run_rows(
     until: str | None,
     monitor: Monitor,
     cache: Path | None,
+    retries: int,
 ) -> list[dict[str, Any]]:
     """Hand the rows to an executor; results in the order of the rows.
 
     Where a worker process dies, the rows that were running are run again, each alone: a row that takes its process down
-    once more has failed, and the others go on.
+    each time has failed, and the others go on. What stops the sweep as a whole is the error of the rows that are left;
+    it is raised if no row has ended.
     """
-    common = {
-        "request": session.request.absolute(),
-        "sweep": uuid.uuid4().hex,
-        "threads": threads,
-        "until": until,
-        "cache": cache,
-    }
     executor = executor or default_executor(workers)  # also of rows that are run alone
+    path = path.resolve()
+    cache = cache.resolve() if cache is not None else None
     results: dict[int, dict[str, Any]] = {}
-    notes: list[Path] = []
+    suspects: set[int] = set()
+    tasks: list[dict[str, Any]] = []
 
     def ended(number: int, result: dict[str, Any]) -> None:
         results[number] = result
         with contextlib.suppress(OSError):  # there is none of a row that ran in this process
-            notes[number].unlink()
+            Path(tasks[number]["notes"]).unlink()
         monitor.row_finished(len(results), len(names), result)
 
+    def failed(number: int, error: BaseException) -> None:
+        if isinstance(error, NativeCrash):
+            suspects.add(number)
+        elif isinstance(error, SppmError):
+            raise error
+        else:
+            text = f"the executor {executor!r} lost run {names[number]!r}: {type(error).__name__}: {error}"
+            ended(number, _failed(session, tasks[number], PluginError(text)))
+
+    def serve_rows(workers: int, left: Mapping[int, Mapping[str, Any]]) -> tuple[BaseException | None, list[int]]:
+        pool = make_executor(executor, workers, session.plugins)
+        if len(left) == len(tasks) and (about := getattr(pool, "about", "")):
+            monitor.sweep_started(about)
+        return serve(pool, run_row, left, ended, failed, most=max(IN_FLIGHT, 4 * workers))
+
+    def alone(number: int) -> None:
+        codes: list[int] = []
+        for _ in range(retries):
+            suspects.discard(number)
+            broken, codes = serve_rows(1, {number: tasks[number]})
+            if number in results:
+                return
+            if broken is None and number not in suspects:
+                break
+        suspects.discard(number)
+        ended(number, _taken_down(session, tasks[number], codes))
+
     try:
-        with TemporaryDirectory(prefix="sppm-sweep-") as folder:
-            notes += [Path(folder) / name for name in names]
-            tasks = [
-                {**common, "row": i, "path": str(path / SWEEP_RUNS / name), "notes": str(notes[i]), "from": os.getpid()}
+        with TemporaryDirectory(prefix="sppm-sweep-") as folder, announced(path, cache, session.plugins) as driver:
+            common = {
+                "request": session.request.absolute(),
+                "sweep": uuid.uuid4().hex,
+                "threads": threads,
+                "until": until,
+                "cache": cache,
+                "from": os.getpid(),
+                "driver": driver,
+            }
+            tasks += [
+                {**common, "row": i, "path": str(path / SWEEP_RUNS / name), "notes": str(Path(folder) / name)}
                 for i, name in enumerate(names)
             ]
             while left := {i: task for i, task in enumerate(tasks) if i not in results}:
-                if not _serve(make_executor(executor, workers, session.plugins), left, ended)[0]:
-                    break
-                running = {i: task for i, task in left.items() if i not in results and notes[i].exists()}
-                if not running:
-                    raise NativeCrash(
-                        f"a worker process died before it began a run; {len(results)} of {len(tasks)} runs had ended",
-                        hint="a native library crashed, or memory ran out; try fewer workers with -j, or "
-                        "--executor serial",
-                    )
-                for i, task in running.items():
-                    died, codes = _serve(make_executor(executor, 1, session.plugins), {i: task}, ended)
-                    if died:
-                        ended(i, _taken_down(session, task, notes[i], codes))
+                broken, _ = serve_rows(workers, left)
+                if broken is not None:
+                    begun = {i for i, task in left.items() if i not in results and Path(task["notes"]).exists()}
+                    if not (begun or suspects):
+                        raise NativeCrash(
+                            f"{_why(broken)}; {len(results)} of {len(tasks)} runs had ended",
+                            hint="a native library crashed, or memory ran out; try fewer workers with -j, or "
+                            "--executor serial",
+                        )
+                    suspects |= begun
+                for number in sorted(suspects):
+                    alone(number)
+    except SppmError as error:
+        if not results:
+            raise
+        monitor.warning(None, f"the sweep ended early: {error.message}")
+        for number, task in enumerate(tasks):
+            if number not in results:
+                results[number] = _failed(session, task, error)
     finally:
         for name in names:
             mark_ended(path / SWEEP_RUNS / name)
     return [results[number] for number in range(len(names))]
 
 
-def _serve(
-    pool: Executor, tasks: Mapping[int, Mapping[str, Any]], ended: Callable[[int, dict[str, Any]], None]
-) -> tuple[bool, list[int]]:
-    """Run rows until all have ended or a worker process has died.
+def _why(broken: BaseException) -> str:
+    from concurrent.futures.process import BrokenProcessPool
 
-    Returns
-    -------
-    died : bool
-        Whether one has.
-    codes : list of int
-        The exit codes of worker processes, negative for a signal; those of other machines are not known.
-    """
-    from concurrent.futures import BrokenExecutor
-
-    before, workers = set(_children()), []
-    futures: dict[int, Future[dict[str, Any]]] = {}
-    # rows say when they are done: to ask all of them after each costs the square of their number
-    done: queue.SimpleQueue[int] = queue.SimpleQueue()
-    told, died = 0, False
-
-    def hear(seconds: float) -> bool:
-        """Take in a row that is done; False if none is within that time."""
-        nonlocal told, died
-        try:
-            number = done.get(timeout=seconds) if seconds else done.get_nowait()
-        except queue.Empty:
-            return False
-        told += 1
-        if isinstance(futures[number].exception(), BrokenExecutor):
-            died = True
-        else:
-            ended(number, futures[number].result())
-        return True
-
-    try:
-        for number, task in tasks.items():
-            check()
-            try:
-                futures[number] = pool.submit(run_row, task)
-            except BrokenExecutor:
-                died = True
-                break
-            futures[number].add_done_callback(functools.partial(_tell, done, number))
-            while hear(0):
-                pass
-        workers = [process for process in _children() if process not in before]
-        while told < len(futures):
-            check()
-            hear(LISTENING)  # not for ever, so that whoever is asked to stop hears of it
-    except BaseException:
-        _stop_workers()
-        raise
-    finally:
-        for future in futures.values():  # `shutdown` of a cluster's executor may not know how to
-            future.cancel()
-        pool.shutdown(wait=True)
-    return died, [process.exitcode for process in workers if process.exitcode is not None]
+    return "a worker process died before it began a run" if isinstance(broken, BrokenProcessPool) else str(broken)
 
 
-def _tell(done: queue.SimpleQueue[int], number: int, future: Future[Any]) -> None:
-    done.put(number)
+def _failed(session: Session, task: Mapping[str, Any], error: SppmError) -> dict[str, Any]:
+    """The result of a row that did not run, or of which nothing was heard."""
+    return _result(Path(task["path"]), session.rows[task["row"]], {}, error_entry(error))
 
 
-def _taken_down(session: Session, task: Mapping[str, Any], notes: Path, codes: Sequence[int]) -> dict[str, Any]:
+def _taken_down(session: Session, task: Mapping[str, Any], codes: Sequence[int]) -> dict[str, Any]:
     """The result of a row whose process has died, by what it was doing."""
-    path, now = Path(task["path"]), current(notes)
+    path, notes = Path(task["path"]), Path(task["notes"])
+    now = current(notes) if notes.exists() else None  # it ran on another machine
     place: dict[str, Any] = {} if now is None else {"where": now.place, "stage": now.stage or None}
     doing = "" if now is None else f", while this was running: {now.what}"
     code = codes[0] if len(codes) == 1 else None
@@ -300,21 +293,6 @@ def _taken_down(session: Session, task: Mapping[str, Any], notes: Path, codes: S
     return _result(path, row, record, record.get("error") or error_entry(error))
 
 
-def _children() -> list[Any]:
-    return sys.modules["multiprocessing"].active_children() if "multiprocessing" in sys.modules else []
-
-
-def _stop_workers() -> None:
-    """End the processes of this sweep, so that an interrupted one does not go on in the background.
-
-    Runs in threads do not hear of the interruption; the native code that they wait for is ended for them.
-    """
-    for process in _children():
-        process.terminate()
-    if "sppm_pipeline.process.native" in sys.modules:
-        sys.modules["sppm_pipeline.process.native"].stop_all()
-
-
 @functools.lru_cache(maxsize=1)
 def _session(request: RunRequest, sweep: str) -> Session:
     """One session a sweep and worker process, whatever the number of its rows."""
@@ -329,18 +307,26 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     task : mapping
         ``request`` (a `RunRequest`), ``sweep`` (a string that no other sweep has), ``row`` (number of the row),
         ``path`` (run directory), ``threads``, ``until``, ``cache`` (folder of the cache, or None), ``notes`` (a file in
-        which a worker process notes what it is doing) and ``from`` (number of the process that has made the task).
+        which a worker process notes what it is doing), ``from`` (number of the process that has made the task) and
+        ``driver`` (a `Driver`).
 
     Returns
     -------
     dict
         ``run``, ``params``, ``status``, ``error``, ``seconds``, ``warnings``, ``columns``, ``files`` (names and
         digests), and as ``record`` the digest of the row's record.
+
+    Raises
+    ------
+    ConfigError, ResourceError
+        If this worker process is unfit for the sweep; see `check_worker`.
     """
+    driver: Driver = task["driver"]
+    apart = (os.getpid(), socket.gethostname()) != (task["from"], driver.host)
+    warnings = check_worker(driver) if apart else []
     session = _session(task["request"], task["sweep"])
     row = session.rows[task["row"]]
     path = Path(task["path"])
-    apart = os.getpid() != task["from"]
     if apart:
         with contextlib.suppress(OSError):  # on another machine
             share(Path(task["notes"]))
@@ -351,9 +337,11 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
         key = run_key(plan, task["until"])
         with contextlib.nullcontext() if apart else of_run(path.name):  # of a worker process its notes tell
             record = run_plan(plan, path, threads=task["threads"], until=task["until"], store=store, key=key)
-    except SppmError as error:
-        return _result(path, row, getattr(error, "record", {}), error_entry(error))
-    return _result(path, row, record, None)
+        error = None
+    except SppmError as raised:
+        record, error = getattr(raised, "record", {}), error_entry(raised)
+    result = _result(path, row, record, error)
+    return result | {"warnings": warnings + result["warnings"]}
 
 
 def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -1,0 +1,211 @@
+"""An executor on Dask's scheduler: a local cluster, a running one, or one whose workers are jobs of a queue."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib
+import importlib.util
+import logging
+import multiprocessing
+import threading
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, Future, InvalidStateError
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster
+from distributed.scheduler import KilledWorker
+
+from sppm_pipeline.errors import ConfigError, NativeCrash, ResourceError
+from sppm_pipeline.process.interruption import requested
+
+QUEUES = {
+    "slurm": "SLURMCluster",
+    "pbs": "PBSCluster",
+    "lsf": "LSFCluster",
+    "sge": "SGECluster",
+    "oar": "OARCluster",
+    "moab": "MoabCluster",
+    "htcondor": "HTCondorCluster",
+}
+"""Classes of dask_jobqueue, by what stands after ``dask:``."""
+
+CONNECTING = "20s"
+"""How long a scheduler may take to answer; a choice."""
+
+AT_ONCE = 0.2
+"""Seconds that an interrupted sweep waits for its cluster; a choice below the patience of the program."""
+
+LOCAL = {
+    # a row that kills its worker is found soon: the engine repeats those that were hit, each alone
+    "distributed.scheduler.allowed-failures": 1,
+    # rows are heavy: none waits at a worker that may die of another one
+    "distributed.scheduler.worker-saturation": 1.0,
+}
+"""Settings of the clusters that are started here."""
+
+
+class DaskExecutor(Executor):
+    """Hands tasks to the workers of a Dask cluster.
+
+    Parameters
+    ----------
+    workers : int
+        Processes of a cluster that is started here; of a queue the largest number of jobs at the same time. A cluster
+        that runs already has the workers it has.
+    where : str
+        Nothing for processes of this machine; the address of a scheduler (``tcp://head:8786``); its scheduler file; or
+        the name of a queue (`QUEUES`), which is set up in Dask's own configuration.
+
+    Attributes
+    ----------
+    about : str
+        Where the tasks run, for the user.
+
+    Raises
+    ------
+    ConfigError
+        If `where` is none of these.
+    ResourceError
+        If the scheduler does not answer, or the queue refuses the workers.
+    """
+
+    def __init__(self, workers: int, where: str = "") -> None:
+        # what it logs as errors are tracebacks, of what the rows' own errors say
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self._ending = contextlib.ExitStack()
+        self._closed = False
+        with contextlib.ExitStack() as ending:
+            try:
+                self._client = ending.enter_context(_client(workers, where, ending))
+            except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+                raise ResourceError(
+                    f"no Dask scheduler at {where or 'this machine'}: {error}",
+                    hint="start one with `dask scheduler`, or look whether its address can be reached from here",
+                ) from error
+            self._tasks = self._client.get_executor(pure=False)  # equal tasks are several tasks
+            self._ending = ending.pop_all()
+        self.about = f"Dask at {self._client.scheduler.address}, {_counted(workers, where, self._client)}"
+        if link := self._client.dashboard_link if importlib.util.find_spec("bokeh") else "":
+            self.about += f", dashboard at {link}"
+
+    @property
+    def _alive(self) -> bool:
+        return self._client.status in ("running", "connecting")
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Hand a task to the cluster; if its workers died of it, its exception is a `NativeCrash`.
+
+        Raises
+        ------
+        BrokenExecutor
+            If the scheduler is gone.
+        RuntimeError
+            After `shutdown`.
+        """
+        if self._closed:
+            raise RuntimeError("the executor was shut down")
+        if not self._alive:
+            raise BrokenExecutor("the Dask scheduler is gone")
+        # the arguments are the task's own, and none of them Dask's
+        inner = self._tasks.submit(functools.partial(fn, *args, **kwargs))
+        outer: Future[Any] = Future()
+        outer.add_done_callback(functools.partial(_cancel, inner))
+        inner.add_done_callback(functools.partial(_pass_on, outer))
+        return outer
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End; a cluster that was started here ends as well. May be called twice.
+
+        When the sweep is interrupted there is no time: processes of this machine end with this one, jobs of a queue are
+        canceled in the background while the records are put in order.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        if requested():
+            closing = threading.Thread(target=self._ending.close, daemon=True)
+            if isinstance(self._client.cluster, LocalCluster):
+                self._client.cluster.shutdown_on_close = False
+                for process in multiprocessing.active_children():
+                    process.kill()
+                    process.join(AT_ONCE)
+            closing.start()
+            closing.join(AT_ONCE)
+            return
+        try:
+            # cancels what has not ended, unless it waits for it
+            if self._alive:
+                self._tasks.shutdown(wait=wait and not cancel_futures)
+        finally:
+            self._ending.close()
+
+
+def _client(workers: int, where: str, ending: contextlib.ExitStack) -> Any:
+    """A client of the cluster that `where` names; one that is started ends with `ending`."""
+    if not where:
+        # what it writes goes with it
+        scratch = ending.enter_context(TemporaryDirectory(prefix="sppm-dask-", ignore_cleanup_errors=True))
+        ending.enter_context(dask.config.set(LOCAL))
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,  # stages say what they need; Dask would end a row that needs more than its share
+            dashboard_address="127.0.0.1:0",  # any free port
+            local_directory=scratch,
+            silence_logs=logging.CRITICAL,
+        )
+        return Client(ending.enter_context(cluster), set_as_default=False)
+    if "://" in where:
+        return Client(where, timeout=CONNECTING, set_as_default=False)
+    if (file := Path(where).expanduser()).is_file():
+        return Client(scheduler_file=str(file), timeout=CONNECTING, set_as_default=False)
+    if where not in QUEUES:
+        raise ConfigError(
+            f"dask:{where} is no address, no scheduler file and no queue",
+            hint=f"dask:tcp://HOST:8786, dask:FILE.json, or one of {', '.join(f'dask:{name}' for name in QUEUES)}",
+        )
+    try:
+        queues = importlib.import_module("dask_jobqueue")
+    except ImportError as error:
+        raise ConfigError(f"dask:{where} needs dask-jobqueue", hint="pip install 'sppm-dask[jobqueue]'") from error
+    cluster = ending.enter_context(getattr(queues, QUEUES[where])())  # partition, cores and time: ~/.config/dask
+    cluster.adapt(minimum_jobs=1, maximum_jobs=workers)
+    return Client(cluster, set_as_default=False)
+
+
+def _counted(workers: int, where: str, client: Any) -> str:
+    """How many workers there are, or may be."""
+    if where in QUEUES:
+        return f"at most {workers} jobs of {where}"
+    there = len(client.scheduler_info(n_workers=-1)["workers"])
+    return f"{there} worker{'' if there == 1 else 's'}"
+
+
+def _cancel(inner: Future[Any], outer: Future[Any]) -> None:
+    if outer.cancelled():
+        inner.cancel()
+
+
+def _pass_on(outer: Future[Any], inner: Future[Any]) -> None:
+    """Give the outcome of Dask's future to ours, which somebody may cancel meanwhile."""
+    with contextlib.suppress(InvalidStateError):
+        if inner.cancelled():  # not by us
+            outer.set_exception(ConnectionError("the Dask scheduler is gone"))
+        elif (error := inner.exception()) is None:
+            outer.set_result(inner.result())
+        elif isinstance(error, KilledWorker):
+            outer.set_exception(_crash(error))
+        else:
+            outer.set_exception(error)
+
+
+def _crash(error: KilledWorker) -> NativeCrash:
+    return NativeCrash(
+        f"the worker died {error.allowed_failures + 1} times, last at {error.last_worker.address}",
+        hint="a native library crashed, memory ran out, or the queue ended the job; the worker's log says more",
+    )

@@ -1,0 +1,155 @@
+"""Sweeps on real local clusters: same bytes as in serial, workers that die, and places that are none."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import sppm_dask.executor as places
+from sppm_dask.executor import DaskExecutor
+
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.run.sweep import run_sweep
+from sppm_pipeline.errors import ConfigError, NativeCrash, ResourceError
+from sppm_pipeline.testing.contracts import ExecutorContract
+
+STAGE = '''
+import os, signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.stage import Context, Stage, option
+
+@dataclass(frozen=True, kw_only=True)
+class Kill(Stage):
+    """Kill the worker with the number that is asked for, once."""
+    name: ClassVar[str] = "check.kill"
+    seed: int = option(help="no worker dies of others than 5")
+    def run(self, context: Context, pores: PoreSet) -> None:
+        once = Path(__file__).with_name("once")
+        if self.seed == 5 and not once.exists():
+            once.write_text(str(os.getpid()))
+            os.kill(os.getpid(), signal.SIGKILL)
+'''
+
+SWEEP = """sppm: 1
+params: {n: 1}
+pipeline:
+  - {stage: sample.dart_throwing, count: 8}
+  - {stage: check.kill, seed: "${n}"}
+  - {stage: connect.mst}
+  - {stage: write.graph, path: graph.json}
+sweep: {n: [1, 2, 3, 4, 5, 6, 7, 8]}
+"""
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Two workers of this machine, which executors can also find by the address of their scheduler."""
+    with DaskExecutor(2) as executor:
+        assert ", 2 workers" in executor.about
+        yield executor._client.cluster
+
+
+@pytest.mark.parametrize("test", [name for name in dir(ExecutorContract) if name.startswith("test_")])
+def test_it_keeps_the_contract(cluster, test):
+    class Suite(ExecutorContract):
+        apart = True
+
+        def executor(self, workers):
+            return DaskExecutor(workers, cluster.scheduler_address)
+
+    getattr(Suite(), test)()
+
+
+def test_a_scheduler_file_names_the_cluster_and_arguments_are_not_those_of_dask(cluster, tmp_path):
+    file = tmp_path / "scheduler.json"
+    file.write_text(json.dumps({"address": cluster.scheduler_address}))
+    with DaskExecutor(1, str(file)) as executor:
+        assert executor.about.startswith(f"Dask at {cluster.scheduler_address}, ")
+        assert executor.submit(dict, retries=2, workers="none").result(timeout=30) == {"retries": 2, "workers": "none"}
+        twice = [executor.submit(time.perf_counter) for _ in range(2)]
+        assert twice[0].result(timeout=30) != twice[1].result(timeout=30)
+    with pytest.raises(RuntimeError, match="shut down"):
+        executor.submit(int)
+
+
+def test_a_task_that_kills_its_workers_says_so(cluster):
+    with DaskExecutor(2, cluster.scheduler_address) as executor:
+        error = executor.submit(os._exit, 3).exception(timeout=60)
+        assert isinstance(error, NativeCrash)
+        assert "died 2 times" in error.message
+
+
+def test_places_that_are_none(monkeypatch):
+    monkeypatch.setattr(places, "CONNECTING", "0.2s")
+    with pytest.raises(ConfigError, match="dask:slrum is no address, no scheduler file and no queue"):
+        DaskExecutor(1, "slrum")
+    with pytest.raises(ResourceError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9:"):
+        DaskExecutor(1, "tcp://127.0.0.1:9")
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
+    with pytest.raises(ConfigError, match="dask:slurm needs dask-jobqueue") as caught:
+        DaskExecutor(1, "slurm")
+    assert "sppm-dask[jobqueue]" in caught.value.hint
+
+
+def test_a_task_that_the_scheduler_gives_up_says_so(cluster):
+    with DaskExecutor(1, cluster.scheduler_address) as executor:
+        future = executor.submit(time.sleep, 0.2)
+        executor._client.cancel(list(executor._tasks._futures))
+        assert isinstance(future.exception(timeout=30), ConnectionError)
+        executor._client.close()
+        with pytest.raises(BrokenExecutor, match="scheduler is gone"):
+            executor.submit(int)
+
+
+def test_a_queue_starts_as_many_jobs_as_are_asked_for(cluster, monkeypatch):
+    asked = []
+
+    class Queue:
+        def __getattr__(self, name):
+            return getattr(cluster, name)
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *error):
+            asked.append("ended")
+
+        def adapt(self, **limits):
+            asked.append(limits)
+
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", SimpleNamespace(SLURMCluster=Queue))
+    with DaskExecutor(7, "slurm") as executor:
+        assert executor.about.endswith("at most 7 jobs of slurm")
+    assert asked == [{"minimum_jobs": 1, "maximum_jobs": 7}, "ended"]
+
+
+def outputs(folder: Path) -> dict[str, bytes]:
+    """What the rows wrote, and the table."""
+    files = [file for file in folder.rglob("*") if file.is_file() and file.name not in ("run.json", "SHA256SUMS")]
+    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
+
+
+def test_a_sweep_survives_a_worker_that_is_killed_with_the_bytes_of_a_serial_one(cluster, tmp_path):
+    (tmp_path / "kill.py").write_text(STAGE)
+    (tmp_path / "once").write_text("not in serial")
+    session = open_session(
+        RunRequest("sweep.yaml", plugins=(str(tmp_path / "kill.py"),), text=SWEEP, folder=str(tmp_path))
+    )
+    found = []
+    for to, executor in (("serial", "serial"), ("cluster", f"dask:{cluster.scheduler_address}")):
+        folder = tmp_path / to
+        record = run_sweep(session, session.plan(), folder, workers=2, executor=executor, threads=2)
+        assert [row["status"] for row in record["runs"]] == ["done"] * 8
+        found.append(outputs(folder))
+        (tmp_path / "once").unlink()  # of the worker that has died
+    assert found[0] == found[1]
+    assert len(found[0]) == 8 + 2
