@@ -127,7 +127,7 @@ class Measured(NamedTuple):
     Attributes
     ----------
     pore_radius : (n,) float64
-        Distance from the center to the nearest wall.
+        Distance from the center to the nearest wall; half a cell edge where there is none.
     pore_volume : (n,) float64
         Of the void that is nearer to this pore than to any other; all of the void goes to pores.
     throat_radius : (t,) float64
@@ -180,9 +180,11 @@ def measured(network: CutNetwork, values: NDArray[np.float32], threads: int = 1)
         resistance = np.bincount(throat, radius**-4.0, len(slices)) * length / slices
     least = np.minimum.reduceat(radius, first) if len(first) else np.empty(0)
 
-    z, y, x = np.nonzero(values >= 0)
-    owner = KDTree(network.coords).query((np.stack([x, y, z], 1) + 0.5) / n, workers=threads)[1]
-    volume = np.bincount(owner, minlength=len(network.coords)) / n**3
+    nearest, volume = KDTree(network.coords), np.zeros(len(network.coords))
+    for layer in range(n):
+        y, x = np.nonzero(values[layer] >= 0)
+        places = (np.stack([x, y, np.full_like(x, layer)], 1) + 0.5) / n
+        volume += np.bincount(nearest.query(places, workers=threads)[1], minlength=len(volume)) / n**3
     return Measured(to_wall(network.coords), volume, least, np.pi / 8 / resistance)
 
 

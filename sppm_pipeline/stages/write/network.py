@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,7 @@ class WriteNetwork(Stage):
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         grid = source.grid(self.resolution)
-        return Size(samples=grid.samples, sums=grid.sums, voxels=grid.samples, tunnels=source.cell.tunnels)
+        return Size(samples=grid.samples, sums=grid.sums, resident=grid.samples, tunnels=source.cell.tunnels)
 
     def run(self, context: Context, source: Microstructure) -> None:
         """Measure pores and throats, write the file and report the permeability."""
@@ -84,8 +84,9 @@ class WriteNetwork(Stage):
         columns = _columns(network, sizes, meters)
         target = context.output(self.path)
         if extension_of(self.path) == ".npz":
+            arrays: dict[str, Any] = dict(columns)
             with target.open("wb") as file:
-                np.savez_compressed(file, **columns)
+                np.savez_compressed(file, **arrays)
         else:
             target.write_text(_table(columns), encoding="utf-8")
         context.report(
