@@ -43,8 +43,9 @@ class Pipeline:
 
     Parameters
     ----------
-    stages : sequence of stages
-        Entries made with `step`, calls of stages without artifacts, names, or mappings as in YAML.
+    stages : sequence of stages, or str or Path
+        A file, the name of a packaged example or YAML, as `from_yaml` takes it; or a list of entries made with `step`,
+        calls of stages without artifacts, names, or mappings as in YAML.
     recipes : mapping of name to sequence of stages, or to ``{"preset": NAME, ...}``, optional
         Lists of stages that others repeat.
     params : mapping of name to value, optional
@@ -56,9 +57,11 @@ class Pipeline:
         Python files with further stages.
     """
 
+    _request: RunRequest
+
     def __init__(
         self,
-        stages: Sequence[Any],
+        stages: Sequence[Any] | str | Path,
         *,
         recipes: Mapping[str, Sequence[Any] | Mapping[str, Any]] | None = None,
         params: Mapping[str, Any] | None = None,
@@ -66,6 +69,14 @@ class Pipeline:
         seed: int = 0,
         plugins: Sequence[str | Path] = (),
     ) -> None:
+        if isinstance(stages, (str, Path)):
+            if recipes or params or plugins or name != "pipeline" or seed:
+                raise ConfigError(
+                    f"{str(stages)!r} names its own recipes, parameters, seed and plugins",
+                    hint="change them with `Pipeline(...).with_(...)`, or pass a list of stages",
+                )
+            self._request = Pipeline.from_yaml(stages)._request
+            return
         document: dict[str, Any] = {"sppm": FORMAT, "name": name, "seed": seed}
         if params:
             document["params"] = dict(params)

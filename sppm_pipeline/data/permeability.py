@@ -87,14 +87,14 @@ class PermeabilityReport(Artifact):
             object.__setattr__(self, "error", frozen(np.asarray(self.error, np.float64)))
 
     def check(self) -> None:
-        """A finite, symmetric tensor that is not negative and not more than the thermal permeability."""
+        """A finite, symmetric tensor that is not negative, if the solver got so far, and a porosity between 0 and 1."""
         if self.k.shape != (3, 3) or not np.isfinite(self.k).all():
             raise ValueError(f"the permeability must be a finite 3 x 3 matrix, got shape {self.k.shape}")
         largest = float(np.abs(self.k).max())
         if np.abs(self.k - self.k.T).max() > 1e-6 * largest:
             raise ValueError("the permeability is not symmetric")
         values = np.linalg.eigvalsh(self.k)
-        if values[0] < -1e-3 * largest:
+        if self.converged and values[0] < -1e-3 * largest:
             raise ValueError("the permeability has a negative eigenvalue")
         if not 0 <= self.porosity <= 1:
             raise ValueError(f"the porosity must lie between 0 and 1, got {self.porosity}")

@@ -110,6 +110,12 @@ def test_a_pipeline_is_a_value():
         pipeline.with_(pore=3).check()
 
 
+def test_a_pipeline_of_a_file_is_that_file():
+    assert sppm.Pipeline("cell").to_yaml() == sppm.Pipeline.from_yaml("cell").to_yaml()
+    with pytest.raises(sppm.ConfigError, match="its own recipes"):
+        sppm.Pipeline("cell", seed=3)
+
+
 def test_mistakes_are_reported_together_with_their_places():
     wrong = sppm.Pipeline([sppm.step.sample.dart_throwing(cont=1), "connect.mdst"])
     with pytest.raises(sppm.ConfigErrors) as caught:

@@ -278,15 +278,15 @@ class _Problem:
             a0, a2, a3 = c * delta - c_before * s * gamma, s * delta + c_before * c * gamma, s_before * gamma
             gamma_before, direction = gamma, z[: 3 * n]
             before, v, q = v, q, before
-            # the next direction takes the place of this one only after it has been used
+            # the next direction, but for its length a1, which the next gamma tells
             _combine(w_before, direction, 1.0, w, -a2, -a3)
             w, w_before = w_before, w
             self.precondition(v, z, work)
             square = dot(z, v)
-            if not (math.isfinite(square) and square >= 0):
+            a1 = math.hypot(a0, math.sqrt(max(square, 0.0)))
+            if not (math.isfinite(square) and square >= 0 and a1 > 0):
                 return u, Solved(iteration, abs(eta) / start, k, error, False, False)
             gamma = math.sqrt(square)
-            a1 = math.hypot(a0, gamma)
             w *= dtype.type(1 / a1)
             c_before, c, s_before, s = c, a0 / a1, s, gamma / a1
             _combine(u, w, c * eta)

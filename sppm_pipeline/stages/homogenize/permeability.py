@@ -60,8 +60,8 @@ class FlowHomogenizer(Homogenizer):
             solid = source.values >= 0.5 if source.fractions else source.values > 0
             return faces_of_voxels(~solid.T, edges), self._longest(source)
         if self.fractions == "binary":
-            solid = source.solid(cell_centers(self.resolution, source.cells), context.threads)
-            return faces_of_voxels(solid.T == 0, edges), float(self.resolution)
+            inside = source.solid(cell_centers(self.resolution, source.cells), context.threads)
+            return faces_of_voxels(inside.T == 0, edges), float(self.resolution)
         faces = faces_of_field(
             lambda grid: source.sample_zyx(grid, 0, grid.shape[2], context.threads), shape, 1 / self.resolution
         )
