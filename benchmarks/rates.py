@@ -96,6 +96,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: check.connectivity, resolution: $r}
   - {stage: check.sizes, resolution: $r}
   - {stage: write.graph}
+  - {stage: write.network, resolution: $r, cell: 5 mm}
   - {stage: write.picture, resolution: $r, image_size: [$p, $p]}
   - {stage: extract.voxels, resolution: $r}
   - {stage: write.npy}

@@ -99,6 +99,7 @@ BUILT_IN = {
     "write.flow": "WriteFlow",
     "write.absorption": "WriteAbsorption",
     "write.graph": "WriteGraph",
+    "write.network": "WriteNetwork",
     "write.picture": "WritePicture",
     "write.view": "WriteView",
     "write.chart": "WriteChart",

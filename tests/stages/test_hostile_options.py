@@ -154,6 +154,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "write.flow": ([*REPEATED, "  - {stage: homogenize.permeability, resolution: 6}"], "image_size: [300, 300]", []),
     "write.absorption": ([*REPEATED, "  - {stage: homogenize.acoustics, resolution: 6, cell: 5 mm}"], "", []),
     "write.graph": (AS_CELL[:3], "", []),
+    "write.network": (AS_CELL, "resolution: 8, cell: 5 mm", []),
     "write.picture": ([BOX], "image_size: [32, 32], resolution: 4", []),
 }  # fmt: skip
 """What comes before a stage, the options it gets, and what comes after."""
