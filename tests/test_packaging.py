@@ -51,6 +51,7 @@ def run(environment: Path, folder: Path, *arguments: str) -> subprocess.Complete
     return subprocess.run(
         [str(environment / "bin" / "python"), "-m", "sppm_pipeline", *arguments],
         cwd=folder, capture_output=True, text=True, timeout=300,
+        env={**os.environ, "SPPM_CACHE": str(folder / "cache")},  # a report takes the field of its live view from there
     )  # fmt: skip
 
 
