@@ -279,14 +279,20 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 12), "f": (32, 32, 64, 64), "r": (12, 16, 32, 48)},
     ),
     "crushing": (
-        TILES + """
-  - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24}
+        """recipes:
+  cell:
+    - {stage: sample.dart_throwing, total: $n}
+    - {stage: connect.mst}
+    - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.06}
+  tuned:
+    - {stage: tune.porosity, recipe: cell, target: 0.5, resolution: 24, tolerance: 0.01}
+pipeline:
+  - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24, tolerance: 0.01}
   - {stage: crush.voxel, resolution: $h, rate: 0.02, yield_stress: 0.02}
-  - {stage: write.frames, from: crush.voxel}
-  - {stage: tune.plateau, recipe: cell, resolution: $h, rate: 0.02, yield_stress: 0.02, vary: field.gaussian.level,
-     low: 0.1, high: 0.6, first: 3, target: 0.003, accuracy: 0.45}
+  - {stage: tune.plateau, recipe: tuned, resolution: $h, rate: 0.02, yield_stress: 0.02, low: 0.4, high: 0.7, first: 3,
+     target: 0.003, accuracy: 0.49}
 """,
-        {"n": (42, 42, 60, 72), "h": (8, 10, 16, 24)},
+        {"n": (20, 20, 20, 20), "h": (8, 10, 16, 24)},
     ),
     "curves": (
         """pipeline:

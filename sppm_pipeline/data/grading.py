@@ -1,4 +1,4 @@
-"""Parameters as functions of place: porosity, scale, radii and direction that vary through a part."""
+"""Parameters as functions of place: porosity, scale and radii that vary through a part."""
 
 from __future__ import annotations
 
@@ -42,13 +42,8 @@ _ANY = math.inf
 QUANTITIES = {
     "porosity": Quantity("", 0.0, 1.0, False, "share of void"),
     "scale": Quantity("", 0.0, _ANY, False, "factor of the recipe's spacing and radii"),
-    "spacing": Quantity("mm", 0.0, _ANY, False, "smallest distance between pores"),
     "pore_radius": Quantity("mm", 0.0, _ANY, False, "radius of an isolated pore"),
     "tunnel_radius": Quantity("mm", 0.0, _ANY, False, "radius of an isolated tunnel"),
-    "stretch": Quantity("", 0.0, _ANY, False, "length of a pore along `direction` over its width"),
-    "direction_x": Quantity("", -_ANY, _ANY, False, "direction of the stretch, of any length"),
-    "direction_y": Quantity("", -_ANY, _ANY, False, "direction of the stretch, of any length"),
-    "direction_z": Quantity("", -_ANY, _ANY, False, "direction of the stretch, of any length"),
     "weight": Quantity("", 0.0, 1.0, True, "share of the second of two sets or fields"),
 }
 """Names that stages look for; a map of any other name is data for formulas."""

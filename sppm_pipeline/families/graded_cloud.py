@@ -104,7 +104,7 @@ class GradedCloud:
         low, high = np.zeros(3), np.array(self.mask.shape) - 2.0 * self.halo
         axes = [np.arange(NODES * n + 1) / NODES - self.halo for n in self.mask.shape]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        return np.clip(grid, low, high) * self.edge + np.array(self.origin)
+        return np.asarray(np.clip(grid, low, high) * self.edge + np.array(self.origin))
 
     def _density(self, context: Context, total: int) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
         """Density by the sizes of pores alone, and the wanted porosity, both at the nodes; None without a target."""

@@ -21,12 +21,12 @@ class Grader(Stage):
     """Common base of the family ``grade``: implement `law`; `run` adds it to the maps made before."""
 
     of: str = option(
-        help="name of the map; other stages look for porosity, scale, spacing, pore_radius, tunnel_radius, stretch, "
-        "direction_x, direction_y, direction_z and weight, any other name is data for formulas"
+        help="name of the map; other stages look for porosity, scale, pore_radius, tunnel_radius and weight, any other "
+        "name is data for formulas"
     )
     measure: str | None = option(
         None,
-        help="unit of the values; millimeters for spacing and radii, else none if omitted. Lengths of these are "
+        help="unit of the values; millimeters for radii, else none if omitted. Radii in other units of length are "
         "converted to millimeters",
     )
 

@@ -21,8 +21,8 @@ from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
     from sppm_pipeline.render.camera import Camera, Frame
-    from sppm_pipeline.render.rays import Colors, Solid
     from sppm_pipeline.render.shading import Background
+    from sppm_pipeline.render.solid_view import Colors, Solid
 
 MAX_SAMPLES = 64_000_000
 """Samples of a field for one picture; finer grids are coarsened, as no pixel would show the difference."""
@@ -92,8 +92,8 @@ class Scene:
         background : Background
         threads : int
         """
-        from sppm_pipeline.render.rays import render_solid
         from sppm_pipeline.render.sheets import annotated
+        from sppm_pipeline.render.solid_view import render_solid
 
         frame, plane = self.frame(size, camera), None
         if section is not None:
@@ -126,7 +126,7 @@ def scene_of(
         Samples along a cell edge; fewer if there were more than `max_samples`. A mesh needs none.
     threads, max_samples : int
     """
-    from sppm_pipeline.render.rays import COLORS, Solid
+    from sppm_pipeline.render.solid_view import COLORS, Solid
 
     if isinstance(what, SurfaceMesh):
         grid = Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (2, 2, 2))
@@ -158,7 +158,7 @@ def _smooth(field: ScalarField, values: NDArray[np.float32]) -> NDArray[np.float
 
 def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     """What is solid of a part, without islands if it has none, and the share of these."""
-    from sppm_pipeline.render.rays import Solid
+    from sppm_pipeline.render.solid_view import Solid
 
     nx, ny, nz = grid.shape
     closed = part.method == "scanline"

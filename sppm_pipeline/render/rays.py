@@ -1,106 +1,29 @@
-"""Pictures of sampled fields by rays: from each pixel through the field, within the triangles that bound the part.
+"""Rays through sampled fields within triangles that bound a part: the kernels.
 
-Where a ray is inside the part is known from the triangles themselves: each pixel has a list of those that it may see
-(an A-buffer; Carpenter 1984, "The A-buffer, an antialiased hidden surface method"). Rims, where the microstructure
-meets the surface of the part, are therefore exact, which they are not on a mesh of the maximum of both fields. A pixel
-has one ray; those on edges, of which a neighbor has another depth, normal or color, get eight more.
+Each pixel has a list of the triangles that it may see (an A-buffer; Carpenter 1984, "The A-buffer, an antialiased
+hidden surface method"). A ray is inside the part between those that it pierces, and marches there through the samples.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connectivity.islands import grown
-from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.threads import in_bands
-from sppm_pipeline.render.camera import Frame, projected
-from sppm_pipeline.render.mesh_view import normal_on, vertex_normals
-from sppm_pipeline.render.shading import (
-    BONE,
-    CUT,
-    LINEAR,
-    SKIN,
-    Background,
-    Color,
-    Hidden,
-    Seen,
-    empty_seen,
-    hidden_sky,
-    light_of,
-    lit,
-    on_background,
-)
+from sppm_pipeline.render.mesh_view import normal_on
 
 STEP = 0.6
 """Steps along a ray near the solid, in spacings of the samples: a choice. What is missed is thinner than a voxel."""
 
-_BATCH = 2**15  # pixels that are traced at a time
-_BAND = 64  # rows
-_FAR = 3  # blocks without solid around one that are looked for
 _BEHIND = 0.25  # spacings behind a surface at which it is told whose it is
 _PAST = 1e-4  # spacings by which a ray enters the next block, so that rounding does not keep it where it is
-
-_NO_VALUES = np.empty((0, 0, 0), np.float32)
 _FIELD, _DOMAIN, _SKIN, _SECTION = 0, 1, 2, 3
 
-# Rays miss the middles of pixels by this, so that views along an axis do not run within faces or through corners.
-_ASIDE = (3.1e-5, 1.7e-5)
 
-# Eight places in a pixel of which no two share a row or column (a solution of the queens' problem), besides its middle.
-_PLACES = (np.stack([np.arange(8), np.array([3, 6, 2, 7, 1, 4, 0, 5])], axis=1) + 0.5) / 8
-
-_SAME_NORMAL = 0.85  # cosine; a choice
-_FLAT = np.float32(0.2)  # cosine; surfaces seen at a smaller angle are as good as steep
-_SAME_DEPTH = 0.75  # pixels by which a neighbor may be off the plane of a sample; a choice
-
-
-class Solid(NamedTuple):
-    """What is solid: negative samples within a mesh.
-
-    Attributes
-    ----------
-    grid : Grid
-        Where the samples are; all spacings are equal.
-    vertices : (n, 3) float64
-        Of the mesh, in the unit of the grid.
-    faces : (m, 3) int
-        They bound the part, wound outwards.
-    field : (nz, ny, nx) float32
-        Negative in the solid of the microstructure.
-    skin : (nz, ny, nx) float32, optional
-        Negative in the skin, which is united with the microstructure.
-    outer : (nz, ny, nx) float32, optional
-        Positive outside of a part whose triangles do not bound it; the mesh is then something around it.
-    """
-
-    grid: Grid
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.integer]
-    field: NDArray[np.float32]
-    skin: NDArray[np.float32] = _NO_VALUES
-    outer: NDArray[np.float32] = _NO_VALUES
-
-
-class Colors(NamedTuple):
-    """Colors of the microstructure's surface, the surface of the part, the skin, and the section plane."""
-
-    field: Color = BONE
-    domain: Color = CUT
-    skin: Color = SKIN
-    section: Color = CUT
-
-
-COLORS = Colors()
-
-
-class _Scene(NamedTuple):
+class RayScene(NamedTuple):
     """All that a ray needs; lengths in spacings of the samples, measured from the first one."""
 
     field: NDArray[np.float32]
@@ -121,7 +44,7 @@ class _Scene(NamedTuple):
 
 
 @jit
-def _overlaps(
+def list_overlaps(
     places: NDArray[np.float64],
     faces: NDArray[np.int64],
     width: int,
@@ -317,8 +240,8 @@ def _crossings(
 
 
 @jit
-def _trace(
-    scene: _Scene,
+def trace(
+    scene: RayScene,
     pixels: NDArray[np.int64],
     offsets: NDArray[np.float64],
     depth: NDArray[np.float32],
@@ -401,193 +324,3 @@ def _trace(
                     normal[p, place, axis] = mean[0] * axes[axis, 0] + mean[1] * axes[axis, 1] + mean[2] * axes[axis, 2]
                     color[p, place, axis] = colors[shown, axis]
                 break
-
-
-@jit
-def _add_light(
-    pixels: NDArray[np.int64],
-    depths: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    colors: NDArray[np.uint8],
-    depth: NDArray[np.float32],
-    creases: NDArray[np.float32],
-    pores: NDArray[np.float32],
-    strength: np.float32,
-    linear: NDArray[np.float32],
-    light: NDArray[np.float32],
-    start: int,
-    stop: int,
-) -> None:
-    """Add the light of more rays to some pixels; what hides the sky is that of the pixel nearest in depth."""
-    height, width = depth.shape
-    share = np.float32(1.0 / (depths.shape[1] + 1))
-    for p in range(start, stop):
-        r, c = pixels[p] // width, pixels[p] % width
-        for s in range(depths.shape[1]):
-            if depths[p, s] == -np.inf:
-                continue
-            near = np.inf
-            crease, pore = np.float32(0.0), np.float32(0.0)
-            for rr in range(max(r - 1, 0), min(r + 2, height)):
-                for cc in range(max(c - 1, 0), min(c + 2, width)):
-                    gap = abs(depth[rr, cc] - depths[p, s])
-                    if gap < near:
-                        near = gap
-                        crease, pore = creases[rr, cc], pores[rr, cc]
-            red, green, blue = light_of(
-                normals[p, s, 0], normals[p, s, 1], normals[p, s, 2], colors[p, s], crease, pore, strength, linear
-            )  # fmt: skip
-            light[r, c, 0] += red
-            light[r, c, 1] += green
-            light[r, c, 2] += blue
-            light[r, c, 3] += np.float32(1.0)
-        for channel in range(4):
-            light[r, c, channel] *= share
-
-
-def _traced(
-    scene: _Scene, pixels: NDArray[np.int64], offsets: NDArray[np.float64], threads: int
-) -> Iterator[tuple[NDArray[np.int64], Seen]]:
-    """Some of the pixels at a time, and what rays through some places of each see, (pixels, places)."""
-    for start in range(0, len(pixels), _BATCH):
-        some = pixels[start : start + _BATCH]
-        shape = len(some), len(offsets)
-        found = empty_seen(shape[1], shape[0])
-        in_bands(partial(_trace, scene, some, offsets, *found), len(some), threads)
-        yield some, found
-
-
-def _edges(seen: Seen) -> NDArray[np.int64]:
-    """Pixels whose depth, normal or color jumps to a neighbor in their row or column, by number."""
-    edges = np.zeros(seen.depth.shape, np.bool_)
-    for start in range(0, len(edges), _BAND):  # a band at a time, for memory
-        rows = slice(max(0, start - 1), start + _BAND)
-        depth, normal, color = seen.depth[rows], seen.normal[rows], seen.color[rows]
-        there = np.isfinite(depth)
-        for axis in (0, 1):
-            one = tuple(slice(None, -1) if a == axis else slice(None) for a in (0, 1))
-            two = tuple(slice(1, None) if a == axis else slice(None) for a in (0, 1))
-            both = there[one] & there[two]
-            jump = there[one] != there[two]
-            jump |= both & (color[one] != color[two]).any(2)
-            m, n = normal[one], normal[two]
-            jump |= both & (np.einsum("...i,...i", m, n) < np.float32(_SAME_NORMAL))
-            # a neighbor in the plane of a sample: right is the first coordinate, and rows count downwards
-            toward = m[..., 2] + n[..., 2]
-            rise = m[..., 0] + n[..., 0] if axis == 1 else -m[..., 1] - n[..., 1]
-            step = np.where(both, depth[two], 0) - np.where(both, depth[one], 0)
-            jump |= both & (np.abs(step * toward + rise) > np.float32(_SAME_DEPTH) * np.maximum(np.abs(toward), _FLAT))
-            edges[rows][one] |= jump
-            edges[rows][two] |= jump
-    return np.flatnonzero(edges)
-
-
-def render_solid(
-    solid: Solid,
-    frame: Frame,
-    size: tuple[int, int],
-    *,
-    section: tuple[Sequence[float], float] | None = None,
-    colors: Colors = COLORS,
-    occlusion: float = 1.0,
-    background: Background = "light",
-    antialias: bool = True,
-    threads: int = 1,
-) -> NDArray[np.uint8]:
-    """Picture of a solid.
-
-    Parameters
-    ----------
-    solid : Solid
-    frame : Frame
-        The camera, pointed at the solid for a picture of this size.
-    size : (width, height)
-        In pixels.
-    section : (normal, place), optional
-        A plane, as the unit vector towards what is left out and its distance along that from the origin; the viewer is
-        on that side.
-    colors : Colors
-    occlusion : float
-        Strength of the darkening of pores and creases; 0 leaves it out.
-    background : Background
-        "light" or "dark", which are gradients, "transparent", or one color.
-    antialias : bool
-        Whether pixels on edges get eight rays more.
-    threads : int
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        The picture (sRGB); with a fourth channel, the opacity, if the background is transparent.
-    """
-    width, height = size
-    scene = _scene(solid, frame, size, section, colors)
-    seen = empty_seen(width, height)
-    middle = np.array([[0.5, 0.5]]) + _ASIDE
-    for pixels, found in _traced(scene, np.flatnonzero(np.diff(scene.starts)), middle, threads):
-        rows, columns = np.divmod(pixels, width)
-        seen.depth[rows, columns] = found.depth[:, 0]
-        seen.normal[rows, columns] = found.normal[:, 0]
-        seen.color[rows, columns] = found.color[:, 0]
-    hidden = hidden_sky(seen, threads) if occlusion > 0.0 else Hidden(*(np.zeros_like(seen.depth),) * 2)
-    light = lit(seen, hidden, occlusion)
-    if antialias:
-        strength = np.float32(occlusion)
-        for pixels, more in _traced(scene, _edges(seen), _PLACES + _ASIDE, threads):
-            add = partial(_add_light, pixels, *more, seen.depth, *hidden, strength, LINEAR, light)
-            in_bands(add, len(pixels), threads)
-    return on_background(light, background)
-
-
-def _scene(
-    solid: Solid,
-    frame: Frame,
-    size: tuple[int, int],
-    section: tuple[Sequence[float], float] | None,
-    colors: Colors,
-) -> _Scene:
-    width, height = size
-    origin, h = np.array(solid.grid.origin), solid.grid.spacing[0]
-    faces = np.ascontiguousarray(solid.faces, np.int64)
-    places = projected(frame, np.ascontiguousarray(solid.vertices, np.float64))
-    vertices = (solid.vertices - origin) / h
-    starts = np.zeros(width * height + 2, np.int64)
-    _overlaps(places, faces, width, height, starts[1:], np.empty(0, np.int32))
-    np.cumsum(starts, out=starts)
-    owners = np.empty(max(1, int(starts[-1])), np.int32)
-    _overlaps(places, faces, width, height, starts, owners)
-    # lengths of the frame in spacings; nearness becomes the reciprocal of such a length
-    places[:, 2] *= h if frame.distance > 0.0 else 1 / h
-    normal, place = section or ((0.0, 0.0, 0.0), 0.0)
-    target = (np.asarray(frame.target) - origin) / h
-    cut = (place - float(np.dot(normal, origin))) / h
-    numbers = [*target, frame.distance / h, frame.scale * h, frame.column, frame.row, *normal, cut, width]
-    return _Scene(
-        solid.field, solid.skin, solid.outer, _void(solid), vertices, faces, vertex_normals(vertices, faces), places,
-        starts, owners, np.asarray(frame.axes), np.array(numbers, np.float64), np.array(colors, np.uint8),
-    )  # fmt: skip
-
-
-def _void(solid: Solid) -> NDArray[np.uint8]:
-    """How many blocks away from each block, at least, the next one is that may hold some solid; up to `_FAR`.
-
-    Blocks are 2 x 2 x 2 cubes of samples; distances are the largest difference of indices, 0 is the block itself.
-    """
-    near = _in_blocks(solid.field < 0 if not solid.skin.size else (solid.field < 0) | (solid.skin < 0))
-    if solid.outer.size:
-        near &= _in_blocks(solid.outer < 0)
-    void = np.zeros(near.shape, np.uint8)
-    for _ in range(_FAR):
-        void += ~near
-        near = grown(near)
-    return void
-
-
-def _in_blocks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Blocks of 2 x 2 x 2 cubes with any of their 27 samples in the mask."""
-    for axis in range(3):
-        low = np.arange(0, max(1, mask.shape[axis] - 1), 2)
-        ends = (np.minimum(low + step, mask.shape[axis] - 1) for step in range(3))
-        first, second, third = (mask.take(end, axis) for end in ends)
-        mask = first | second | third
-    return mask

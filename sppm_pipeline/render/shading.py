@@ -233,6 +233,48 @@ def _lit(
             light[r, c, 3] = seen * share
 
 
+@jit
+def add_light(
+    pixels: NDArray[np.int64],
+    depths: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    colors: NDArray[np.uint8],
+    depth: NDArray[np.float32],
+    creases: NDArray[np.float32],
+    pores: NDArray[np.float32],
+    strength: np.float32,
+    linear: NDArray[np.float32],
+    light: NDArray[np.float32],
+    start: int,
+    stop: int,
+) -> None:
+    """Add the light of more rays to some pixels; what hides the sky is that of the pixel nearest in depth."""
+    height, width = depth.shape
+    share = np.float32(1.0 / (depths.shape[1] + 1))
+    for p in range(start, stop):
+        r, c = pixels[p] // width, pixels[p] % width
+        for s in range(depths.shape[1]):
+            if depths[p, s] == -np.inf:
+                continue
+            near = np.inf
+            crease, pore = np.float32(0.0), np.float32(0.0)
+            for rr in range(max(r - 1, 0), min(r + 2, height)):
+                for cc in range(max(c - 1, 0), min(c + 2, width)):
+                    gap = abs(depth[rr, cc] - depths[p, s])
+                    if gap < near:
+                        near = gap
+                        crease, pore = creases[rr, cc], pores[rr, cc]
+            red, green, blue = light_of(
+                normals[p, s, 0], normals[p, s, 1], normals[p, s, 2], colors[p, s], crease, pore, strength, linear
+            )  # fmt: skip
+            light[r, c, 0] += red
+            light[r, c, 1] += green
+            light[r, c, 2] += blue
+            light[r, c, 3] += np.float32(1.0)
+        for channel in range(4):
+            light[r, c, channel] *= share
+
+
 def _linear_light(coded: NDArray[np.float64]) -> NDArray[np.float64]:
     """From sRGB values 0..1 to light (IEC 61966-2-1)."""
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)

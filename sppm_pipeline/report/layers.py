@@ -182,7 +182,9 @@ def _picture(name: str, data: bytes, suffix: str, most: int, pixels: int) -> Pic
         width, height = image.size
         if len(data) <= most // 2:
             return Picture(name, data_uri("image/png", data), width, height, True)
-        small = image.convert("RGB")
+        seen = Image.new("RGBA", image.size, "white")  # what shows through a transparent picture
+        seen.alpha_composite(image.convert("RGBA"))
+        small = seen.convert("RGB")
     small.thumbnail((pixels, pixels))
     packed = io.BytesIO()
     small.save(packed, "JPEG", quality=86)

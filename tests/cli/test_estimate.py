@@ -75,7 +75,14 @@ def estimated(capsys, *words: str) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
-WITH_PLUGINS = {"compare_structures", "published_curves", "stiffest", "stiffest_grid", "walls_stiffness"}
+WITH_PLUGINS = {
+    "compare_structures",
+    "crush_structures",
+    "published_curves",
+    "stiffest",
+    "stiffest_grid",
+    "walls_stiffness",
+}
 """Examples whose structures come from a distribution, which need not say what they will take."""
 
 

@@ -24,7 +24,8 @@ pipeline:
   - {stage: write.view, grid_samples: 150000}
   - {stage: slice.field, pixel: 0.125 mm}
   - {stage: write.png, path: slices}
-  - {stage: write.picture, path: part.png, resolution: 24, image_size: [240, 160]}
+  - {stage: write.picture, path: part.png, resolution: 24, image_size: [240, 160], annotate: false,
+     background: transparent}
   - {stage: extract.marching_cubes, resolution: 24}
   - {stage: write.mesh, path: part.stl}
 """

@@ -79,7 +79,7 @@ def parts_of_layout(
     known, begins = np.unique(joins[:, 0], return_index=True)
     at: NDArray[np.int64] = np.concatenate([begins, [len(joins)]])
     cells = np.argwhere(tiling.interior >= 0)
-    number = np.ravel_multi_index(tuple(cells.T), tiling.interior.shape)
+    number = np.asarray(np.ravel_multi_index(tuple(cells.T), tiling.interior.shape))
     links = [np.zeros((0, 2), np.int64)]
     for axis, faces in enumerate(tiling.faces):
         shape = tuple(n - (tiling.periodic and a == axis) for a, n in enumerate(faces.shape))
@@ -88,7 +88,7 @@ def parts_of_layout(
             place[:, axis] += side
             color = faces[tuple(place.T)]
             place[:, axis] %= shape[axis]
-            face = start[1 + axis] + np.ravel_multi_index(tuple(place.T), shape)
+            face = start[1 + axis] + np.asarray(np.ravel_multi_index(tuple(place.T), shape))
             code = connector_code(tiling.interior[tuple(cells.T)], axis, side, color, colors=most)
             row = np.minimum(np.searchsorted(known, code), max(len(known) - 1, 0))
             there = np.flatnonzero((color >= 0) & (known[row] == code)) if len(known) else np.zeros(0, np.int64)

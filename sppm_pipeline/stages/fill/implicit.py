@@ -133,7 +133,7 @@ class ImplicitFill(Stage):
             if sealed > NOTICED * float(np.prod(domain.upper - domain.lower)):
                 context.warn(
                     f"the skin of {part.skin_mm:g} mm seals about {sealed:.3g} mm3 of void, in which liquid resin or "
-                    "powder stays; give `drains` a hole for each of them, or leave out `skin`"
+                    "powder stays; let `fix.drains` open it, or keep the skin to some faces (`skin_toward`)"
                 )
         return part
 

@@ -49,6 +49,8 @@ class TunePlateau(Crusher, Tuner):
         works: dict[float, float] = {}
 
         def plateau(made: ScalarField) -> float:
+            if not made.solid(2 * self.resolution, context.threads).any():
+                return 0.0
             numbers = self.crush(context, made).numbers
             works[numbers["plateau"]] = numbers["work"]
             return max(0.0, float(numbers["plateau"]))

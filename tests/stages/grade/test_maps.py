@@ -328,8 +328,8 @@ def test_tables_have_steps_lines_and_curves():
         0.6,
         0.3,
     ]
-    metric = made(GradeTable(of="spacing", values=((0.0, 250.0),), measure="um"))[0]
-    assert metric["spacing"].at([[0, 0, 0]]) == [0.25]
+    metric = made(GradeTable(of="tunnel_radius", values=((0.0, 250.0),), measure="um"))[0]
+    assert metric["tunnel_radius"].at([[0, 0, 0]]) == [0.25]
     for values in ((), ((0.0, 1.0), (0.0, 2.0)), ((1.0, 1.0), (0.0, 2.0))):
         with pytest.raises(ConfigError, match="values"):
             GradeTable(of="a", values=values).check_options()

@@ -8,10 +8,9 @@ import pytest
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.numerics.tiling.lattice import tile_fresh
+from sppm_pipeline.numerics.tiling.lattice import meetings, tile_fresh
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
 from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
-from sppm_pipeline.stages.tile.fresh import _meetings
 from sppm_pipeline.testing.plain_context import PlainContext
 
 
@@ -81,7 +80,7 @@ def test_a_small_gap_still_keeps_clear_of_the_faces_met():
     """In a palette with meetings, an interior looks at its own six faces only, on the right side."""
     interior, planes = tile_fresh(np.ones((2, 2, 2), bool))
     colors = tuple(int(f.max()) + 1 for f in planes)
-    palette = Palette(8, colors, _meetings(interior, planes))
+    palette = Palette(8, colors, meetings(interior, planes))
     pores = both(palette, interior={"count": 16, "spacing": Length(0.17), "gap": Length(0.02)})
     for t, axis, side, color in palette.all_meetings():
         around = pores.of_piece(pores.face_piece(axis, color)) + side * unit(axis)

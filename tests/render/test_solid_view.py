@@ -8,7 +8,7 @@ import pytest
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.render.camera import Camera, framed, projected
 from sppm_pipeline.render.mesh_view import render_mesh
-from sppm_pipeline.render.rays import Colors, Solid, render_solid
+from sppm_pipeline.render.solid_view import Colors, Solid, render_solid
 
 N = 32
 RED, GREEN, BLUE, GRAY = (200, 0, 0), (0, 200, 0), (0, 0, 200), (90, 90, 90)
