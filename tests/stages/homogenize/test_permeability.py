@@ -96,7 +96,9 @@ def test_a_cell_of_the_paper(cell, tmp_path):
     assert values[0] > 0
     assert values[2] < report.thermal
     images = np.asarray(cell.sample(24) < 0).astype(np.uint8)
-    assert solved(voxels(images, (1 / 24,) * 3)).k == pytest.approx(report.k, rel=0.25, abs=0.25 * report.k[0, 0])
+    image = solved(voxels(images, (1 / 24,) * 3))
+    assert image.k == pytest.approx(report.k, rel=0.25, abs=0.25 * report.k[0, 0])
+    assert solved(cell, resolution=24, fractions="binary").k == pytest.approx(image.k)
     WriteFlow(path="flow.png", axis="y", image_size=(400, 300)).run(context, report)
     picture = np.asarray(Image.open(context.output("flow.png")).convert("RGB"))
     assert picture.shape == (300, 400, 3)
