@@ -180,7 +180,7 @@ def _facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("parameters", ", ".join(f"{name} = {shown(value)}" for name, value in record["params"].items()) or "none"),
         ("started", str(record["started"])),
         ("program", f"sppm {versions.get('sppm_pipeline', '?')}, Python {versions.get('python', '?')}"),
-        ("configuration", str(record["file"])),
+        ("configuration", Path(str(record["file"])).name),  # in which folder is no one's business
     ]
     return [*facts, ("until", str(record["until"]))] if record.get("until") else facts
 
