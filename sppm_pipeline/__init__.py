@@ -131,6 +131,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.numerics.tiling.hashed import tile_hashed
     from sppm_pipeline.numerics.tiling.lattice import hash_places
     from sppm_pipeline.process import ArraySpec, NativeResult, notify, run_native
+    from sppm_pipeline.process.interruption import requested as stop_requested
     from sppm_pipeline.stage import Context, Headline, Recipe, Rejected, Stage, option
 
 _PLACES = {
@@ -182,6 +183,7 @@ _PLACES = {
     "numerics.tiling.hashed": "tile_hashed",
     "numerics.tiling.lattice": "hash_places",
     "process": "ArraySpec NativeResult notify run_native",
+    "process.interruption": "stop_requested=requested",
     "stage": "Context Headline Recipe Rejected Stage option",
 }
 """Modules below this package, and what the public face takes from each: ``name``, or ``public name=name there``."""
@@ -299,6 +301,7 @@ __all__ = [
     "slice",
     "smallest_spacing",
     "step",
+    "stop_requested",
     "throw_darts",
     "tile",
     "tile_corners",

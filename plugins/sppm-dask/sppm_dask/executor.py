@@ -19,8 +19,7 @@ import dask
 from distributed import Client, LocalCluster
 from distributed.scheduler import KilledWorker
 
-from sppm_pipeline.errors import ConfigError, NativeCrash, ResourceError
-from sppm_pipeline.process.interruption import requested
+from sppm_pipeline import ConfigError, NativeCrash, ResourceError, stop_requested
 
 QUEUES = {
     "slurm": "SLURMCluster",
@@ -126,7 +125,7 @@ class DaskExecutor(Executor):
         if self._closed:
             return
         self._closed = True
-        if requested():
+        if stop_requested():
             closing = threading.Thread(target=self._ending.close, daemon=True)
             if isinstance(self._client.cluster, LocalCluster):
                 self._client.cluster.shutdown_on_close = False

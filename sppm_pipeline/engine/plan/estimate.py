@@ -175,7 +175,7 @@ def _size(
     inputs |= {port: (sizes.get(source) or unknown[port]) if source else None for port, source in step.inputs.items()}
     made_by = {port: recipe_size(name) for port, name in step.recipes.items()}
     try:
-        size = step.stage.estimate(palette, **step.signature.gathered(inputs), **made_by)
+        size = step.stage.estimate(palette, **{**step.signature.gathered(inputs), **made_by})
         valid = isinstance(size, Size) and all(math.isfinite(n) and n >= 0 for n in size.units().values())
     except Exception:
         return None
