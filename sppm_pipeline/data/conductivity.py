@@ -11,6 +11,22 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.artifact import Artifact, frozen
 
 
+def check_transport(k: NDArray[np.float64], porosity: float, name: str, slack: float) -> None:
+    """Raise `ValueError` unless a tensor is finite, (3, 3), symmetric and not negative, and a porosity within 0 and 1.
+
+    Eigenvalues may be below zero by `slack` times the largest entry.
+    """
+    if k.shape != (3, 3) or not np.isfinite(k).all():
+        raise ValueError(f"the {name} must be a finite 3 x 3 matrix, got shape {k.shape}")
+    largest = float(np.abs(k).max())
+    if np.abs(k - k.T).max() > 1e-6 * largest:
+        raise ValueError(f"the {name} is not symmetric")
+    if np.linalg.eigvalsh(k)[0] < -slack * largest:
+        raise ValueError(f"the {name} has a negative eigenvalue")
+    if not 0 <= porosity <= 1:
+        raise ValueError(f"the porosity must lie between 0 and 1, got {porosity}")
+
+
 @dataclass(frozen=True, eq=False)
 class ConductivityReport(Artifact):
     """Effective conductivity, or diffusivity, of a periodic cell, and how it was computed.
@@ -69,15 +85,7 @@ class ConductivityReport(Artifact):
 
     def check(self) -> None:
         """A finite, symmetric matrix that is not negative, and a porosity between 0 and 1."""
-        if self.k.shape != (3, 3) or not np.isfinite(self.k).all():
-            raise ValueError(f"the conductivity must be a finite 3 x 3 matrix, got shape {self.k.shape}")
-        largest = float(np.abs(self.k).max())
-        if np.abs(self.k - self.k.T).max() > 1e-6 * largest:
-            raise ValueError("the conductivity is not symmetric")
-        if np.linalg.eigvalsh(self.k)[0] < -1e-4 * largest:
-            raise ValueError("the conductivity has a negative eigenvalue")
-        if not 0 <= self.porosity <= 1:
-            raise ValueError(f"the porosity must lie between 0 and 1, got {self.porosity}")
+        check_transport(self.k, self.porosity, "conductivity", 1e-4)
 
     def summary(self) -> dict[str, Any]:
         """The tensor, tortuosity, porosity, and how the solver did."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.artifact import NOTEBOOK_SIZE, Artifact, frozen, png_of
+from sppm_pipeline.data.conductivity import check_transport
 
 DARCY = 9.869233e-13
 """Square meters."""
@@ -88,16 +89,7 @@ class PermeabilityReport(Artifact):
 
     def check(self) -> None:
         """A finite, symmetric tensor that is not negative, if the solver got so far, and a porosity between 0 and 1."""
-        if self.k.shape != (3, 3) or not np.isfinite(self.k).all():
-            raise ValueError(f"the permeability must be a finite 3 x 3 matrix, got shape {self.k.shape}")
-        largest = float(np.abs(self.k).max())
-        if np.abs(self.k - self.k.T).max() > 1e-6 * largest:
-            raise ValueError("the permeability is not symmetric")
-        values = np.linalg.eigvalsh(self.k)
-        if self.converged and values[0] < -1e-3 * largest:
-            raise ValueError("the permeability has a negative eigenvalue")
-        if not 0 <= self.porosity <= 1:
-            raise ValueError(f"the porosity must lie between 0 and 1, got {self.porosity}")
+        check_transport(self.k, self.porosity, "permeability", 1e-3 if self.converged else math.inf)
 
     @property
     def m2(self) -> NDArray[np.float64] | None:
