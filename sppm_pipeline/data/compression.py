@@ -43,11 +43,13 @@ class CompressionCurve(Artifact):
         Further numbers of the test or simulation for the run record, JSON-ready.
     notes : tuple of str
         What was read from the file, and what was corrected.
+    ended : str
+        Why a simulation ended before the strain that it was to reach; empty if it did not.
     """
 
     reported: ClassVar[tuple[str, ...] | None] = (
         "name", "origin", "points", "strain_max", "stress_max", "unit", "area_mm2", "height_mm", "density_g_cm3",
-        "numbers.*", "energies.*",
+        "numbers.*", "energies.*", "ended",
     )  # fmt: skip
 
     strain: NDArray[np.float64]
@@ -62,6 +64,7 @@ class CompressionCurve(Artifact):
     plates: NDArray[np.float64] | None = None
     numbers: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    ended: str = ""
 
     def __post_init__(self) -> None:
         for name in ("strain", "stress", "plates"):
@@ -116,6 +119,7 @@ class CompressionCurve(Artifact):
             "energies": {name: float(values[-1]) for name, values in self.energies.items()},
             "numbers": dict(self.numbers),
             "notes": list(self.notes),
+            "ended": self.ended,
         }
 
 

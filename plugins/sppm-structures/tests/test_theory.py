@@ -155,6 +155,25 @@ def test_compare_structures(tmp_path):
             assert min(image.size) > 200
 
 
+def test_property_map(tmp_path):
+    """More pores are less permeable and have more surface; the gyroid is stiffer than the paper's pores."""
+    rows = run(
+        "property_map.yaml",
+        tmp_path,
+        "{structure: [wide_16, wide_64, gyroid_1], porosity: [0.7]}",
+        "-p",
+        "resolution=16",
+    )
+    few, many, gyroid = (rows[name] for name in ("wide_16", "wide_64", "gyroid_1"))
+    assert few["sound.permeability"] > 1.5 * many["sound.permeability"] > 0
+    assert many["sizes.specific_surface"] > 1.3 * few["sizes.specific_surface"]
+    assert gyroid["elastic.isotropic.E"] > 1.2 * few["elastic.isotropic.E"]
+    assert 0 < few["sound.absorption_at.1000"] < many["sound.absorption_at.1000"] < 1
+    assert (tmp_path / "run" / "property_map.md").read_text().count("\n") == 5
+    with Image.open(tmp_path / "run" / "property_map.png") as image:
+        assert image.size == (3000, 680)
+
+
 def test_walls_are_as_stiff_as_the_gyroid(tmp_path):
     """The preset's limit of fine grids is 1.18 gyroids; thin walls on this coarse grid look stiffer than that."""
     rows = run(

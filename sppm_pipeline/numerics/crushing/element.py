@@ -33,7 +33,7 @@ from sppm_pipeline.numerics.crushing.material import (
 ROWS = 71
 STATE = 10
 """Numbers kept of an element: 6 of the plastic metric, equivalent plastic strain, energy of bending were it elastic,
-the share of its stiffness, and by how much the element has stiffened."""
+the share of its stiffness, and the largest stiffness of the element."""
 
 _BENT, _SHARE, _WORK = 40, 41, 57
 _LANES = np.uint64(LANES)

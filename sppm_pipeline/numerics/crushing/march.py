@@ -13,15 +13,19 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.crushing import contact, element, plates
 from sppm_pipeline.numerics.crushing.body import Body, wave_speed
 from sppm_pipeline.numerics.crushing.material import ALPHA, LANES, PLASTIC, RATIO, Material, constants
+from sppm_pipeline.numerics.crushing.selfcontact import SelfContact
 
-COURANT = 0.6
-"""Time step over the time that a pressure wave takes for an edge."""
+COURANT, STABLE = 0.6, 0.8
+"""Largest time step over the time that a pressure wave takes for an edge; share of the squared step at which a brick of
+its own would get unstable, that its own stiffness may use up: contacts and bending add to it. Bricks amid others bear
+more; a brick that hangs on by an edge bears no more than this."""
 
 DAMPING = 0.2
 """Share of critical damping of the slowest wave along the body: 0.4 pi times it is the rate for one of its length."""
 
-RESCALED = 20
-"""Steps after which the mass of crushed elements is adapted to their stiffness."""
+RESCALED, AHEAD = 5, 1.05
+"""Steps after which the stiffness of crushed elements is looked at, and by how much more mass they are then given than
+they need. They keep it: what trembles would be light again whenever its stiffness is seen at a good moment."""
 
 SLOW, SLOW_TO, FULL_FROM = 0.25, 0.02, 0.06
 """Share of the plate's speed up to a strain, and the strain from which it is full. A body that is set in motion
@@ -31,17 +35,21 @@ the default rate (a gyroid of 32 voxels, beside a tenth of the rate), and .02 wi
 POINTS = 600
 """Points of a curve to 60 % strain: one for each .1 %."""
 
+MISSING = 0.01
+"""Records before the body came apart count from the last one back at which the share of work that is missing from the
+balance of energy changed by no more than this; a choice."""
+
 ENERGIES = ("elastic", "hourglass", "plastic", "contact", "friction", "kinetic", "damping", "plates", "mass")
 
 
-_ARRAYS = ("v", "f", "state", "mass", "sums", "node_sums")
+_ARRAYS = ("v", "f", "state", "mass", "heavier", "sums", "node_sums")
 
 
 class Failed(ArithmeticError):
-    """The body came apart; `strain` says when."""
+    """The body came apart; what was recorded holds up to `strain`."""
 
     def __init__(self, strain: float, why: str) -> None:
-        super().__init__(f"{why} at a strain of {strain:.3g}")
+        super().__init__(f"{why} beyond a strain of {strain:.3g}")
         self.strain = strain
         self.why = why
 
@@ -112,7 +120,11 @@ class March:
         nz = body.shape[2]
         self._table = constants(materials)
         self._modulus = np.array([m.wave_modulus for m in materials]) / materials[0].wave_modulus
-        self.dt = COURANT / wave_speed(materials)
+        # at rest the volume is what is stiffest
+        stiffest = max((3 * m.lame[0] + 2 * m.lame[1]) / m.wave_modulus for m in materials)
+        courant = min(COURANT, (STABLE / stiffest) ** 0.5)
+        self.dt = courant / wave_speed(materials)
+        self._needed = courant**2 / STABLE
         self._strains = _strains(load, self.dt / nz)
         self.steps = len(self._strains) - 1
         self._recorded = 0.0
@@ -137,100 +149,23 @@ class March:
         self._state[:, 8 : element.STATE] = 1
         self._mass0 = self._node_masses(self._density)
         self._mass = self._mass0.copy()
+        self._heavier = np.ones(len(body.corners))
         self.step = 0
         self._sums = np.zeros((len(body.slabs) - 1, element.SUMS))
         self._node_sums = np.zeros((-(-len(self.x) // plates.CHUNK), plates.SUMS))
         self._work = 0.0
         self._from_mass = 0.0
-        self._contact_lost = 0.0
-        self._records: list[list[float]] = []
-        self._given = self._kinetic()
-        self._begin_contact(materials)
-        self._last = self._balance()
-
-    # -- contact
-
-    def _begin_contact(self, materials: tuple[Material, ...]) -> None:
-        body = self.body
-        shape = (len(body.surface), 8, 3)
-        self._touching = body.corners[body.surface].astype(np.uint32)
-        self._places = body.voxels[body.surface]
-        phase = body.phases[body.surface]
         k = min(contact.STIFFNESS, contact.STABLE / (wave_speed(materials) * self.dt) ** 2)
-        wave = self._table[0, 0] + 2 * self._table[0, 1]
-        self._stiffness = k * wave * self._modulus[phase]
-        self._contact_mass = self._modulus[phase]
-        self._balls = [np.zeros(shape) for _ in range(3)]
-        self._lossy, self._push = np.zeros(shape), np.zeros(shape)
-        self._pushed = np.zeros(len(body.surface), np.uint8)
-        self._room = 64
-        self._contact_sums = np.zeros((0, contact.SUMS))
-        self._starts = np.zeros(8 * len(body.surface) + 1, np.int32)
-        self._everything = np.arange(len(body.surface), dtype=np.int32)
+        stiffness = k * (self._table[0, 0] + 2 * self._table[0, 1]) * self._modulus
+        self._contact = SelfContact(body, stiffness, self._modulus, load.friction, self.dt, self._share)
         self.relist()
+        self._given = self._kinetic()
+        self._rows = [self._balance()]
 
     def relist(self) -> None:
-        """Search the pairs that may come to touch, and what touches now."""
+        """Search the surfaces that may come to touch."""
         self._listed, self._listed_height = self.x.copy(), self._height(self.step)
-        self._contact_lost += float(self._contact_sums[:, 1].sum())
-        now, before, _ = self._balls
-        self._place(now, self._everything, 0.0)
-        centers = now.mean(1)
-        radii = np.sqrt(((now - centers[:, None]) ** 2).sum(2).max(1))
-        width = contact.REACH + 2 * float(radii.max())
-        # a piece that has flown off counts to the border of the grid
-        origin = np.maximum(centers.min(0), [-n for n in self.body.shape])
-        far = np.minimum(centers.max(0), [2 * n for n in self.body.shape])
-        shape = np.maximum(np.floor((far - origin) / width).astype(np.int64), 0) + 1
-        starts = np.zeros(int(np.prod(shape)) + 2, np.int32)
-        names, points, homes = np.empty(len(now), np.int32), np.empty((len(now), 4)), np.empty((len(now), 3), np.int32)
-        contact.sort_voxels(centers, radii, self._places, origin, width, shape, starts, names, points, homes)
-        found: dict[int, NDArray[np.int32]] = {}
-
-        def layers(first: int, last: int) -> None:
-            room = 1 + self._room * (last - first)
-            while True:
-                pairs = np.empty((room, 2), np.int32)
-                count = contact.search(starts, names, points, homes, shape, first, last, now, self.body.carried, pairs)
-                if count <= room:
-                    found[first] = pairs[:count]
-                    return
-                room = count
-
-        self._share(int(shape[2]), layers)
-        pairs = np.concatenate([found[first] for first in sorted(found)])
-        self._room = 1 + 2 * len(pairs) // int(shape[2])
-        self._partners = np.empty(2 * len(pairs), np.int32)
-        contact.list_partners(pairs, self._starts, self._partners)
-        self._active = np.flatnonzero(np.diff(self._starts[::8])).astype(np.int32)
-        self._contact_sums = np.zeros((-(-len(self._active) // contact.CHUNK), contact.SUMS))
-        self._place(before, self._active, self.dt)
-        self._lossy[:] = 0
-        self._pushed[:] = 0
-        self._repel()
-
-    def _place(self, balls: NDArray[np.float64], active: NDArray[np.int32], ago: float) -> None:
-        self._share(len(active), lambda a, b: contact.place(self.x, self._v, ago, self._touching, active, a, b, balls))
-
-    def _repel(self) -> None:
-        now, before, earlier = self._balls
-
-        def chunks(a: int, b: int) -> None:
-            contact.repel(
-                now, before, earlier, self._active, a, b, self._starts, self._partners, self._stiffness,
-                self._contact_mass, self.load.friction, self.dt, self._lossy, self._pushed, self._push,
-                self._contact_sums,
-            )  # fmt: skip
-
-        self._share(len(self._contact_sums), chunks)
-
-    def _touch(self) -> None:
-        if len(self._active):
-            self._balls = [self._balls[2], self._balls[0], self._balls[1]]
-            self._place(self._balls[0], self._active, 0.0)
-            self._repel()
-        if float(self._node_sums[:, plates.MOVED].max()) > contact.SLACK**2:
-            self.relist()
+        self._contact.search(self.x, self._v)
 
     # -- the step
 
@@ -247,7 +182,7 @@ class March:
 
     def _speed(self, step: int) -> float:
         """Of the upper plate from this step to the next."""
-        return (self._height(step) - self._height(step + 1)) / self.dt
+        return float((self._height(step) - self._height(step + 1)) / self.dt)
 
     def _advance(self) -> None:
         nx, ny, nz = self.body.shape
@@ -262,13 +197,18 @@ class March:
         ])  # fmt: skip
 
         def nodes(a: int, b: int) -> None:
-            plates.move(self.x, self._v, self._f, self._mass, self._held, self._listed, a, b, step, self._node_sums)
+            plates.move(
+                self.x, self._v, self._f, self._mass, self._mass0, self._held, self._listed, a, b, step,
+                self._node_sums,
+            )  # fmt: skip
 
         before = float(self._node_sums[:, plates.TOP].sum())
         self._share(len(self._node_sums), nodes)
         self._work += speed * (float(self._node_sums[:, plates.TOP].sum()) - before)
         self.step += 1
-        self._touch()
+        self._contact.follow(self.x, self._v)
+        if float(self._node_sums[:, plates.MOVED].max()) > contact.SLACK**2:
+            self.relist()
         self._forces()
         if self.step % RESCALED == 0:
             self._rescale()
@@ -283,7 +223,8 @@ class March:
                 scratch = np.zeros(element.ROWS * LANES)
                 element.forces(
                     self.x, self._corners, self._phases, self.body.slabs, 2 * a + odd, min(2 * b + odd, slabs),
-                    self._table, self._state, self._surface, self._pushed, self._push, scratch, self._f, self._sums,
+                    self._table, self._state, self._surface, self._contact.pushed, self._contact.push, scratch, self._f,
+                    self._sums,
                 )  # fmt: skip
 
             self._share((slabs + 1 - odd) // 2, part)
@@ -295,12 +236,15 @@ class March:
     def _rescale(self) -> None:
         """Give crushed elements, which are stiffer, so much more mass that the step stays stable."""
         ratios = self._of_elements(RATIO)
-        if not np.isfinite(ratios).all():
-            raise Failed(self.strain, "an element has turned inside out")
-        if ratios.max() <= 2 and self.added_mass == 0:
+        if not (ratios > 0).all():
+            raise Failed(self.strain, "a voxel turned inside out")
+        needed = self._needed * ratios
+        light = needed > self._heavier
+        if not light.any():
             return
+        self._heavier[light] = AHEAD * needed[light]
         before = self._kinetic()
-        self._mass = self._node_masses(self._density * np.maximum(1, 0.5 * ratios))
+        self._mass = self._node_masses(self._density * self._heavier)
         self._from_mass += self._kinetic() - before
 
     def _of_elements(self, row: int) -> NDArray[np.float64]:
@@ -331,24 +275,20 @@ class March:
 
     def _balance(self) -> list[float]:
         elements, nodes = self._sums.sum(0), self._node_sums.sum(0)
-        touching = self._contact_sums.sum(0)
         kinetic = nodes[plates.KINETIC] if self.step else self._given
         plastic = elements[2] + elements[3] - elements[1]
         return [
             self.strain, self.step * self.dt, nodes[plates.TOP], nodes[plates.BOTTOM], self._work,
-            elements[0], elements[1], plastic, touching[0], self._contact_lost + touching[1], kinetic,
+            elements[0], elements[1], plastic, self._contact.stored, self._contact.lost, kinetic,
             nodes[plates.DAMPED], self._work - nodes[plates.WORK], self._from_mass,
         ]  # fmt: skip
 
     def _record(self) -> None:
-        """Means since the last record: forces by impulse, energies by both ends."""
-        now, last = self._balance(), self._last
+        now = self._balance()
         if not np.isfinite(now).all():
-            raise Failed(self.strain, "the forces have no end")
-        time = now[1] - last[1]
-        mean = [(a + b) / 2 for a, b in zip(now, last, strict=True)]
-        self._records.append([mean[0], (now[2] - last[2]) / time, (now[3] - last[3]) / time, *mean[4:]])
-        self._last, self._recorded = now, self.strain
+            raise Failed(self.strain, "forces grew without bound")
+        self._rows.append(now)
+        self._recorded = self.strain
 
     def to(self, strain: float, told: Callable[[float], None] = lambda strain: None) -> None:
         """Move on to a strain; `told` is called after each record.
@@ -356,13 +296,20 @@ class March:
         Raises
         ------
         Failed
-            If the body comes apart.
+            If the body comes apart. What was recorded up to its strain holds: there, the energies still add up.
         """
         end = min(self.steps, int(np.searchsorted(self._strains, strain - 1e-9)))
         while self.step < end:
-            records = len(self._records)
-            self._advance()
-            if len(self._records) > records:
+            records = len(self._rows)
+            try:
+                self._advance()
+            except Failed as error:
+                # what comes apart makes energy, and does so for some steps before anybody can tell
+                missing = np.abs(np.diff([self._shares(row)["unbalanced"] for row in self._rows]))
+                while len(self._rows) > 1 and missing[len(self._rows) - 2] > MISSING:
+                    self._rows.pop()
+                raise Failed(self._rows[-1][0], error.why) from None
+            if len(self._rows) > records:
                 told(self.strain)
 
     def kept(self) -> dict[str, NDArray[np.float64]]:
@@ -373,9 +320,8 @@ class March:
         """
         self.relist()
         kept = {name: np.array(getattr(self, "_" + name)) for name in _ARRAYS}
-        scalars = (self.step, self._work, self._from_mass, self._contact_lost, self._recorded, self._given)
-        return {**kept, "x": self.x.copy(), "scalars": np.array(scalars), "last": np.array(self._last),
-                "records": np.array(self._records).reshape(-1, 4 + len(ENERGIES))}  # fmt: skip
+        scalars = (self.step, self._work, self._from_mass, self._contact.lost, self._recorded, self._given)
+        return {**kept, "x": self.x.copy(), "scalars": np.array(scalars), "rows": np.array(self._rows)}
 
     def resume(self, kept: Mapping[str, NDArray[np.float64]]) -> None:
         """Go on from where another march was."""
@@ -384,23 +330,32 @@ class March:
         self.x = np.array(kept["x"])
         step, self._work, self._from_mass, lost, self._recorded, self._given = kept["scalars"].tolist()
         self.step = int(step)
-        self._contact_sums = np.zeros((0, contact.SUMS))
         self.relist()
-        self._contact_lost = lost
-        self._last, self._records = kept["last"].tolist(), kept["records"].tolist()
+        self._contact.lost = lost
+        self._rows = kept["rows"].tolist()
 
     def history(self) -> History:
-        """All records; the first one is the body at rest."""
-        start = [0.0] * (4 + len(ENERGIES))
-        start[4 + ENERGIES.index("kinetic")] = self._given
-        rows = np.array([start, *self._records]).T
-        return History(rows[0], rows[1], rows[2], rows[3], dict(zip(ENERGIES, rows[4:], strict=True)))
+        """The body at rest, all records, and the end, to which the forces go on as between the last records.
+
+        Forces of a record are those of the impulse since the one before, its energies the means of both.
+        """
+        rows = np.array(self._rows)
+        rest = np.zeros(rows.shape[1])
+        rest[5 + ENERGIES.index("kinetic")] = self._given
+        mean = np.concatenate([rest[None], (rows[1:] + rows[:-1]) / 2, rows[-1:]])
+        forces = np.diff(rows[:, 2:4], axis=0) / np.diff(rows[:, 1:2], axis=0)
+        forces = np.concatenate([np.zeros((1, 2)), forces])
+        ahead = (mean[-1, 0] - mean[-2, 0]) / (mean[-2, 0] - mean[-3, 0]) if len(mean) > 2 else 0.0
+        top, bottom = np.concatenate([forces, forces[-1:] + ahead * (forces[-1:] - forces[-2:-1])]).T
+        return History(mean[:, 0], top, bottom, mean[:, 4], dict(zip(ENERGIES, mean[:, 5:].T, strict=True)))
 
     def shares(self) -> dict[str, float]:
-        """Each energy over the work of the upper plate; the rest is `unbalanced`."""
-        now = self._balance()
-        work = now[4] or 1.0
-        shares = {name: value / work for name, value in zip(ENERGIES, now[5:], strict=True)}
+        """Each energy at the last record over the work of the upper plate; the rest is `unbalanced`."""
+        return self._shares(self._rows[-1])
+
+    def _shares(self, row: list[float]) -> dict[str, float]:
+        work = row[4] or 1.0
+        shares = {name: value / work for name, value in zip(ENERGIES, row[5:], strict=True)}
         shares["mass"] = -shares["mass"]
         shares["unbalanced"] = 1 + self._given / work - sum(shares.values())
         return shares

@@ -32,6 +32,7 @@ def move(
     v: NDArray[Any],
     f: NDArray[Any],
     mass: NDArray[Any],
+    own: NDArray[Any],
     held: NDArray[Any],
     listed: NDArray[Any],
     first: int,
@@ -45,7 +46,8 @@ def move(
     ----------
     x, v, f : (nodes, 3) float64
         Positions, velocities half a step before, forces.
-    mass : (nodes,) float64
+    mass, own : (nodes,) float64
+        With and without what was added; damping goes with the latter.
     held : (nodes,) uint8
     listed : (nodes, 3) float64
         Positions when contacts were last searched.
@@ -70,7 +72,8 @@ def move(
             vx, vy, vz = v[i, 0], v[i, 1], v[i, 2]
             # damping acts on what is beside uniform compression, and on known velocities: were it to act on new ones,
             # it would take a share of the force that a plate is about to balance
-            cx, cy, cz = damping * vx, damping * vy, damping * (vz + shrink * rz) + kick * rz
+            c = damping * own[i] / m
+            cx, cy, cz = c * vx, c * vy, c * (vz + shrink * rz) + kick * rz
             wx, wy, wz = vx + d * f[i, 0] - cx, vy + d * f[i, 1] - cy, vz + d * f[i, 2] - cz
             px, py, pz = wx, wy, wz
             if held[i] & ROLLS_X:

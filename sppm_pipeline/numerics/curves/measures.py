@@ -66,12 +66,15 @@ class Specimen(NamedTuple):
         Of the undeformed specimen, mm2 and mm.
     density : float or None
         Pores included, g/cm3.
+    ended : str
+        Why its curve ends before it was to; empty if it does not.
     """
 
     unit: str = "MPa"
     area: float | None = None
     height: float | None = None
     density: float | None = None
+    ended: str = ""
 
     @property
     def stress_unit(self) -> str:
@@ -90,10 +93,13 @@ class Table:
     Parameters
     ----------
     curve : Loading
+    ended : str
+        Why it ends where it does.
     """
 
-    def __init__(self, curve: Loading) -> None:
+    def __init__(self, curve: Loading, ended: str = "") -> None:
         self.curve = curve
+        self.end = percent(curve.end) + (f", where {ended}" if ended else "")
         self.found: list[Measure] = []
 
     def add(
@@ -104,7 +110,7 @@ class Table:
 
     def ends_before(self, strain: float) -> str:
         """Why there is no measure up to a strain; empty if there is one."""
-        return f"the curve ends at {percent(self.curve.end)}" if self.curve.end < strain - 1e-9 else ""
+        return f"not reached: the curve ends at {self.end}" if self.curve.end < strain - 1e-9 else ""
 
 
 def measures(
@@ -135,7 +141,7 @@ def measures(
     curve = compression.loading(strain, stress)
     if not curve.stress.max() > 0:
         raise ValueError("the stress is nowhere positive; is compression counted as negative?")
-    table = Table(curve)
+    table = Table(curve, specimen.ended)
     mean, end = _plateau(table, specimen, *plateau)
     _energies(table, specimen, energy_to, end)
     elastic = None if mean is None else compression.unloading_slope(strain, stress, mean)
@@ -157,7 +163,7 @@ def _plateau(table: Table, specimen: Specimen, low: float, high: float) -> tuple
         f"first strain beyond {percent(low)} at which the stress rises through {compression.PLATEAU_END:g} times the "
         "plateau stress"
     )
-    table.add("plateau_end", "plateau end", end, "", words, _METALS, short or f"not reached at {percent(curve.end)}")
+    table.add("plateau_end", "plateau end", end, "", words, _METALS, short or f"not reached at {table.end}")
     return mean, end
 
 
@@ -213,7 +219,7 @@ def _first_rise(table: Table, specimen: Specimen, low: float, elastic: float | N
 def _densification(table: Table, specimen: Specimen, low: float) -> float | None:
     found = compression.densification(table.curve, low)
     onset, best = found or (None, None)
-    growing = f"not reached: the efficiency still grows where the curve ends, at {percent(table.curve.end)}"
+    growing = f"not reached: the efficiency still grows where the curve ends, at {table.end}"
     words = "strain at which the efficiency, area below the curve over the stress, is largest"
     table.add("densification_strain", "densification strain", onset, "", words, _LI, growing)
     table.add("efficiency_max", "largest efficiency", best, "", "efficiency there", _LI, growing)

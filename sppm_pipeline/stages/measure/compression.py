@@ -113,7 +113,7 @@ def measured(curve: CompressionCurve, plateau: tuple[float, float], energy_to: f
     DesignError
         If it is no curve of compression.
     """
-    specimen = Specimen(curve.unit, curve.area, curve.height, curve.density)
+    specimen = Specimen(curve.unit, curve.area, curve.height, curve.density, curve.ended)
     try:
         return measures(curve.strain, curve.stress, specimen, plateau=plateau, energy_to=energy_to)
     except ValueError as error:

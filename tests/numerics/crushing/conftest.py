@@ -55,6 +55,15 @@ def crushed():
 
 
 @pytest.fixture(scope="session")
+def untouched():
+    """The same to 24 %, its walls pass through each other."""
+    body = body_of(gyroid(16, 1))
+    march = March(body._replace(carried=np.zeros_like(body.carried)), (PLASTIC,), Load(0.24, 0.005))
+    march.to(1)
+    return march
+
+
+@pytest.fixture(scope="session")
 def plastic():
     return PLASTIC
 
@@ -62,3 +71,8 @@ def plastic():
 @pytest.fixture(scope="session")
 def cell():
     return gyroid(16, 1)
+
+
+@pytest.fixture
+def small_cell():
+    return gyroid(8, 1)

@@ -7,6 +7,7 @@ from scipy.optimize import brentq
 from sppm_pipeline.numerics.crushing.body import body_of
 from sppm_pipeline.numerics.crushing.march import Failed, Load, March
 from sppm_pipeline.numerics.crushing.material import Material
+from sppm_pipeline.numerics.homogenization.elasticity import stiffness
 
 CUBE = np.ones((6, 6, 6), np.uint8)
 
@@ -65,11 +66,11 @@ def test_plastic_cube_has_the_stress_of_its_yield_stress():
         alpha = brentq(lambda alpha: parts(alpha)[1] - alpha - np.log(1 - strain), 0, 3)
         return parts(alpha)[0] / (1 - strain), alpha
 
-    later = history.strain > 0.1
+    later = history.strain > 0.025  # it yields at .02
     exact = np.array([pulled(e)[0] for e in history.strain[later]])
     # the march is in units of the first material's modulus
-    assert 2 * history.top[later] / 36 == pytest.approx(exact, rel=1.5e-2)
-    assert march.plastic_strain.mean() == pytest.approx(pulled(0.6)[1], rel=5e-2)
+    assert 2 * history.top[later] / 36 == pytest.approx(exact, rel=6e-3)
+    assert march.plastic_strain.mean() == pytest.approx(pulled(0.6)[1], rel=3e-3)
     assert abs(march.shares()["unbalanced"]) < 5e-3
 
 
@@ -111,7 +112,7 @@ def blocks(gap, shift, load):
     rubber = Material(1.0, 0.35)
     image = np.ones((4 + gap, 5, 5), np.uint8)
     image[2 : 2 + gap] = 0
-    march = March(body_of(image), (rubber,), Load((gap + 4 * 0.22) / (4 + gap), 0.01, load, False, 0.2))
+    march = March(body_of(image), (rubber,), Load((gap + 4 * 0.3) / (4 + gap), 0.01, load, False, 0.2))
     upper = march.body.nodes[:, 2] > 2
     march.x[upper, :2] += shift
     march.relist()
@@ -119,18 +120,18 @@ def blocks(gap, shift, load):
     history = march.history()
     pressure = (history.top + history.bottom) / 50
     found = []
-    for wanted in (0.03, 0.1, 0.2):
+    for wanted in (0.03, 0.1, 0.2, 0.3):
         way = history.strain[np.argmax(pressure > wanted)] * (4 + gap)
         alone = brentq(lambda e, p=wanted: -stretched(rubber, 1 - e)[0][0] / (1 - e) - p, 0, 0.5)
         found.append(way - gap - 4 * alone)
     return np.array(found), pressure.max()
 
 
-@pytest.mark.parametrize(("gap", "shift"), [(1, 0.0), (1, 0.5), (3, 0.5)])
+@pytest.mark.parametrize(("gap", "shift"), [(gap, shift) for gap in (1, 2, 3, 4) for shift in (0.0, 0.5)])
 def test_blocks_meet_where_their_gap_closes(gap, shift):
     closed, most = blocks(gap, shift, 0.0)
     assert np.abs(closed).max() < 0.15
-    assert most > 0.22  # nothing has slipped through
+    assert most > 0.3  # nothing has slipped through
 
 
 def test_phases_have_their_own_stiffness():
@@ -157,6 +158,22 @@ def test_rollers_and_sticking_plates_hold_what_they_should():
     assert march.x[~ends, 0].max() > 6.01
 
 
+def test_rollers_and_plates_mirror_a_cell(small_cell):
+    """At small strain, a confined cell is as stiff as the periodic one of 2 x 2 x 2 mirrored ones."""
+    rubber, image = Material(1.0, 0.35), small_cell
+    _, history = run(image, (rubber,), Load(0.012, 0.002, 0.0, True))
+    at = history.strain > 0.002
+    secant = (history.top + history.bottom)[at] / (128 * history.strain[at])
+    modulus = np.polyfit(history.strain[at], secant, 1)[1]
+    lam, mu = rubber.lame
+    mirrored, cell = (
+        stiffness(lam * solid, mu * solid, (1.0, 1.0, 1.0)).stiffness[2, 2]
+        for solid in (np.pad(image, ((0, 8),) * 3, mode="symmetric").astype(float), image.astype(float))
+    )
+    assert modulus == pytest.approx(mirrored, rel=5e-3)
+    assert mirrored < 0.95 * cell  # what would be compared with the wrong cell
+
+
 def test_loose_pieces_fall_out_without_harm(plastic):
     image = np.zeros((10, 8, 8), np.uint8)
     image[:, 2:5, 2:5] = 1
@@ -169,12 +186,23 @@ def test_loose_pieces_fall_out_without_harm(plastic):
     assert np.ptp(march.x[loose, 2]) == pytest.approx(2, abs=0.2)  # unharmed
 
 
-def test_what_comes_apart_says_so():
+@pytest.mark.parametrize("harm", ["light", "lost"])
+def test_what_comes_apart_keeps_what_it_was_worth(harm):
     march = March(body_of(CUBE), (Material(1.0, 0.35),), Load(0.3, 0.02))
     march.to(0.1)
-    march.x[10] = np.nan
-    with pytest.raises(Failed, match=r"at a strain of 0\.1"):
+    before = march.history()
+    if harm == "light":
+        march._mass *= 0.05  # the step is too long for it
+        march._density *= 0.05
+    else:
+        march.x[10] = np.nan
+    with pytest.raises(Failed, match=r"(inside out|without bound) beyond a strain of 0\.1") as failed:
         march.to(0.3)
+    history = march.history()
+    assert failed.value.strain == history.strain[-1] == pytest.approx(0.1, abs=5e-3)
+    assert np.array_equal(history.top[: len(before.top) - 1], before.top[:-1])
+    assert history.top[-1] == pytest.approx(before.top[-1], rel=0.1)
+    assert all(np.isfinite(values).all() for values in (history.work, *history.energies.values()))
 
 
 def test_nothing_to_crush_is_an_error():
