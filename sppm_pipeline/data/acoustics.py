@@ -48,7 +48,7 @@ class AcousticReport(Artifact):
     reported: ClassVar[tuple[str, ...]] = (
         "porosity", "resistivity", "permeability", "thermal_permeability", "tortuosity", "viscous_tortuosity",
         "thermal_tortuosity", "viscous_length", "thermal_length", "shape", "nrc", "layer", "temperature", "edge_mm",
-        "absorption.#19", "peak", "peak_frequency", "grid.#3",
+        "absorption.#19", "absorption_at.*", "peak", "peak_frequency", "grid.#3",
     )  # fmt: skip
 
     axis: str
@@ -138,6 +138,7 @@ class AcousticReport(Artifact):
             "peak": float(curve.max()),
             "peak_frequency": float(frequency[curve.argmax()]),
             "absorption": list(self.bands().values()),
+            "absorption_at": {str(band): value for band, value in self.bands().items()},
             "edge_mm": self.edge_mm,
             "grid": list(self.grid),
             "warnings": list(self.warnings),

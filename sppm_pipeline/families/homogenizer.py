@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
@@ -74,6 +74,45 @@ class Cell(NamedTuple):
         given = self.phase if self.phase is not None else self.fraction
         assert given is not None
         return (given > 0).view(np.uint8)
+
+    def of_voxels(self, values: tuple[float, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """Voxels (nz, ny, nx) of values of the void and of each phase; by solid fraction, means weighted by volume."""
+        table = np.array(values, dtype)
+        if self.phase is not None:
+            return np.asarray(table[self.phase.T])
+        assert self.fraction is not None
+        return np.asarray(table[0] + self.fraction.T.astype(dtype) * (table[1] - table[0]))
+
+    def check_materials(self, context: Context, given: int, options: str) -> None:
+        """Whether there are as many materials as phases: an error if one has none, a warning if some are left over.
+
+        Raises
+        ------
+        DesignError
+            If a phase has no material, or there are several for a field or an image of solid fractions.
+        """
+        if self.phase is None:
+            if given > 1:
+                raise DesignError(
+                    f"materials are given for {given} phases, and a field or an image of solid fractions has one",
+                    hint=f"give {options} one value, or label the field by `extract.phases`",
+                )
+            return
+        phases = int(self.phase.max())
+        if phases > given:
+            raise DesignError(
+                f"the image has phases up to {phases}, and materials are given for {given}",
+                hint=f"give {options} a value for every phase from 1 on",
+            )
+        if phases < given > 1:
+            context.warn(f"materials are given for {given} phases, and the image has {phases or 'none'}")
+
+
+def per_phase(value: float | tuple[float, ...] | None) -> tuple[float, ...]:
+    """Values of the phases from 1 on, of an option that takes one number or several, or nothing."""
+    if value is None:
+        return ()
+    return value if isinstance(value, tuple) else (value,)
 
 
 Report = TypeVar("Report")

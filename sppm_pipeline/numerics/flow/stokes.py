@@ -1,14 +1,15 @@
 """The permeability of a periodic cell: Stokes flow on a staggered grid, driven by a unit pressure gradient.
 
-Velocities u on faces and pressures p in voxels solve ``A u + G p = e_i`` and ``-div u = 0``, A the negative Laplacian,
-for each axis i; the permeability is ``k_ij = <u_j>`` (Darcy's law for unit viscosity). The matrix is symmetric and
-indefinite, so the iteration is MINRES (Paige and Saunders 1975; as written in Elman, Silvester and Wathen, "Finite
-Elements and Fast Iterative Solvers"), preconditioned by one multigrid cycle for each component of the velocity and by
+Velocities u on faces and pressures p in voxels solve ``A u + W G p = W e_i`` and ``-div W u = 0``, A the negative
+Laplacian and W the weights of faces beside walls, for each axis i; the permeability is ``k_ij = <W u_j>`` (Darcy's law
+for unit viscosity). The matrix is symmetric and indefinite, so the iteration is MINRES (Paige and Saunders 1975; as
+written in Elman, Silvester and Wathen, "Finite Elements and Fast Iterative Solvers"), preconditioned by one multigrid
+cycle for each component of the velocity and by
 
-    1 + (-div psi grad)^-1
+    1 + (-div W psi grad)^-1
 
 for the pressure. Its 1 is right for short waves, where the pressure Schur complement ``div A^-1 grad`` is the identity.
-For long ones the complement is Darcy's operator, and the torsion field psi, ``-lap psi = 1`` with psi = 0 on walls, is
+For long ones the complement is Darcy's operator, and the torsion field psi, ``A psi = W 1``, zero on walls, is
 the conductance of a straight channel of any section, and nearly that of a throat. The mean of psi is at the same time
 the thermal permeability.
 """
@@ -113,26 +114,29 @@ def stokes_flow(
     longest = max(faces.edges)
     edges = tuple(h / longest for h in faces.edges)
     velocity = [_velocity_hierarchy(faces, edges, d, longest) for d in range(3)]
-    torsion = _torsion_fields(velocity, threads)
-    thermal = float(np.mean([psi.mean(dtype=np.float64) for psi in torsion]))
-    squares = float(np.mean([dot(psi, psi) / psi.size for psi in torsion]))
+    weights = np.concatenate([weight.reshape(-1) for weight in faces.weights])
+    torsion = _torsion_fields(velocity, weights, threads)
+    weighted = [w * psi for w, psi in zip(np.split(weights, 3), torsion, strict=True)]
+    thermal = float(np.mean([psi.mean(dtype=np.float64) for psi in weighted]))
+    squares = float(np.mean([dot(v, psi) / psi.size for v, psi in zip(weighted, torsion, strict=True)]))
     wanted = [d for d in range(3) if axes[d] and thermal > 0]
     stop, dtype = Stop(residual, tolerance, iterations), np.dtype(precision)
     if 0 < tolerance < _SINGLE or 0 < residual < _SINGLE:
         dtype = np.dtype(np.float64)
     for attempt, twice in ((dtype, True), (dtype, False), (np.dtype(np.float64), False)):
-        problem = _Problem(faces, edges, velocity, torsion, twice)
+        problem = _Problem(weights, edges, velocity, weighted, faces.active[0].shape, twice)
         fields, solved = problem.solve(wanted, stop, _FLOOR * thermal, attempt, threads)
         if all(case.definite for case in solved):
             break
     else:
         raise ArithmeticError("the iteration does not converge, not even in double precision")
     by_axis = dict(zip(wanted, zip(fields, solved, strict=True), strict=True))
-    return _flow(faces, by_axis, porosity, thermal, squares, longest**2, attempt.name)
+    return _flow(faces, weights, by_axis, porosity, thermal, squares, longest**2, attempt.name)
 
 
 def _flow(
     faces: Faces,
+    weights: NDArray[np.float32],
     by_axis: dict[int, tuple[NDArray[Any], Solved]],
     porosity: float,
     thermal: float,
@@ -151,9 +155,10 @@ def _flow(
             solved.append(Solved(0, 0.0, 0.0, 0.0, True, True))
             continue
         u, case = by_axis[d]
-        k[d] = u.reshape(3, -1).mean(axis=1, dtype=np.float64)
-        viscous.append(porosity * dot(u, u) / (u.size // 3) / k[d, d] ** 2)
-        speed = _speed(u.reshape(3, *shape))
+        passing = u * weights
+        k[d] = passing.reshape(3, -1).mean(axis=1, dtype=np.float64)
+        viscous.append(porosity * dot(u, passing) / (u.size // 3) / k[d, d] ** 2)
+        speed = _speed(passing.reshape(3, *shape))
         hydraulic.append(float(speed.mean(dtype=np.float64)) / k[d, d])
         slices.append(np.where(middle_plane(pores, d), middle_plane(speed, d) / k[d, d], np.nan).astype(np.float32))
         solved.append(case._replace(energy=case.energy * unit))
@@ -195,18 +200,16 @@ def _velocity_hierarchy(faces: Faces, edges: tuple[float, ...], d: int, longest:
     return hierarchy_of(faces.walls[d] * np.float32(longest**2), weights, linear=True)
 
 
-def _torsion_fields(velocity: list[Hierarchy], threads: int) -> list[NDArray[np.float32]]:
+def _torsion_fields(velocity: list[Hierarchy], weights: NDArray[np.float32], threads: int) -> list[NDArray[np.float32]]:
     """``-lap psi = 1`` on the faces of each family."""
 
-    def field(hierarchy: Hierarchy) -> NDArray[np.float32]:
-        level = hierarchy.levels[0]
-        b = (level.diagonal > 0).astype(np.float32)
-        psi = np.zeros_like(b)
+    def field(hierarchy: Hierarchy, weight: NDArray[np.float32]) -> NDArray[np.float32]:
+        b, psi = weight.copy(), np.zeros_like(weight)
         solve(hierarchy, b, psi, np.empty_like(b), hierarchy.workspace(), _TORSION, 0.0, 1e-30)
         return np.maximum(psi, 0, out=psi)
 
     with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(field, velocity))
+        return list(pool.map(field, velocity, np.split(weights, 3)))
 
 
 class _Problem:
@@ -214,17 +217,17 @@ class _Problem:
 
     def __init__(
         self,
-        faces: Faces,
+        weights: NDArray[np.float32],
         edges: tuple[float, ...],
         velocity: list[Hierarchy],
         torsion: list[NDArray[np.float32]],
+        shape: tuple[int, ...],
         twice: bool,
     ) -> None:
-        shape = faces.active[0].shape
         self.velocity = velocity
-        weights = tuple(psi.reshape(shape) * np.float32(1 / h**2) for psi, h in zip(torsion, edges, strict=True))
-        self.pressure = hierarchy_of(np.zeros(shape, np.float32), weights, linear=False, twice=twice)
-        self.active = np.concatenate([active.reshape(-1) for active in faces.active]).view(np.uint8)
+        conductances = tuple(psi.reshape(shape) * np.float32(1 / h**2) for psi, h in zip(torsion, edges, strict=True))
+        self.pressure = hierarchy_of(np.zeros(shape, np.float32), conductances, linear=False, twice=twice)
+        self.weights = weights
         self.inverse_edges = 1 / np.array(edges)
         self.size = np.array(shape[::-1], np.int64)
 
@@ -245,7 +248,7 @@ class _Problem:
             level, part = hierarchy.levels[0], slice(d * n, (d + 1) * n)
             assert isinstance(level, SevenPointLevel)
             level.apply_by(APPLY, x[part], x[part], out[part], rows)
-        couple(x[: 3 * n], x[3 * n :], self.active, self.inverse_edges.astype(x.dtype), self.size,
+        couple(x[: 3 * n], x[3 * n :], self.weights, self.inverse_edges.astype(x.dtype), self.size,
                out[: 3 * n], out[3 * n :])  # fmt: skip
 
     def precondition(self, r: NDArray[Any], out: NDArray[Any], work: Workspace) -> None:
@@ -259,12 +262,13 @@ class _Problem:
 
     def _minres(self, axis: int, stop: Stop, floor: float, dtype: np.dtype[Any]) -> tuple[NDArray[Any], Solved]:
         """MINRES for a unit force along an axis; vectors of the pressure are kept only where they are needed."""
-        n = len(self.active) // 3
+        n = len(self.weights) // 3
         work, rows = self.pressure.workspace(), np.zeros(SCRATCH_ROWS * STRIDE, dtype)
         v, before, q, z = (np.zeros(4 * n, dtype) for _ in range(4))
         u, w, w_before = (np.zeros(3 * n, dtype) for _ in range(3))
         driven = slice(axis * n, (axis + 1) * n)
-        v[driven] = self.active[driven]
+        force = self.weights[driven].astype(dtype)
+        v[driven] = force
         self.precondition(v, z, work)
         start = gamma = math.sqrt(dot(z, v))
         eta, gamma_before, c, c_before, s, s_before = gamma, 1.0, 1.0, 1.0, 0.0, 0.0
@@ -290,8 +294,8 @@ class _Problem:
             w *= dtype.type(1 / a1)
             c_before, c, s_before, s = c, a0 / a1, s, gamma / a1
             _combine(u, w, c * eta)
-            changes.append(c * eta * float(w[driven].sum(dtype=np.float64)) / n)
-            k = float(u[driven].mean(dtype=np.float64))
+            changes.append(c * eta * dot(w[driven], force) / n)
+            k = dot(u[driven], force) / n
             eta *= -s
             error = _remaining(changes) / max(abs(k), floor)
             reached = abs(eta) <= start * stop.residual or error <= stop.energy
@@ -335,34 +339,36 @@ def _combine(
 
 @inline_jit
 def _slope(
-    q: NDArray[Any], active: NDArray[Any], at: Any, p: NDArray[Any], here: Any, there: Any, factor: Any, n: Any
+    q: NDArray[Any], weights: NDArray[Any], at: Any, p: NDArray[Any], here: Any, there: Any, factor: Any, n: Any
 ) -> None:
     for i in range(n):
-        q[at + i] += active[at + i] * factor * (p[here + i] - p[there + i])
+        q[at + i] += weights[at + i] * factor * (p[here + i] - p[there + i])
 
 
 @inline_jit
-def _outflow(u: NDArray[Any], here: Any, there: Any, factor: Any, q: NDArray[Any], at: Any, n: Any) -> None:
+def _outflow(
+    u: NDArray[Any], weights: NDArray[Any], here: Any, there: Any, factor: Any, q: NDArray[Any], at: Any, n: Any
+) -> None:
     for i in range(n):
-        q[at + i] += factor * (u[here + i] - u[there + i])
+        q[at + i] += factor * (weights[here + i] * u[here + i] - weights[there + i] * u[there + i])
 
 
 @jit
 def couple(
     u: NDArray[Any],
     p: NDArray[Any],
-    active: NDArray[np.uint8],
+    weights: NDArray[np.float32],
     factors: NDArray[Any],
     shape: NDArray[np.int64],
     gradient: NDArray[Any],
     inflow: NDArray[Any],
 ) -> None:
-    """Add the gradient of the pressure to what acts on active faces, and write the inflow into each voxel.
+    """Add the gradient of the pressure to what acts on faces, and write the inflow into each voxel.
 
     Parameters
     ----------
-    u, active, gradient : (3 nz ny nx,) flat
-        On the faces of the families x, y, z.
+    u, weights, gradient : (3 nz ny nx,) flat
+        On the faces of the families x, y, z; the weights count in both.
     p, inflow : (nz ny nx,) flat
     factors : (3,)
         Inverse edges of a voxel along x, y, z.
@@ -378,13 +384,13 @@ def couple(
             at = (z * lines + y) * n
             before, behind = (z * lines + (y + lines - _1) % lines) * n, (z * lines + (y + _1) % lines) * n
             low, high = ((z + planes - _1) % planes * lines + y) * n, ((z + _1) % planes * lines + y) * n
-            gradient[at] += active[at] * fx * (p[at] - p[at + last])
-            _slope(gradient, active, at + _1, p, at + _1, at, fx, last)
-            _slope(gradient, active, size + at, p, at, before, fy, n)
-            _slope(gradient, active, size + size + at, p, at, low, fz, n)
+            gradient[at] += weights[at] * fx * (p[at] - p[at + last])
+            _slope(gradient, weights, at + _1, p, at + _1, at, fx, last)
+            _slope(gradient, weights, size + at, p, at, before, fy, n)
+            _slope(gradient, weights, size + size + at, p, at, low, fz, n)
             for i in range(n):
                 inflow[at + i] = p.dtype.type(0)
-            _outflow(u, at, at + _1, fx, inflow, at, last)
-            inflow[at + last] += fx * (u[at + last] - u[at])
-            _outflow(u, size + at, size + behind, fy, inflow, at, n)
-            _outflow(u, size + size + at, size + size + high, fz, inflow, at, n)
+            _outflow(u, weights, at, at + _1, fx, inflow, at, last)
+            inflow[at + last] += fx * (weights[at + last] * u[at + last] - weights[at] * u[at])
+            _outflow(u, weights, size + at, size + behind, fy, inflow, at, n)
+            _outflow(u, weights, size + size + at, size + size + high, fz, inflow, at, n)

@@ -15,8 +15,25 @@ from sppm_pipeline.errors import ResourceError
 from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.formats.voxel_image import LARGEST_IMAGE
-from sppm_pipeline.numerics.grid import cell_centers
+from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.stage import Context, Stage
+
+
+def image_grid(resolution: int, cells: tuple[int, int, int]) -> Grid:
+    """Centers of the voxels of an image.
+
+    Raises
+    ------
+    ResourceError
+        If they are too many for an image.
+    """
+    grid = cell_centers(resolution, cells)
+    if np.prod(grid.shape, dtype=float) > LARGEST_IMAGE:
+        raise ResourceError(
+            f"the image would have {' x '.join(map(str, grid.shape))} voxels; the limit is {LARGEST_IMAGE}",
+            hint="lower `resolution`, or take fewer cells",
+        )
+    return grid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +55,7 @@ class ExtractVoxels(Stage):
     def run(self, context: Context, field: ScalarField) -> Voxels:
         """Sample, one layer of cells after the other."""
         n, cells = self.resolution, field.cells
-        grid = cell_centers(n, cells)
-        if np.prod(grid.shape, dtype=float) > LARGEST_IMAGE:
-            raise ResourceError(
-                f"the image would have {' x '.join(map(str, grid.shape))} voxels; the limit is {LARGEST_IMAGE}",
-                hint="lower `resolution`, or take fewer cells",
-            )
+        grid = image_grid(n, cells)
         if coarse := field.coarseness(1 / n):
             context.warn(coarse)
         source = field.exactly() if self.exact else field

@@ -39,6 +39,7 @@ class HomogenizeAcoustics(FlowHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.acoustics"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = ()
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("nrc", "NRC"), Headline("peak", "largest absorption"), Headline("peak_frequency", "at", "Hz"),

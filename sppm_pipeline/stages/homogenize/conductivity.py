@@ -13,8 +13,9 @@ from sppm_pipeline.data.conductivity import ConductivityReport
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.homogenizer import Cell, Homogenizer
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.families import options
+from sppm_pipeline.families.homogenizer import Cell, Homogenizer, per_phase
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
 
@@ -35,7 +36,7 @@ class HomogenizeConductivity(Homogenizer):
     ``of: both`` what fills the void conducts as well, as a gas does beside a poor conductor; voxels at the surface then
     have the mean of both, weighted by volume. The result is a tensor, and the tortuosity along each axis. Voxels that
     touch at an edge or corner only conduct a little there; if most of the flow passes there, raise the resolution.
-    Permittivity and magnetic permeability obey the same equations.
+    Permittivity and magnetic permeability obey the same equations, as long as waves are much longer than the cell.
     """
 
     name: ClassVar[str] = "homogenize.conductivity"
@@ -46,8 +47,9 @@ class HomogenizeConductivity(Homogenizer):
     )  # fmt: skip
     of: str = option("solid", help="which phase conducts", choices=("solid", "void", "both"))
     bulk: float | tuple[float, ...] = option(
-        1.0, help="conductivity of that phase, or of each phase of the solid from 1 on", above=0, maximum=1e15
-    )
+        1.0, help=f"conductivity of the solid, {options.EACH_PHASE}; with `of: void` that of the void", above=0,
+        maximum=1e15,
+    )  # fmt: skip
     fluid: float | None = option(
         None, help="conductivity of what fills the void, if both conduct; 0.026 W/(m K) for air", above=0, maximum=1e15
     )
@@ -66,7 +68,7 @@ class HomogenizeConductivity(Homogenizer):
             )
 
     def _bulk(self) -> tuple[float, ...]:
-        return self.bulk if isinstance(self.bulk, tuple) else (self.bulk,)
+        return per_phase(self.bulk)
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         return self.solving(source, self.resolution)
@@ -81,6 +83,8 @@ class HomogenizeConductivity(Homogenizer):
         from sppm_pipeline.numerics.homogenization.conduction import conductivity, tortuosity
 
         cell = self.cell_of(context, source)
+        if self.of != "void":
+            cell.check_materials(context, len(self._bulk()), "`bulk`")
         k = self._conductivities(cell)
         found = conductivity(k, cell.edges, **self.solver_options(context.threads))
         connected = phase_report((k > 0).view(np.uint8))
@@ -134,25 +138,8 @@ class HomogenizeConductivity(Homogenizer):
 
     def _conductivities(self, cell: Cell) -> NDArray[Any]:
         """Of all voxels, (nz, ny, nx)."""
-        bulk = self._bulk()
-        dtype = np.dtype(np.float32 if self.precision == "single" else np.float64)
-        if cell.phase is not None:
-            if self.of == "void":
-                return np.asarray((cell.phase.T == 0) * dtype.type(bulk[0]))
-            phases = int(cell.phase.max())
-            if phases > len(bulk):
-                raise DesignError(
-                    f"the image has phases up to {phases}, and conductivities are given for {len(bulk)}",
-                    hint="give `bulk` a value for every phase from 1 on",
-                )
-            table: NDArray[Any] = np.array([self.fluid or 0.0, *bulk], dtype)
-            return np.asarray(table[cell.phase.T])
-        if len(bulk) > 1:
-            raise DesignError(
-                f"conductivities are given for {len(bulk)} phases, and a field or an image of fractions has one",
-                hint="give one number",
-            )
-        assert cell.fraction is not None
-        fraction: NDArray[Any] = 1 - cell.fraction.T if self.of == "void" else cell.fraction.T
-        fluid = self.fluid or 0.0
-        return dtype.type(fluid) + fraction.astype(dtype) * dtype.type(bulk[0] - fluid)
+        dtype = np.float32 if self.precision == "single" else np.float64
+        if self.of != "void":
+            return cell.of_voxels((self.fluid or 0.0, *self._bulk()), dtype)
+        phases = 1 if cell.phase is None else int(cell.phase.max())
+        return cell.of_voxels((self._bulk()[0], *(0.0,) * phases), dtype)

@@ -12,6 +12,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Recipe, option
 from sppm_pipeline.stages.homogenize.voxel import ElasticHomogenizer
@@ -31,7 +32,7 @@ class HomogenizeRealizations(ElasticHomogenizer):
 
     name: ClassVar[str] = "homogenize.realizations"
 
-    draws: int = option(10, help="draws for each size", minimum=1, maximum=100_000, formerly="samples")
+    draws: int = options.draws(10, note="for each size", maximum=100_000, formerly="samples")
     assemblies: tuple[int, ...] = option((1,), help="cells along the edge of each assembly", minimum=1, maximum=64)
 
     def estimate(self, palette: Palette, recipe: RecipeSize) -> Size:

@@ -12,9 +12,9 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Cell, Homogenizer, grids_below, refined
+from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Cell, Homogenizer, grids_below, per_phase, refined
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
 
@@ -23,10 +23,12 @@ from sppm_pipeline.stage import Context, Headline, option
 class ElasticHomogenizer(Homogenizer):
     """Base of stages that compute effective stiffnesses on voxels: materials, and the stiffness report of a cell."""
 
-    young: float | tuple[float, ...] = options.young(
-        1.0, note="or of each phase from 1 on; 1: results are relative to it"
+    young: float | tuple[float, ...] = options.young(1.0, note=f"{options.EACH_PHASE}; 1: results are relative to it")
+    poisson: float | tuple[float, ...] = options.poisson(0.3, note=options.EACH_PHASE)
+    filling_young: float | None = option(
+        None, help="Young's modulus of what fills the void; nothing does if omitted", above=0, maximum=1e15
     )
-    poisson: float | tuple[float, ...] = options.poisson(0.3, note="or of each phase from 1 on")
+    filling_poisson: float = option(0.3, help="Poisson's ratio of what fills the void", above=-1, below=0.5)
     stress_unit: str = options.stress_unit("relative", formerly="unit")
     ersatz: float = option(
         0.0, help="stiffness of the void relative to phase 1, for comparison with other codes",
@@ -34,18 +36,29 @@ class ElasticHomogenizer(Homogenizer):
     )  # fmt: skip
 
     def check_options(self) -> None:
-        """As many Poisson's ratios as Young's moduli."""
+        """As many Poisson's ratios as Young's moduli, and one stiffness of the void."""
         young, poisson = self._materials()
         if not young or len(young) != len(poisson):
             raise ConfigError(
                 f"`young` has {len(young)} Young's moduli and `poisson` {len(poisson)} Poisson's ratios",
                 hint="give one of each, or one of each for every phase",
             )
+        if self.ersatz and self.filling_young is not None:
+            raise ConfigError(
+                f"the void can't have the stiffness `ersatz: {self.ersatz:g}` and that of `filling_young` at once",
+                hint="leave out `ersatz`",
+            )
 
     def _materials(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        young = self.young if isinstance(self.young, tuple) else (self.young,)
-        poisson = self.poisson if isinstance(self.poisson, tuple) else (self.poisson,)
+        young, poisson = per_phase(self.young), per_phase(self.poisson)
         return young, poisson * len(young) if len(poisson) == 1 else poisson
+
+    def _void(self) -> tuple[float, float]:
+        """Young's modulus and Poisson's ratio of what is in the void."""
+        if self.filling_young is not None:
+            return self.filling_young, self.filling_poisson
+        young, poisson = self._materials()
+        return (self.ersatz * young[0], poisson[0]) if self.ersatz else (0.0, 0.0)
 
     def bytes_of_a_voxel(self, threads: int) -> int:
         """Six fields, their work space for each load case in progress, Lamé constants."""
@@ -54,19 +67,21 @@ class ElasticHomogenizer(Homogenizer):
     def stiffness_of(
         self, context: Context, source: ScalarField | Voxels, expansion: tuple[float, ...] = ()
     ) -> StiffnessReport:
-        """Solve six load cases; `expansion` has coefficients of the phases from 1 on, or nothing."""
+        """Solve six load cases; `expansion` has coefficients of the void and of the phases from 1 on, or nothing."""
         from sppm_pipeline.numerics.connectivity.components import phase_report
         from sppm_pipeline.numerics.homogenization.elasticity import stiffness
 
         cell = self.cell_of(context, source)
-        expanding = self._expansion(cell, expansion) if expansion else None
-        found = stiffness(*self._lame(cell), cell.edges, expansion=expanding, **self.solver_options(context.threads))
+        cell.check_materials(context, len(self._materials()[0]), "`young` and `poisson`")
+        lam, mu = self._lame(cell)
+        expanding = self._expansion(cell, expansion, lam + 2 / 3 * mu) if expansion else None
+        found = stiffness(lam, mu, cell.edges, expansion=expanding, **self.solver_options(context.threads))
         connected = phase_report(cell.occupied().T)
         warnings = self.solver_warnings(found.solved, found.precision)
         without = [word for word, value in zip(_STRAINS, np.diag(found.stiffness), strict=True) if value == 0]
         if without:
             warnings.append(f"the solid has no load path along {', '.join(without)}")
-        if self.ersatz == 0 and connected.removed_share > 0:
+        if self._void()[0] == 0 and connected.removed_share > 0:
             warnings.append(
                 f"{connected.removed_share:.2g} of the solid is disconnected from the rest across faces of voxels "
                 "and has no load path"
@@ -92,50 +107,37 @@ class ElasticHomogenizer(Homogenizer):
         )
 
     def _phases(self, cell: Cell) -> tuple[tuple[float, float, float], ...]:
-        """Volume fraction, Young's modulus and Poisson's ratio of each phase, void last."""
+        """Volume fraction, Young's modulus and Poisson's ratio of each phase, that of the void last."""
         young, poisson = self._materials()
-        void = (self.ersatz * young[0], poisson[0]) if self.ersatz else (0.0, 0.0)
         if cell.phase is None:
-            return ((1 - cell.porosity, young[0], poisson[0]), (cell.porosity, *void))
+            return ((1 - cell.porosity, young[0], poisson[0]), (cell.porosity, *self._void()))
         fractions = np.bincount(cell.phase.ravel("K"), minlength=2) / cell.phase.size
         solid = tuple(
             (float(fractions[phase]), young[phase - 1], poisson[phase - 1]) for phase in range(1, len(fractions))
         )
-        return (*solid, (float(fractions[0]), *void))
+        return (*solid, (float(fractions[0]), *self._void()))
 
-    def _expansion(self, cell: Cell, expansion: tuple[float, ...]) -> NDArray[Any]:
-        """Coefficients of all voxels, (nz, ny, nx); the void, if it has a stiffness, expands as phase 1 does."""
-        if cell.phase is None:
-            return np.full(cell.shape[::-1], expansion[0], np.float32)
-        return np.array([expansion[0], *expansion])[cell.phase.T]
+    def _constants(self) -> list[tuple[float, float]]:
+        """Lamé constants of the void and of each phase."""
+        from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
+
+        return [lame(e, v) for e, v in (self._void(), *zip(*self._materials(), strict=True))]
+
+    def _expansion(self, cell: Cell, expansion: tuple[float, ...], bulk: NDArray[Any]) -> NDArray[Any]:
+        """Coefficients of all voxels, (nz, ny, nx), of which `bulk` has the bulk moduli.
+
+        What is mixed in a voxel by volume is the stress that holds an expansion back, so that Levin's relation between
+        expansion and stiffness holds for mixtures, too.
+        """
+        moduli = [lam + 2 / 3 * mu for lam, mu in self._constants()]
+        stress = cell.of_voxels(tuple(k * alpha for k, alpha in zip(moduli, expansion, strict=True)), np.float64)
+        return np.asarray(np.divide(stress, bulk, out=np.zeros_like(stress), where=bulk > 0))
 
     def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
         """Lamé constants of all voxels, (nz, ny, nx)."""
-        from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
-
-        young, poisson = self._materials()
-        constants = np.array([(0.0, 0.0), *(lame(e, v) for e, v in zip(young, poisson, strict=True))])
-        constants[0] = self.ersatz * constants[1]
-        dtype = np.dtype(np.float32 if self.precision == "single" else np.float64)
-        if cell.phase is not None:
-            phases = int(cell.phase.max())
-            if phases > len(young):
-                raise DesignError(
-                    f"the image has phases up to {phases}, and materials are given for {len(young)}",
-                    hint="give `young` and `poisson` a value for every phase from 1 on",
-                )
-            table = constants.astype(dtype)
-            return table[cell.phase.T, 0], table[cell.phase.T, 1]
-        if len(young) > 1:
-            raise DesignError(
-                f"materials are given for {len(young)} phases, and a field or an image of solid fractions has one",
-                hint="give one Young's modulus and one Poisson's ratio",
-            )
-        assert cell.fraction is not None
-        fraction: NDArray[Any] = cell.fraction.T.astype(dtype)
-        if self.ersatz:
-            fraction = self.ersatz + (1 - self.ersatz) * fraction
-        return fraction * dtype.type(constants[1, 0]), fraction * dtype.type(constants[1, 1])
+        lam, mu = zip(*self._constants(), strict=True)
+        dtype = np.float32 if self.precision == "single" else np.float64
+        return cell.of_voxels(lam, dtype), cell.of_voxels(mu, dtype)
 
 
 _STRAINS = ("xx", "yy", "zz", "yz", "xz", "xy")
@@ -147,7 +149,9 @@ class HomogenizeVoxel(ElasticHomogenizer):
 
     Trilinear bricks, six unit strains, periodic displacements, no stiffness at all in the void. A field is sampled;
     voxels at its surface get the stiffness of the solid times their solid fraction, which converges much
-    faster than the binary voxels of the paper. Images may hold several phases, each with a material of its own.
+    faster than the binary voxels of the paper. Images may hold several phases, each with a material of its own;
+    `extract.phases` makes them of fields. What fills the void has a stiffness by `filling_young`; voxels at the surface
+    then have the mean of both, weighted by volume.
 
     With more than one grid, each coarser by a third than the next, the limit of fine grids is extrapolated
     (Richardson), and the difference becomes the error bar of the result, which stays that of the finest grid.
@@ -164,24 +168,33 @@ class HomogenizeVoxel(ElasticHomogenizer):
     )
 
     expansion: float | tuple[float, ...] | None = option(
-        None, help="coefficient of thermal expansion of the solid, or of each phase from 1 on", unit="1/K",
+        None, help=f"coefficient of thermal expansion of the solid, {options.EACH_PHASE}", unit="1/K",
         minimum=-1, maximum=1,
     )  # fmt: skip
+    filling_expansion: float | None = option(
+        None, help="coefficient of thermal expansion of what fills the void", unit="1/K", minimum=-1, maximum=1
+    )
 
     def check_options(self) -> None:
         """As many expansions as materials, or none."""
         super().check_options()
-        phases = len(self._materials()[0])
-        if self.expansion is not None and len(self._expansions()) != phases:
+        phases, given = len(self._materials()[0]), len(per_phase(self.expansion))
+        if self.expansion is not None and given != phases:
             raise ConfigError(
-                f"`expansion` has {len(self._expansions())} coefficients, and `young` {phases} Young's moduli",
+                f"`expansion` has {given} coefficients, and `young` {phases} Young's moduli",
                 hint="give one for each phase, or none",
+            )
+        wanted = self.expansion is not None and self.filling_young is not None
+        if wanted != (self.filling_expansion is not None):
+            raise ConfigError(
+                f"`filling_expansion` is {'missing' if wanted else 'of no use'}",
+                hint="give it with `expansion` and `filling_young`, and only then",
             )
 
     def _expansions(self) -> tuple[float, ...]:
-        if self.expansion is None:
-            return ()
-        return self.expansion if isinstance(self.expansion, tuple) else (self.expansion,)
+        """Of the void and of each phase; the void, if it has a stiffness of its own accord, expands as phase 1 does."""
+        given = per_phase(self.expansion)
+        return (given[0] if self.filling_expansion is None else self.filling_expansion, *given) if given else ()
 
     def estimate(self, palette: Palette, source: Size) -> Size:
         """All grids; the finest needs most memory."""

@@ -40,7 +40,7 @@ class TestContract(StageContract):
 
 
 def test_a_slit_in_an_image():
-    exact = 6**3 / 12 / 8 * (1 + 2 / 6**2)  # in voxels, of the discrete equations
+    exact = 6**3 / 12 / 8 * (1 + 1 / (3 * 6**3))  # in voxels, of the discrete equations
     context = PlainContext()
     report = solved(voxels(slit(), (0.5, 0.5, 0.5), physical=True), context)
     assert report.k * 8**2 == pytest.approx(np.diag([exact, exact, 0]), rel=1e-4, abs=1e-6)
@@ -56,7 +56,7 @@ def test_a_slit_in_an_image():
     # half a solid layer more: as fractions, the wall moves by half a voxel
     values = slit().astype(np.float32)
     values[:, :, 6] = 0.5
-    assert solved(voxels(values)).k[0, 0] == pytest.approx(6.5**3 / 12 / 8, rel=0.06)
+    assert solved(voxels(values)).k[0, 0] == pytest.approx(6.5**3 / 12 / 8, rel=0.005)
     assert solved(voxels(values), fractions="binary").k[0, 0] == pytest.approx(exact, rel=1e-4)
 
 
@@ -98,7 +98,7 @@ def test_a_cell_of_the_paper(cell, tmp_path):
     images = np.asarray(cell.sample(24) < 0).astype(np.uint8)
     image = solved(voxels(images, (1 / 24,) * 3))
     assert image.k == pytest.approx(report.k, rel=0.25, abs=0.25 * report.k[0, 0])
-    assert solved(cell, resolution=24, fractions="binary").k == pytest.approx(image.k)
+    assert solved(cell, resolution=24, fractions="binary").k == pytest.approx(image.k, rel=1e-3)
     WriteFlow(path="flow.png", axis="y", image_size=(400, 300)).run(context, report)
     picture = np.asarray(Image.open(context.output("flow.png")).convert("RGB"))
     assert picture.shape == (300, 400, 3)

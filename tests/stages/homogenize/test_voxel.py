@@ -1,5 +1,7 @@
 """``homogenize.voxel``: inputs, materials, refusals, warnings about cells without a load path."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError, DesignError, ResourceError
 from sppm_pipeline.fields.part import Part
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import from_lame, lame
 from sppm_pipeline.process import budget
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
@@ -196,3 +199,76 @@ def test_thermal_expansion(cell):
     assert flat.summary()["expansion"][2] is None
     with pytest.raises(ConfigError, match="`expansion` has 1 coefficients"):
         HomogenizeVoxel(**(values | {"expansion": 1e-5})).check_options()
+
+
+@dataclass(frozen=True, eq=False)
+class Solid(ScalarField):
+    """Layers across z, of which the lower half is solid, or a gyroid; inverted on demand."""
+
+    gyroid: bool = False
+    sign: float = 1.0
+
+    cells = (1, 1, 1)
+    periodic = True
+
+    def sample_layers(self, grid, start, stop, threads=1):
+        grid = grid.layers(start, stop)
+        x, y, z = (2 * np.pi * grid.axis(axis) for axis in range(3))
+        x, y = x[:, None, None], y[:, None]
+        layers = np.abs((z + np.pi / 2) % (2 * np.pi) - np.pi) - np.pi / 2 + 0 * (x + y)
+        curved = np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x) - 0.4
+        return (self.sign * (curved if self.gyroid else layers)).astype(np.float32)
+
+
+def test_filled_layers():
+    """Exact (Backus 1962)."""
+    stiff, soft = (7.0, 0.2), (0.5, 0.4)
+    lam, mu = np.array([lame(*stiff), lame(*soft)]).T
+    across = 1 / np.mean(1 / (lam + 2 * mu))
+    share = np.mean(lam / (lam + 2 * mu))
+    c11 = np.mean(4 * mu * (lam + mu) / (lam + 2 * mu)) + share**2 * across
+    c66, c44 = mu.mean(), 1 / np.mean(1 / mu)
+    exact = np.diag([c11, c11, across, c44, c44, c66])
+    exact[0, 1] = exact[1, 0] = c11 - 2 * c66
+    exact[:2, 2] = exact[2, :2] = share * across
+    options = {"resolution": 4, "young": stiff[0], "poisson": stiff[1], "filling_young": soft[0],
+               "filling_poisson": soft[1], "residual": 1e-6}  # fmt: skip
+    report = homogenized(Solid(), **options)
+    assert report.stiffness == pytest.approx(exact, rel=1e-4, abs=1e-5)
+    assert report.phases == (pytest.approx((0.5, *stiff)), pytest.approx((0.5, *soft)))
+    assert report.porosity == 0
+
+
+def test_a_filled_gyroid():
+    options = {"resolution": 12, "solver_tolerance": 1e-6, "precision": "double"}
+    materials = {"young": 5.0, "poisson": 0.2, "filling_young": 1.0, "filling_poisson": 0.4}
+    swapped = {"young": 1.0, "poisson": 0.4, "filling_young": 5.0, "filling_poisson": 0.2}
+    heat, other = ({"expansion": a, "filling_expansion": b} for a, b in ((1e-5, 6e-5), (6e-5, 1e-5)))
+    report = homogenized(Solid(gyroid=True), **options, **materials, **heat)
+    inverse = homogenized(Solid(gyroid=True, sign=-1.0), **options, **swapped, **other)
+    assert report.stiffness == pytest.approx(inverse.stiffness, rel=1e-5, abs=1e-6)
+    assert report.expansion == pytest.approx(inverse.expansion, rel=1e-5, abs=1e-10)
+    bounds = report.bounds
+    assert bounds.within
+    assert bounds.bulk_holds  # of cubic symmetry
+    # Levin 1967
+    k1, k2 = (e / 3 / (1 - 2 * nu) for e, nu in ((5.0, 0.2), (1.0, 0.4)))
+    k = report.stiffness[:3, :3].sum() / 9
+    levin = 1e-5 + 5e-5 * (1 / k - 1 / k1) / (1 / k2 - 1 / k1)
+    assert report.expansion[:3].mean() == pytest.approx(levin, rel=1e-4)
+    # of the same stuff it is a block
+    block = homogenized(Solid(gyroid=True), resolution=6, young=3.0, filling_young=3.0, residual=1e-6)
+    assert block.stiffness == pytest.approx(from_lame(*lame(3.0, 0.3)), rel=1e-5, abs=1e-5)
+
+
+def test_fillings_are_whole():
+    for options, told in (
+        ({"filling_young": 1.0, "ersatz": 0.1}, "`ersatz: 0.1`"),
+        ({"filling_young": 1.0, "expansion": 1e-5}, "`filling_expansion` is missing"),
+        ({"expansion": 1e-5, "filling_expansion": 1e-5}, "`filling_expansion` is of no use"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            HomogenizeVoxel(**options).check_options()
+    context = PlainContext()
+    homogenized(voxels(cross()), context, young=(1.0, 2.0))
+    assert "materials are given for 2 phases, and the image has 1" in context.warnings
