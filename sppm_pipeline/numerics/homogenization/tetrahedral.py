@@ -11,17 +11,12 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.homogenization.mortar import collocation, face_pairs, mortar
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
 from sppm_pipeline.numerics.homogenization.tetrahedral_assembly import assemble
-
-Vector = NDArray[np.float64]
-
-COARSEST = 60
-"""Unknowns of the coarsest grid; small enough that its dense solution never runs in several threads, whose number
-would show in the last digits."""
-
-RIGID = 1e-11
-"""Eigenvalues of the coarsest matrix that count as zero, over its largest. Translations have rounding errors there
-(1.4e-14 was seen on a mesh of 148 000 nodes, where the smallest of an elastic mode was 0.4) that may pass the cut-off
-which SciPy's pseudoinverse has by itself; divided by them, translations grow until the solution is lost."""
+from sppm_pipeline.numerics.homogenization.tetrahedral_multigrid import (
+    Blocks,
+    Vectors,
+    aggregation,
+    linear_below_quadratic,
+)
 
 
 class TetHomogenized(NamedTuple):
@@ -110,37 +105,35 @@ def homogenize_tetrahedra(
         count = joined.shape[0]
         if count:
             project = Projector(joined)
-    precondition = multigrid(built.matrix, rigid_modes(nodes[kept]))
-    fields, counts, residuals = [], [], []
-    for number, load in enumerate(built.loads):
-        found = conjugate_gradients(built.matrix, -load, precondition, project, tolerance, iterations)
-        fields.append(found.values)
-        counts.append(found.iterations)
-        residuals.append(found.residual)
-        if progress is not None:
-            progress(number + 1)
-    u = np.array(fields)
-    forces = np.array([built.matrix @ field for field in fields])
+    points = nodes[kept]
+    if cells.shape[1] == 4:
+        precondition = aggregation(built.matrix, rigid_modes(points))
+    else:
+        precondition = linear_below_quadratic(built.matrix, numbers[cells], points, rigid_modes)
+    matrix = Blocks(built.matrix)
+    found = conjugate_gradients(matrix, -built.loads.T, precondition, project, tolerance, iterations, progress)
+    u = np.ascontiguousarray(found.values.T)
+    forces = np.ascontiguousarray(matrix.product(found.values).T)
     work = np.einsum("in,jn->ij", u, built.loads)
     energy = built.mean + work + work.T + np.einsum("in,jn->ij", u, forces)
     stiffness = (energy + energy.T) / 2 / float(np.prod(box[1] - box[0]))
-    return TetHomogenized(stiffness, counts, residuals, 3 * len(kept), 3 * count, built.volume)
+    return TetHomogenized(stiffness, found.iterations, found.residuals, 3 * len(kept), 3 * count, built.volume)
 
 
 class Solution(NamedTuple):
-    """A solution and how accurate it is.
+    """Solutions and how accurate they are.
 
     Attributes
     ----------
-    values : (n,) float64
-    residual : float
+    values : (n, 6) float64
+    residuals : list of 6 floats
         Norm of the residual over that of the right-hand side.
-    iterations : int
+    iterations : list of 6 ints
     """
 
-    values: Vector
-    residual: float
-    iterations: int
+    values: Vectors
+    residuals: list[float]
+    iterations: list[int]
 
 
 def rigid_modes(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -153,44 +146,6 @@ def rigid_modes(points: NDArray[np.float64]) -> NDArray[np.float64]:
     modes[:, 0, 4], modes[:, 2, 4] = z, -x
     modes[:, 0, 5], modes[:, 1, 5] = -y, x
     return modes.reshape(-1, 6)
-
-
-def multigrid(matrix: Any, modes: NDArray[np.float64]) -> Callable[[Vector], Vector]:
-    """One V-cycle of smoothed aggregation as a preconditioner.
-
-    Parameters
-    ----------
-    matrix : scipy.sparse.bsr_matrix, (3 n, 3 n)
-        Symmetric, positive semidefinite.
-    modes : (3 n, 6) float64
-        Modes of little energy.
-
-    References
-    ----------
-    Vaněk, Mandel and Brezina 1996; PyAMG (Bell, Olson, Schroder and Southworth 2023).
-    """
-    import pyamg
-
-    # PyAMG draws from NumPy's global generator while it estimates eigenvalues: it gets a fixed state, and what was
-    # there before is put back.
-    kept = np.random.get_state()  # noqa: NPY002
-    np.random.seed(0)  # noqa: NPY002
-    try:
-        hierarchy = pyamg.smoothed_aggregation_solver(
-            matrix,
-            B=modes,
-            strength=("symmetric", {"theta": 0.03}),
-            # the factor of Vaněk, Mandel and Brezina, over the largest eigenvalue
-            smooth=("jacobi", {"omega": 4.0 / 3.0}),
-            presmoother=("block_gauss_seidel", {"sweep": "symmetric"}),
-            postsmoother=("block_gauss_seidel", {"sweep": "symmetric"}),
-            max_coarse=COARSEST,
-            coarse_solver=("pinv", {"rtol": RIGID}),
-        )
-    finally:
-        np.random.set_state(kept)  # noqa: NPY002
-    operator = hierarchy.aspreconditioner(cycle="V")
-    return lambda residual: operator.matvec(residual)
 
 
 class Projector:
@@ -215,69 +170,88 @@ class Projector:
         shift = 1e-10 * float(self._gram.diagonal().max())
         self._factor = splu(self._gram + shift * identity(self._gram.shape[0], format="csc"))
 
-    def __call__(self, values: Vector) -> Vector:
-        """Project (3 n,), the components of a node next to each other."""
-        by_node = values.reshape(-1, 3)
+    def __call__(self, values: Vectors) -> Vectors:
+        """Project (3 n, 6), the components of a node next to each other."""
+        by_node = values.reshape(self._rows.shape[1], -1)
         excess = self._rows @ by_node
-        multipliers = self._factor.solve(excess)
-        for _ in range(2):
-            multipliers += self._factor.solve(excess - self._gram @ multipliers)
-        projected: Vector = (by_node - self._columns @ multipliers).reshape(-1)
+        # three columns at a time: SuperLU takes longer for more of them at once than for one group after the other
+        groups = [np.ascontiguousarray(excess[:, at : at + 3]) for at in range(0, excess.shape[1], 3)]
+        multipliers = np.concatenate([self._multipliers(group) for group in groups], axis=1)
+        projected: Vectors = (by_node - self._columns @ multipliers).reshape(values.shape)
         return projected
+
+    def _multipliers(self, excess: Vectors) -> Vectors:
+        found: Vectors = self._factor.solve(excess)
+        for _ in range(2):
+            found += self._factor.solve(excess - self._gram @ found)
+        return found
 
 
 def conjugate_gradients(
-    matrix: Any,
-    right: Vector,
-    precondition: Callable[[Vector], Vector],
-    project: Callable[[Vector], Vector] | None,
+    matrix: Blocks,
+    right: Vectors,
+    precondition: Callable[[Vectors], Vectors],
+    project: Callable[[Vectors], Vectors] | None,
     tolerance: float,
     iterations: int,
+    progress: Callable[[int], None] | None = None,
 ) -> Solution:
-    """Solve ``matrix x = right`` for a positive semidefinite matrix and a right-hand side in its range.
+    """Solve ``matrix x = right`` for a positive semidefinite matrix and six right-hand sides in its range.
+
+    Each has conjugate directions of its own, all take their steps together, and one that is done stands still.
 
     Parameters
     ----------
-    matrix : scipy.sparse matrix, (n, n)
-    right : (n,) float64
+    matrix : Blocks, (n, n)
+    right : (n, 6) float64
     precondition : function
         Symmetric.
     project : function or None
-        Projection onto the space that the solution is sought in.
+        Projection onto the space that the solutions are sought in.
     tolerance : float
         Of the residual's norm over that of the right-hand side.
     iterations : int
         Maximum number of iterations; the solution so far is returned with its residual.
+    progress : function, optional
+        Called with the number of right-hand sides that are done.
     """
     keep = project or (lambda values: values)
+    right = np.ascontiguousarray(right)
     x = np.zeros_like(right)
     residual = keep(right.copy())
-    start = _norm(residual)
-    if start == 0 or not start > 1e-14 * _norm(right):
-        return Solution(x, 0.0, 0)
-    z = keep(precondition(residual))
-    direction, rz = z.copy(), _dot(residual, z)
+    start = _norms(residual)
+    open_ = (start > 0) & (start > 1e-14 * _norms(right))
+    scale = np.where(open_, start, 1.0)
+    shares, counts = open_.astype(float), np.zeros(len(start), int)
+    direction, rz = np.zeros_like(right), np.ones(len(start))
     for iteration in range(1, iterations + 1):
-        forward = keep(matrix @ direction)
-        curvature = _dot(direction, forward)
-        if not curvature > 0:  # lost to rounding: no further progress is possible
-            return Solution(x, _norm(residual) / start, iteration)
-        step = rz / curvature
+        if not open_.any():
+            break
+        z = keep(precondition(residual))
+        before, rz = rz, _dots(residual, z)
+        # divided where a case goes on only: what is done may have nothing left
+        direction *= np.divide(rz, before, out=np.zeros_like(rz), where=open_)
+        direction += z
+        forward = keep(matrix.product(direction))
+        curvature = _dots(direction, forward)
+        counts[open_] = iteration
+        going = open_ & (curvature > 0)  # else lost to rounding: no further progress is possible
+        step = np.divide(rz, curvature, out=np.zeros_like(rz), where=going)
         x += step * direction
         residual -= step * forward
-        share = _norm(residual) / start
-        if share <= tolerance:
-            return Solution(x, share, iteration)
-        z = keep(precondition(residual))
-        rz, before = _dot(residual, z), rz
-        direction = z + (rz / before) * direction
-    return Solution(x, _norm(residual) / start, iterations)
+        shares = np.where(going, _norms(residual) / scale, shares)
+        left = going & (shares > tolerance)
+        if progress is not None and left.sum() < open_.sum():
+            progress(int(len(left) - left.sum()))
+        open_ = left
+    return Solution(x, shares.tolist(), counts.tolist())
 
 
-def _dot(a: Vector, b: Vector) -> float:
+def _dots(a: Vectors, b: Vectors) -> NDArray[np.float64]:
     # not numpy.dot: BLAS sums in as many parts as it has threads
-    return float(np.einsum("i,i->", a, b))
+    sums: NDArray[np.float64] = np.einsum("ij,ij->j", a, b)
+    return sums
 
 
-def _norm(a: Vector) -> float:
-    return float(np.sqrt(_dot(a, a)))
+def _norms(a: Vectors) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt(_dots(a, a)))

@@ -4,13 +4,14 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from scipy.sparse import bsr_matrix, coo_matrix, identity
+from scipy.sparse import bsr_matrix, coo_matrix, identity, kron
 from scipy.sparse.linalg import splu
 
 from sppm_pipeline.numerics.homogenization.mortar import collocation, face_pairs, mortar
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import PAIRS, isotropic, lame, rotated
-from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra, multigrid, rigid_modes
+from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra, rigid_modes
 from sppm_pipeline.numerics.homogenization.tetrahedral_assembly import assemble
+from sppm_pipeline.numerics.homogenization.tetrahedral_multigrid import Blocks, aggregation, interpolation
 from sppm_pipeline.numerics.tetrahedra.periodic import matched_nodes
 
 BOX = np.array([[0, 0, 0], [1, 1, 1.0]])
@@ -332,5 +333,48 @@ def test_translations_are_not_divided_by_what_rounding_makes_of_their_stiffness(
     matrix = assemble(nodes, cells, numbers, *lame(ones, 0.3 * ones)).matrix
     stiffest = abs(matrix).max()
     rounded = bsr_matrix(matrix + 1e-13 * stiffest * identity(matrix.shape[0]), blocksize=(3, 3))
-    moved = multigrid(rounded, rigid_modes(nodes[kept]))(np.tile([1.0, 0, 0], len(kept)))
+    forces = np.outer(np.tile([1.0, 0, 0], len(kept)), np.ones(6))
+    moved = aggregation(rounded, rigid_modes(nodes[kept]))(forces)
     assert abs(moved).max() * stiffest < 1e4
+
+
+@pytest.fixture(scope="module")
+def assembled():
+    """A periodic quadratic mesh with random moduli: unknowns of its cells, moduli, stiffness."""
+    nodes, cells = cube(3, 2)
+    numbers = np.unique(matched_nodes(nodes, BOX), return_inverse=True)[1]
+    moduli = lame(np.random.default_rng(3).uniform(0.1, 1, len(cells)), np.full(len(cells), 0.3))
+    return nodes, cells, numbers, moduli, assemble(nodes, cells, numbers, *moduli).matrix
+
+
+def test_linear_elements_lie_in_the_quadratic_ones(assembled):
+    """What quadratic elements make of linear displacements is what the linear elements of the mesh make of them."""
+    nodes, cells, numbers, moduli, quadratic_matrix = assembled
+    shares = interpolation(numbers[cells], int(numbers.max()) + 1)
+    corners = np.unique(numbers[cells[:, :4]])
+    number_of = np.zeros(len(nodes), np.int64)
+    number_of[corners] = np.arange(len(corners))
+    linear = assemble(nodes, cells[:, :4], number_of[numbers], *moduli).matrix
+    inject = kron(shares, identity(3))
+    assert abs(inject.T @ quadratic_matrix @ inject - linear).max() < 1e-13
+    assert np.asarray(shares.sum(axis=1)).ravel() == pytest.approx(1, abs=0)
+
+
+def test_six_vectors_at_a_time_are_one_after_the_other(assembled):
+    matrix = assembled[-1]
+    blocks, rng = Blocks(matrix), np.random.default_rng(4)
+    x, right = rng.standard_normal((2, matrix.shape[0], 6))
+    assert blocks.product(x) == pytest.approx(matrix @ x, abs=1e-12)
+    dense, rows = matrix.toarray(), np.arange(matrix.shape[0]).reshape(-1, 3)
+    for forward in (True, False):
+        slow, fast = x.copy(), x.copy()
+        for row in rows if forward else rows[::-1]:
+            slow[row] += np.linalg.solve(dense[np.ix_(row, row)], right[row] - dense[row] @ slow)
+        blocks.relax(right, fast, forward)
+        assert fast == pytest.approx(slow, abs=1e-10)
+
+
+def test_iterations_on_quadratic_elements_do_not_grow_with_the_mesh():
+    found = [homogenized(*block_in_a_corner(n, 2)) for n in (4, 8)]
+    assert max(max(each.iterations) for each in found) <= 30
+    assert max(max(each.residuals) for each in found) <= 1e-8
