@@ -41,9 +41,14 @@ class Quantity(NamedTuple):
 _ANY = math.inf
 QUANTITIES = {
     "porosity": Quantity("", 0.0, 1.0, False, "share of void"),
+    "spacing": Quantity("mm", 0.0, _ANY, False, "least distance of two pores"),
     "scale": Quantity("", 0.0, _ANY, False, "factor of the recipe's spacing and radii"),
     "pore_radius": Quantity("mm", 0.0, _ANY, False, "radius of an isolated pore"),
     "tunnel_radius": Quantity("mm", 0.0, _ANY, False, "radius of an isolated tunnel"),
+    "stretch": Quantity("", 0.0, _ANY, False, "length of pores over their width, along the direction"),
+    "direction_x": Quantity("", -_ANY, _ANY, False, "x of the vector along which pores are stretched"),
+    "direction_y": Quantity("", -_ANY, _ANY, False, "y of the vector along which pores are stretched"),
+    "direction_z": Quantity("", -_ANY, _ANY, False, "z of the vector along which pores are stretched"),
     "weight": Quantity("", 0.0, 1.0, True, "share of the second of two sets or fields"),
 }
 """Names that stages look for; a map of any other name is data for formulas."""

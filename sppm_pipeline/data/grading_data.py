@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.grading import Law, Place
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.grading.curve import StiffnessCurve
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,4 +255,61 @@ class DistanceLaw(Law):
         distance = surface_distances(self._tree, place.points)
         if not self.closed:
             return distance
-        return np.where(winding_numbers(self._poles, place.points) > 0.5, distance, -distance)
+        # a point lies on the side of the one before if it is nearer to that than the surface is
+        step = np.linalg.norm(np.diff(place.points, axis=0), axis=1)
+        asked = np.concatenate([[True], step >= distance[:-1]])[: len(distance)]
+        inside = winding_numbers(self._poles, place.points[asked]) > 0.5
+        return np.where(inside[np.cumsum(asked) - 1], distance, -distance)
+
+
+@dataclass(frozen=True, eq=False)
+class StiffnessLaw(Law):
+    """The porosity at which a structure has the modulus that an earlier map asks for.
+
+    Attributes
+    ----------
+    wanted : str
+        Name of the map of moduli.
+    porosities, moduli : (m,) float64
+        The structure's curve.
+    deviation : float
+        Relative standard deviation of single cells around it.
+    """
+
+    wanted: str
+    porosities: NDArray[np.float64]
+    moduli: NDArray[np.float64]
+    deviation: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "porosities", frozen(self.porosities))
+        object.__setattr__(self, "moduli", frozen(self.moduli))
+
+    @property
+    def curve(self) -> StiffnessCurve:
+        """Modulus over porosity."""
+        return StiffnessCurve(self.porosities, self.moduli, self.deviation)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (self.wanted,)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        return float(self.porosities[0]), float(self.porosities[-1])
+
+    def at(self, place: Place) -> NDArray[np.float64]:
+        wanted = place.values(self.wanted)
+        found = self.curve.porosity(wanted)
+        out = np.isnan(found)
+        if out.any():
+            first = int(np.argmax(out))
+            x, y, z = place.points[first]
+            raise DesignError(
+                f"the map {self.wanted!r} asks for a modulus of {wanted[first]:g} at ({x:g}, {y:g}, {z:g}) mm, and at "
+                f"{int(out.sum())} of {len(out)} points for one that the structure does not have: its curve goes from "
+                f"{self.moduli[-1]:.4g} at a porosity of {self.porosities[-1]:.3g} to {self.moduli[0]:.4g} at "
+                f"{self.porosities[0]:.3g}",
+                hint="bound the map by clip(), or change the pores of the structure",
+            )
+        return found

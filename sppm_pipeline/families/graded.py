@@ -29,6 +29,58 @@ WIDER = 0.02
 """A curve goes on beyond the porosities that are asked for by this much, so that rounds have room."""
 
 
+_AT_A_TIME = 1 << 18
+"""Kernels whose places are looked at together."""
+
+DIRECTION = ("direction_x", "direction_y", "direction_z")
+"""Maps of the vector along which pores are stretched, of any length."""
+
+
+def check_round(grading: Grading, stage: str) -> None:
+    """Check that no map asks for what only scattered cells have.
+
+    Raises
+    ------
+    ConfigError
+        Naming the map.
+    """
+    for name in ("stretch", "spacing"):
+        if name in grading:
+            raise ConfigError(
+                f"`{stage}` lays cells whose faces fit each other, and can't follow the map {name!r}",
+                hint="scatter the pores by `tile.scattered`, or leave the map out",
+            )
+
+
+def metric_at(grading: Grading, points: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Metrics (n, 6) by the maps `stretch` and `direction_x`, `_y`, `_z` at points (n, 3) mm; None without them.
+
+    A component of the direction that has no map is 0. Where all are 0 nothing is stretched.
+
+    Raises
+    ------
+    ConfigError
+        If there is a stretch without a direction, or a direction without a stretch.
+    """
+    from sppm_pipeline.numerics.metric import stretched_metric
+
+    given = [name in grading for name in DIRECTION]
+    if "stretch" not in grading:
+        if any(given):
+            raise ConfigError("there is a direction, but no map `stretch`", hint="give it by a `grade` stage")
+        return None
+    if not any(given):
+        raise ConfigError(
+            "there is a map `stretch`, but no direction",
+            hint="give one of the maps direction_x, direction_y, direction_z, or more, by `grade` stages",
+        )
+    parts = [
+        grading[n].at(points) if there else np.zeros(len(points)) for n, there in zip(DIRECTION, given, strict=True)
+    ]
+    direction = np.stack(parts, axis=1)
+    return stretched_metric(grading["stretch"].at(points), direction)
+
+
 def recipe_total(recipe: Recipe) -> int:
     """The number of pores of a cell that a recipe states.
 
@@ -152,7 +204,11 @@ def sites_of(arrays: TilingArrays) -> NDArray[np.int64]:
 
 
 def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Tiling:
-    """The tiling with pores and tunnels of the sizes that `pore_radius`, `tunnel_radius` and `scale` say.
+    """The tiling with pores and tunnels of the sizes and shapes that maps say.
+
+    These are `pore_radius`, `tunnel_radius`, `scale`, and `stretch` with its direction: a kernel measures distances in
+    the metric at its center or, if it is that of a tunnel, in the middle between its ends. Radii are those across the
+    direction.
 
     Parameters
     ----------
@@ -161,10 +217,16 @@ def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Til
     grading : Grading
     faces_differ : bool
         Whether every face pattern is in one place, too; otherwise those keep their sizes.
+
+    Raises
+    ------
+    ConfigError
+        If walls are to be stretched.
     """
     from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
+    from sppm_pipeline.numerics.metric import PLAIN
 
-    maps = [name for name in ("pore_radius", "tunnel_radius", "scale") if name in grading]
+    maps = [name for name in ("pore_radius", "tunnel_radius", "scale", "stretch", *DIRECTION) if name in grading]
     if not maps or tiling.edge is None:
         return tiling
     grading, edge = grading.in_cells(tiling.edge, tiling.origin), tiling.edge
@@ -179,26 +241,36 @@ def graded_radii(tiling: Tiling, grading: Grading, *, faces_differ: bool) -> Til
     sites[pieces.interiors + 3 * pieces.colors :] = sites[pieces.codes // (6 * pieces.colors)] if pieces.colors else 0
     box = np.array(arrays.shape, np.float64)
 
-    def factors(first: NDArray[np.int64], points: NDArray[np.float64], name: str, usual: float) -> NDArray[np.float64]:
-        """Factor of the radius of each kernel; 1 where its place is not known."""
-        place = points + np.repeat(sites, np.diff(first), axis=0)
-        known = np.isfinite(place[:, 0])
-        factor = np.ones(len(points))
-        at = np.clip(place[known], 0.0, box) * edge + np.array(tiling.origin)
-        if "scale" in grading:
-            factor[known] = grading["scale"].at(at)
-        if name in grading:
-            factor[known] = grading[name].at(at) / (usual * edge)
-        return factor
+    def shaped(
+        first: NDArray[np.int64], ends: tuple[NDArray[np.float64], ...], name: str, usual: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Factors of the radii of kernels in the middle of `ends`, and metrics; 1 and plain where no place is known."""
+        n = len(ends[0])
+        factor, metric = np.ones(n), np.tile(PLAIN, (n, 1)) if "stretch" in grading else None
+        for begin in range(0, n, _AT_A_TIME):  # there may be millions
+            part = slice(begin, min(begin + _AT_A_TIME, n))
+            piece = np.searchsorted(first, np.arange(n)[part], side="right") - 1
+            place = np.mean([end[part] for end in ends], axis=0) + sites[piece]
+            known = begin + np.flatnonzero(np.isfinite(place[:, 0]))
+            # what lies beyond the box is like its border
+            at = np.clip(place[known - begin], 0.0, box) * edge + np.array(tiling.origin)
+            if "scale" in grading:
+                factor[known] = grading["scale"].at(at)
+            if name in grading:
+                factor[known] = grading[name].at(at) / (usual * edge)
+            found = metric_at(grading, at)
+            if metric is not None and found is not None:
+                metric[known] = found
+        return factor, None if metric is None else frozen(metric)
 
+    if not micro.additive and "stretch" in grading:
+        raise ConfigError("walls can't be stretched", hint="stretch structures that end with `field.gaussian`")
     profile = TUNNEL_PROFILES[kernels.profile]
-    omega, mu = kernels.omega, kernels.mu
-    if len(omega):
-        usual = PORE_PROFILE.radius(float(np.median(omega)), micro.level)
-        omega = omega * PORE_PROFILE.scaled_radius(factors(pieces.first_pore, kernels.centers, "pore_radius", usual))
-    if len(mu):
-        usual = profile.radius(float(np.median(mu)), micro.level)
-        middles = (kernels.starts + kernels.ends) / 2
-        mu = mu * profile.scaled_radius(factors(pieces.first_tunnel, middles, "tunnel_radius", usual))
-    changed = replace(pieces, kernels=kernels._replace(omega=frozen(omega), mu=frozen(mu)))
+    usual = PORE_PROFILE.radius(float(np.median(kernels.omega)), micro.level) if len(kernels.omega) else 1.0
+    factor, metric = shaped(pieces.first_pore, (kernels.centers,), "pore_radius", usual)
+    kernels = kernels._replace(omega=frozen(kernels.omega * PORE_PROFILE.scaled_radius(factor)), pore_metric=metric)
+    usual = profile.radius(float(np.median(kernels.mu)), micro.level) if len(kernels.mu) else 1.0
+    factor, metric = shaped(pieces.first_tunnel, (kernels.starts, kernels.ends), "tunnel_radius", usual)
+    kernels = kernels._replace(mu=frozen(kernels.mu * profile.scaled_radius(factor)), tunnel_metric=metric)
+    changed = replace(pieces, kernels=kernels)
     return replace(tiling, tileset=replace(tiling.tileset, micro=replace(micro, pieces=changed)))

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.grading import Grading
-from sppm_pipeline.data.palette import Blocks, Palette
-from sppm_pipeline.families.graded import curve_of, graded_radii, recipe_total, trial
+from sppm_pipeline.data.palette import Blocks, Palette, StretchedBlocks
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families.graded import curve_of, graded_radii, metric_at, recipe_total, trial
 from sppm_pipeline.families.local_porosity import LatticeCells, cell_means, error_summary
 from sppm_pipeline.families.sampler import FEWEST
 from sppm_pipeline.fields.microstructure import Microstructure
@@ -75,7 +76,10 @@ class GradedCloud:
         if wanted is not None:
             curve, density = self._by_curve(context, total, density, wanted)
         self._warn_of_steepness(context, density, total)
+        metric = self._metric()
         blocks = Blocks(self.mask, False, density)
+        if metric is not None:
+            blocks = StretchedBlocks(self.mask, False, density, metric=metric)
         made = self._drawn(context, blocks)
         if curve is None or wanted is None:
             return made
@@ -106,9 +110,25 @@ class GradedCloud:
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
         return np.asarray(np.clip(grid, low, high) * self.edge + np.array(self.origin))
 
+    def _metric(self) -> NDArray[np.float64] | None:
+        """Metrics at the nodes, (..., 6); None where nothing is stretched."""
+        from sppm_pipeline.numerics.metric import PLAIN
+        from sppm_pipeline.numerics.sampling.graded_blocks import NODES
+
+        grading, nodes = self.grading.in_cells(self.edge, self.origin), self._nodes()
+        found = metric_at(grading, nodes)
+        if found is None:
+            return None
+        if (found == PLAIN).all() and (grading["stretch"].at(nodes) != 1).any():
+            raise DesignError(
+                "the direction of the stretch is (0, 0, 0) everywhere", hint="give direction_z a value of 1"
+            )
+        return found.reshape(*(NODES * n + 1 for n in self.mask.shape), 6)
+
     def _density(self, context: Context, total: int) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
         """Density by the sizes of pores alone, and the wanted porosity, both at the nodes; None without a target."""
         from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE
+        from sppm_pipeline.numerics.metric import determinants
         from sppm_pipeline.numerics.sampling.graded_blocks import NODES
 
         grading, points = self.grading.in_cells(self.edge, self.origin), self._nodes()
@@ -120,12 +140,33 @@ class GradedCloud:
             micro = trial(context, self.recipe, None, 1)
             usual = PORE_PROFILE.radius(float(np.median(micro.pieces.kernels.omega)), micro.level)
             size = grading["pore_radius"].at(points) / (usual * self.edge)
+        if "spacing" in grading:
+            size = grading["spacing"].at(points) / (self._usual_spacing(context) * self.edge)
+        density = size**-3.0
+        metric = metric_at(grading, points)
+        if metric is not None:
+            density *= np.sqrt(determinants(metric))  # as many pores where they are s times longer: 1/s of them
         wanted = None
         if "porosity" in grading:
             wanted = grading["porosity"].at(points).reshape(shape)
         elif self.porosity is not None:
             wanted = np.full(shape, self.porosity)
-        return np.asarray(size**-3.0).reshape(shape), wanted
+        return density.reshape(shape), wanted
+
+    def _usual_spacing(self, context: Context) -> float:
+        """The spacing of the recipe's pores, cell sizes."""
+        if self.porosity is not None or "porosity" in self.grading:
+            raise ConfigError(
+                "the number of pores can't follow both the map 'spacing' and a porosity",
+                hint="leave one out; with a porosity the map `scale` makes pores finer",
+            )
+        blocks = Blocks(np.ones((ROOM,) * 3, bool), True)
+        pores = trial(context, self.recipe, None, 1, Palette(ROOM**3, (0, 0, 0), blocks=blocks)).graph.pores
+        if pores.spacing is None:
+            raise ConfigError(
+                "the recipe's sampler keeps no spacing that a map could change", hint="use `sample.dart_throwing`"
+            )
+        return float(pores.spacing)
 
     def _by_curve(
         self, context: Context, total: int, density: NDArray[np.float64], wanted: NDArray[np.float64]

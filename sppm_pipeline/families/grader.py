@@ -21,8 +21,8 @@ class Grader(Stage):
     """Common base of the family ``grade``: implement `law`; `run` adds it to the maps made before."""
 
     of: str = option(
-        help="name of the map; other stages look for porosity, scale, pore_radius, tunnel_radius and weight, any other "
-        "name is data for formulas"
+        help="name of the map; other stages look for porosity, spacing, scale, pore_radius, tunnel_radius, stretch, "
+        "direction_x, direction_y, direction_z and weight, any other name is data for formulas"
     )
     measure: str | None = option(
         None,

@@ -72,7 +72,9 @@ def _with_graded_darts(context: Context, base: PoreSet, blocks: Blocks, mean: fl
     else:
         quotas = graded_quotas(blocks.mask, mean, blocks.density)
     seed = int(context.rng().integers(0, 2**64, dtype=np.uint64))
-    centers, first = throw_graded_blocks(seed, quotas, spacing, blocks.density, before=before, threads=context.threads)
+    centers, first = throw_graded_blocks(
+        seed, quotas, spacing, blocks.density, metric=blocks.metric, before=before, threads=context.threads
+    )
     least = spacing * float(blocks.density.max()) ** (-1 / 3)
     return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], least)
 
@@ -94,6 +96,11 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
             f"{sampler.name} throws block by block, and a box of {list(blocks.shape)} blocks that repeats has blocks "
             "that are their own neighbors",
             hint="give at least 2 cells along each axis",
+        )
+    if blocks.metric is not None:
+        raise ConfigError(
+            f"{sampler.name} measures plain distances, and can't throw pores that are stretched",
+            hint="use `sample.dart_throwing`, or leave out the map `stretch`",
         )
     quotas = factors = None
     if blocks.density is not None:
@@ -167,7 +174,7 @@ def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGrap
     Raises
     ------
     ConfigError
-        If the sampler knows nothing of blocks.
+        If the sampler knows nothing of blocks, or the connector nothing of stretched pores.
     """
     from sppm_pipeline.families.connector import Cloud
 
@@ -181,8 +188,18 @@ def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGrap
     corners, points = blocks.sites.astype(np.int32).T, np.array(pores.centers)
     for axis in range(3):
         points[:, axis] += corners[axis][pores.piece]
+    metric = None
+    if blocks.metric is not None:
+        from sppm_pipeline.numerics.sampling.graded_blocks import at_nodes
+
+        if not connector.follows_metric:
+            raise ConfigError(
+                f"{connector.name} measures plain distances, and can't join pores that are stretched",
+                hint="use `connect.mbdst`, or leave out the map `stretch`",
+            )
+        metric = at_nodes(blocks.metric, points)
     periodic = (blocks.periodic,) * 3
-    cloud = Cloud(points, _first_of_blocks(pores.piece, blocks), blocks.shape, periodic, pores.cell)
+    cloud = Cloud(points, _first_of_blocks(pores.piece, blocks), blocks.shape, periodic, pores.cell, metric)
     edges, shift = connector.join_cloud(context, cloud)
     del cloud, points
     first, second = (pores.piece[edges[:, end]] for end in range(2))

@@ -67,6 +67,11 @@ class Warper(Stage):
         micro, edge = field.tileset.micro, field.edge
         if not micro.additive:
             raise ConfigError("walls can't be warped", hint="warp structures that end with `field.gaussian`")
+        if micro.stretched:
+            raise ConfigError(
+                "stretched pores can't be warped: the graph is mapped, and its kernels are made anew as round ones",
+                hint="leave out the map `stretch`, or scatter the pores in the warped part",
+            )
         wraps = self.wraps(field)
         if any(wraps) and not field.periodic:
             raise ConfigError(

@@ -22,17 +22,22 @@ class JoinedSets(Artifact):
     Attributes
     ----------
     first, second : TileSet
+    per_edge : tuple of 2 ints
+        Cells of either set along the edge of the larger one's; one of them is 1.
     """
 
     reported: ClassVar[tuple[str, ...]] = ("first.*", "second.*")
 
     first: TileSet
     second: TileSet
+    per_edge: tuple[int, int] = (1, 1)
 
     def check(self) -> None:
-        """Each set is in order, and their tunnels have one profile."""
+        """Each set is in order, their tunnels have one profile, and one of them has the larger cells."""
         self.first.check()
         self.second.check()
+        if min(self.per_edge) != 1:
+            raise ValueError(f"along an edge there is one of the larger cells, not {self.per_edge}")
         profiles = [tileset.micro.pieces.kernels.profile for tileset in self.sets]
         if profiles[0] != profiles[1]:
             raise ValueError(f"joined sets have one profile of tunnels, not {profiles[0]} and {profiles[1]}")

@@ -112,7 +112,7 @@ def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
     count = np.diff(begin)
     counts = [np.where(p >= 0, count[np.maximum(p, 0)], 0).ravel() for p in sites.pieces]
     start = np.concatenate([[0], np.cumsum(np.concatenate(counts))])[:-1].reshape(4, -1)
-    points, omegas, edges, mus = [], [], [], []
+    points, omegas, edges, mus = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros((0, 2), np.int64)], [np.zeros(0)]
     for kind, placed in enumerate(sites.pieces):
         for flat in np.flatnonzero(placed.ravel() >= 0):
             piece = int(placed.ravel()[flat])
@@ -131,9 +131,7 @@ def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
             high = start[kind_of_piece[wanted], there] + rank[second]
             edges.append(np.stack([low, high], 1)[good])
             mus.append(mu[led][good])
-    return LaidGraph(
-        np.concatenate(points), np.concatenate(omegas), np.concatenate(edges).reshape(-1, 2), np.concatenate(mus)
-    )
+    return LaidGraph(np.concatenate(points), np.concatenate(omegas), np.concatenate(edges), np.concatenate(mus))
 
 
 def cloud(

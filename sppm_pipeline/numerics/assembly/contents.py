@@ -91,8 +91,7 @@ class Pieces:
         """The kernels of one piece."""
         pores = slice(self.first_pore[number], self.first_pore[number + 1])
         tunnels = slice(self.first_tunnel[number], self.first_tunnel[number + 1])
-        k = self.kernels
-        return Kernels(k.centers[pores], k.omega[pores], k.starts[tunnels], k.ends[tunnels], k.mu[tunnels], k.profile)
+        return self.kernels.taken(pores, tunnels)
 
 
 def _ends(counts: Iterable[int]) -> NDArray[np.int64]:

@@ -167,20 +167,19 @@ def kernels_in_box(
     place = (sites.first + np.stack([x, y, z], axis=-1)).astype(np.float64)
     near = ((catalog.lower[number] + place <= upper) & (catalog.upper[number] + place >= lower)).all(axis=1)
     number, place = number[near], place[near]
-    every = catalog.kernels
     pore, shift = _expanded(catalog.first_pore, number, place)
-    centers, omega = every.centers[pore], every.omega[pore]
     tunnel, tunnel_shift = _expanded(catalog.first_tunnel, number, place)
-    starts, ends, mu = every.starts[tunnel], every.ends[tunnel], every.mu[tunnel]
-    centers += shift
-    starts += tunnel_shift
-    ends += tunnel_shift
-    found = Kernels(centers, omega, starts, ends, mu, every.profile)
+    found = catalog.kernels.taken(pore, tunnel)
+    # taken by indices, all arrays are copies
+    found.centers[:] += shift
+    found.starts[:] += tunnel_shift
+    found.ends[:] += tunnel_shift
     boxes = reach_boxes(found, catalog.cutoff)
     pores, tunnels = (
-        ((low <= upper) & (high >= lower)).all(axis=1) for low, high in zip(boxes[::2], boxes[1::2], strict=True)
+        np.asarray(((low <= upper) & (high >= lower)).all(axis=1))
+        for low, high in zip(boxes[::2], boxes[1::2], strict=True)
     )
-    return Kernels(centers[pores], omega[pores], starts[tunnels], ends[tunnels], mu[tunnels], every.profile)
+    return found.taken(pores, tunnels)
 
 
 def _expanded(

@@ -22,6 +22,7 @@ def spanning_subgraph(
     k: int = 10,
     two_edge_connected: bool = False,
     clearance: float | None = None,
+    metric: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Shortest connected graph on all pores in which every degree lies in [A, B].
 
@@ -49,6 +50,8 @@ def spanning_subgraph(
         least 2.
     clearance : float, optional
         Least distance between the axes of tunnels without a common pore.
+    metric : (n, 6) float64, optional
+        Metrics of the pores: a tunnel is measured, and neighbors are found, in the mean of the metrics of its ends.
 
     Returns
     -------
@@ -81,7 +84,9 @@ def spanning_subgraph(
     lower = max(lower, 2 if two_edge_connected else 1)
     clearance = clearance or None
     if mode == "greedy":
-        return greedy_subgraph(points, lower, upper, period=period, k=k, loops=two_edge_connected, clearance=clearance)
+        return greedy_subgraph(
+            points, lower, upper, period=period, k=k, loops=two_edge_connected, clearance=clearance, metric=metric
+        )
     from sppm_pipeline.numerics.connecting.exact import exact_subgraph
 
     return exact_subgraph(
@@ -93,4 +98,5 @@ def spanning_subgraph(
         loops=two_edge_connected,
         clearance=clearance,
         fix=mode == "lp_fix",
+        metric=metric,
     )

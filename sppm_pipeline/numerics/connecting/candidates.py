@@ -23,10 +23,11 @@ from sppm_pipeline.numerics.connecting.trees import (
     periods,
     wrapped,
 )
+from sppm_pipeline.numerics.metric import determinants, lengths_in, semi_axes
 
 
 def candidate_graph(
-    points: ArrayLike, k: int = 10, *, periodic: Periodic = False
+    points: ArrayLike, k: int = 10, *, periodic: Periodic = False, metric: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Edges from each pore to its k nearest neighbors, in both senses, plus the shortest edges that connect them.
 
@@ -44,6 +45,8 @@ def candidate_graph(
         Neighbors of each pore.
     periodic : bool, or 3 whole numbers
         Whether the axes repeat with period 1, or after how many cells each does.
+    metric : (n, 6) float64, optional
+        Metrics of the pores, in the mean of which distances are measured; only on axes that do not repeat.
 
     Returns
     -------
@@ -62,7 +65,7 @@ def candidate_graph(
     inside, cells = wrapped(points, period)
     # at most 27 images of each other pore can be a neighbor; more slots would only stay empty
     slots = min(k, (n - 1) * 27)
-    keys = np.unique(nearest_keys(sorted_into_buckets(inside, period), np.arange(n), slots).ravel())
+    keys = np.unique(_keys_near(inside, period, slots, metric).ravel())
     keys = keys[keys >= 0]
     edges, turns = edges_of_keys(keys, n)
     shifts = turns * period.astype(np.int64)
@@ -78,6 +81,27 @@ def candidate_graph(
     return canonical_edges(
         np.concatenate([edges, first, second]), np.concatenate([shifts, first_shifts, second_shifts])
     )
+
+
+def _keys_near(
+    inside: NDArray[np.float64], period: NDArray[np.float64], k: int, metric: NDArray[np.float64] | None
+) -> NDArray[np.int64]:
+    """`nearest_keys` of all pores, by their distances in the metric: of those that are near enough plainly.
+
+    A ball of the metric with k pores lies within a plain one that holds as many times more pores as its volume is
+    larger, where both have the density of the whole.
+    """
+    n = len(inside)
+    if metric is None:
+        return nearest_keys(sorted_into_buckets(inside, period), np.arange(n), k)
+    longest = semi_axes(metric)[:, 0]
+    wide = int(min(np.ceil(k * float((longest**3 * np.sqrt(determinants(metric))).max())), max(n - 1, 1)))
+    keys = nearest_keys(sorted_into_buckets(inside, period), np.arange(n), wide)
+    edges, _ = edges_of_keys(np.maximum(keys, 0).ravel(), n)
+    steps = inside[edges[:, 1]] - inside[edges[:, 0]]
+    length = lengths_in((metric[edges[:, 0]] + metric[edges[:, 1]]) / 2, steps).reshape(keys.shape)
+    order = np.argsort(np.where(keys < 0, np.inf, length), axis=1, kind="stable")[:, :k]
+    return np.take_along_axis(keys, order, axis=1)
 
 
 def edges_of_keys(keys: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -163,11 +187,11 @@ def _insert_bucket(
 
 
 def candidates_of_region(
-    points: NDArray[np.float64], chosen: NDArray[np.int64], k: int
+    points: NDArray[np.float64], chosen: NDArray[np.int64], k: int, metric: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Edges to the k nearest pores and those chosen, (m, 2), by (i, j), and the positions of those chosen."""
     n = len(points)
-    near = nearest_keys(sorted_into_buckets(points, np.zeros(3)), np.arange(n), k).ravel()
+    near = _keys_near(points, np.zeros(3), k, metric).ravel()
     # without periodic axes the image code is that of no shift
     keys = (chosen[:, 0] * n + chosen[:, 1]) * 27 + 13
     together = np.unique(np.concatenate([near[near >= 0], keys]))

@@ -45,6 +45,7 @@ def exact_subgraph(
     loops: bool,
     clearance: float | None,
     fix: bool,
+    metric: NDArray[np.float64] | None = None,
 ) -> Edges:
     """Shortest connected spanning subgraph of the candidate graph; `fix` keeps what the linear relaxation decides.
 
@@ -56,7 +57,7 @@ def exact_subgraph(
     DesignError
         If no graph with this clearance exists on the widest candidate graph, or the solver gives up.
     """
-    if lower <= 1 and clearance is None and not loops:
+    if lower <= 1 and clearance is None and not loops and metric is None:
         # the shortest connected graph is the minimum spanning tree, unless the upper bound forbids it
         edges, shifts = minimum_spanning_tree(points, periodic=period.tolist())
         if np.bincount(edges.ravel()).max() <= upper:
@@ -65,12 +66,14 @@ def exact_subgraph(
     widest = min(2 * k, all_images(n, period))
     k = min(k, widest)
     try:
-        greedy = greedy_subgraph(points, lower, upper, period=period, k=k, loops=loops, clearance=clearance)
+        greedy = greedy_subgraph(
+            points, lower, upper, period=period, k=k, loops=loops, clearance=clearance, metric=metric
+        )
     except DesignError as error:
         # the clearance was too much for the greedy search, but may not be for the solver
         greedy, failure = None, error
     while True:
-        edges, shifts = candidate_graph(points, k, periodic=period.tolist())
+        edges, shifts = candidate_graph(points, k, periodic=period.tolist(), metric=metric)
         incumbent = None
         if greedy is not None:
             # nearly always its edges are candidates already; otherwise they make the program feasible
@@ -88,6 +91,7 @@ def exact_subgraph(
             loops=loops,
             period=period,
             clearance=clearance,
+            metric=metric,
         )
         chosen = program.solution(incumbent, fix)
         if chosen is not None:
@@ -105,12 +109,13 @@ def exactly_improved(
     tree: bool,
     k: int,
     fix: bool,
+    metric: NDArray[np.float64] | None = None,
 ) -> NDArray[np.int64]:
     """The shortest edges (m, 2) with degrees within the bounds of each pore that connect what the given ones connect.
 
     With `tree` no more edges than are given may be used.
     """
-    both, chosen = candidates_of_region(points, edges, k)
+    both, chosen = candidates_of_region(points, edges, k, metric)
     incumbent = np.zeros(len(both), np.bool_)
     incumbent[chosen] = True
     program = _Program(
@@ -121,6 +126,7 @@ def exactly_improved(
         upper,
         tree=tree,
         connected=component_labels(len(points), edges),
+        metric=metric,
     )
     found = program.solution(incumbent, fix)
     return edges if found is None else both[found]
@@ -142,13 +148,14 @@ class _Program:
         loops: bool = False,
         period: NDArray[np.float64] | None = None,
         clearance: float | None = None,
+        metric: NDArray[np.float64] | None = None,
     ) -> None:
         """`connected` are labels (n,): pores of one label are connected in every solution, others need not be."""
         n, m = len(points), len(edges)
         parts = int(connected.max()) + 1
         self.n = n
         self.edges = edges
-        self.cost = edge_lengths(points, edges, shifts)
+        self.cost = edge_lengths(points, edges, shifts, metric)
         self.loops = loops
         self.tree = tree
         self.connected = connected

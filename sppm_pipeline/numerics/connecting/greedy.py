@@ -35,6 +35,7 @@ def greedy_subgraph(
     k: int,
     loops: bool,
     clearance: float | None,
+    metric: NDArray[np.float64] | None = None,
 ) -> Edges:
     """Short connected spanning subgraph with degrees in [lower, upper]; the bounds must be feasible.
 
@@ -51,9 +52,9 @@ def greedy_subgraph(
     most = all_images(n, period)
     k = min(k, most)
     while True:
-        edges, shifts = candidate_graph(points, k, periodic=period.tolist())
+        edges, shifts = candidate_graph(points, k, periodic=period.tolist(), metric=metric)
         conflicts = _conflicts(points, edges, shifts, period, clearance)
-        length = edge_lengths(points, edges, shifts)
+        length = edge_lengths(points, edges, shifts, metric)
         edge, conflict, near, order = edge_table(edges, length, conflicts)
         node = node_table(n, edges, lower, upper, slots=upper, detour=n)
         last = k >= min(most, _WIDEST)
@@ -64,7 +65,7 @@ def greedy_subgraph(
             ring_edges, ring_shifts = _ring_graph(points, period, max(lower, 2) if n > 2 else lower)
             edges, shifts, ring = merged_edges(edges, shifts, ring_edges, ring_shifts)
             conflicts = _conflicts(points, edges, shifts, period, clearance)
-            length = edge_lengths(points, edges, shifts)
+            length = edge_lengths(points, edges, shifts, metric)
             edge, conflict, near, order = edge_table(edges, length, conflicts)
             node = node_table(n, edges, lower, upper, slots=upper, detour=n)
             insert_all(edge, node, ring)

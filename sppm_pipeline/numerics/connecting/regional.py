@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.connecting.candidates import candidates_of_region
+from sppm_pipeline.numerics.connecting.candidates import candidate_graph, candidates_of_region
 from sppm_pipeline.numerics.connecting.exchange import (
     CHOSEN,
     DEGREE,
@@ -88,6 +88,8 @@ class Region(NamedTuple):
         Bounds of the degrees, less the edges that are not listed here.
     waiting : (n,) bool
         Where shorter edges are looked for first.
+    metric : (n, 6) float64 or None
+        Metrics of the pores.
     """
 
     points: NDArray[np.float64]
@@ -96,6 +98,7 @@ class Region(NamedTuple):
     lower: NDArray[np.int64]
     upper: NDArray[np.int64]
     waiting: NDArray[np.bool_]
+    metric: NDArray[np.float64] | None = None
 
 
 class Cut(NamedTuple):
@@ -165,6 +168,7 @@ def regional_subgraph(
     k: int,
     threads: int = 1,
     progress: Callable[[float, float], None] = lambda done, total: None,
+    metric: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Short connected graph on any number of pores with all degrees in [A, B], the same for any number of threads.
 
@@ -187,6 +191,8 @@ def regional_subgraph(
         Regions that are worked on at a time.
     progress : callable
         Told the regions done, and their number.
+    metric : (n, 6) float64, optional
+        Metrics of the pores, where no axis repeats: tunnels are measured in the mean of the metrics of their ends.
 
     Returns
     -------
@@ -203,9 +209,13 @@ def regional_subgraph(
     lower, upper = degree
     n = len(points)
     inside, _ = wrapped(points, period)
-    network = connected_neighbors(points, period, reach=REACH * spacing, threads=threads)
+    if metric is None:
+        network = connected_neighbors(points, period, reach=REACH * spacing, threads=threads)
+    else:
+        near, shifts = candidate_graph(points, k, metric=metric)
+        network = Network(near.astype(np.int32), shifts.astype(np.int8))
     # with A = 1 the shortest connected graph is the tree, unless the upper bound forbids it
-    network = tree_of(points, period, network)
+    network = tree_of(points, period, network, metric)
     if _misfits(network, n, degree) == 0:
         return as_tunnels(points, period, network)
     plan = [(offset, GREEDY_REGION, "greedy") for offset in PASSES]
@@ -220,7 +230,7 @@ def regional_subgraph(
         margin = BORDER * spacing
         waiting = np.ones(n, np.bool_) if before is None else before.near_border(inside, period, margin)
         before = cut if how == "greedy" else None
-        network = _pass(inside, period, network, degree, cut, waiting, how, k, AROUND * spacing, threads)
+        network = _pass(inside, period, network, degree, cut, waiting, how, k, AROUND * spacing, threads, metric)
         progress(step + 1, max(step + 1, len(plan)))
     misfits = _misfits(network, n, degree)
     if misfits:
@@ -288,6 +298,7 @@ def _pass(
     k: int,
     margin: float,
     threads: int,
+    metric: NDArray[np.float64] | None,
 ) -> Network:
     """The network after every region was improved once, color after color."""
     number, turns = cut.places(inside, period)
@@ -314,14 +325,15 @@ def _pass(
             beyond = total[own] - listed[: len(own)]
             low, high = (np.maximum(bound - beyond, 0) for bound in degree)
             points = inside[own] + turns[own] * period
+            metrics = None if metric is None else metric[own]
             if how == "greedy" or not free.any():
-                region = Region(points, np.sort(local[free], axis=1), fixed, low, high, waiting[own])
+                region = Region(points, np.sort(local[free], axis=1), fixed, low, high, waiting[own], metrics)
                 made = greedily_improved(region, k, DETOUR if degree[0] > 1 else DETOUR_OF_TREE)
             else:
                 from sppm_pipeline.numerics.connecting.exact import exactly_improved
 
                 inner = np.sort(local[free], axis=1)
-                made = exactly_improved(points, inner, low, high, degree[0] <= 1, k, how == "lp_fix")
+                made = exactly_improved(points, inner, low, high, degree[0] <= 1, k, how == "lp_fix", metrics)
             return which[free], own[made]
 
         kept = np.ones(len(before.edges), np.bool_)
@@ -350,8 +362,8 @@ def _edges_among(
 def greedily_improved(region: Region, k: int, detour: int) -> NDArray[np.int64]:
     """The edges of a region after missing ones were added, superfluous ones turned away, and long ones exchanged."""
     n = len(region.points)
-    own, chosen = candidates_of_region(region.points, region.edges, k)
-    length = edge_lengths(region.points, own, np.zeros((1, 3), np.int64))
+    own, chosen = candidates_of_region(region.points, region.edges, k, region.metric)
+    length = edge_lengths(region.points, own, np.zeros((1, 3), np.int64), region.metric)
     # in the middle of a fixed edge among the region's own pores lies one more vertex, as only vertices hold edges
     inner = region.fixed[(region.fixed < n).all(axis=1)]
     outer = region.fixed[(region.fixed >= n).any(axis=1)]

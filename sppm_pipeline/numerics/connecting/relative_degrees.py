@@ -95,11 +95,16 @@ def shortest_tree(
     return as_tunnels(points, period, tree_of(points, period, network))
 
 
-def tree_of(points: NDArray[np.float64], period: NDArray[np.float64], network: Network) -> Network:
+def tree_of(
+    points: NDArray[np.float64],
+    period: NDArray[np.float64],
+    network: Network,
+    metric: NDArray[np.float64] | None = None,
+) -> Network:
     """The shortest tree among the edges of a connected network; of equally short ones the first are taken."""
     inside, _ = wrapped(points, period)
     period_of = period.astype(np.int64)
-    length = edge_lengths(inside, network.edges, network.turns * period_of)
+    length = edge_lengths(inside, network.edges, network.turns * period_of, metric)
     taken = kruskal(len(points), network.edges, np.argsort(length, kind="stable"))
     return Network(network.edges[taken], network.turns[taken])
 

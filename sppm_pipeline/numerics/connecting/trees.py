@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.metric import lengths_in
 
 
 def as_points(points: ArrayLike) -> NDArray[np.float64]:
@@ -98,10 +99,14 @@ def segments(
     return points[edges[:, 0]], points[edges[:, 1]] + shifts
 
 
-def edge_lengths(points: NDArray[np.float64], edges: Indices, shifts: Indices) -> NDArray[np.float64]:
-    """Length of every tunnel, (m,)."""
+def edge_lengths(
+    points: NDArray[np.float64], edges: Indices, shifts: Indices, metric: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Length of every tunnel, (m,); in the mean of the metrics (n, 6) of its ends, if there are any."""
     starts, ends = segments(points, edges, shifts)
     steps = ends - starts
+    if metric is not None:
+        return lengths_in((metric[edges[:, 0]] + metric[edges[:, 1]]) / 2, steps)
     lengths: NDArray[np.float64] = np.sqrt(steps[:, 0] ** 2 + steps[:, 1] ** 2 + steps[:, 2] ** 2)
     return lengths
 

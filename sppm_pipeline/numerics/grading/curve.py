@@ -1,4 +1,4 @@
-"""Porosity of a material as a function of the number of pores of a cell, measured on trial cells."""
+"""Curves of a material: porosity over the number of pores of a cell, Young's modulus over porosity."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
+
+GROUPS = 12
+"""Groups of cells of nearly one porosity, through whose means a curve of moduli goes at the most: a choice."""
 
 
 class PorosityCurve(NamedTuple):
@@ -67,3 +70,84 @@ def porosity_curve(counts: list[int], porosities: list[float]) -> PorosityCurve:
     degrees = len(n) - len(order)
     deviation = float(np.sqrt((left**2).sum() / degrees)) if degrees else 0.0
     return PorosityCurve(order[growing].astype(np.float64), means[growing], deviation)
+
+
+class StiffnessCurve(NamedTuple):
+    """Young's modulus over porosity: its logarithm goes through means of cells by monotone cubics (PCHIP).
+
+    Attributes
+    ----------
+    porosities : (m,) float64
+        Ascending.
+    moduli : (m,) float64
+        Descending.
+    deviation : float
+        Relative standard deviation of single cells around the curve; 0 if it goes through all of them.
+    """
+
+    porosities: NDArray[np.float64]
+    moduli: NDArray[np.float64]
+    deviation: float
+
+    def porosity(self, modulus: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Porosities of moduli within the range of the curve; not a number beyond it."""
+        from scipy.interpolate import PchipInterpolator
+
+        log = np.log(self.moduli)
+        # rounding may not put the ends of the range outside of it
+        wanted = np.log(np.maximum(modulus, 1e-300))
+        slack = 1e-9 * (1 + np.abs(log).max())
+        inside = (wanted >= log[-1] - slack) & (wanted <= log[0] + slack)
+        found = PchipInterpolator(log[::-1], self.porosities[::-1])(np.clip(wanted, log[-1], log[0]))
+        return np.where(inside, found, np.nan)
+
+    def modulus(self, porosity: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Moduli at porosities, the inverse of `porosity`; not a number beyond the range of the curve."""
+        from scipy.interpolate import PchipInterpolator
+
+        log = np.log(self.moduli)
+        curve = PchipInterpolator(log[::-1], self.porosities[::-1])
+        low, high = np.full(np.shape(porosity), log[-1]), np.full(np.shape(porosity), log[0])
+        for _ in range(60):
+            middle = (low + high) / 2
+            above = curve(middle) > porosity
+            low, high = np.where(above, middle, low), np.where(above, high, middle)
+        inside = (porosity >= self.porosities[0]) & (porosity <= self.porosities[-1])
+        return np.where(inside, np.exp((low + high) / 2), np.nan)
+
+
+def stiffness_curve(porosities: NDArray[np.float64], moduli: NDArray[np.float64]) -> StiffnessCurve:
+    """The curve through cells, which may scatter: means of groups, made monotone by pooling neighbors that are not.
+
+    Up to twelve cells stand for themselves, more are taken in twelve groups of nearly one porosity (pool-adjacent-
+    violators: Barlow et al. 1972).
+
+    Parameters
+    ----------
+    porosities, moduli : (n,) float64
+        Of cells; moduli positive.
+
+    Raises
+    ------
+    DesignError
+        If fewer than two different means remain.
+    """
+    order = np.argsort(porosities, kind="stable")
+    x, y = porosities[order], np.log(moduli[order])
+    groups = [g for g in np.array_split(np.arange(len(x)), min(GROUPS, len(x))) if len(g)]
+    pooled: list[tuple[float, float, int]] = []
+    for group in groups:
+        pooled.append((float(x[group].mean()), float(y[group].mean()), len(group)))
+        while len(pooled) > 1 and (pooled[-1][1] >= pooled[-2][1] or pooled[-1][0] <= pooled[-2][0]):
+            (a, u, n), (b, v, m) = pooled[-2:]
+            pooled[-2:] = [((n * a + m * b) / (n + m), (n * u + m * v) / (n + m), n + m)]
+    if len(pooled) < 2:
+        raise DesignError(
+            "the modulus does not fall with the porosity",
+            hint="give cells of a wider range of porosities, and more of them",
+        )
+    place, log = (np.array([row[k] for row in pooled]) for k in range(2))
+    left = y - np.interp(x, place, log)
+    between = (x >= place[0]) & (x <= place[-1])
+    deviation = float(np.sqrt((left[between] ** 2).mean())) if len(x) > len(place) else 0.0
+    return StiffnessCurve(place, np.exp(log), deviation)

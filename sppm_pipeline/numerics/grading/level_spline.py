@@ -58,38 +58,57 @@ def spline_values(
     return values.transpose(2, 1, 0)
 
 
+def rows_of_cell(
+    control: NDArray[np.float64], t: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Control points along each row of samples of the middle one of 3 x 3 x 3 cells, and their weights.
+
+    Parameters
+    ----------
+    control : (3, 3, 3) float64
+    t : (n,) float64
+        Positions along all three axes, between 1 and 2.
+
+    Returns
+    -------
+    rows : (n, n, 3) float64
+        Indexed z, y.
+    weights : (n, 3) float64
+    """
+    along = _along(t, 3)
+    planes = _contracted(control.transpose(1, 2, 0), along)
+    rows = _contracted(planes, along)
+    return np.ascontiguousarray(rows.transpose(2, 1, 0)), along.weights
+
+
 class LayerSpline:
-    """The spline on the rows of single layers, as what samples a field layer by layer asks for it.
+    """The spline on the rows of layers, as what samples a field layer by layer asks for it.
 
     A value depends on its position alone: it is the same sum of three numbers whatever is asked for beside it.
 
     Parameters
     ----------
     control : (nx, ny, nz) float64
-    x, y : (k,), (m,) float64
-        Positions of the samples of every layer, cell sizes.
+    x, y, z : (k,), (m,), (n,) float64
+        Positions of the samples, cell sizes.
     """
 
-    def __init__(self, control: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-        self._control, self._y = control, _along(y, control.shape[1])
+    def __init__(
+        self, control: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
+    ) -> None:
         across = _along(x, control.shape[0])
-        self._weights = across.weights.T.astype(np.float32)
-        ends = np.concatenate([[0], np.flatnonzero(np.diff(across.cell)) + 1, [len(x)]])
-        self._runs = [
-            (slice(a, b), int(across.cell[a])) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
-        ]
+        self._cell, self._weights = across.cell, np.ascontiguousarray(across.weights.T, np.float32)
+        upwards, along = _along(z, control.shape[2]), _along(y, control.shape[1])
+        planes = _contracted(control.transpose(2, 0, 1), upwards)
+        rows = _contracted(planes.transpose(1, 2, 0), along).transpose(0, 2, 1).astype(np.float32)
+        self._rows = np.ascontiguousarray(np.concatenate([rows[..., :1], rows, rows[..., -1:]], -1))
 
-    def layer(self, z: float) -> NDArray[np.float32]:
-        """The spline in the layer at height `z`, (m, k) float32, indexed y, x."""
-        at = _along(np.array([z]), self._control.shape[2])
-        plane = _contracted(self._control.transpose(2, 0, 1), at)[..., 0]
-        rows = _contracted(plane.T, self._y).T.astype(np.float32)
-        rows = np.concatenate([rows[:, :1], rows, rows[:, -1:]], 1)
-        out = np.empty((len(rows), self._weights.shape[1]), np.float32)
-        for run, cell in self._runs:
-            np.multiply(rows[:, cell, None], self._weights[0, run], out=out[:, run])
-            for k in (1, 2):
-                out[:, run] += rows[:, cell + k, None] * self._weights[k, run]
+    def less(self, begin: float, layer: int, rows: slice, columns: slice) -> NDArray[np.float32]:
+        """`begin` less the spline in a window of a layer, float32, indexed y, x."""
+        from sppm_pipeline.numerics.grading.level_rows import less_level
+
+        out = np.empty((rows.stop - rows.start, columns.stop - columns.start), np.float32)
+        less_level(self._rows[layer], self._cell, self._weights, np.float32(begin), rows.start, columns.start, out)
         return out
 
 
@@ -111,6 +130,43 @@ def control_of_means(means: NDArray[np.float64]) -> NDArray[np.float64]:
             solved = solve_banded((1, 1), bands, lines.reshape(n, -1), check_finite=False)
             values = np.moveaxis(solved.reshape(lines.shape), 0, axis)
     return values
+
+
+def control_with_some_held(means: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Control points that are zero in some cells, whose spline has the given means over all others.
+
+    Parameters
+    ----------
+    means : (nx, ny, nz) float64
+    held : (nx, ny, nz) bool
+        Cells whose control point is zero; their means come out as they may.
+
+    Returns
+    -------
+    (nx, ny, nz) float64
+        By conjugate gradients: the matrix is symmetric, its eigenvalues lie between 1/27 and 1.
+    """
+    found = np.zeros_like(means)
+    residual = np.where(held, 0.0, means)
+    direction, square = residual, float((residual**2).sum())
+    enough = 1e-20 * square
+    while square > enough:
+        applied = np.where(held, 0.0, _means_of(direction))
+        step = square / float((direction * applied).sum())
+        found = found + step * direction
+        residual = residual - step * applied
+        last, square = square, float((residual**2).sum())
+        direction = residual + square / last * direction
+    return found
+
+
+def _means_of(control: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means of the spline over the cells."""
+    for axis in range(3):
+        padded = np.pad(control, [(int(a == axis),) * 2 for a in range(3)], mode="edge")
+        ends = [padded.take(range(k, k + control.shape[axis]), axis) for k in range(3)]
+        control = (ends[0] + 4 * ends[1] + ends[2]) / 6
+    return control
 
 
 def extended(values: NDArray[np.float64], known: NDArray[np.bool_], sweeps: int = 200) -> NDArray[np.float64]:

@@ -9,7 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.grading.level_spline import control_of_means, extended, spline_values
+from sppm_pipeline.numerics.grading.level_spline import (
+    control_of_means,
+    control_with_some_held,
+    extended,
+    rows_of_cell,
+)
 
 _STEPS_OF_CODE = 32766
 # Choices: a Newton step is cut at this share of the range between the bounds, and over all of that range the porosity
@@ -72,6 +77,11 @@ class CellCodes:
         """A length of values in codes."""
         return round(length * self._scale)
 
+    @property
+    def scaling(self) -> tuple[float, float, float]:
+        """What is taken off, the factor behind it, and the largest code."""
+        return float(self._middle), float(self._scale), float(_STEPS_OF_CODE)
+
     def of(self, cell: tuple[int, int, int]) -> NDArray[np.int16]:
         """Codes of a cell's samples, those outside of the part left out by the least number there is."""
         if cell in self._kept:
@@ -90,21 +100,16 @@ def void_and_slope(
     codes: CellCodes, control: NDArray[np.float64], cell: tuple[int, int, int], half_width: float
 ) -> tuple[float, float]:
     """Share of the samples of a cell at or above the level, and the change of this share with the level."""
+    from sppm_pipeline.numerics.grading.level_rows import counts_at_level
+
     found = codes.of(cell)
     n = len(found)
-    t = (np.arange(n) + 0.5) / n
+    t = 1 + (np.arange(n) + 0.5) / n
     # the cells around, with the outermost ones repeated, as the spline of one cell in the middle of three
     near = [np.clip(np.arange(c - 1, c + 2), 0, size - 1) for c, size in zip(cell, control.shape, strict=True)]
-    level = codes.code(spline_values(control[np.ix_(*near)], 1 + t, 1 + t, 1 + t))
-    outside = np.iinfo(np.int16).min
-    inside = np.count_nonzero(found != outside)
-    if not inside:
-        return 0.0, 0.0
-    above = np.subtract(found, level, dtype=np.int32)
-    width = codes.width(half_width)
-    # samples outside of the part lie farther below any level than the width
-    near_level = np.count_nonzero((above >= -width) & (above < width) & (found != outside))
-    return np.count_nonzero(above >= 0) / inside, near_level / inside / (2 * half_width)
+    rows, weights = rows_of_cell(control[np.ix_(*near)], t)
+    inside, above, beside = counts_at_level(found, rows, weights, *codes.scaling, codes.width(half_width))
+    return (above / inside, beside / inside / (2 * half_width)) if inside else (0.0, 0.0)
 
 
 def fit_level(
@@ -165,8 +170,13 @@ def fit_level(
         if _worst(fit) <= tolerance:
             break
         change = np.zeros(start.shape)
-        change[place] = np.clip(errors / np.maximum(slope, least), -longest, longest)
-        control = np.clip(control + control_of_means(extended(change, known)), *bounds)
+        # what a cell at its bound still lacks is no reason for those around it to move
+        change[place] = np.where(stuck, 0.0, np.clip(errors / np.maximum(slope, least), -longest, longest))
+        change = extended(change, known)
+        held = np.zeros(start.shape, bool)
+        held[place] = stuck
+        moved = control_with_some_held(change, held) if stuck.any() else control_of_means(change)
+        control = np.clip(control + moved, *bounds)
     assert best is not None
     return best._replace(steps=step)
 

@@ -137,8 +137,9 @@ def _distances(
     leaves = starts.size - 1
     waiting = np.empty(2 * DEPTH, np.int64)
     distances = np.empty(points.shape[0])
+    last = 0  # the nearest triangle of one point bounds the distance of the next one, which is often near it
     for i in range(points.shape[0]):
-        best = np.inf
+        best = squared_to_triangle(triangles[last], points[i, 0], points[i, 1], points[i, 2])
         waiting[0], left = 0, 1
         while left > 0:
             left -= 1
@@ -154,7 +155,9 @@ def _distances(
             else:
                 leaf = node - leaves + 1
                 for k in range(starts[leaf], starts[leaf + 1]):
-                    best = min(best, squared_to_triangle(triangles[k], points[i, 0], points[i, 1], points[i, 2]))
+                    squared = squared_to_triangle(triangles[k], points[i, 0], points[i, 1], points[i, 2])
+                    if squared < best:
+                        best, last = squared, k
         distances[i] = np.sqrt(best)
     return distances
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF, PORE_PROFILE, TUNNEL_PROFILES
+from sppm_pipeline.numerics.metric import PLAIN, half_widths, semi_axes
 
 
 class Kernels(NamedTuple):
     """Point kernels ``exp(-omega |p - c|^2)`` and segment kernels, say ``exp(-mu d)`` (paper, eq. 1-2).
 
-    ``d`` is the distance of p from the segment. All lengths are in one unit (inside a tile set: the cell size).
+    ``d`` is the distance of p from the segment. All lengths are in one unit (inside a tile set: the cell size). Where
+    pores are stretched, every kernel measures distances in a metric of its own.
 
     Attributes
     ----------
@@ -28,6 +30,10 @@ class Kernels(NamedTuple):
         Tunnel size parameter, in the unit of the profile.
     profile : str
         Name of the tunnels' profile, a key of `TUNNEL_PROFILES`.
+    pore_metric : (n, 6) float64, optional
+        Metrics of the pores, see `numerics.metric`; plain distances if omitted.
+    tunnel_metric : (m, 6) float64, optional
+        Metrics of the tunnels; there are both or none.
     """
 
     centers: NDArray[np.float64]
@@ -36,6 +42,21 @@ class Kernels(NamedTuple):
     ends: NDArray[np.float64]
     mu: NDArray[np.float64]
     profile: str = "linear"
+    pore_metric: NDArray[np.float64] | None = None
+    tunnel_metric: NDArray[np.float64] | None = None
+
+    def taken(self, pores: slice | NDArray[Any], tunnels: slice | NDArray[Any]) -> Kernels:
+        """Some of the pores and some of the tunnels."""
+        return Kernels(
+            self.centers[pores],
+            self.omega[pores],
+            self.starts[tunnels],
+            self.ends[tunnels],
+            self.mu[tunnels],
+            self.profile,
+            None if self.pore_metric is None else self.pore_metric[pores],
+            None if self.tunnel_metric is None else self.tunnel_metric[tunnels],
+        )
 
     def shifted(self, offset: NDArray[np.float64]) -> Kernels:
         """The same kernels moved by `offset` (3,)."""
@@ -62,6 +83,7 @@ def concatenated(parts: Iterable[Kernels]) -> Kernels:
     profiles = sorted({part.profile for part in parts if len(part.starts)})
     if len(profiles) > 1:
         raise ValueError(f"a kernel set has one tunnel profile, not {' and '.join(profiles)}")
+    stretched = any(part.pore_metric is not None for part in parts)
     return Kernels(
         np.concatenate([part.centers for part in parts]),
         np.concatenate([part.omega for part in parts]),
@@ -69,12 +91,35 @@ def concatenated(parts: Iterable[Kernels]) -> Kernels:
         np.concatenate([part.ends for part in parts]),
         np.concatenate([part.mu for part in parts]),
         profiles[0] if profiles else parts[0].profile,
+        np.concatenate([_metrics(p.pore_metric, len(p.omega)) for p in parts]) if stretched else None,
+        np.concatenate([_metrics(p.tunnel_metric, len(p.mu)) for p in parts]) if stretched else None,
     )
 
 
+def _metrics(metric: NDArray[np.float64] | None, n: int) -> NDArray[np.float64]:
+    return np.tile(PLAIN, (n, 1)) if metric is None else metric
+
+
 def kernel_reaches(kernels: Kernels, cutoff: float = DEFAULT_CUTOFF) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distances (n,) and (m,) from centers and axes at which pores and tunnels fall to the cut-off."""
+    """Distances (n,) and (m,) from centers and axes beyond which pores and tunnels lie below the cut-off."""
+    pores, tunnels = _reaches(kernels, cutoff)
+    if kernels.pore_metric is None or kernels.tunnel_metric is None:
+        return pores, tunnels
+    return pores * semi_axes(kernels.pore_metric)[:, 0], tunnels * semi_axes(kernels.tunnel_metric)[:, 0]
+
+
+def _reaches(kernels: Kernels, cutoff: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Reaches in the metric of each kernel."""
     return PORE_PROFILE.reach(kernels.omega, cutoff), TUNNEL_PROFILES[kernels.profile].reach(kernels.mu, cutoff)
+
+
+def steepest(kernels: Kernels) -> tuple[float, float]:
+    """The largest size parameters omega and mu that a pore and a tunnel have along any direction; 0 for none."""
+    omega, mu = kernels.omega, kernels.mu
+    if kernels.pore_metric is not None and kernels.tunnel_metric is not None:
+        omega = omega * PORE_PROFILE.scaled_radius(semi_axes(kernels.pore_metric)[:, 1])
+        mu = mu * TUNNEL_PROFILES[kernels.profile].scaled_radius(semi_axes(kernels.tunnel_metric)[:, 1])
+    return float(omega.max(initial=0)), float(mu.max(initial=0))
 
 
 def reach_boxes(
@@ -89,7 +134,9 @@ def reach_boxes(
     tunnel_lower, tunnel_upper : (m, 3) float64
         Corners of the boxes of the tunnels.
     """
-    pores, tunnels = (reach[:, None] for reach in kernel_reaches(kernels, cutoff))
+    pores, tunnels = (reach[:, None] for reach in _reaches(kernels, cutoff))
+    if kernels.pore_metric is not None and kernels.tunnel_metric is not None:
+        pores, tunnels = pores * half_widths(kernels.pore_metric), tunnels * half_widths(kernels.tunnel_metric)
     return (
         kernels.centers - pores,
         kernels.centers + pores,

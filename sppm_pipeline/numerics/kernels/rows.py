@@ -11,11 +11,13 @@ need to know of each row. The table has `LANES` columns; integers in it are exac
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_jit
+from sppm_pipeline.numerics.compiled import inline_jit, jit, specialized
+from sppm_pipeline.numerics.kernels.profiles import TunnelProfile
 
 #: Samples of one block, rows of one group.
 LANES = 16
@@ -23,8 +25,8 @@ _LANES = np.uint64(LANES)
 _SHIFT = np.uint64(4)
 
 # Rows of the table: first sample, number of blocks, then three numbers of the kernel.
-_FIRST, _BLOCKS, _ACROSS, _ALONG, _REST = (np.uint64(LANES * row) for row in range(5))
-_FACTOR = _ACROSS
+FIRST, _BLOCKS, ACROSS, ALONG, REST = (np.uint64(LANES * row) for row in range(5))
+_FACTOR = ACROSS
 # Then the first and the last sample of the row that is wanted.
 _WANTED_FROM, _WANTED_TO = np.uint64(5 * LANES), np.uint64(6 * LANES)
 #: Length of the table of a group of rows.
@@ -71,14 +73,14 @@ def fill_gauss(row: NDArray[np.float32], blocks: int, first: np.float32, step: n
 
 
 @inline_jit
-def _clip_rows(table: NDArray[np.float32], low: np.float32, high: np.float32, nx: np.float32, i: int) -> None:
+def clip_rows(table: NDArray[np.float32], low: np.float32, high: np.float32, nx: np.float32, i: int) -> None:
     """Write first sample and number of blocks of row i; the row covers at least low <= x <= high where it is wanted."""
     first = max(np.float32(np.ceil(low)), table[_WANTED_FROM + i])
     last = min(np.float32(np.floor(high)), table[_WANTED_TO + i])
     blocks = np.float32(np.floor((last - first) * np.float32(1.0 / LANES))) + _ONE
     blocks = blocks if last >= first else _ZERO
     # A row that would run over the end starts earlier instead.
-    table[_FIRST + i] = max(min(first, nx - blocks * np.float32(LANES)), _ZERO)
+    table[FIRST + i] = max(min(first, nx - blocks * np.float32(LANES)), _ZERO)
     table[_BLOCKS + i] = blocks
 
 
@@ -119,7 +121,7 @@ def point_rows(
         aside2 = y * y + dz * dz
         chord2 = reach * reach - aside2
         chord = np.float32(math.sqrt(max(chord2, _ZERO))) * inverse
-        _clip_rows(table, center - chord, center + chord if chord2 >= _ZERO else -_FAR, nx, i)
+        clip_rows(table, center - chord, center + chord if chord2 >= _ZERO else -_FAR, nx, i)
         table[_FACTOR + i] = _exp2_minus(aside2)
 
 
@@ -139,7 +141,7 @@ def add_gauss_rows(
     """
     for row in range(np.uint64(rows)):
         factor = table[_FACTOR + row]
-        first = np.int64(table[_FIRST + row])
+        first = np.int64(table[FIRST + row])
         target = np.uint64(start + np.int64(row) * stride + first)
         source = np.uint64(first + shift)
         for i in range(np.uint64(table[_BLOCKS + row]) << _SHIFT):
@@ -209,11 +211,11 @@ def tunnel_rows(
         has_right = cylinder & (right >= _ZERO) & (right <= length)
         low = min(low, (t * ux - radius) * over_ua if has_left else _FAR)
         high = max(high, (t * ux + radius) * over_ua if has_right else -_FAR)
-        _clip_rows(table, start + (low - first) * inverse, start + (high - first) * inverse, nx, i)
-        x = first + (table[_FIRST + i] - start) * step_x
-        table[_ACROSS + i] = ua * x - ux * t
-        table[_ALONG + i] = ux * x + ua * t
-        table[_REST + i] = rest
+        clip_rows(table, start + (low - first) * inverse, start + (high - first) * inverse, nx, i)
+        x = first + (table[FIRST + i] - start) * step_x
+        table[ACROSS + i] = ua * x - ux * t
+        table[ALONG + i] = ux * x + ua * t
+        table[REST + i] = rest
 
 
 def add_tunnel_rows(
@@ -227,19 +229,29 @@ def add_tunnel_rows(
 ) -> None:
     """Add ``2^-exponent(d^2)`` to the prepared rows; d is the distance from the segment, `step` the spacing along x.
 
-    Row i of the group begins at ``out[start + i stride]``. Compiled once for each tunnel profile by `tunnel_adder`.
+    Row i of the group begins at ``out[start + i stride]``. Compiled once for each tunnel profile by `compiled_for`.
     """
     across_step = axis[1] * step
     along_step = axis[0] * step
     length = axis[6]
     for row in range(np.uint64(rows)):
-        target = np.uint64(start + np.int64(row) * stride + np.int64(table[_FIRST + row]))
-        across = table[_ACROSS + row]
-        along = table[_ALONG + row]
-        rest = table[_REST + row]
+        target = np.uint64(start + np.int64(row) * stride + np.int64(table[FIRST + row]))
+        across = table[ACROSS + row]
+        along = table[ALONG + row]
+        rest = table[REST + row]
         for i in range(np.uint64(table[_BLOCKS + row]) << _SHIFT):
             x = np.float32(np.int32(i))
             v = across + across_step * x
             s = along + along_step * x
             beyond = s - min(max(s, _ZERO), length)
             out[target + i] += _exp2_minus(exponent(np.float32(v * v + rest + beyond * beyond)))
+
+
+def compiled_for(profile: TunnelProfile, add: Callable[..., None]) -> Callable[..., None]:
+    """A function that calls `add_tunnel_rows`, compiled for one profile: its exponent is inlined into the inner loop.
+
+    A function that is handed to a compiled one would be called through a pointer for every sample, or be compiled
+    anew in every process; copies under names of their own are neither, and Numba keeps them on disk.
+    """
+    add_rows = inline_jit(specialized(add_tunnel_rows, profile.name, exponent=inline_jit(profile.exponent)))
+    return jit(specialized(add, profile.name, add_tunnel_rows=add_rows))

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_jit, jit, specialized
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels, reach_boxes
 from sppm_pipeline.numerics.kernels.profiles import (
@@ -30,11 +30,13 @@ from sppm_pipeline.numerics.kernels.rows import (
     TABLE,
     add_gauss_rows,
     add_tunnel_rows,
+    compiled_for,
     fill_gauss,
     point_rows,
     tunnel_rows,
     want_rows,
 )
+from sppm_pipeline.numerics.metric import check_metric
 
 # Samples of one block of layers: 1 MB of float32 stays in the second level cache while kernels are added to it.
 _BLOCK_SAMPLES = 1 << 18
@@ -89,15 +91,23 @@ def add_kernels(
         return
     profile = TUNNEL_PROFILES[kernels.profile]
     pore_reach, tunnel_reach = PORE_PROFILE.scaled_reach(cutoff), profile.scaled_reach(cutoff)
-    add_tunnels = tunnel_adder(profile)
-    points, tunnels = _reaching(points, tunnels, kernels, grid.layers(first_layer, first_layer + layers), cutoff)
+    span = grid.layers(first_layer, first_layer + layers)
+    stretched = kernels.pore_metric is not None
+    if stretched:
+        from sppm_pipeline.numerics.kernels.stretched import packed_stretched, stretched_adder
+
+        points, tunnels = packed_stretched(kernels, span, cutoff)
+        add_stretched, add_tunnels = stretched_adder(PORE_PROFILE), stretched_adder(profile)
+    else:
+        add_tunnels = tunnel_adder(profile)
+        points, tunnels = _reaching(points, tunnels, kernels, span, cutoff)
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
     spans = np.zeros((0, 2), np.int32) if wanted is None else wanted.reshape(-1, 2)
     height = max(1, min(layers, _BLOCK_SAMPLES // (nx * ny)))
     # Balance: at least four blocks a thread, as long as there are layers.
     height = max(1, min(height, -(-layers // (4 * threads)))) if threads > 1 else height
 
-    width = 2 * int(pore_reach / (points[:, 3].min(initial=math.inf) * grid.spacing[0]) + 4 * LANES)
+    width = 0 if stretched else 2 * int(pore_reach / (points[:, 3].min(initial=math.inf) * grid.spacing[0]) + 4 * LANES)
 
     def add_block(start: int) -> None:
         block = out[start : start + height]
@@ -108,7 +118,10 @@ def add_kernels(
         # Blocks of samples may run over the end of a row: rows of an odd length are summed in padded rows.
         target = block if whole else np.zeros((len(block), ny, nx + LANES - nx % LANES), dtype=np.float32)
         arguments = (target.reshape(-1), target.shape, first_layer + start, origin, spacing)
-        _add_points(*arguments, rows, points, pore_reach, table, np.empty(width, np.float32))
+        if stretched:
+            add_stretched(*arguments, rows, points, pore_reach, table, np.empty(7, np.float32))
+        else:
+            _add_points(*arguments, rows, points, pore_reach, table, np.empty(width, np.float32))
         add_tunnels(*arguments, rows, tunnels, tunnel_reach, table, np.empty(7, np.float32))
         if not whole:
             block += target[:, :, :nx]
@@ -129,6 +142,11 @@ def _packed(kernels: Kernels) -> tuple[NDArray[np.float64], NDArray[np.float64]]
             raise ValueError("a kernel is not finite")
     if (kernels.omega <= 0.0).any() or (kernels.mu <= 0.0).any():
         raise ValueError("omega and mu must be positive")
+    if (kernels.pore_metric is None) != (kernels.tunnel_metric is None):
+        raise ValueError("pores and tunnels both have metrics, or none")
+    for metric, n in ((kernels.pore_metric, len(kernels.omega)), (kernels.tunnel_metric, len(kernels.mu))):
+        if metric is not None:
+            check_metric(metric, n)
     points = np.empty((len(kernels.centers), 4))
     points[:, :3] = kernels.centers
     points[:, 3] = PORE_PROFILE.scale(kernels.omega)
@@ -211,13 +229,8 @@ def _add_points(
 
 @cache
 def tunnel_adder(profile: TunnelProfile) -> Callable[..., None]:
-    """`_add_tunnels` compiled for one profile, its exponent inlined into the loop over samples.
-
-    A function that is handed to a compiled one would be called through a pointer for every sample, or be compiled
-    anew in every process; copies under names of their own are neither, and Numba keeps them on disk.
-    """
-    add_rows = inline_jit(specialized(add_tunnel_rows, profile.name, exponent=inline_jit(profile.exponent)))
-    return jit(specialized(_add_tunnels, profile.name, add_tunnel_rows=add_rows))
+    """`_add_tunnels` compiled for one profile, once."""
+    return compiled_for(profile, _add_tunnels)
 
 
 def _add_tunnels(

@@ -3,6 +3,9 @@
 Two pores at p and q keep the mean of the spacings there, ``(l(p) + l(q)) / 2``. A dart is uniform in its block and kept
 with a probability proportional to the density at its place; blocks, colors and random streams are those of
 `blocks.throw_blocks`. The density is given at nodes, `NODES` to an edge of a block, and linear in between.
+
+Where pores are stretched, their distance is measured in the mean of the metrics at p and q, and the spacing is that of
+as many pores in the metric: the same as if round pores had been thrown and then been stretched.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.metric import determinants, semi_axes
 from sppm_pipeline.numerics.sampling.blocks import ATTEMPTS, block_colors, list_neighbors
 from sppm_pipeline.numerics.sampling.cell_list import (
     CellList,
@@ -61,12 +65,24 @@ def block_means(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(cells.reshape(nx, NODES, ny, NODES, nz, NODES).mean((1, 3, 5)))
 
 
+def at_nodes(nodes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values (n, m) at points (n, 3) of the lattice, linear between nodes (..., m) and constant beyond them."""
+    place = np.clip(points * NODES, 0.0, np.array(nodes.shape[:3]) - 1.0)
+    low = np.minimum(place.astype(np.int64), np.array(nodes.shape[:3]) - 2)
+    part, total = place - low, np.zeros((len(points), nodes.shape[3]))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.abs(1.0 - np.array(corner) - part).prod(axis=1)
+        total += weight[:, None] * nodes[tuple((low + corner).T)]
+    return total
+
+
 def throw_graded_blocks(
     seed: int,
     quotas: NDArray[np.int64],
     spacing: float,
     density: NDArray[np.float64],
     *,
+    metric: NDArray[np.float64] | None = None,
     before: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None,
     threads: int = 1,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -82,6 +98,8 @@ def throw_graded_blocks(
         Smallest distance of two pores where the density is 1, block edges; elsewhere it goes with density^(-1/3).
     density : (NODES nx + 1, ...) float64
         At the nodes; positive.
+    metric : (NODES nx + 1, ..., 6) float64, optional
+        At the nodes, see `numerics.metric`.
     before : ((k, 3) float64, (blocks + 1,) int64), optional
         Pores that are there already, in the form of the result.
     threads : int
@@ -100,7 +118,11 @@ def throw_graded_blocks(
         If the spacing is longer than a block somewhere, or a block holds fewer pores than its quota.
     """
     quotas = np.ascontiguousarray(quotas, np.int64)
+    packing, metrics = density, np.zeros((1, 1, 1, 6))
     widest, closest = (spacing * float(d) ** (-1 / 3) for d in (density.min(), density.max()))
+    if metric is not None:
+        packing, metrics = density / np.sqrt(determinants(metric)), metric
+        widest = spacing * float((packing.ravel() ** (-1 / 3) * semi_axes(metric.reshape(-1, 6))[:, 0]).max())
     if not 0 < widest <= 1:
         raise DesignError(
             f"the pore spacing reaches {widest:.4g} cell sizes where pores are fewest; at most 1 is possible",
@@ -115,11 +137,12 @@ def throw_graded_blocks(
     # no packing of balls is denser than pi / sqrt(18); those around a block lie within the widest spacing
     rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * widest) ** 3 / closest**3 + 27)) + most
     missing = np.zeros(quotas.size, np.int64)
-    nodes = np.ascontiguousarray(density, np.float64)
+    of_darts, of_spacings, of_metrics = (np.ascontiguousarray(v, np.float64) for v in (density, packing, metrics))
 
     def throw(blocks: NDArray[np.int64]) -> None:
         cells = empty_cell_list(rows, widest, np.zeros(3), np.ones(3), (False, False, False))
-        _throw_in_turn(cells, blocks, np.array(quotas.shape), streams, first, centers, *old, nodes, spacing, missing)
+        lattice = (blocks, np.array(quotas.shape), streams, first, centers, *old)
+        _throw_in_turn(cells, *lattice, of_darts, of_spacings, of_metrics, spacing, missing)
 
     for color in range(int(colors.max()) + 1):
         blocks = np.flatnonzero((colors == color) & (quotas.ravel() > 0))
@@ -158,10 +181,17 @@ def _density(nodes: NDArray[np.float64], x: float, y: float, z: float) -> float:
 
 
 @jit
-def _free(cells: CellList, spacings: NDArray[np.float64], x: float, y: float, z: float, own: float) -> bool:
-    """Whether all points are at least the mean of their spacing and `own` away."""
+def _free(
+    cells: CellList,
+    spacings: NDArray[np.float64],
+    metrics: NDArray[np.float64],
+    place: NDArray[np.float64],
+    own: float,
+    metric: NDArray[np.float64],
+) -> bool:
+    """Whether all points are at least the mean of their spacing and `own` away; plainly, if there are no metrics."""
     nz, ny, nx = cells.first.shape
-    i, j, k = bucket_of(cells, x, y, z)
+    i, j, k = bucket_of(cells, place[0], place[1], place[2])
     i0, ni = search_range(i, nx, False)
     j0, nj = search_range(j, ny, False)
     k0, nk = search_range(k, nz, False)
@@ -170,9 +200,19 @@ def _free(cells: CellList, spacings: NDArray[np.float64], x: float, y: float, z:
             for ii in range(i0, i0 + ni):
                 row = cells.first[kk, jj, ii]
                 while row >= 0:
-                    dx, dy, dz = cells.points[row, 0] - x, cells.points[row, 1] - y, cells.points[row, 2] - z
+                    dx, dy, dz = (
+                        cells.points[row, 0] - place[0],
+                        cells.points[row, 1] - place[1],
+                        cells.points[row, 2] - place[2],
+                    )
                     apart = 0.5 * (spacings[row] + own)
-                    if dx * dx + dy * dy + dz * dz < apart * apart:
+                    squared = dx * dx + dy * dy + dz * dz
+                    if len(metrics) > 0:
+                        m = metrics[row]
+                        squared = 0.5 * (
+                            (m[0] + metric[0]) * dx * dx + (m[1] + metric[1]) * dy * dy + (m[2] + metric[2]) * dz * dz
+                        ) + ((m[3] + metric[3]) * dx * dy + (m[4] + metric[4]) * dx * dz + (m[5] + metric[5]) * dy * dz)
+                    if squared < apart * apart:
                         return False
                     row = cells.following[row]
     return True
@@ -189,11 +229,21 @@ def _throw_in_turn(
     old_centers: NDArray[np.float64],
     old_first: NDArray[np.int64],
     nodes: NDArray[np.float64],
+    packing: NDArray[np.float64],
+    metric_nodes: NDArray[np.float64],
     spacing: float,
     missing: NDArray[np.int64],
 ) -> None:
-    """Throw the pores of blocks that are not neighbors; what can't be placed is noted in `missing`."""
-    spacings = np.empty(cells.points.shape[0])
+    """Throw the pores of blocks that are not neighbors; what can't be placed is noted in `missing`.
+
+    Darts follow the density at `nodes`, spacings that of `packing`. One node of metrics alone stands for plain
+    distances.
+    """
+    rows = cells.points.shape[0]
+    spacings = np.empty(rows)
+    stretched = metric_nodes.shape[0] > 1
+    metrics = np.empty((rows if stretched else 0, 6))
+    own_metric, place = np.zeros(6), np.zeros(3)
     wraps = np.zeros(3, np.bool_)
     for block in blocks:
         stream = streams[block : block + 1].copy()
@@ -209,7 +259,10 @@ def _throw_in_turn(
             start = cells.used[0]
             for row in range(start):
                 p = cells.points[row]
-                spacings[row] = spacing * _density(nodes, x0 + p[0], y0 + p[1], z0 + p[2]) ** (-1.0 / 3.0)
+                spacings[row] = spacing * _density(packing, x0 + p[0], y0 + p[1], z0 + p[2]) ** (-1.0 / 3.0)
+                if stretched:
+                    for entry in range(6):
+                        metrics[row, entry] = _density(metric_nodes[..., entry], x0 + p[0], y0 + p[1], z0 + p[2])
             placed, darts = 0, 0
             while placed < wanted and darts < DARTS * wanted + 1000:
                 x, y, z = next_uniform(stream), next_uniform(stream), next_uniform(stream)
@@ -217,9 +270,17 @@ def _throw_in_turn(
                 if next_uniform(stream) * largest > here:
                     continue
                 darts += 1
+                if stretched:
+                    here = _density(packing, x0 + x, y0 + y, z0 + z)
+                    for entry in range(6):
+                        own_metric[entry] = _density(metric_nodes[..., entry], x0 + x, y0 + y, z0 + z)
                 own = spacing * here ** (-1.0 / 3.0)
-                if _free(cells, spacings, x, y, z, own):
-                    spacings[cells.used[0]] = own
+                place[0], place[1], place[2] = x, y, z
+                if _free(cells, spacings, metrics, place, own, own_metric):
+                    row = cells.used[0]
+                    spacings[row] = own
+                    if stretched:
+                        metrics[row] = own_metric
                     add_point(cells, x, y, z, 0, 0)
                     placed += 1
             missing[block] = wanted - placed

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.grading import Grading
+from sppm_pipeline.data.grading_data import StiffnessLaw
 from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
@@ -43,7 +44,9 @@ class CheckLocalPorosity(Stage):
     The window is a Gaussian with a standard deviation of half a cell edge; the map is smoothed by it, too, and only
     what lies in the part counts. With a recipe the noise is measured that a homogeneous structure of that recipe shows
     in the same window. Written are `cells.csv`, the smoothed porosity as `porosity.vti`, `section.png` with target,
-    measured porosity and error, and `scatter.png`.
+    measured porosity and error, and `scatter.png`. Where the map came from target moduli by `grade.stiffness`, cells
+    get a modulus, too, by its curve, and `stiffness.vti` and `stiffness.png` show it; there is none where the porosity
+    lies beyond the curve.
     """
 
     name: ClassVar[str] = "check.local_porosity"
@@ -53,7 +56,7 @@ class CheckLocalPorosity(Stage):
     )  # fmt: skip
     reported: ClassVar[tuple[str, ...]] = (
         "cells", "cell_error_mean", "cell_error_rms", "cell_error_p95", "cell_error_max", "error_mean", "error_rms",
-        "error_p95", "error_max", "slope", "intercept", "noise", "noise_at",
+        "error_p95", "error_max", "slope", "intercept", "noise", "noise_at", "modulus_error_rms", "modulus_error_max",
     )  # fmt: skip
 
     resolution: int = options.resolution(48, note="a multiple of 8 is taken", minimum=8, maximum=256)
@@ -91,8 +94,16 @@ class CheckLocalPorosity(Stage):
         if recipe is not None:
             noise, at = self._noise(context, recipe, field.cells, _kind(field) == "scattered")
             context.report(noise=noise, noise_at=at)
+        law = next((law for law in grading.laws[::-1] if isinstance(law, StiffnessLaw)), None)
+        if law is not None:
+            error = law.curve.modulus(found) / law.curve.modulus(wanted) - 1
+            known = np.abs(error[np.isfinite(error)])
+            if len(known):
+                context.report(
+                    modulus_error_rms=float(np.sqrt((known**2).mean())), modulus_error_max=float(known.max())
+                )
         if self.path is not None:
-            self._write(context, field, (cells, shares, wanted, found), (target, measured, there), noise)
+            self._write(context, field, (cells, shares, wanted, found), (target, measured, there), noise, law)
 
     def _blocks(self, context: Context, field: ScalarField, grading: Grading) -> BlockMap:
         """Shares of blocks, a layer of blocks at a time."""
@@ -151,6 +162,7 @@ class CheckLocalPorosity(Stage):
         cells: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
         maps: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]],
         noise: float | None,
+        law: StiffnessLaw | None,
     ) -> None:
         from PIL import Image
 
@@ -164,21 +176,30 @@ class CheckLocalPorosity(Stage):
         edge, origin = field.physical_edge(), np.array(field.origin_mm)
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(["i", "j", "k", "x_mm", "y_mm", "z_mm", "share_inside", "target", "measured", "error"])
+        head = ["i", "j", "k", "x_mm", "y_mm", "z_mm", "share_inside", "target", "measured", "error"]
+        rows.writerow(head if law is None else [*head, "modulus_target", "modulus"])
         for cell, share, wanted, found in zip(*cells, strict=True):
+            moduli = () if law is None else law.curve.modulus(np.array([wanted, found])).tolist()
             middle = (cell + 0.5) * edge + origin
             rows.writerow(
                 [*cell.tolist(), *(f"{v:.6g}" for v in (*middle, share)), f"{wanted:.6f}", f"{found:.6f}",
-                 f"{found - wanted:.6f}"]
+                 f"{found - wanted:.6f}", *(f"{v:.6g}" if np.isfinite(v) else "" for v in moduli)]
             )  # fmt: skip
         (folder / "cells.csv").write_text(text.getvalue(), encoding="utf-8", newline="")
         target, measured, there = maps
         spacing = (edge / BLOCKS,) * 3
         x, y, z = origin.tolist()
-        image = np.where(there, measured, np.nan).astype(np.float32)
-        with (folder / "porosity.vti").open("wb") as file:
-            file.writelines(encode_vti(image, spacing, (x, y, z), "porosity"))
-        Image.fromarray(map_sections(target, measured, there)).save(folder / "section.png")
+
+        def shown(name: str, picture: str, wanted: NDArray[np.float64], found: NDArray[np.float64]) -> None:
+            image = np.where(there, found, np.nan).astype(np.float32)
+            with (folder / f"{name}.vti").open("wb") as file:
+                file.writelines(encode_vti(image, spacing, (x, y, z), name))
+            known = there & np.isfinite(wanted) & np.isfinite(found)
+            Image.fromarray(map_sections(wanted, found, known, name)).save(folder / picture)
+
+        shown("porosity", "section.png", target, measured)
+        if law is not None:
+            shown("stiffness", "stiffness.png", law.curve.modulus(target), law.curve.modulus(measured))
         (folder / "scatter.png").write_bytes(
             porosity_scatter(cells[2], cells[3], target[there], measured[there], noise)
         )

@@ -15,7 +15,15 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
-from sppm_pipeline.families.graded import curve_of, graded_radii, of_periodic_cells, recipe_total, sites_of, trial
+from sppm_pipeline.families.graded import (
+    check_round,
+    curve_of,
+    graded_radii,
+    of_periodic_cells,
+    recipe_total,
+    sites_of,
+    trial,
+)
 from sppm_pipeline.families.local_porosity import LatticeCells, cell_means, error_summary
 from sppm_pipeline.families.sampler import FEWEST
 from sppm_pipeline.families.tiler import HALO, Lattice, laid_cells
@@ -70,6 +78,7 @@ class GradedTiling(Stage):
         """Number the cells, draw them, measure them and draw them again."""
         from sppm_pipeline.numerics.tiling.lattice import meetings
 
+        check_round(grading, self.name)
         lattice = lattice_for(self.cell, self.cells, cover, None)
         edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
         lattice = Lattice(lattice.mask, edge, lattice.origin)

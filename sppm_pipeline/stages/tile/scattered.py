@@ -15,14 +15,14 @@ from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
-from sppm_pipeline.families.graded import trial
+from sppm_pipeline.families.graded import DIRECTION, trial
 from sppm_pipeline.families.graded_cloud import GradedCloud, without_faces
 from sppm_pipeline.families.tiler import HALO, Lattice, at_porosity, check_repeats, laid_cells
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.stage import Context, Recipe, Stage
 
-FOLLOWED = ("porosity", "scale", "pore_radius", "tunnel_radius")
+FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "stretch", *DIRECTION)
 """Maps that change what is scattered."""
 
 
@@ -36,7 +36,9 @@ class ScatteredTiling(Stage):
 
     With maps of `porosity`, `scale` or `pore_radius` density and spacing follow them: the number of pores comes from a
     curve that trial boxes give, and pores are then added and taken away at random where a block is found to be off, in
-    rounds. Sizes at a scale s are s times those of the recipe. The recipe's samplers then need `total`.
+    rounds. Sizes at a scale s are s times those of the recipe. The recipe's samplers then need `total`. A map of
+    `spacing` changes the distance of pores alone. With maps of `stretch` s and of a direction pores are s times as long
+    along it as across, where their radii are those of the recipe, and 1/s as many.
     """
 
     name: ClassVar[str] = "tile.scattered"

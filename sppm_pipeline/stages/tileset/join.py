@@ -12,6 +12,9 @@ from sppm_pipeline.fields.joined import JoinedSets
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.stage import Context, Stage
 
+MOST_PER_EDGE = 8
+"""Small cells along the edge of a large one at the most: a choice."""
+
 KINDS = ("free", "wang", "corner")
 
 
@@ -19,8 +22,8 @@ KINDS = ("free", "wang", "corner")
 class JoinTileSets(Stage):
     """Take two tile sets together, which `tile.joined` then lays side by side; neither is changed.
 
-    Write ``from: {first: id, second: id}``. The sets may differ in all but the profile of their tunnels, and a cell of
-    one must be as large as one of the other.
+    Write ``from: {first: id, second: id}``. The sets may differ in all but the profile of their tunnels. Cells of one
+    are as large as those of the other, or a whole number of times larger, as the samplers' `edge` in both recipes says.
     """
 
     name: ClassVar[str] = "tileset.join"
@@ -42,10 +45,18 @@ class JoinTileSets(Stage):
                     f"the {which} set is of kind {tileset.kind!r} with {list(tileset.micro.colors)} face patterns",
                     hint="join sets of tileset.free_faces, tileset.wang_3color or tileset.corner_colors",
                 )
-        edges = [tileset.micro.edge_mm for tileset in (first, second)]
-        if None not in edges and edges[0] != edges[1]:
+        return JoinedSets(first, second, self._per_edge(first.micro.edge_mm, second.micro.edge_mm))
+
+    def _per_edge(self, first: float | None, second: float | None) -> tuple[int, int]:
+        """Cells of either set along an edge of the larger ones."""
+        if first is None or second is None:
+            return (1, 1)
+        ratio = max(first, second) / min(first, second)
+        m = round(ratio)
+        if abs(ratio - m) > 1e-6 * ratio or m > MOST_PER_EDGE:
             raise ConfigError(
-                f"a cell of the first set is {edges[0]:g} mm large, one of the second {edges[1]:g} mm",
-                hint="give the samplers of both recipes the same `edge`, or leave it out",
+                f"a cell of the first set is {first:g} mm large, one of the second {second:g} mm; one has to be the "
+                f"other one times a whole number up to {MOST_PER_EDGE}",
+                hint="change `edge` in the samplers of one recipe, or leave it out for cells of one size",
             )
-        return JoinedSets(first, second)
+        return (1, m) if first >= second else (m, 1)

@@ -13,6 +13,7 @@ from sppm_pipeline.numerics.connecting.bounded import MODES, spanning_subgraph
 from sppm_pipeline.numerics.connecting.clearance import close_pairs
 from sppm_pipeline.numerics.connecting.degrees import clamped_degrees, feasible_degrees, harary_edges
 from sppm_pipeline.numerics.connecting.trees import canonical_edges, edge_lengths, images_per_pair
+from sppm_pipeline.numerics.metric import stretched_metric
 
 
 def spaced_points(n: int, seed: int, share: float = 0.6) -> np.ndarray:
@@ -280,3 +281,32 @@ def test_ring_graphs_have_their_degree_and_connectivity(n):
             assert networkx.edge_connectivity(networkx.Graph(pairs.tolist())) == degree
         if degree < n:
             assert len({tuple(pair) for pair in pairs.tolist()}) == len(pairs)
+
+
+@pytest.mark.parametrize("mode", ["exact", "greedy"])
+def test_stretched_pores_are_joined_as_the_plain_ones_they_stand_for(mode):
+    plain = np.random.default_rng(3).random((40, 3))
+    direction = np.array([1.0, 2, 2]) / 3
+    stretching = np.eye(3) + 0.9 * np.outer(direction, direction)
+    metric = stretched_metric(np.full(40, 1.9), np.tile(direction, (40, 1)))
+    wanted, _ = spanning_subgraph(plain, (3, 5), mode=mode)
+    found, _ = spanning_subgraph(plain @ stretching, (3, 5), mode=mode, metric=metric)
+    others, _ = spanning_subgraph(plain @ stretching, (3, 5), mode=mode)
+    assert np.array_equal(found, wanted)
+    assert not np.array_equal(others, wanted)
+
+
+def test_regions_of_stretched_pores_are_nearly_as_short_as_those_of_plain_ones(monkeypatch):
+    from sppm_pipeline.numerics.connecting import regional
+
+    monkeypatch.setattr(regional, "GREEDY_REGION", 150)
+    plain = np.random.default_rng(3).random((600, 3)) * 600 ** (1 / 3)
+    metric = stretched_metric(np.full(600, 0.5), np.tile([0.0, 0, 1], (600, 1)))
+    options = {"spacing": 1.0, "mode": "greedy", "k": 10}
+    lengths = []
+    for points, measured in ((plain, None), (plain * (1, 1, 0.5), metric)):
+        edges, shifts = regional.regional_subgraph(points, np.zeros(3), (3, 5), metric=measured, **options)
+        degree = np.bincount(edges.ravel())
+        assert (degree.min(), degree.max() <= 5) == (3, True)
+        lengths.append(edge_lengths(points, edges, shifts, measured).sum())
+    assert lengths[1] == pytest.approx(lengths[0], rel=0.02)

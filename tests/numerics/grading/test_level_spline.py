@@ -5,8 +5,14 @@ import pytest
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.grading.curve import porosity_curve
-from sppm_pipeline.numerics.grading.level_spline import LayerSpline, control_of_means, extended, spline_values
-from sppm_pipeline.numerics.grading.local_level import CellCodes, fit_level
+from sppm_pipeline.numerics.grading.level_spline import (
+    LayerSpline,
+    control_of_means,
+    control_with_some_held,
+    extended,
+    spline_values,
+)
+from sppm_pipeline.numerics.grading.local_level import CellCodes, fit_level, void_and_slope
 from sppm_pipeline.numerics.grading.local_means import block_counts, smoothed_means
 
 CONTROL = np.random.default_rng(3).normal(size=(3, 4, 1))
@@ -44,14 +50,41 @@ def test_means_of_cells_come_out_as_asked():
     assert np.abs(control - means).max() > 0.1
 
 
+def test_means_of_the_others_come_out_where_some_control_points_are_held():
+    rng = np.random.default_rng(6)
+    means, held = rng.normal(size=(4, 3, 2)), rng.random((4, 3, 2)) < 0.3
+    assert 3 < held.sum() < 12
+    control = control_with_some_held(means, held)
+    assert (control[held] == 0).all()
+    n = 40
+    values = spline_values(control, middles(n, 4), middles(n, 3), middles(n, 2))
+    found = values.reshape(2, n, 3, n, 4, n).mean((1, 3, 5)).T
+    assert np.abs(found - means)[~held].max() < 1e-3
+    assert np.allclose(control_with_some_held(means, np.zeros_like(held)), control_of_means(means), atol=1e-8)
+
+
 def test_layers_are_those_of_the_whole_and_depend_on_their_position_alone():
     x, y, z = middles(7, 3), middles(5, 4), np.linspace(-0.2, 1.2, 9)
     whole = spline_values(CONTROL, x, y, z)
-    layers = LayerSpline(CONTROL, x, y)
-    some = LayerSpline(CONTROL, x[4:9], y[3:])
+    layers, some = LayerSpline(CONTROL, x, y, z), LayerSpline(CONTROL, x[4:9], y[3:], z[4:])
+    rows, columns = slice(0, len(y)), slice(0, len(x))
     for k in (0, 4, 8):
-        assert np.allclose(layers.layer(z[k]), whole[k], atol=1e-6)
-        assert np.array_equal(some.layer(z[k]), layers.layer(z[k])[3:, 4:9])
+        found = layers.less(0.5, k, rows, columns)
+        assert np.allclose(0.5 - found, whole[k], atol=1e-6)
+        assert np.array_equal(layers.less(0.5, k, slice(3, 17), slice(4, 9)), found[3:17, 4:9])
+    assert np.array_equal(some.less(0.5, 4, slice(0, 17), slice(0, 5)), found[3:, 4:9])
+
+
+def test_samples_of_a_cell_are_counted_as_by_their_values():
+    rng = np.random.default_rng(7)
+    control = rng.normal(-1.4, 0.4, (3, 3, 3))
+    values = rng.normal(-1.4, 0.6, (6, 6, 6))
+    codes = CellCodes(lambda cell: (values, None), -1.4, 4.0, 1e9)
+    t = 1 + (np.arange(6) + 0.5) / 6
+    more = values - spline_values(control, t, t, t)
+    share, slope = void_and_slope(codes, control, (1, 1, 1), 0.2)
+    assert share == (more >= 0).mean()
+    assert slope == pytest.approx((np.abs(more) < 0.2).mean() / 0.4, abs=1e-9)
 
 
 def test_what_is_not_known_follows_its_neighbors():
@@ -109,6 +142,22 @@ def test_a_cell_that_would_leave_the_bounds_keeps_them_and_is_told():
     assert fit.at_bound.tolist() == [False, False, True]
     assert fit.control[2, 0, 0] == -1.0
     assert fit.errors[2] > 0.1
+    assert np.abs(fit.errors[:2]).max() <= 1e-3
+
+
+def test_cells_around_one_at_its_bound_converge_also_beside_cells_outside():
+    """What the cell lacks is no reason to change the level outside of the part, which would move its neighbors."""
+    cells = [(i, j, 0) for i in range(3) for j in range(3)]
+    values = porous(np.random.default_rng(2), cells, 16)
+    part = np.zeros((16, 16, 16), bool)
+    part[:, :, :8] = True
+    codes = CellCodes(lambda cell: (values(cell), part if cell[0] == 2 else None), -1.4, 4.0, 1e9)
+    targets = np.array([(values(c) >= -1.5)[part if c[0] == 2 else ...].mean() for c in cells])
+    targets[7] -= 0.2
+    fit = fit_level(codes, cells, targets, np.full((5, 3, 1), -1.4), (-3.0, -1.2), 0.05, 1e-3, 15)
+    assert fit.at_bound.tolist() == [m == 7 for m in range(9)]
+    assert np.abs(np.delete(fit.errors, 7)).max() <= 1e-3
+    assert fit.steps < 15
 
 
 def test_a_curve_is_inverted_and_says_where_it_cannot():

@@ -6,7 +6,7 @@ import pytest
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.engine.plan.inputs import declared_numbers, is_declared
-from sppm_pipeline.engine.run.sweep import numbers_of
+from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import json_text, jsonable
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_mesh

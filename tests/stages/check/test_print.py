@@ -12,7 +12,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.print_report import MEASURES, parse_rule
 from sppm_pipeline.data.printer import cards
 from sppm_pipeline.engine.plan.inputs import declared_numbers
-from sppm_pipeline.engine.run.sweep import numbers_of
+from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.slice_stack import ArraySlices, SliceStack

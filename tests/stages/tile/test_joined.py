@@ -14,6 +14,7 @@ from sppm_pipeline.families.local_porosity import LatticeCells
 from sppm_pipeline.fields.joined import kernel_sizes
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
@@ -180,12 +181,12 @@ def test_sets_that_do_not_fit(sets):
     other = sets[1].micro
     squared = replace(other.pieces, kernels=other.pieces.kernels._replace(profile="squared"))
     sized = [
-        replace(s, micro=replace(s.micro, cell=Cell(size, True))) for s, size in zip(sets, (5.0, 2.5), strict=True)
+        replace(s, micro=replace(s.micro, cell=Cell(size, True))) for s, size in zip(sets, (5.0, 3.0), strict=True)
     ]
     fresh = replace(sets[1], kind="fresh")
     for pair, words in (
         ((sets[0], replace(sets[1], micro=replace(other, pieces=squared))), "profile 'linear', those of the second"),
-        (sized, "5 mm large, one of the second 2.5 mm"), ((sets[0], fresh), "second set is of kind 'fresh'"),
+        (sized, "5 mm large, one of the second 3 mm"), ((sets[0], fresh), "second set is of kind 'fresh'"),
     ):  # fmt: skip
         with pytest.raises(ConfigError, match=words):
             JoinTileSets().run(PlainContext(), *pair)
@@ -193,3 +194,68 @@ def test_sets_that_do_not_fit(sets):
         JoinedTiling(cells=(2, 1, 1), cell=Length(5.0, "mm")).run(
             PlainContext(), JoinTileSets().run(PlainContext(), *sets), graded(porosity="0.5"), None
         )
+
+
+def on_face(made, axis, low):
+    """Pores of a mapped tiling in the unit square at `low` of a plane of its blocks, from its corner, and radii."""
+    pores, arrays = made.tileset.micro.graph.pores, made.arrays
+    site = np.argwhere(arrays.interior >= 0)[np.argsort(arrays.interior[arrays.interior >= 0])]
+    place = pores.centers + site[pores.piece] - arrays.halo - low
+    inside = (np.abs(place[:, axis]) < 1e-9) & (place >= -1e-9).all(1) & (place < 1).all(1)
+    return place[inside], kernel_sizes(made.tileset.micro)[0][inside]
+
+
+def test_a_large_cell_meets_the_united_patterns_of_small_ones(sets):
+    """1:2, the larger set first, then second: no face is changed, no seam, and each cell exact after tuning."""
+    sized = [
+        replace(s, micro=replace(s.micro, cell=Cell(size, True))) for s, size in zip(sets, (5.0, 2.5), strict=True)
+    ]
+    box = {"cells": (2, 1, 1), "rounds": 0}
+    alone = [tiling_of(laid(pair, "0*x", **box)).exactly().sample(12) for pair in (sized, sets)]
+    np.testing.assert_allclose(*alone, atol=1e-5)  # large cells alone are those of their set
+    for pair, weight, per_edge in ((sized, "step(8, x)", (1, 2)), (sized[::-1], "1 - step(8, x)", (2, 1))):
+        context = PlainContext()
+        assert JoinTileSets().run(PlainContext(), *pair).per_edge == per_edge
+        made = laid(pair, weight, context, cells=(3, 1, 1), rounds=3)
+        tiling = tiling_of(made)
+        tiling.check()
+        tiling.tileset.micro.graph.check()
+        large = per_edge.index(1)
+        found = context.reported["cells_first"], context.reported["cells_second"]
+        assert (found[large], found[1 - large], context.reported["transition_cells"]) == (1, 8, 1)
+        for plane, which, m in ((1, large, 1), (2, 1 - large, 2)):
+            micro = pair[which].micro
+            pores, omega = micro.graph.pores, kernel_sizes(micro)[0]
+            patterns = [pores.of_piece(pores.face_piece(0, color)) for color in range(pores.colors[0])]
+            points, widths = on_face(tiling, 0, np.array([plane, 0, 0]))
+            np.testing.assert_allclose(widths, omega[pores.indices(pores.face_piece(0, 0))[0]] * m**2)
+            for corner in np.ndindex(m, m):
+                own = m * points - np.array([0, *corner])
+                own = own[((own > -1e-9) & (own < 1 - 1e-9)).all(1)]
+                # pores on an edge of the cell may belong to another face
+                alone = own[(own[:, 1:] > 1e-9).all(1)]
+                fits = [
+                    np.isclose(p[:, None], own[None], atol=1e-9).all(2).any(1).all()
+                    and np.isclose(alone[:, None], p[None], atol=1e-9).all(2).any(1).all()
+                    for p in patterns
+                ]
+                assert any(fits)
+                assert len(alone)
+        e = 2e-7  # small tunnels are steep
+        for x in (1.0, 1.5, 2.0, 2.5):
+            jump = made.exactly().sample(Grid((x - e, 0.01, 0.02), (2 * e, 0.05, 0.05), (2, 20, 20)))
+            assert np.abs(jump[0] - jump[1]).max() < 1e-4
+    maps = graded(porosity="where(x > 10, 0.3, 0.6)" if large == 0 else "where(x > 10, 0.6, 0.3)")
+    tuned = TuneLocalPorosity(resolution=72, tolerance=0.001).run(PlainContext(), made, maps)
+    cells = LatticeCells(tuned, 91)
+    expected = [0.6, 0.6, 0.3] if large == 0 else [0.3, 0.3, 0.6]
+    np.testing.assert_allclose([cells.porosity(cell) for cell in cells.cells], expected, atol=0.001)
+    from scipy.ndimage import label
+
+    void = tuned.sample(40) >= 0
+    assert np.bincount(label(void)[0].ravel())[1:].max() > 0.985 * void.sum()
+    # levels stay below 1, so that all axes are void, and the graph is one
+    context = PlainContext()
+    CheckConnectivity(resolution=12).run(context, tuned)
+    assert context.reported["graph_parts"] == 1
+    assert np.exp(tuned.control.max()) < 1

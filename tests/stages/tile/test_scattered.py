@@ -17,10 +17,12 @@ from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import Sampler, start_of
 from sppm_pipeline.families.local_porosity import LatticeCells
+from sppm_pipeline.fields.live_view import _tiles
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.connectivity.components import phase_report
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.kernels.kernels import concatenated
+from sppm_pipeline.numerics.metric import matrices
 from sppm_pipeline.numerics.sampling.blocks import spacing_at_share
 from sppm_pipeline.stage import option
 from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity
@@ -33,7 +35,9 @@ from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
 from sppm_pipeline.stages.sample.elimination import Elimination
 from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+from sppm_pipeline.stages.tile.graded import GradedTiling
 from sppm_pipeline.stages.tile.scattered import ScatteredTiling
+from sppm_pipeline.stages.warp.cylinder import WarpCylinder
 from sppm_pipeline.testing.exact_sum import exact_sum
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
@@ -403,3 +407,113 @@ def test_samplers_of_others_follow_maps_block_by_block():
     counts = np.bincount(tiling.tileset.micro.graph.pores.piece)[tiling.arrays.box[:, 0, 0]]
     assert (np.diff(counts) > 0).all()
     assert context.reported["error_rms_of_rounds"][-1] < 0.04
+
+
+UPWARDS = ramp("direction_z", 2.0, 2.0, 1)
+
+
+def unstretched(tiling, stretch):
+    """Pores and tunnels with z in units of the stretch."""
+    first, second = tiling.tileset.micro.graph.segments()
+    return in_lattice(tiling) / (1, 1, stretch), (second - first) / (1, 1, stretch)
+
+
+@pytest.fixture(scope="module")
+def upwards():
+    return laid(ramp("stretch", 1.8, 1.8, 2), UPWARDS, cells=(2, 2, 2), porosity=0.5, rounds=1)[0]
+
+
+def test_stretched_pores_are_round_ones_at_unstretched_places(upwards):
+    kernels = upwards.tileset.micro.pieces.kernels
+    assert np.allclose(kernels.pore_metric, [1, 1, 1.8**-2, 0, 0, 0])
+    assert np.allclose(kernels.tunnel_metric, [1, 1, 1.8**-2, 0, 0, 0])
+    bare, _ = laid(ramp("stretch", 1.8, 1.8, 2), UPWARDS, cells=(2, 2, 2))
+    pores, tunnels = unstretched(bare, 1.8)
+    assert len(pores) == pytest.approx(64 * 30 / 1.8, abs=1)
+    spacing = spacing_at_share(30, 0.5)
+    apart, _ = cKDTree(pores).query(pores, 2)
+    assert 1 - 1e-9 <= apart[:, 1].min() / spacing < 1.02
+    i, j = cKDTree(pores).query_pairs(1.3 * spacing, output_type="ndarray").T
+    for steps in (tunnels, pores[i] - pores[j]):
+        mean = np.sqrt((steps**2).mean(0))
+        assert mean[2] / mean[:2] == pytest.approx([1, 1], rel=0.12)  # the box is lower than wide
+    degree = np.bincount(upwards.tileset.micro.graph.edges.ravel())
+    assert 3 <= degree.min() <= degree.max() <= 5
+
+
+def test_the_field_of_stretched_pores_is_the_sum_of_all_kernels(upwards):
+    micro, halo = upwards.tileset.micro, upwards.arrays.halo
+    sites = micro.graph.pores.blocks.sites
+    every = concatenated(micro.pieces[t].shifted(site - float(halo)) for t, site in enumerate(sites))
+    grid = Grid((0.03, 0.02, 0.51), (0.19, 0.23, 0.17), (9, 8, 5))
+    x, y, z = np.meshgrid(*(grid.axis(axis) for axis in range(3)), indexing="ij")
+    exact = exact_sum(every, np.stack([x, y, z], -1).reshape(-1, 3)) - micro.level
+    assert np.abs(upwards.sample(grid).ravel() - exact).max() < 1e-3
+    assert float((upwards.sample(cell_centers(24, (2, 2, 2))) >= 0).mean()) == pytest.approx(0.5, abs=0.02)
+    assert micro.reach == pytest.approx(1.8 * np.sqrt(np.log(1e5) / np.log(4)) * 0.14)
+    assert micro.finest_radius == pytest.approx(0.04)
+
+
+def test_a_stretch_that_varies_is_followed_on_any_number_of_threads():
+    maps = ramp("stretch", 0.7, 1.6, 2), UPWARDS, ramp("direction_x", 0.0, 2.0, 2)
+    one, many = (laid(*maps, cells=(2, 1, 1), threads=n)[0] for n in (1, 3))
+    assert one.digest() == many.digest()
+    place = np.clip(in_lattice(one)[:, 0] - 1, 0, 2)
+    stretch, across = 0.7 + 0.45 * place, place
+    unit = np.stack([across, 0 * place, 2 + 0 * place], 1) / np.hypot(across, 2)[:, None]
+    wanted = np.eye(3) + (stretch**-2 - 1)[:, None, None] * unit[:, :, None] * unit[:, None, :]
+    assert np.allclose(matrices(one.tileset.micro.pieces.kernels.pore_metric), wanted)
+    counts = np.bincount(one.tileset.micro.graph.pores.piece)[one.arrays.box[:, 0, 0]]
+    assert counts == pytest.approx([30 / 0.925, 30 / 1.375], rel=0.08)
+    blocks, points = one.tileset.micro.graph.pores.blocks, in_lattice(one)
+    nodes = [np.arange(n) / 4 for n in blocks.density.shape]
+    packing = blocks.density / np.sqrt(np.linalg.det(matrices(blocks.metric.reshape(-1, 6)))).reshape(
+        blocks.density.shape
+    )
+    metric = matrices(RegularGridInterpolator(nodes, blocks.metric)(points))
+    spacing = spacing_at_share(30, 0.5) * RegularGridInterpolator(nodes, packing)(points) ** (-1 / 3)
+    i, j = cKDTree(points).query_pairs(0.6, output_type="ndarray").T
+    step = points[i] - points[j]
+    apart = np.sqrt(np.einsum("na,nab,nb->n", step, (metric[i] + metric[j]) / 2, step)) / (spacing[i] + spacing[j]) * 2
+    assert 1 - 1e-9 <= apart.min() < 1.05
+
+
+def test_a_spacing_changes_the_number_of_pores_and_not_their_size():
+    usual = 4 * spacing_at_share(30, 0.5)
+    tiling, _ = laid(ramp("spacing", usual, usual / 2, 2), cells=(2, 1, 1))
+    pores, kernels = tiling.tileset.micro.graph.pores, tiling.tileset.micro.pieces.kernels
+    assert np.allclose(np.sqrt(np.log(4) / kernels.omega), 0.14)
+    points = in_lattice(tiling)
+    nearest = cKDTree(points).query(points, 2)[0][:, 1] * 4
+    x = np.clip(points[:, 0] - 1, 0, 2)
+    assert (nearest / (usual * (1 - x / 4))).min() > 0.9
+    counts = np.bincount(pores.piece)[tiling.arrays.box[:, 0, 0]]
+    assert counts / 30 == pytest.approx([1.55, 4.3], rel=0.1)  # the means of (1 - x / 4)^-3
+    with pytest.raises(ConfigError, match="both the map 'spacing' and a porosity"):
+        laid(ramp("spacing", usual, usual, 2), porosity=0.5)
+
+
+def test_who_knows_nothing_of_stretched_pores_refuses_them(upwards):
+    maps = ramp("stretch", 1.5, 1.5, 2), UPWARDS
+    with pytest.raises(ConfigError, match="no direction"):
+        laid(maps[0])
+    with pytest.raises(ConfigError, match="no map `stretch`"):
+        laid(UPWARDS)
+    with pytest.raises(DesignError, match=r"\(0, 0, 0\) everywhere"):
+        laid(maps[0], ramp("direction_x", 0.0, 0.0, 1))
+    with pytest.raises(DesignError, match=r"spacing reaches 1\.\d+ cell sizes"):
+        laid(ramp("stretch", 5.0, 5.0, 2), UPWARDS)
+    stage = ScatteredTiling(cells=(2, 1, 1), cell=Length(4, "mm"), trials=1)
+    for recipe, name in (
+        ((Counted(), *GRADED[1:]), "sample.counted"),
+        ((GRADED[0], RelativeNeighbors(), GRADED[2]), "connect.relative_neighbors"),
+    ):
+        with pytest.raises(ConfigError, match=f"{name} measures plain distances"):
+            stage.run(PlainContext(1), recipe_of(*recipe), None, Grading(maps))
+    with pytest.raises(ConfigError, match=r"`tile\.graded`.*'stretch'"):
+        GradedTiling(cells=(2, 1, 1), cell=Length(4, "mm")).run(
+            PlainContext(1), recipe_of(*GRADED), Grading((ramp("porosity", 0.4, 0.5, 2), *maps)), None
+        )
+    with pytest.raises(ConfigError, match="can't be warped"):
+        WarpCylinder(inner_radius=Length(5, "mm")).run(PlainContext(1), upwards)
+    assert _tiles(upwards.tileset) == []

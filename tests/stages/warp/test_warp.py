@@ -13,6 +13,7 @@ from sppm_pipeline.numerics.grading.hexahedra import block_of, mapped_in_block
 from sppm_pipeline.numerics.grading.nearest import element_tree, locate
 from sppm_pipeline.numerics.grading.samples import as_tetrahedra
 from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
@@ -125,6 +126,8 @@ def test_a_tube_keeps_its_porosity_ring_by_ring(tileset):
         found[sizes] = np.array(
             [void[(r >= radius + k * EDGE) & (r < radius + (k + 1) * EDGE)].mean() for k in range(2)]
         )
+    CheckConnectivity(resolution=8).run(context, made)
+    assert context.reported["graph_parts"] == 1
     np.testing.assert_allclose(found["cell"], flat, atol=0.015)
     assert found["fixed"][0] > flat[0] + 0.05
     assert found["fixed"][1] < flat[1] - 0.05

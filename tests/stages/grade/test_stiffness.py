@@ -1,0 +1,106 @@
+"""``grade.stiffness``: from wished moduli to porosities by a curve, and back to the moduli of what was made."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.grading import FormulaLaw, Grading
+from sppm_pipeline.data.storage import load_value, save_value
+from sppm_pipeline.errors import ConfigError, DesignError, InputError
+from sppm_pipeline.fields.formula import FormulaField
+from sppm_pipeline.numerics.grading.curve import stiffness_curve
+from sppm_pipeline.stages.check.local_porosity import CheckLocalPorosity
+from sppm_pipeline.stages.grade.stiffness import GradeStiffness
+from sppm_pipeline.testing.plain_context import PlainContext
+
+PAIRS = ((0.3, 0.5), (0.5, 0.2), (0.7, 0.04))
+
+
+def wished(text):
+    return Grading((FormulaLaw("stiffness", "MPa", text, (), (), None, None),))
+
+
+def graded(text, **options):
+    stage = GradeStiffness(**({"values": PAIRS} | options))
+    stage.check_options()
+    context = PlainContext()
+    made = stage.run(context, wished(text), None)
+    made.check()
+    return made, context.reported
+
+
+def test_moduli_of_the_cells_give_their_porosities_and_others_lie_between():
+    made, reported = graded("x", young=1000.0)
+    at = np.array([[500.0, 0, 0], [200, 0, 0], [40, 0, 0], [100, 0, 0]])
+    porosity = made["porosity"].at(at)
+    assert porosity[:3] == pytest.approx([0.3, 0.5, 0.7], abs=1e-9)
+    assert 0.5 < porosity[3] < 0.7
+    assert made["porosity"].range == (0.3, 0.7)
+    assert (reported["modulus_min"], reported["modulus_max"], reported["cells"]) == (
+        pytest.approx(40), pytest.approx(500), 3,
+    )  # fmt: skip
+    # the curve back, and to a file and back
+    assert made.law("porosity").curve.modulus(porosity) == pytest.approx(at[:, 0], rel=1e-9)
+
+
+def test_a_modulus_beyond_the_curve_is_refused_with_its_place(tmp_path):
+    made, _ = graded("where(x < 3, 0.1, 0.7)")
+    with pytest.raises(DesignError, match=r"'stiffness' asks for a modulus of 0.7 at \(4, 1, 2\) mm, and at 1 of 2"):
+        made["porosity"].at([[1.0, 0, 0], [4.0, 1, 2]])
+    files = save_value(made, tmp_path)
+    again = load_value(tmp_path, {file.name: file for file in files})
+    assert again["porosity"].at([[1.0, 0, 0]]) == pytest.approx(made["porosity"].at([[1.0, 0, 0]]))
+
+
+def test_cells_that_scatter_are_averaged_to_a_curve_that_falls():
+    rng = np.random.default_rng(3)
+    porosity = rng.uniform(0.3, 0.8, 300)
+    moduli = (1 - porosity) ** 2.5 * np.exp(rng.normal(0, 0.15, 300))
+    curve = stiffness_curve(porosity, moduli)
+    assert (np.diff(curve.moduli) < 0).all()
+    assert (np.diff(curve.porosities) > 0).all()
+    p = np.linspace(curve.porosities[0], curve.porosities[-1], 30)
+    assert np.abs(curve.modulus(p) / (1 - p) ** 2.5 - 1).max() < 0.12
+    assert curve.deviation == pytest.approx(0.15, abs=0.02)
+    assert np.isnan(curve.modulus(np.array([0.1, 0.95]))).all()
+    with pytest.raises(DesignError, match="does not fall"):
+        stiffness_curve(np.array([0.3, 0.5]), np.array([1.0, 2.0]))
+
+
+def test_a_sweep_is_read_and_what_cannot_be_used_is_told(tmp_path):
+    path = tmp_path / "sweep.csv"
+    path.write_text(
+        "run,status,elastic.porosity,elastic.E\na,done,0.3,0.5\nb,failed,,\nc,done,0.7,0.04\nd,done,0.5,0.2\n"
+    )
+    columns = ("elastic.porosity", "elastic.E")
+    made, reported = graded("0.2 + 0*x", values=(), path=path, columns=columns)
+    assert reported["cells"] == 3
+    assert made["porosity"].at([[0.0, 0, 0]]) == pytest.approx([0.5])
+    for options, kind, words in (
+        ({"path": path}, ConfigError, "either a file"), ({"values": ()}, ConfigError, "either a file"),
+        ({"values": (), "path": path, "columns": ("a",)}, ConfigError, "it takes two"),
+        ({"values": ((1.2, 3.0), (0.3, 4.0))}, InputError, "porosity 1.2 has the modulus 3"),
+        ({"values": ((0.3, 4.0),)}, InputError, "1 cells are no curve"),
+        ({"wanted": "stifness"}, ConfigError, "no map 'stifness'"),
+    ):  # fmt: skip
+        with pytest.raises(kind, match=words):
+            graded("x", **options)
+
+
+class Half(FormulaField):
+    """Solid below z = 0.5 in every cell, void above."""
+
+    def evaluate(self, x, y, z):
+        return np.mod(z, 1.0) - 0.5 + 0 * x * y
+
+
+def test_the_check_tells_the_modulus_of_what_was_made(tmp_path):
+    made, _ = graded("0.2 + 0.1*step(2, x)")  # porosities of 0.5, and of less in the second cell
+    context = PlainContext(directory=tmp_path)
+    CheckLocalPorosity(resolution=16, path="out").run(context, Half(edge=2.0, region=(2, 1, 1)), made)
+    rows = list(csv.DictReader((tmp_path / "out" / "cells.csv").read_text().splitlines()))
+    assert [float(row["modulus"]) for row in rows] == pytest.approx([0.2, 0.2], rel=1e-5)
+    assert [float(row["modulus_target"]) for row in rows] == pytest.approx([0.2, 0.3], rel=0.02)
+    assert context.reported["modulus_error_max"] == pytest.approx(1 / 3, rel=0.03)
+    assert {"stiffness.vti", "stiffness.png"} <= {p.name for p in (tmp_path / "out").iterdir()}
