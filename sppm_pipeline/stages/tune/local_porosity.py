@@ -29,7 +29,7 @@ LOWEST, HALF_RANGE = 0.05, 4.0
 NEAR = 0.05
 """Samples whose ln G is so near to ln C tell how the porosity changes with the level."""
 
-CHECKED = 64
+CHECKED = 32
 """Cells, spread over the part, that are measured again on a finer grid."""
 
 

@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.families import options
+from sppm_pipeline.families.crusher import Crusher
 from sppm_pipeline.families.tuner import Tuner
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, Recipe, option
-from sppm_pipeline.stages.crush.voxel import Crusher
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +31,7 @@ class TunePlateau(Crusher, Tuner):
     )  # fmt: skip
 
     strain: float = option(0.4, help="strain at the end", minimum=0.4, maximum=0.8)
+    least_strain: float = options.least_strain(0.4, note="by every block", minimum=0.4)
     target: float = options.target(note="plateau stress, in the unit of `young`", maximum=1e15)
     accuracy: float = options.accuracy(0.05, note="the plateau stress")
 

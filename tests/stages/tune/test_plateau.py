@@ -59,5 +59,5 @@ def test_a_wished_plateau_is_met():
 
 
 def test_what_can_not_be_reached_says_so():
-    with pytest.raises(DesignError, match=r"plateau stress 1 was not met for porosity from 0\.3 to 0\.85"):
+    with pytest.raises(DesignError, match=r"plateau stress 1 is not reachable for porosity from 0\.3 to 0\.85"):
         TunePlateau(target=1.0, first=2, **OPTIONS).run(PlainContext(), Columns())
