@@ -98,6 +98,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: write.graph}
   - {stage: write.network, resolution: $r, cell: 5 mm}
   - {stage: write.picture, resolution: $r, image_size: [$p, $p]}
+  - {stage: extract.phases, resolution: $r, coating: 0.05, filling: true}
   - {stage: extract.voxels, resolution: $r}
   - {stage: write.npy}
   - {stage: write.tiff}
@@ -173,6 +174,14 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         {**SIZES, "r": (16, 16, 24, 40), "h": (8, 12, 16, 24)},
     ),
+    "property": (
+        "recipes:\n  cell:" + CELL + """  - {stage: check.porosity, resolution: $r}
+pipeline:
+  - {stage: tune.property, recipe: cell, of: check.porosity.porosity, target: 0.5, vary: field.gaussian.level, low: 0.1,
+     high: 0.6, accuracy: 0.4}
+""",
+        {**SIZES, "r": (8, 8, 12, 16)},
+    ),
     "tile sets": (
         TILES + """
   - {stage: tileset.wang_3color, id: wang, recipe: cell, colors: $c, porosity: 0.6, resolution: $r, tolerance: 0.05}
@@ -222,6 +231,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
   - {stage: grade.table, of: stress, along: x, values: [[-10, 0], [10, 40]]}
   - {stage: grade.distance, of: depth}
   - {stage: grade.formula, of: weight, formula: "smoothstep(2, 8, x) + 0*depth*stress"}
+  - {stage: grade.stiffness, of: soft, wanted: stress, values: [[0.3, 9], [0.8, 1]]}
   - {stage: tileset.free_faces, id: one, recipe: cell, colors: 1, interiors: 2, resolution: 16}
   - {stage: tileset.free_faces, id: two, recipe: cell, colors: 1, interiors: 2, resolution: 16}
   - {stage: tileset.join, from: {first: one, second: two}}
@@ -289,11 +299,12 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
     - {stage: tune.porosity, recipe: cell, target: 0.5, resolution: 24, tolerance: 0.01}
 pipeline:
   - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24, tolerance: 0.01}
-  - {stage: crush.voxel, resolution: $h, rate: 0.02, yield_stress: 0.02}
+  - {stage: crush.voxel, id: crush, resolution: $h, rate: 0.02, yield_stress: 0.02}
+  - {stage: write.frames, from: crush, image_size: [$w, $w]}
   - {stage: tune.plateau, recipe: tuned, resolution: $h, rate: 0.02, yield_stress: 0.02, low: 0.4, high: 0.7, first: 3,
      target: 0.003, accuracy: 0.49}
 """,
-        {"n": (20, 20, 20, 20), "h": (8, 10, 16, 24)},
+        {"n": (20, 20, 20, 20), "h": (8, 10, 16, 24), "w": (100, 200, 400, 300)},
     ),
     "curves": (
         """pipeline:

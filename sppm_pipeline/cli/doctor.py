@@ -22,10 +22,13 @@ def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     add_plugins(parser)
     parser.add_argument("--json", action="store_true", help="print as JSON")
+    parser.add_argument("--kernels", action="store_true", help="compile the kernels of common pipelines first")
 
 
 def execute(args: Namespace) -> int:
     """Print the findings; 1 if something is wrong."""
+    if args.kernels:
+        _compile()
     findings = [*_python(), *_packages(), *_machine(), *_kernel_cache(), *_plugins(args)]
     if args.json:
         print(json.dumps([{"ok": ok, "what": what, "found": found} for ok, what, found in findings], indent=1))
@@ -34,6 +37,24 @@ def execute(args: Namespace) -> int:
         for ok, what, found in findings:
             print(f"{'ok  ' if ok else 'BAD '} {what:{width}s}  {found}")
     return 0 if all(ok for ok, _, _ in findings) else 1
+
+
+def _compile() -> None:
+    """Compile what is not kept yet, on all processors."""
+    from sppm_pipeline.cli.kernels import CompileAhead, listed_kernels, missing
+    from sppm_pipeline.cli.progress import ProgressLines
+    from sppm_pipeline.engine.run.runner import available_threads
+
+    if not (kernels := missing(listed_kernels())):
+        return
+    ahead = CompileAhead(kernels, available_threads(), {})
+    lines = ProgressLines(sys.stderr) if sys.stderr is not None else None
+    try:
+        ahead.wait(None, lines.compiling if lines else lambda done, total: None)
+    finally:
+        ahead.close()
+        if lines:
+            lines.close()
 
 
 def _python() -> Iterator[Finding]:
@@ -78,12 +99,16 @@ def _machine() -> Iterator[Finding]:
 
 def _kernel_cache() -> Iterator[Finding]:
     """Where compiled kernels are kept."""
+    from sppm_pipeline.cli.kernels import listed_kernels, missing
     from sppm_pipeline.numerics.kernel_cache import kernel_cache_root
 
     folder = kernel_cache_root()
     writable, found = _writable(folder)
     kernels = sum(1 for _ in folder.rglob("*.nbi"))
-    state = f"{kernels} kernels compiled" if kernels else "empty: the first run compiles for some seconds"
+    state = f"{kernels} kernels compiled" if kernels else "empty"
+    listed = listed_kernels()
+    if left := missing(listed):
+        state += f"; {len(left)} of {len(listed)} that are common are not, which `sppm doctor --kernels` compiles"
     yield writable, "kernel cache", f"{folder}: {found}, {state}"
 
 

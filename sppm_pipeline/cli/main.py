@@ -30,6 +30,7 @@ VERBS = {
     "plugins": "list plugins, and with --check why some cannot be loaded",
     "report": "write one HTML file that shows a run directory, to be mailed",
     "view": "show a run directory in the browser",
+    "studio": "design a cell in the browser, and save it as a configuration",
     "verify": "check that a run directory still holds what was written, to the byte",
     "cache": "show, check or shrink what is kept between runs",
     "new": "write a first pipeline, or the skeleton of a plugin",
@@ -242,6 +243,8 @@ def _print_chain(error: BaseException) -> None:
 
 def _exit_message(words: list[str]) -> str:
     """That the work has ended early, and of a run how to go on with it."""
+    if words[:1] == ["studio"]:
+        return "the studio has ended"
     kept = words[:1] == ["run"] and "--no-cache" not in words and os.environ.get("SPPM_CACHE", "").lower() != "off"
     return "interrupted" + ("; the same command again goes on with the stages that had ended" if kept else "")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,7 @@ from sppm_pipeline.cli.limits import add_limits, limits_of, seconds
 from sppm_pipeline.errors import SppmError
 
 if TYPE_CHECKING:
+    from sppm_pipeline.cli.kernels import Waiting
     from sppm_pipeline.stage import Headline
 
 
@@ -38,10 +40,13 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--retries", type=_retries, metavar="N", default=2, help="runs again of a row whose worker died; 2 if omitted"
     )
+    parser.add_argument("--same-processor", action="store_true", help="refuse workers on another kind of processor")
     parser.add_argument("-k", "--keep-going", action="store_true", help="exit with 0 though runs of a sweep failed")
     add_cache(parser)
     parser.add_argument("-n", "--dry-run", action="store_true", help="check everything, run nothing")
     parser.add_argument("-q", "--quiet", action="store_true", help="no progress on stderr")
+    parser.add_argument("-v", "--verbose", action="store_true", help="a line with date and time for each event")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="add these lines to a file")
     parser.add_argument("--json", action="store_true", help="print the run record as JSON")
     parser.add_argument("--report", action="store_true", help="write report.html as well, as `sppm report` does")
 
@@ -73,24 +78,21 @@ def _execute(args: Namespace) -> int:
         from sppm_pipeline.cli import check
 
         return check.execute(args)
-    from sppm_pipeline.cli.progress import ProgressLines
+    from sppm_pipeline.cli.kernels import compiling_ahead
     from sppm_pipeline.engine.cache.housekeeping import open_store
     from sppm_pipeline.engine.plan.session import checked, refuse_unfit
-    from sppm_pipeline.engine.run.events import Monitor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
-    monitor: Monitor = Monitor() if args.quiet or sys.stderr is None else ProgressLines(sys.stderr)
-    if isinstance(monitor, ProgressLines):
-        from sppm_pipeline.numerics.kernel_cache import on_first_compilation
-
-        on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
     session = open_from(args)
     plan, rows = checked(session, args.until)
     path = args.output or Path("runs") / plan.name
     refuse_unfit(session, plan, rows, path, workers=args.jobs, until=args.until)
     threads = args.threads or available_threads()
     cache = cache_of(args)
+    stack = contextlib.ExitStack()
+    monitor = _monitor(args, stack)
     try:
+        ahead = stack.enter_context(compiling_ahead(plan, monitor, threads))
         if session.configuration.sweep is None:
             record = run_plan(
                 plan,
@@ -104,6 +106,8 @@ def _execute(args: Namespace) -> int:
         else:
             from sppm_pipeline.engine.run.sweep import run_sweep
 
+            if ahead is not None:  # its rows run elsewhere
+                ahead.wait(None, monitor.compiling)
             record = run_sweep(
                 session,
                 plan,
@@ -115,6 +119,7 @@ def _execute(args: Namespace) -> int:
                 monitor=monitor,
                 cache=cache,
                 retries=args.retries,
+                same_processor=args.same_processor,
             )
     except Exception as error:
         if args.json and hasattr(error, "record"):
@@ -124,8 +129,7 @@ def _execute(args: Namespace) -> int:
                 _write_report(args, path)
         raise
     finally:
-        if isinstance(monitor, ProgressLines):
-            monitor.close()
+        stack.close()
     if args.report:
         _write_report(args, path)
     if args.json:
@@ -137,6 +141,22 @@ def _execute(args: Namespace) -> int:
         codes = {run["error"]["exit_code"] for run in failed}
         return codes.pop() if len(codes) == 1 else 3
     return 0
+
+
+def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
+    """What shows the run, closed by `stack`."""
+    from sppm_pipeline.cli.kernels import Waiting
+    from sppm_pipeline.cli.progress import ProgressLines
+    from sppm_pipeline.numerics.kernel_cache import on_first_compilation
+
+    log = stack.enter_context(args.log.open("a", encoding="utf-8")) if args.log else None
+    stream = None if args.quiet else sys.stderr
+    if stream is None and log is None:
+        return Waiting()
+    monitor = ProgressLines(stream or io.StringIO(), verbose=args.verbose and stream is not None, log=log)
+    stack.callback(monitor.close)
+    on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
+    return monitor
 
 
 def _write_report(args: Namespace, path: Path) -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sppm_pipeline.cli import report
 from sppm_pipeline.engine.config.names import REPORT
+
+if TYPE_CHECKING:
+    from sppm_pipeline.live.serving import LocalHandler
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -45,46 +48,20 @@ def is_current(directory: Path, target: Path) -> bool:
 
 
 def serve(target: Path, port: int) -> None:
-    """Serve one page to this machine until interrupted, under an address that others can't guess.
+    """Serve one page to this machine until interrupted; see `LocalServer`."""
+    from sppm_pipeline.live.serving import LocalServer
 
-    Raises
-    ------
-    ResourceError
-        If the port can't be had.
-    """
-    import secrets
-
-    from sppm_pipeline.errors import ResourceError
-
-    token = secrets.token_urlsafe(16)
-    try:
-        server = ThreadingHTTPServer(("127.0.0.1", port), handler_of(target, token))
-    except (OSError, OverflowError) as error:
-        raise ResourceError(f"--port: {port} can't be used: {error}", hint="leave it out for a free one") from error
-    print(f"http://127.0.0.1:{server.server_port}/{token}/ until Ctrl-C", flush=True)
-    with server:
-        server.serve_forever()
+    LocalServer(port, handler_of(target)).serve()
 
 
-def handler_of(target: Path, token: str) -> type[BaseHTTPRequestHandler]:
-    """Answers for one page: the token must be in the path, and the host that was asked for must be this machine."""
+def handler_of(target: Path) -> type[LocalHandler]:
+    """Answers for one page."""
+    from sppm_pipeline.live.serving import LocalHandler
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(LocalHandler):
         def do_GET(self) -> None:
-            host = self.headers.get("Host", "").rsplit(":", 1)[0]
-            # a foreign name that leads here is a page that wants to read this one (DNS rebinding)
-            if host not in ("127.0.0.1", "localhost") or self.path != f"/{token}/":
-                self.send_error(403)
-                return
-            data = target.read_bytes()
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(data)))
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
-            self.wfile.write(data)
-
-        def log_message(self, format: str, *args: object) -> None:
-            """Nothing: the token would be written down."""
+            if (place := self.place()) is not None:
+                found = not place
+                self.answer(200 if found else 404, "text/html", target.read_bytes() if found else b"404\n")
 
     return Handler

@@ -9,12 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.stiffness import StiffnessReport
+from sppm_pipeline.data.volume_mesh import VolumeMesh
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.microstructure import CUTOFF, Microstructure
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.live.data import encode_view
+from sppm_pipeline.live.meshes import mesh_view
 from sppm_pipeline.live.page import live_page
 from sppm_pipeline.numerics.assembly.contents import lone_periodic_cell, site_pieces, sites_between
 from sppm_pipeline.numerics.grid import Grid, cell_centers
@@ -46,23 +51,49 @@ MAX_KERNELS = 40_000
 """Kernels of a tile set that are handed to the browser."""
 
 
-def view_of(what: ScalarField | TileSet, *, samples: int = SAMPLES, threads: int = 1) -> bytes:
-    """The view file of a field or tile set.
+Viewed = ScalarField | TileSet | SurfaceMesh | VolumeMesh | StiffnessReport
+"""What has a live view."""
+
+
+def view_of(what: Viewed, *, samples: int = SAMPLES, threads: int = 1) -> bytes:
+    """The view file of a field, tile set, mesh or stiffness.
 
     A periodic cell, and the tiles of a set, are handed over as kernels: pore and tunnel radii can then be changed in
-    the browser. Any other field is sampled.
+    the browser. Any other field is sampled. Of a volume mesh the boundary is shown, of a stiffness the surface whose
+    distance from the middle is Young's modulus in that direction.
 
     Parameters
     ----------
-    what : ScalarField or TileSet
+    what : ScalarField, TileSet, SurfaceMesh, VolumeMesh or StiffnessReport
     samples : int
         At most so many samples, as far as the field fills its box.
     threads : int
     """
+    if isinstance(what, (SurfaceMesh, VolumeMesh, StiffnessReport)):
+        return _mesh_view(what)
     tiles = _tiles(what)
     if tiles and sum(len(tile.omega) + len(tile.mu) for tile in tiles) <= MAX_KERNELS:
         return _kernel_view(what, tiles, threads)
     return _sampled_view(what.micro.alone(0, (0, 0, 0)) if isinstance(what, TileSet) else what, samples, threads)
+
+
+def _mesh_view(what: SurfaceMesh | VolumeMesh | StiffnessReport) -> bytes:
+    if isinstance(what, SurfaceMesh):
+        vertices, faces, title, unit = what.vertices, what.faces, what.name, "mm"
+    elif isinstance(what, VolumeMesh):
+        from sppm_pipeline.numerics.tetrahedra.faces import boundary_triangles, face_neighbors
+
+        faces = boundary_triangles(what.cells, face_neighbors(what.cells))
+        vertices, title, unit = what.nodes, f"surface of the {what.name}", "mm"
+    else:
+        from sppm_pipeline.numerics.homogenization.stiffness.directional import sphere_mesh, young_along
+
+        sphere, faces = sphere_mesh(5)
+        vertices = sphere * young_along(what.stiffness, sphere)[:, None]
+        title, unit = "Young's modulus by direction", what.unit or "of the solid's"
+    if not len(faces):
+        raise DesignError(f"the {title} has no triangles, so that there is nothing to be shown")
+    return mesh_view(vertices, faces, title=title, unit=unit)
 
 
 def live_frame(what: ScalarField | TileSet) -> str:
@@ -77,8 +108,8 @@ def live_frame(what: ScalarField | TileSet) -> str:
 def _tiles(what: ScalarField | TileSet) -> list[Kernels]:
     """The kernels of each tile among copies of itself, shared faces once; none of what is no sum of its own."""
     micro = what.micro if isinstance(what, TileSet) else what
-    if not isinstance(micro, Microstructure) or not micro.additive:
-        return []
+    if not isinstance(micro, Microstructure) or not micro.additive or micro.stretched:
+        return []  # the browser sums round kernels alone
     if not isinstance(what, TileSet) and (micro.interiors > 1 or max(micro.colors) > 1):
         return []
     combinations = what.combinations() if isinstance(what, TileSet) else None
@@ -161,6 +192,8 @@ def _lattice(field: ScalarField) -> tuple[dict[str, Any], dict[str, NDArray[Any]
     if isinstance(field, Part) and (field.skin_mm or len(field.drains) or len(field.fills)):
         return None
     pieces, arrays = tiling.tileset.micro.pieces, tiling.arrays
+    if tiling.tileset.micro.stretched:
+        return None
     k = pieces.kernels
     if max(pieces.interiors, pieces.colors) >= NO_PIECE or len(k.omega) + len(k.mu) > MAX_KERNELS:
         return None

@@ -18,8 +18,9 @@ from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.wrapped import WrappedField
 from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays, connector_code, lone_periodic_cell
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels, kernel_reaches
+from sppm_pipeline.numerics.kernels.kernels import Kernels, kernel_reaches, steepest
 from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
+from sppm_pipeline.numerics.metric import check_metric
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
@@ -90,6 +91,11 @@ class Microstructure(KernelSum):
                 raise ValueError(f"the {what} are {array.dtype} {array.shape}, expected float64 {shape}")
         if min(k.omega.min(initial=1), k.mu.min(initial=1)) <= 0:
             raise ValueError("the parameters omega and mu of kernels are positive")
+        if (k.pore_metric is None) != (k.tunnel_metric is None):
+            raise ValueError("pores and tunnels both have metrics, or none")
+        for metric, n in ((k.pore_metric, len(k.omega)), (k.tunnel_metric, len(k.mu))):
+            if metric is not None:
+                check_metric(metric, n)
 
     @property
     def cells(self) -> tuple[int, int, int]:
@@ -106,8 +112,13 @@ class Microstructure(KernelSum):
 
     @property
     def finest_radius(self) -> float | None:
-        mu, profile = self.pieces.kernels.mu, self.pieces.kernels.profile
-        return TUNNEL_PROFILES[profile].radius(float(mu.max()), self.level) if len(mu) and self.level < 1 else None
+        (_, mu), profile = steepest(self.pieces.kernels), self.pieces.kernels.profile
+        return TUNNEL_PROFILES[profile].radius(mu, self.level) if mu and self.level < 1 else None
+
+    @property
+    def stretched(self) -> bool:
+        """Whether kernels measure distances in metrics of their own."""
+        return self.pieces.kernels.pore_metric is not None
 
     @property
     def edge_mm(self) -> float | None:
@@ -170,8 +181,7 @@ class Microstructure(KernelSum):
         if self.exact or not LOWEST_LEVEL <= self.level < 1:
             return None
         kernels = self.pieces.kernels
-        omega, mu = (float(values.max(initial=0)) for values in (kernels.omega, kernels.mu))
-        return finest_pitch(omega, mu, kernels.profile, self.level)
+        return finest_pitch(*steepest(kernels), kernels.profile, self.level)
 
     def kernel_sums(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.artifact import NOTEBOOK_SIZE, png_of
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.fields.field_surface import node_grid
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.part import Part
@@ -239,15 +240,62 @@ def mesh_picture(
     threads: int = 1,
 ) -> NDArray[np.uint8]:
     """The triangles of a mesh, seen from both sides; (height, width, 3), or 4 with a transparent background."""
+    return _triangles(mesh.vertices, mesh.faces, None, 1.0, size, camera, annotate, background, threads)
+
+
+def voxel_picture(
+    image: Voxels,
+    size: tuple[int, int],
+    camera: Camera,
+    *,
+    section: float | None = None,
+    section_along: str = "y",
+    annotate: bool = False,
+    background: Background = "light",
+    threads: int = 1,
+) -> NDArray[np.uint8]:
+    """The voxels of an image that are not void, in colors of their phases, as `mesh_picture` shows triangles.
+
+    Only every second or third voxel of larger images than `MAX_SAMPLES` is looked at; no pixel would show the rest.
+    """
+    from sppm_pipeline.render.voxel_view import phase_surface
+
+    phases = image.solid().view(np.uint8) if image.fractions else np.asarray(image.values, np.uint8)
+    step = math.ceil((phases.size / MAX_SAMPLES) ** (1 / 3))
+    phases = phases[::step, ::step, ::step]
+    if section is not None:
+        axis = "xyz".index(section_along)
+        n = phases.shape[axis]
+        phases = np.take(phases, range(min(n - 1, round((1 - section) * n)), n), axis)
+    x, y, z = (step * h for h in image.spacing)
+    vertices, faces, colors = phase_surface(phases, (x, y, z))
+    unit_mm = 1.0 if image.physical else None
+    return _triangles(vertices, faces, colors, unit_mm, size, camera, annotate, background, threads)
+
+
+def _triangles(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.integer],
+    colors: NDArray[np.uint8] | None,
+    unit_mm: float | None,
+    size: tuple[int, int],
+    camera: Camera,
+    annotate: bool,
+    background: Background,
+    threads: int,
+) -> NDArray[np.uint8]:
+    """Triangles, in colors of their own or not, and where they are wanted axes and a scale bar."""
     from sppm_pipeline.render.camera import framed
     from sppm_pipeline.render.mesh_view import render_mesh
     from sppm_pipeline.render.sheets import annotated
 
-    picture = render_mesh(mesh.vertices, mesh.faces, camera=camera, size=size, background=background, threads=threads)
-    if not (annotate and len(mesh.faces)):
+    picture = render_mesh(
+        vertices, faces, camera=camera, size=size, face_colors=colors, background=background, threads=threads
+    )
+    if not (annotate and len(faces)):
         return picture
-    frame = framed(camera, mesh.vertices[np.unique(mesh.faces)], size)
-    return annotated(picture, frame, 1.0, dark=background == "dark")
+    frame = framed(camera, vertices[np.unique(faces)], size)
+    return annotated(picture, frame, unit_mm, dark=background == "dark")
 
 
 def tile_sheet(

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.printer import Printer
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.slice_stack import Slab, SliceStack
+from sppm_pipeline.fields.spool import Spool
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
@@ -25,15 +25,21 @@ SLAB_PIXELS = 2**22
 VOTED_PIXELS = 2**25
 """The same for a vote of rays, which looks at all triangles for every slab."""
 
-KEPT_BITS = 2**30
-"""Stacks up to this many samples are kept, one bit each, between the two passes that remove islands."""
+
+class _Kept:
+    """What has been found out once: the layers without islands, and what was said of them."""
+
+    layers: Spool | None = None
+    islands: dict[str, Any]
+    told: dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SampledSlices(SliceStack):
     """Base of layers decided at the mid-height of each, at the middle of the pixels or of their parts.
 
-    A subclass says where it is solid. Islands are removed in a pass ahead of the delivering one.
+    A subclass says where it is solid. Islands are removed in a pass ahead of the delivering one; the layers are kept
+    in between, and from then on for whoever else reads them, so that nothing is evaluated twice.
 
     Attributes
     ----------
@@ -59,6 +65,7 @@ class SampledSlices(SliceStack):
     subsamples: int = 1
     sublayers: int = 1
     machine: Printer | None = None
+    _kept: _Kept = field(default_factory=_Kept, init=False, compare=False, repr=False)
 
     @property
     def printer(self) -> Printer | None:
@@ -135,27 +142,34 @@ class SampledSlices(SliceStack):
         if self.islands == "keep":
             yield from self.decided(threads, told)
             return
+        if self._kept.layers is not None:
+            found |= self._kept.islands
+            told |= self._kept.told
+            kept = self._kept.layers
+            yield from (kept.slab(number) for number in range(len(kept)))
+            return
         from sppm_pipeline.numerics.connectivity.streaming import IslandFilter
 
-        nx, ny, nz = self.samples.shape
-        keep_bits = nx * ny * nz <= KEPT_BITS
-        kept: list[tuple[int, NDArray[np.uint8], tuple[int, ...]]] = []
+        nx, ny, _ = self.samples.shape
+        spool = Spool()
         islands = IslandFilter(ny, nx)
         for start, solid in self.decided(threads, told):
             islands.observe(solid)
-            if keep_bits:
-                kept.append((start, np.packbits(solid), solid.shape))
+            spool.append(start, solid)
         statistics = islands.finish("largest")
         found["components"] = statistics.components
         found["removed_share"] = statistics.removed_share
         found["spans"] = list(statistics.spans)
-        again: Iterator[Slab] = (
-            ((start, np.unpackbits(bits, count=int(np.prod(shape))).reshape(shape)) for start, bits, shape in kept)
-            if keep_bits
-            else self.decided(threads, told)
-        )
-        for start, solid in again:
-            yield start, islands.clear(solid)
+        if not spool.whole:
+            for start, solid in self.decided(threads, told):
+                yield start, islands.clear(solid)
+            return
+        for number in range(len(spool)):
+            start, solid = spool.slab(number)
+            spool.replace(number, islands.clear(solid, out=solid))
+            yield start, solid
+        self._kept.islands, self._kept.told = dict(found), dict(told)
+        self._kept.layers = spool
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -15,6 +15,7 @@ from sppm_pipeline.data.artifact import Artifact, frozen
 from sppm_pipeline.data.printer import Printer
 from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.errors import SppmError
+from sppm_pipeline.fields.spool import IN_MEMORY
 
 Slab = tuple[int, NDArray[np.uint8]]
 """Index of the first layer, and layers indexed [layer, y, x], rows in order of increasing y."""
@@ -251,18 +252,17 @@ class ArraySlices(SliceStack):
 
 
 def stack_size(
-    body: Geometry, pitch: tuple[float, float, float], gray: int, gray_layers: int = 1, *, passes: int = 1
+    body: Geometry, pitch: tuple[float, float, float], gray: int, gray_layers: int = 1, kept: bool = False
 ) -> Size:
     """The size of a stack of a body sliced at a pixel pitch (x, y) and a layer height (mm), and of the work for it.
 
-    Finding islands takes a pass of its own; the layers are kept for the second one, a bit a pixel, if they are few.
+    Finding islands takes a pass of its own: the layers are `kept` for the second one, see `Spool`.
     """
     per_edge = [body.scale / p for p in pitch]
     nx, ny, nz = (max(1, round(side * n)) for side, n in zip(body.box, per_edge, strict=True))
     each = gray**2 * gray_layers
     samples = float(nx) * ny * nz * each
-    kept = samples if passes > 1 and samples <= 2**30 else 0.0
-    passes = 1 if kept else passes
+    held = min(samples / 8, IN_MEMORY) if kept else 0.0
     along = per_edge[0] * gray
     others = (per_edge[1] * gray, per_edge[2] * gray_layers)
     even = abs(along - round(along)) < 1e-6 and max(abs(n / along - 1) for n in others) < 1e-9
@@ -271,6 +271,6 @@ def stack_size(
     pixel, layer = math.sqrt(pitch[0] * pitch[1]), pitch[2]
     outline = body.outline(pixel / body.scale, layer / body.scale)
     return Size(
-        samples=passes * samples, sums=passes * body.sums(inside, along, commensurate=even), resident=slab + kept / 64,
+        samples=samples, sums=body.sums(inside, along, commensurate=even), resident=slab + held / 8,
         pixels=nx * ny, layers=nz, outline=outline * (6 if each > 1 else 1), geometry=body,
     )  # fmt: skip

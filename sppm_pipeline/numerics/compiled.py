@@ -12,9 +12,12 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+import numba.cpython.hashing
 from numba.core import config, event
+from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
 
-from sppm_pipeline.numerics.kernel_cache import first_compilation, kernel_cache_folder
+from sppm_pipeline.numerics.kernel_cache import first_compilation, kernel_cache_folder, saving
 
 
 def _load_numba_without_scipy() -> None:
@@ -60,10 +63,32 @@ def fused_jit(function: F) -> F:
 
 
 def _compiled(function: F, fastmath: set[str] | bool) -> F:
-    # Numba asks for the folder when it wraps a function, and declares its settings at run time
-    setattr(config, "CACHE_DIR", str(kernel_cache_folder(function.__code__.co_filename)))  # noqa: B010
-    wrapped: Any = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
+    # Numba asks for the folder when it makes a cache, and declares its settings at run time
+    folder = str(kernel_cache_folder(function.__code__.co_filename))
+    setattr(config, "CACHE_DIR", folder)  # noqa: B010
+    # no caller is written in C, and what only it could call takes a sixteenth of the time of compiling
+    njit: Any = numba.njit  # whose annotations know fewer options than it has
+    wrapped: Any = njit(nogil=True, error_model="numpy", fastmath=fastmath, no_cfunc_wrapper=True)(function)
+    wrapped._cache = _Cache(function)  # type: ignore[no-untyped-call]
+    wrapped._cache.folder = folder
     return wrapped  # type: ignore[no-any-return]
+
+
+class _Cache(FunctionCache):
+    """Numba's cache of one function, safe for processes that save at the same time."""
+
+    folder: str
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        # Numba would first make ready all that it can compile, a twentieth of the time of a short run. Machine code
+        # needs the memory manager, and the symbols of `hashing` if it hashes; compiling makes the rest ready itself.
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with saving(self.folder):
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
 
 def specialized(function: F, name: str, **replaced: Callable[..., Any]) -> F:

@@ -8,6 +8,7 @@ the modules it reaches and for no others. Free of Numba, so that asking costs no
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -15,7 +16,7 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 KEPT_STATES = 4
@@ -73,6 +74,7 @@ def _bases() -> list[Path]:
     return bases
 
 
+@functools.cache
 def _state(source: str) -> str:
     """Digest of the interpreter, the module and all modules that it imports, directly or not, from its package."""
     h = hashlib.sha256(f"{sys.version_info[:3]}{sys.prefix}".encode())
@@ -114,6 +116,49 @@ def _prune(base: Path, current: Path) -> None:
     others.sort(key=lambda f: f.stat().st_mtime, reverse=True)
     for old in others[KEPT_STATES:]:
         shutil.rmtree(old, ignore_errors=True)
+
+
+def kernel_cache_lasts() -> bool:
+    """Whether another process finds what is kept."""
+    return kernel_cache_root() in _bases()
+
+
+def is_kept(place: str, specializations: int) -> bool:
+    """Whether a kernel was compiled for so many kinds of arguments, without loading it.
+
+    Parameters
+    ----------
+    place : str
+        ``package.module:name``, of a module of this package.
+    specializations : int
+    """
+    module, _, name = place.partition(":")
+    source = str(Path(__file__).parents[2].joinpath(*module.split("."))) + ".py"
+    kept = _kept_files(kernel_cache_folder(source))
+    stem = f"{module.rpartition('.')[2]}.{name}-"
+    return sum(file.startswith(stem) and file.endswith(".nbc") for file in kept) >= specializations
+
+
+@functools.cache
+def _kept_files(folder: Path) -> tuple[str, ...]:
+    return tuple(file.name for file in folder.glob("*/*.nbc"))
+
+
+@contextlib.contextmanager
+def saving(folder: str | Path) -> Iterator[None]:
+    """Let one process at a time save into a folder of kernels, where the system has locks.
+
+    Numba reads the list of what is kept of a kernel, adds a file and writes the list anew: two that do so at the same
+    time for unlike arguments would write one file, and one of them would later be given the code of the other.
+    """
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError, OSError):  # Windows; a file system without locks
+            import fcntl
+
+            lock = os.open(os.path.join(folder, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
+            stack.callback(os.close, lock)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 waiting: list[Callable[[], None]] = []

@@ -175,7 +175,7 @@ FAILURES = [("value", 4), ("design", 3), ("missing", 3), ("disk", 5), ("memory",
 @pytest.mark.parametrize(("how", "code"), FAILURES)
 def test_exit_codes_of_failing_stages(here, capsys, how, code):
     (here / "bad.yaml").write_text(f"sppm: 1\npipeline: [{{stage: check.fail, how: {how}}}]\n")
-    assert sppm("run", "bad.yaml", "--json") == code
+    assert sppm("run", "bad.yaml", "--json", "-q") == code
     captured = capsys.readouterr()
     assert captured.err.startswith("sppm: bad.yaml:2:20: stage 'check.fail': ")
     assert "Traceback" not in captured.err

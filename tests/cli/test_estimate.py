@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from dataclasses import fields
 from pathlib import Path
 
@@ -78,6 +79,7 @@ def estimated(capsys, *words: str) -> dict:
 WITH_PLUGINS = {
     "compare_structures",
     "crush_structures",
+    "property_map",
     "published_curves",
     "stiffest",
     "stiffest_grid",
@@ -183,22 +185,29 @@ def test_work_for_years_is_refused_by_its_size(here, capsys):
 def test_a_stage_whose_estimate_fails_runs_anyway(here, capsys, monkeypatch):
     from sppm_pipeline.stages.read.primitive import ReadPrimitive
 
-    broken = [
+    unknown = [
         lambda self, palette: 1 / 0,
         lambda self, palette: "much",
         lambda self, palette: None,
         lambda self, palette: Size(triangles=float("nan")),
         lambda self, palette: Size(triangles=-1.0),
-        lambda self: Size(),
+        lambda self, palette: Size().body,
     ]
-    for method in broken:
+    mistakes = [lambda self: Size(), lambda self, palette: palette.none, lambda self, palette: {}["key"]]
+    for method in unknown + mistakes:
         monkeypatch.setattr(ReadPrimitive, "estimate", method)
-        found = estimated(capsys, "part.yaml")
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            found = estimated(capsys, "part.yaml")
+        # a mistake is named with its stage, and not again for what follows from it
+        named = {str(one.message).split(" raised ")[0] for one in said}
+        assert named == ({"the estimate of 'read.primitive' (read.primitive)"} if method in mistakes else set())
         assert "read.primitive" in found["unknown"]
         assert "tileset.free_faces" not in found["unknown"]
         # what follows from its size is unknown, too
         assert {"tile.free_faces", "fill.implicit", "write.png", "write.mesh"} <= set(found["unknown"])
-    assert sppm("run", "part.yaml", "-q", "--until", "read.primitive") == 0
+    with pytest.warns(RuntimeWarning, match="mistake in"):
+        assert sppm("run", "part.yaml", "-q", "--until", "read.primitive") == 0
 
 
 PLUGIN = CONFIGS.parent / "examples" / "uniform_sampler.py"

@@ -15,7 +15,8 @@ from sppm_pipeline.engine.cache.housekeeping import contents, damaged_entries, p
 from sppm_pipeline.engine.cache.keys import differences
 from sppm_pipeline.engine.cache.session import reasons_of
 from sppm_pipeline.engine.cache.store import Store
-from sppm_pipeline.engine.files import FolderLock, digest_of
+from sppm_pipeline.engine.files import digest_of
+from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import socket
 import sys
 import threading
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -20,7 +21,8 @@ from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor, serve
 from sppm_pipeline.engine.run.runner import StepRunner
-from sppm_pipeline.engine.run.sweep import csv_text, numbers_of, rows_of, run_sweep
+from sppm_pipeline.engine.run.sweep import run_sweep
+from sppm_pipeline.engine.run.sweep_table import csv_text, numbers_of, rows_of
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
 
 TEXT = """name: sweep
@@ -234,6 +236,9 @@ def test_a_row_that_takes_its_process_down_has_failed_and_the_others_go_on(work)
     assert "run '0001' was ended by its own code (exit code 11)" in left["message"]
     assert "run '0003' was taken down by SIGSEGV" in killed["message"]
     assert "run '0004' was ended by its own code (exit code 0)" in quiet["message"]
+    assert [record["runs"][row]["attempts"] for row in (1, 3, 4)] == [3, 3, 3]
+    assert all(record["runs"][row]["attempts"] <= 2 for row in (0, 2))  # they may have been at work beside one
+    assert [row.get("host") for row in record["runs"]] == [socket.gethostname(), None, socket.gethostname(), None, None]
     for error in (left, killed, quiet):
         assert error["stage"] == "grave"
         assert "plugin.py" in error["message"]
@@ -266,7 +271,10 @@ def test_workers_that_die_before_their_first_run_end_the_sweep(work):
     )
     with pytest.raises(NativeCrash, match="0 of 5 runs had ended"):
         run(work, DEADLY, plugins=[path], executor="processes", workers=2)
-    assert json.loads((work.folder / "out" / "run.json").read_text())["error"]["exit_code"] == 6
+    record = json.loads((work.folder / "out" / "run.json").read_text())
+    assert record["error"]["exit_code"] == 6
+    assert [(row["status"], row["attempts"]) for row in record["runs"]] == [("failed", 0)] * 5
+    assert [row["error"] for row in table_of(work.folder / "out")] == [record["error"]["message"]] * 5
 
 
 class Counted(threading.Condition):
@@ -471,8 +479,8 @@ def test_what_an_executor_says_of_a_row_is_recorded_for_that_row(work):
     heard = []
 
     class Heard(Monitor):
-        def sweep_started(self, about):
-            heard.append(about)
+        def sweep_started(self, about, total):
+            heard.append((about, total))
 
     session = work.session(DEADLY.replace("[0, 11, 0, -11, 256]", "[0, 0, 0, 0, 0]"), plugins=[path])
     folder = work.folder / "out"
@@ -486,7 +494,7 @@ def test_what_an_executor_says_of_a_row_is_recorded_for_that_row(work):
     assert "run '0002' was taken down" in crashed["message"]
     made = next(m.Flaky.made for m in list(sys.modules.values()) if hasattr(getattr(m, "Flaky", None), "made"))
     assert made == [(3, "")] + [(1, "")] * 4  # the one that died has been tried again, alone
-    assert heard == ["shaky ground"]
+    assert heard == [("shaky ground", 5)]
     assert record["stages"][0]["summary"]["rows"] == 5
 
 

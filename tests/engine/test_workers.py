@@ -47,6 +47,12 @@ def test_another_processor_is_a_warning_once(driver):
     assert [len(check_worker(elsewhere)) for _ in range(3)] == [1, 0, 0]
 
 
+def test_another_processor_is_refused_where_it_must_be_the_same(driver):
+    with pytest.raises(ConfigError, match="instead of abacus"):
+        check_worker(replace(other(driver, processor="abacus"), same_processor=True))
+    assert check_worker(replace(driver, same_processor=True)) == []
+
+
 def test_a_folder_that_is_not_shared_is_named(driver, tmp_path):
     for token in driver.tokens:
         with pytest.raises(ResourceError, match="does not share the folder") as caught:

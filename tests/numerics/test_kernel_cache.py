@@ -16,9 +16,11 @@ def fresh():
     """Nothing remembered from the modules of the program, and nothing left for them."""
     kernel_cache_root.cache_clear()
     kernel_cache._read.cache_clear()
+    kernel_cache._state.cache_clear()
     yield
     kernel_cache_root.cache_clear()
     kernel_cache._read.cache_clear()
+    kernel_cache._state.cache_clear()
 
 
 @pytest.fixture
@@ -52,6 +54,7 @@ def sources(tmp_path):
 
 def folder_of(file):
     kernel_cache._read.cache_clear()
+    kernel_cache._state.cache_clear()
     return kernel_cache_folder(str(file))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from sppm_pipeline.data.storage import DamagedError
 from sppm_pipeline.engine.cache.store import CAP, Store
-from sppm_pipeline.engine.files import FolderLock
+from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.errors import ConfigError
 
 AFTER_PRUNING = 0.8

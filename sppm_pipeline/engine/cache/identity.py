@@ -21,7 +21,7 @@ from sppm_pipeline.stage import Stage
 
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")
 _PACKAGE = "sppm_pipeline"
-_WITHOUT_RESULTS = {"cli", "testing"}
+_WITHOUT_RESULTS = {"cli", "report", "studio", "testing"}
 """Subpackages that no result comes from."""
 
 _SETTINGS = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE")

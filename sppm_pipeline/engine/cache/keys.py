@@ -128,6 +128,22 @@ def _described(
     return described
 
 
+def recipe_key(name: str, recipes: Mapping[str, Sequence[Step]], path: tuple[str, ...], seed: int) -> str | None:
+    """The key of what a recipe gives, of which `path` is that of its random numbers; None if that can't be told."""
+    owners: list[Plugin] = []
+    inner = []
+    for step in recipes[name]:
+        about = _described(step, recipes, InputFiles(), owners)
+        if about is None:
+            return None
+        inner.append({"id": step.id, **about, "inputs": dict(step.inputs)})
+    distributions = tuple(sorted({owner.distribution for owner in owners if owner.distribution}))
+    return key_of({
+        "format": KEY_FORMAT, "recipe": inner, "path": list(path), "seed": seed,
+        "environment": environment(distributions),
+    })  # fmt: skip
+
+
 def _paths(value: Any) -> list[Path]:
     if isinstance(value, Path):
         return [value]

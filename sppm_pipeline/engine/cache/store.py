@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value, save_value
-from sppm_pipeline.engine.files import FolderLock
+from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.strict_json import BrokenSealError, json_text, read_sealed, sealed
 
 FORMAT = 1

@@ -15,7 +15,7 @@ STAGING = ".staging-"
 REPORT = "report.html"
 """What `sppm report` writes into a run directory; no part of the run, and taken away when another takes its place."""
 
-RESERVED_NAMES = frozenset({"run.json", "sha256sums", "sweep.csv", "sweep.json", "runs", REPORT})
+RESERVED_NAMES = frozenset({"run.json", "sha256sums", "sweep.csv", "sweep.json", "runs", ".claim", REPORT})
 
 MAX_PART = 255
 """Bytes of a file's name; the limit of nearly every file system."""

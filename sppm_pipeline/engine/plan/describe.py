@@ -36,6 +36,8 @@ def _takes(cls: type[Stage]) -> list[dict[str, Any]]:
 
 def _makes(cls: type[Stage]) -> str:
     signature = signature_of(cls)
+    if signature.as_recipe and cls.returns is not None:
+        return f"the last {cls.returns.__name__} that its recipe makes"
     return "what its recipe makes" if signature.as_recipe else artifact_words(signature.makes)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +13,8 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import ONE, RecipeSize, Size
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.rates import WORTH, Cost, Speed, cost, learn_speed
-from sppm_pipeline.engine.plan.wiring import Step, last_uses
-from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.engine.plan.wiring import Step, last_uses, makes_kind
+from sppm_pipeline.errors import ResourceError, SppmError
 from sppm_pipeline.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
 
 if TYPE_CHECKING:
@@ -157,13 +158,19 @@ def _size(
     speed: Speed,
     inner: list[tuple[float, StageEstimate]],
 ) -> Size | None:
-    """The size that a stage tells; whatever goes wrong is no reason not to run."""
+    """The size that a stage tells; whatever goes wrong is no reason not to run, but mistakes are warned of.
+
+    Errors of the house and of the system, arithmetic on odd numbers and `LookupError` say that a size is unknown, and
+    so does anything that follows from an input of unknown size.
+    """
 
     def recipe_size(name: str) -> RecipeSize:
         def of(palette: Palette = palette, repeats: float = 1.0) -> Size:
             stages = estimate_steps(recipes[name], recipes, palette, 0.0, speed)
             inner.extend((repeats, stage) for stage in stages)
-            if (size := stages[-1].size) is None:
+            kind = step.stage.returns
+            made = [stage for stage in stages if kind is None or makes_kind(stage.step, kind)]
+            if not made or (size := made[-1].size) is None:
                 raise LookupError(f"the size of what {name!r} makes is unknown")
             return size
 
@@ -177,7 +184,17 @@ def _size(
     try:
         size = step.stage.estimate(palette, **{**step.signature.gathered(inputs), **made_by})
         valid = isinstance(size, Size) and all(math.isfinite(n) and n >= 0 for n in size.units().values())
-    except Exception:
+    except (SppmError, ArithmeticError, OSError, MemoryError):
+        return None
+    except Exception as error:
+        follows = any(source is not None and sizes.get(source) is None for source in step.inputs.values())
+        if type(error) is not LookupError and not follows:
+            warnings.warn(
+                f"the estimate of {step.address!r} ({step.stage.name}) raised {type(error).__name__}: {error}; this is "
+                f"a mistake in {step.owner}, and what the stage takes is unknown",
+                RuntimeWarning,
+                stacklevel=2,
+            )
         return None
     return size if valid else None
 

@@ -113,14 +113,21 @@ def make_plan(
     drafts = {name: _drafts(group, configuration, registry, problems, renamed) for name, group in entries.items()}
     recipes: dict[str, tuple[type, ...] | None] = dict.fromkeys(names)
     wired: dict[str, list[Step]] = {}
+    measured = {
+        name
+        for group in drafts.values()
+        for draft in group
+        if draft is not None and draft.cls.returns is not None
+        for name, _ in recipe_names(draft.entry.recipes)
+    }
     for name in recipe_order({name: drafts[name] for name in recipes}, problems):
-        wired[name], recipes[name] = wire(drafts[name], recipes, problems)
-        if recipes[name] == () and entries[name]:
+        wired[name], recipes[name] = wire(drafts[name], recipes, problems, inside=wired)
+        if recipes[name] == () and entries[name] and name not in measured:
             problems.report(f"the recipe {name!r} ends in a stage that makes nothing", entries[name][-1].where)
-    steps, _ = wire(drafts[_PIPELINE], recipes, problems, given=available)
+    steps, _ = wire(drafts[_PIPELINE], recipes, problems, given=available, inside=wired)
     after: list[Step] = []
     if configuration.after is not None:
-        after, _ = wire(drafts[_AFTER], recipes, problems, given={SWEEP_ID: (_table(),)})
+        after, _ = wire(drafts[_AFTER], recipes, problems, given={SWEEP_ID: (_table(),)}, inside=wired)
     for group in ([*steps, *(step for name in names for step in wired.get(name, ()))], after):
         refuse_clashes(_claims(group), problems)
     problems.raise_any()

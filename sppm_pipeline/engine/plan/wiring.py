@@ -134,6 +134,7 @@ def wire(
     problems: Problems,
     *,
     given: Mapping[str, tuple[type, ...]] | None = None,
+    inside: Mapping[str, Sequence[Step]] | None = None,
 ) -> tuple[list[Step], tuple[type, ...] | None]:
     """Find the source of each port.
 
@@ -146,6 +147,8 @@ def wire(
     problems : Problems
     given : mapping of id to artifacts, optional
         What is there before the first stage.
+    inside : mapping of recipe name to sequence of Step, optional
+        The stages of the recipes.
 
     Returns
     -------
@@ -167,7 +170,9 @@ def wire(
         chosen = _chosen_sources(draft, signature, made, later, problems)
         inputs = _sources(draft, signature, chosen, made, problems)
         handed = _handed_recipes(draft, signature, recipes, problems)
-        if signature.as_recipe:
+        if signature.as_recipe and draft.cls.returns is not None:
+            makes = _last_of(draft, next(iter(handed.values()), None), inside or {}, problems)
+        elif signature.as_recipe:
             makes = next((recipes.get(name) for name in handed.values()), None)
         elif signature.as_port is not None and (source := inputs[signature.as_port]) is not None:
             makes = made[source]
@@ -177,6 +182,25 @@ def wire(
         if draft.stage is not None:
             steps.append(Step(draft.entry, draft.stage, draft.owner, signature, inputs, handed, makes or ()))
     return steps, makes
+
+
+def makes_kind(step: Step, kind: type) -> bool:
+    """Whether whatever a stage makes is of a type."""
+    return bool(step.makes) and all(issubclass(member, kind) for member in step.makes)
+
+
+def _last_of(
+    draft: Draft, recipe: str | None, inside: Mapping[str, Sequence[Step]], problems: Problems
+) -> tuple[type, ...] | None:
+    """What the last stage of a recipe that makes an artifact of the type `Stage.returns` makes."""
+    kind = draft.cls.returns
+    if recipe is None or not inside.get(recipe) or kind is None:
+        return None
+    found = [step.makes for step in inside[recipe] if makes_kind(step, kind)]
+    if not found:
+        message = f"no stage of the recipe {recipe!r} makes a {kind.__name__}"
+        problems.add(WiringError(message, where=draft.entry.where, stage=draft.entry.address))
+    return found[-1] if found else None
 
 
 def _chosen_sources(

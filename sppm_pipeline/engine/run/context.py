@@ -6,16 +6,19 @@ import contextlib
 import hashlib
 import operator
 import threading
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import ONE
 from sppm_pipeline.data.storage import DamagedError
 from sppm_pipeline.engine.cache.identity import environment, program_digest
-from sppm_pipeline.engine.cache.keys import key_of
+from sppm_pipeline.engine.cache.keys import key_of, recipe_key
 from sppm_pipeline.engine.cache.store import Store
+from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.strict_json import jsonable
@@ -148,6 +151,15 @@ class RunContext(Context):
             folder=self.folder,
             store=self._store,
         )
+
+    def recipe_key(self, recipe: str, recipes: Mapping[str, Sequence[Step]], attempt: int) -> str | None:
+        """The key under which what a recipe of this stage reports may be remembered; None without a cache."""
+        wanted = self.palette
+        plain = (wanted.interiors, wanted.colors) == (ONE.interiors, ONE.colors) and wanted.meetings is None
+        if self._store is None or not plain:
+            return None
+        path = (*self.path, f"{recipe}@{operator.index(attempt)}")
+        return recipe_key(recipe, recipes, path, self._seed)
 
     def rng(self, *key: int) -> np.random.Generator:
         """See `Context.rng`."""

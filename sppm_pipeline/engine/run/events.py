@@ -30,8 +30,8 @@ class Monitor:
     def warning(self, stage: str | None, message: str) -> None:
         """Something that does not stop the run."""
 
-    def sweep_started(self, about: str) -> None:
-        """The runs of a sweep begin, at the place that the executor describes."""
+    def sweep_started(self, about: str, total: int) -> None:
+        """So many runs of a sweep begin, at the place that the executor describes, if it does."""
 
     def row_finished(self, done: int, total: int, row: Mapping[str, Any]) -> None:
         """One run of a sweep ended, well or not."""

@@ -194,8 +194,6 @@ def serve(
     try:
         for number, task in tasks.items():
             check()
-            while hear(0):
-                pass
             while len(futures) >= most and broken is None:
                 check()
                 hear(LISTENING)
@@ -207,6 +205,8 @@ def serve(
                 broken = error
                 break
             futures[number].add_done_callback(functools.partial(_tell, done, number))
+            while hear(0):  # of an executor that runs tasks at once, before the next one
+                pass
         workers = [process for process in _children() if process not in before]
         while futures:
             check()

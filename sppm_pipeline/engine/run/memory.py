@@ -5,7 +5,9 @@ from __future__ import annotations
 import datetime
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from sppm_pipeline.engine.config.problems import did_you_mean
@@ -59,6 +61,7 @@ def run_in_memory(
     monitor: Monitor | None = None,
     store: Store | None = None,
     about: str = "",
+    available: Mapping[str, Any] = MappingProxyType({}),
 ) -> MemoryRun:
     """Run the pipeline without a run directory and keep what every stage makes.
 
@@ -69,6 +72,8 @@ def run_in_memory(
     ----------
     plan, threads, until, monitor, store, about
         As for `run_plan`.
+    available : mapping of id to artifact
+        Results that are there before the first step.
 
     Raises
     ------
@@ -98,6 +103,7 @@ def run_in_memory(
             observers=Observers([monitor], plan.plugins, warn),
             store=store,
             about=about,
+            available=available,
             keep={step.id for step in steps},
         )
         runner.run()

@@ -18,7 +18,6 @@ from sppm_pipeline.engine.config.names import REPORT, collide, folded, output_pa
 from sppm_pipeline.engine.config.names import STAGING as _STAGING
 from sppm_pipeline.engine.files import (
     DISK,
-    FolderLock,
     clear,
     digest_of,
     files_in,
@@ -28,6 +27,7 @@ from sppm_pipeline.engine.files import (
     tree_digest,
     write_whole,
 )
+from sppm_pipeline.engine.locks import CLAIM, FolderLock
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
 
 if TYPE_CHECKING:
@@ -97,8 +97,9 @@ class RunFolder:
             if not os.access(self.path, os.W_OK | os.X_OK):
                 raise PermissionError(13, "Permission denied")
             if not self._folder_lock.acquire():
+                holder = self._folder_lock.holder
                 raise ResourceError(
-                    f"another run is writing into {str(self.path)!r}",
+                    f"another run is writing into {str(self.path)!r}" + (f": {holder}" if holder else ""),
                     hint="wait until it has ended, or choose another directory with -o",
                 )
             if not is_run(self.path):
@@ -319,7 +320,7 @@ class Scratch:
 def is_run(path: Path) -> bool:
     """Whether a folder is that of a run, or empty but for what a run had begun."""
     if not (path / RECORD).is_file():
-        return all(child.name.startswith((_STAGING, f".{RECORD}.")) for child in path.iterdir())
+        return all(child.name.startswith((_STAGING, f".{RECORD}.")) or child.name == CLAIM for child in path.iterdir())
     with (path / RECORD).open("rb") as file:
         return f'"{RECORD_KEY}"'.encode() in file.read(200)
 

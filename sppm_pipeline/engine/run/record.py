@@ -7,7 +7,6 @@ import datetime
 import json
 import os
 import platform
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import ResourceError, SppmError
 from sppm_pipeline.hookspecs import StageEvent, hookimpl
 from sppm_pipeline.process.interruption import register, requested, unregister
+from sppm_pipeline.process.resident import highest
 
 RECORD_VERSION = 1
 
@@ -102,12 +102,8 @@ def error_entry(error: SppmError) -> dict[str, Any]:
 
 def peak_memory_mb() -> float | None:
     """Largest resident size of this process so far, MB; None where the system does not tell."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(peak / (1e6 if sys.platform == "darwin" else 1e3 / 1.024), 1)
+    peak = highest()
+    return round(peak / 1e6, 1) if peak else None
 
 
 class Recorder:

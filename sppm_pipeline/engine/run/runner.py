@@ -18,12 +18,13 @@ from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.run.context import RunContext, StageLog
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
-from sppm_pipeline.engine.run.record import Recorder, peak_memory_mb
+from sppm_pipeline.engine.run.record import Recorder
 from sppm_pipeline.engine.run.steps import RecipeSteps, run_step, summary_of
 from sppm_pipeline.engine.run.verification import finished_run
 from sppm_pipeline.errors import SppmError
 from sppm_pipeline.hookspecs import StageEvent
 from sppm_pipeline.process.interruption import check
+from sppm_pipeline.process.resident import PeakWatch
 from sppm_pipeline.stage import Rejected
 
 if TYPE_CHECKING:
@@ -270,15 +271,16 @@ class StepRunner:
         about: dict[str, Any] = {"id": step.id, "stage": step.stage.name}
         if isinstance(self._folder, Scratch) and only_writes(step):
             return {**about, "made": None, "seconds": 0.0, "skipped": True, "summary": {}}
-        facts = self._cached(step)
-        cached = facts is not None
-        facts = facts or self._reused(step) or self._fresh(step)
+        with PeakWatch() as memory:
+            facts = self._cached(step)
+            cached = facts is not None
+            facts = facts or self._reused(step) or self._fresh(step)
         self._facts[step.id] = facts
         entry: dict[str, Any] = {
             **about,
             "made": facts["made"],
             "seconds": round(time.perf_counter() - started, 6),
-            "peak_memory_mb": peak_memory_mb(),
+            "peak_memory_mb": memory.mb,
             "cached": cached,
             "summary": facts["summary"],
             "options": step_options(step),

@@ -16,17 +16,19 @@ import numpy as np
 from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.config.options import current_name, options_of, parse_typed
-from sppm_pipeline.engine.config.problems import did_you_mean, listed
+from sppm_pipeline.engine.config.problems import did_you_mean, listed, nearest
 from sppm_pipeline.engine.files import DISK
+from sppm_pipeline.engine.plan.inputs import declared_numbers, is_declared
 from sppm_pipeline.engine.plan.ports import artifact_words
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.run.context import RunContext
+from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, InputError, PluginError, ResourceError, SppmError
 from sppm_pipeline.process.budget import exhausted_resource
 from sppm_pipeline.process.containment import contained, limited
 from sppm_pipeline.process.interruption import check
-from sppm_pipeline.stage import Context, Recipe, Stage
+from sppm_pipeline.stage import Context, Observed, Recipe, Stage
 
 RecipeSteps = Mapping[str, Sequence[Step]]
 
@@ -147,6 +149,39 @@ class StepRecipe(Recipe):
             step.id: {name: getattr(step.stage, name) for name in options_of(type(step.stage))} for step in self._steps
         }
 
+    def inner_options(self) -> Mapping[str, Mapping[str, Any]]:
+        """See `Recipe.inner_options`."""
+        names = [name for step in self._steps for name in step.recipes.values()]
+        found: dict[str, Mapping[str, Any]] = {}
+        for name in dict.fromkeys(names):
+            inner = StepRecipe(name, self._recipes)
+            found |= {f"{name}.{id_}": values for id_, values in inner.options().items()} | dict(inner.inner_options())
+        return found
+
+    def number(self, name: str) -> str:
+        """See `Recipe.number`."""
+        declared = {step.id: declared_numbers(type(step.stage), step.owner.builtin, step.makes) for step in self._steps}
+        owners = [id_ for id_ in declared if name.startswith(f"{id_}.")]
+        if any((there := declared[id_]) is None or is_declared(name[len(id_) + 1 :], there) for id_ in owners):
+            return name
+        alone = [id_ for id_, there in declared.items() if there is not None and is_declared(name, there)]
+        if len(alone) == 1:
+            return f"{alone[0]}.{name}"
+        if alone:
+            hint = f"write {listed([f'{id_}.{name}' for id_ in alone], 'or')}"
+            raise ConfigError(f"{len(alone)} stages of the recipe {self.name!r} report {name!r}", hint=hint)
+        numbers = [f"{id_}.{number}" for id_, there in declared.items() for number in there or ()]
+        near = sorted(number for number in numbers if f".{name}." in f".{number}")[:3]
+        hint = f"there are {', '.join(sorted(numbers))}"
+        if owners:
+            own = sorted(declared[owners[0]] or ())
+            near = near or [f"{owners[0]}.{word}" for word in nearest(name[len(owners[0]) + 1 :], own)]
+            hint = f"numbers of {owners[0]}: {', '.join(own)}"
+        near = near or ([] if owners else nearest(name, numbers))
+        if near:
+            hint = f"did you mean {listed(near, 'or')}?"
+        raise ConfigError(f"no stage of the recipe {self.name!r} reports a number {name!r}", hint=hint)
+
     def run(
         self,
         context: Context,
@@ -162,21 +197,53 @@ class StepRecipe(Recipe):
         ConfigError
             If `options` names a stage or option that the recipe lacks, or a value that is not allowed.
         """
-        if not isinstance(context, RunContext):
-            raise TypeError("a recipe runs in the context that the calling stage was given")
-        changes = self._changes(options or {})
-        results: dict[str, Any] = {}
         made: Any = None
-        for step, done in zip(self._steps, last_uses(self._steps), strict=True):
+        own = _of_a_run(context)
+        for one, _ in self._run(own, palette or context.palette, attempt, self._with(own, options or {})):
+            made = one
+        return made
+
+    def observe(
+        self,
+        context: Context,
+        kind: type,
+        *,
+        attempt: int = 0,
+        options: Mapping[str, Mapping[str, Any]] | None = None,
+        again: bool = False,
+    ) -> Observed:
+        """See `Recipe.observe`."""
+        own = _of_a_run(context)
+        recipes = self._with(own, options or {})
+        key = own.recipe_key(self.name, recipes, attempt)
+        known = None if again or key is None else context.recall(key)
+        if known is not None:
+            return Observed(None, known)
+        kept: Any = None
+        entries: list[Mapping[str, Any]] = []
+        for made, entry in self._run(own, context.palette, attempt, recipes):
+            kept = made if isinstance(made, kind) else kept
+            entries.append(entry)
+        numbers = numbers_of(entries)
+        if key is not None:
+            context.remember(key, numbers)
+        return Observed(kept, numbers)
+
+    def _run(
+        self, context: RunContext, palette: Palette, attempt: int, recipes: RecipeSteps
+    ) -> Iterator[tuple[Any, Mapping[str, Any]]]:
+        """What each stage makes, with its id and summary."""
+        steps = recipes[self.name]
+        results: dict[str, Any] = {}
+        for step, done in zip(steps, last_uses(steps), strict=True):
             check()
-            inner = context.inside(self.name, attempt, step.id, step.address, palette or context.palette)
+            inner = context.inside(self.name, attempt, step.id, step.address, palette)
             inner.log.begin(step.address)
             if inner.folder is not None:
                 inner.folder.restart(step.address)
             inputs = {port: results[source] if source else None for port, source in step.inputs.items()}
-            stage = self._changed(step, changes.get(step.id, {}), context)
             started = time.perf_counter()
-            made = results[step.id] = run_step(step, stage, inputs, inner, self._recipes)
+            made = results[step.id] = run_step(step, step.stage, inputs, inner, recipes)
             seconds = time.perf_counter() - started
             summary = summary_of(made, inner.log.values.get(step.address, {}), step)
             kind = None if made is None else type(made).__name__
@@ -184,7 +251,24 @@ class StepRecipe(Recipe):
             del inputs
             for id_ in done:
                 results.pop(id_, None)
-        return made
+            yield made, {"id": step.id, "summary": summary}
+
+    def _with(self, context: RunContext, options: Mapping[str, Mapping[str, Any]]) -> RecipeSteps:
+        """All recipes, with some options of this one, and of those that it repeats, replaced."""
+        own = {target: values for target, values in options.items() if target not in self.inner_options()}
+        changes = {(self.name, id_): values for id_, values in self._changes(own).items()}
+        for target in options.keys() - own.keys():
+            recipe, _, id_ = target.partition(".")
+            changes[recipe, id_] = dict(options[target])
+        if not changes:
+            return self._recipes
+        return {
+            name: [
+                dataclasses.replace(step, stage=self._changed(step, values, context))
+                if (values := changes.get((name, step.id))) else step for step in steps
+            ]
+            for name, steps in self._recipes.items()
+        }  # fmt: skip
 
     def _changes(self, options: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
         """Options by step id, from options by step id or stage name."""
@@ -193,7 +277,7 @@ class StepRecipe(Recipe):
             ids = [step.id for step in self._steps if step.id == target]
             ids = ids or [step.id for step in self._steps if step.stage.name == target]
             if not ids:
-                known = [step.id for step in self._steps]
+                known = [*(step.id for step in self._steps), *self.inner_options()]
                 hint = did_you_mean(target, known) or f"stages of the recipe: {', '.join(known)}"
                 raise ConfigError(f"the recipe {self.name!r} has no stage {target!r}", hint=hint)
             if len(ids) > 1:
@@ -203,8 +287,6 @@ class StepRecipe(Recipe):
 
     def _changed(self, step: Step, values: Mapping[str, Any], context: RunContext) -> Stage:
         """The stage with some options replaced, under the same rules as in the file."""
-        if not values:
-            return step.stage
         declared = options_of(type(step.stage))
         parsed = {}
         for former, value in values.items():
@@ -225,6 +307,12 @@ class StepRecipe(Recipe):
         stage = dataclasses.replace(step.stage, **parsed)
         stage.check_options()
         return stage
+
+
+def _of_a_run(context: Context) -> RunContext:
+    if not isinstance(context, RunContext):
+        raise TypeError("a recipe runs in the context that the calling stage was given")
+    return context
 
 
 CONTRACT = "SPPM_CONTRACT"

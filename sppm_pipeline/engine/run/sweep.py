@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import functools
-import io
 import json
 import os
 import signal
 import socket
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -24,6 +22,7 @@ from sppm_pipeline.engine.run.executors import default_executor, make_executor, 
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, remove_stale_runs
 from sppm_pipeline.engine.run.record import Recorder, error_entry, mark_ended
 from sppm_pipeline.engine.run.runner import StepRunner, run_plan
+from sppm_pipeline.engine.run.sweep_table import columns_of, csv_text, numbers_of, rows_of
 from sppm_pipeline.engine.run.workers import Driver, announced, check_worker
 from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import NativeCrash, PluginError, SppmError
@@ -52,6 +51,7 @@ def run_sweep(
     monitor: Monitor | None = None,
     cache: Path | None = None,
     retries: int = RETRIES,
+    same_processor: bool = False,
 ) -> dict[str, Any]:
     """Run all rows, then the stages of `after`, and write ``sweep.csv``, ``sweep.json`` and ``run.json``.
 
@@ -75,6 +75,8 @@ def run_sweep(
         Folder of the cache; without one every row runs, also those that an interrupted sweep had finished.
     retries : int
         How often a row whose worker died is run again, alone.
+    same_processor : bool
+        Refuse workers on another kind of processor, whose last digits may differ.
 
     Returns
     -------
@@ -84,7 +86,8 @@ def run_sweep(
     Raises
     ------
     SppmError
-        What stopped the sweep as a whole; its attribute ``record`` holds the record.
+        What stopped the sweep before any row had ended, after its table has been written; its attribute ``record``
+        holds the record.
     """
     monitor = monitor or Monitor()
     check_until(plan, until)
@@ -93,8 +96,18 @@ def run_sweep(
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
         names = _row_names(len(rows))
-        found = _run_rows(
-            session, path, names, workers, executor, max(1, threads // workers), until, monitor, cache, retries
+        found, stopped = _run_rows(
+            session,
+            path,
+            names,
+            workers,
+            executor,
+            max(1, threads // workers),
+            until,
+            monitor,
+            cache,
+            retries,
+            same_processor,
         )
         remove_stale_runs(path, names)
         columns = columns_of(found)
@@ -103,6 +116,8 @@ def run_sweep(
             recorder.folder.add_file("sweep.csv", csv_text(columns)),
             recorder.folder.add_file("sweep.json", json_text(rows_of(columns))),
         ]
+        if stopped is not None:
+            raise stopped
         done = [run["status"] == "done" for run in runs]
         if plan.after and until is None and any(done):
             StepRunner(
@@ -168,22 +183,24 @@ def _run_rows(
     monitor: Monitor,
     cache: Path | None,
     retries: int,
-) -> list[dict[str, Any]]:
-    """Hand the rows to an executor; results in the order of the rows.
+    same_processor: bool,
+) -> tuple[list[dict[str, Any]], SppmError | None]:
+    """Hand the rows to an executor; results in the order of the rows, and what stopped it before any row had ended.
 
     Where a worker process dies, the rows that were running are run again, each alone: a row that takes its process down
-    each time has failed, and the others go on. What stops the sweep as a whole is the error of the rows that are left;
-    it is raised if no row has ended.
+    each time has failed, and the others go on. What stops the sweep as a whole is the error of the rows that are left.
     """
     executor = executor or default_executor(workers)  # also of rows that are run alone
     path = path.resolve()
     cache = cache.resolve() if cache is not None else None
+    stopped: SppmError | None = None
     results: dict[int, dict[str, Any]] = {}
+    again: dict[int, int] = {}  # how often a row was run once more
     suspects: set[int] = set()
     tasks: list[dict[str, Any]] = []
 
     def ended(number: int, result: dict[str, Any]) -> None:
-        results[number] = result
+        results[number] = result | {"attempts": 1 + again.get(number, 0)}
         with contextlib.suppress(OSError):  # there is none of a row that ran in this process
             Path(tasks[number]["notes"]).unlink()
         monitor.row_finished(len(results), len(names), result)
@@ -199,14 +216,15 @@ def _run_rows(
 
     def serve_rows(workers: int, left: Mapping[int, Mapping[str, Any]]) -> tuple[BaseException | None, list[int]]:
         pool = make_executor(executor, workers, session.plugins)
-        if len(left) == len(tasks) and (about := getattr(pool, "about", "")):
-            monitor.sweep_started(about)
+        if len(left) == len(tasks):
+            monitor.sweep_started(getattr(pool, "about", ""), len(tasks))
         return serve(pool, run_row, left, ended, failed, most=max(IN_FLIGHT, 4 * workers))
 
     def alone(number: int) -> None:
         codes: list[int] = []
         for _ in range(retries):
             suspects.discard(number)
+            again[number] = again.get(number, 0) + 1
             broken, codes = serve_rows(1, {number: tasks[number]})
             if number in results:
                 return
@@ -216,7 +234,10 @@ def _run_rows(
         ended(number, _taken_down(session, tasks[number], codes))
 
     try:
-        with TemporaryDirectory(prefix="sppm-sweep-") as folder, announced(path, cache, session.plugins) as driver:
+        with (
+            TemporaryDirectory(prefix="sppm-sweep-") as folder,
+            announced(path, cache, session.plugins, same_processor=same_processor) as driver,
+        ):
             common = {
                 "request": session.request.absolute(),
                 "sweep": uuid.uuid4().hex,
@@ -244,16 +265,19 @@ def _run_rows(
                 for number in sorted(suspects):
                     alone(number)
     except SppmError as error:
-        if not results:
+        if not tasks:
             raise
-        monitor.warning(None, f"the sweep ended early: {error.message}")
+        if results:
+            monitor.warning(None, f"the sweep ended early: {error.message}")
+        else:
+            stopped = error
         for number, task in enumerate(tasks):
             if number not in results:
-                results[number] = _failed(session, task, error)
+                results[number] = _failed(session, task, error) | {"attempts": again.get(number, 0)}
     finally:
         for name in names:
             mark_ended(path / SWEEP_RUNS / name)
-    return [results[number] for number in range(len(names))]
+    return [results[number] for number in range(len(names))], stopped
 
 
 def _why(broken: BaseException) -> str:
@@ -313,8 +337,8 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``warnings``, ``columns``, ``files`` (names and
-        digests), and as ``record`` the digest of the row's record.
+        ``run``, ``params``, ``status``, ``error``, ``seconds``, ``host``, ``warnings``, ``columns``, ``files`` (names
+        and digests), and as ``record`` the digest of the row's record.
 
     Raises
     ------
@@ -341,7 +365,7 @@ def run_row(task: Mapping[str, Any]) -> dict[str, Any]:
     except SppmError as raised:
         record, error = getattr(raised, "record", {}), error_entry(raised)
     result = _result(path, row, record, error)
-    return result | {"warnings": warnings + result["warnings"]}
+    return result | {"host": socket.gethostname(), "warnings": warnings + result["warnings"]}
 
 
 def _result(path: Path, row: Row, record: Mapping[str, Any], error: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -366,58 +390,3 @@ def _warnings(record: Mapping[str, Any]) -> list[str]:
         for stage in record.get("stages", ())
         for message in stage.get("warnings", ())
     ]
-
-
-MAX_LISTED = 6
-"""Longest list whose numbers get columns of their own: vectors, and the rows and columns of a stiffness matrix."""
-
-
-def numbers_of(stages: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Numbers in the summaries of a run record's stages, as ``<stage id>.<name>``; truth values as 1 and 0.
-
-    Those of short lists are counted from 1, row by row: ``E.1``, ``C.4.4``.
-    """
-    return {f"{stage['id']}.{name}": value for stage in stages for name, value in _numbers(stage.get("summary", {}))}
-
-
-def _numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    for name, value in summary.items():
-        if isinstance(value, (bool, int, float)):
-            yield name, int(value) if isinstance(value, bool) else value
-        elif isinstance(value, dict):
-            yield from ((f"{name}.{inner}", number) for inner, number in _numbers(value))
-        elif isinstance(value, list) and len(value) <= MAX_LISTED:
-            listed = {str(number): one for number, one in enumerate(value, 1) if not isinstance(one, dict)}
-            yield from ((f"{name}.{inner}", number) for inner, number in _numbers(listed))
-
-
-def columns_of(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Columns ``run``, the parameters, ``status``, ``error``, then the numbers in the order in which they appear.
-
-    Parameters
-    ----------
-    runs : sequence of dict
-        With the keys run, params, status, error and columns, in order.
-    """
-    params = list(dict.fromkeys(name for run in runs for name in run["params"]))
-    numbers = list(dict.fromkeys(name for run in runs for name in run["columns"]))
-    columns: dict[str, list[Any]] = {"run": [run["run"] for run in runs]}
-    columns |= {name: [run["params"].get(name) for run in runs] for name in params}
-    columns["status"] = [run["status"] for run in runs]
-    columns["error"] = [run["error"]["message"] if run["error"] else None for run in runs]
-    return columns | {name: [run["columns"].get(name) for run in runs] for name in numbers}
-
-
-def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
-    """The table as a list of rows."""
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
-
-
-def csv_text(columns: Mapping[str, Sequence[Any]]) -> str:
-    """The table as CSV; lists as JSON, nothing as an empty field."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    for row in rows_of(columns):
-        writer.writerow([json.dumps(v) if isinstance(v, (list, dict, bool)) else v for v in row.values()])
-    return text.getvalue()

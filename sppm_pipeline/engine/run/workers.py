@@ -31,6 +31,8 @@ class Driver:
     tokens : tuple of path
         Files that hold `token`: one in the run directory, and one in the cache.
     token : str
+    same_processor : bool
+        Whether a worker on another kind of processor is refused.
     """
 
     host: str
@@ -38,10 +40,11 @@ class Driver:
     versions: tuple[tuple[str, str], ...]
     tokens: tuple[str, ...]
     token: str
+    same_processor: bool = False
 
 
 @contextlib.contextmanager
-def announced(path: Path, cache: Path | None, plugins: Plugins) -> Iterator[Driver]:
+def announced(path: Path, cache: Path | None, plugins: Plugins, *, same_processor: bool = False) -> Iterator[Driver]:
     """This process as a driver, with its tokens in the run directory and in the cache for as long as rows run."""
     distributions = _distributions(plugins)
     tokens = [path / staging_name()]
@@ -53,6 +56,7 @@ def announced(path: Path, cache: Path | None, plugins: Plugins) -> Iterator[Driv
         versions=tuple(_versions(distributions).items()),
         tokens=tuple(str(token) for token in tokens),
         token=secrets.token_hex(8),
+        same_processor=same_processor,
     )
     try:
         for token in tokens:
@@ -79,7 +83,7 @@ def check_worker(driver: Driver) -> list[str]:
     Raises
     ------
     ConfigError
-        If the program, a library or a plugin is another; the message lists them.
+        If the program, a library, a plugin, or where it must not be the processor, is another; the message lists them.
     ResourceError
         If it does not see the driver's folders.
     """
@@ -106,7 +110,7 @@ def _looked_at(driver: Driver) -> str:
     other = [
         f"{name} {here.get(name, 'not installed')} instead of {version}"
         for name, version in wanted.items()
-        if here.get(name) != version and name != "processor"
+        if here.get(name) != version and (driver.same_processor or name != "processor")
     ]
     if program_digest() != driver.program:
         other.append(f"sppm_pipeline with the digest {program_digest()[:12]} instead of {driver.program[:12]}")

@@ -58,9 +58,8 @@ class SliceField(Stage):
         return cut_for(self.printer, self.cards, pixel, self.layer)
 
     def estimate(self, palette: Palette, field: Size) -> Size:
-        passes = 2 if self.islands == "remove" else 1
         body = replace(field.body, coarse=math.inf) if self.exact else field.body
-        made = stack_size(body, self._cut(body.scale)[1], self.gray, self.gray_layers, passes=passes)
+        made = stack_size(body, self._cut(body.scale)[1], self.gray, self.gray_layers, self.islands == "remove")
         return replace(made, design=field.design)
 
     def run(self, context: Context, field: ScalarField) -> SliceStack:

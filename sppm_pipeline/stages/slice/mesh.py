@@ -59,8 +59,7 @@ class SliceMesh(Stage):
         return cut_for(self.printer, self.cards, self.pixel, self.layer)
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:
-        passes = 2 if self.islands == "remove" else 1
-        made = stack_size(mesh.body.in_unit(1.0), self._cut()[1], self.gray, self.gray_layers, passes=passes)
+        made = stack_size(mesh.body.in_unit(1.0), self._cut()[1], self.gray, self.gray_layers, self.islands == "remove")
         return replace(made, triangles=mesh.triangles)
 
     def run(self, context: Context, mesh: SurfaceMesh) -> SliceStack:

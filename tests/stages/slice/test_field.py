@@ -1,11 +1,13 @@
 """Layers: where they are, what they show, and what is removed."""
 
+from collections import namedtuple
+
 import numpy as np
 import pytest
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.fields import sampled_slices
+from sppm_pipeline.fields import sampled_slices, spool
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
 from sppm_pipeline.numerics.grid import cell_centers
@@ -62,12 +64,52 @@ def test_islands_are_removed_as_on_the_whole(wang_tiling, monkeypatch):
     removed = findings["removed_share"]
     assert removed == pytest.approx(1 - expected.sum() / wang_tiling.solid(cell_centers(10, wang_tiling.cells)).sum())
     assert removed > 0
-    # in thin slabs, and evaluated twice because the stack is too large to be kept
     monkeypatch.setattr(sampled_slices, "SLAB_PIXELS", 2000)
-    monkeypatch.setattr(sampled_slices, "KEPT_BITS", 0)
-    again, found_again = layers_and_findings(slices(wang_tiling, resolution=10), threads=2)
-    assert again.tobytes() == found.tobytes()
-    assert found_again == findings
+    for memory, disk in (
+        (1000, 0.25),
+        (0, 0.25),
+        (0, 0.0),
+    ):  # some in memory, all on the disk, no room: evaluated twice
+        monkeypatch.setattr(spool, "IN_MEMORY", memory)
+        monkeypatch.setattr(spool, "OF_THE_DISK", disk)
+        again, found_again = layers_and_findings(slices(wang_tiling, resolution=10), threads=2)
+        assert again.tobytes() == found.tobytes()
+        assert found_again == findings
+
+
+def test_a_spool_leaves_most_of_the_disk_to_others(monkeypatch):
+    monkeypatch.setattr(spool, "IN_MEMORY", 0)
+    written = []
+    usage = namedtuple("usage", "free")
+    monkeypatch.setattr(spool.shutil, "disk_usage", lambda path: usage(8000 - 100 * len(written)))
+    kept = spool.Spool()
+    for start in range(40):
+        kept.append(start, np.ones((1, 20, 40), np.uint8))
+        written.append(start)
+        if not kept.whole:
+            break
+    assert start == 20  # 2000 of 8000 bytes are used
+
+
+@pytest.mark.parametrize("memory", [2**27, 1000])
+def test_layers_without_islands_are_evaluated_once_for_all_who_read_them(wang_tiling, monkeypatch, memory):
+    monkeypatch.setattr(sampled_slices, "SLAB_PIXELS", 2000)
+    monkeypatch.setattr(spool, "IN_MEMORY", memory)
+    evaluated = []
+    decided = sampled_slices.FieldSlices.decided
+    monkeypatch.setattr(sampled_slices.FieldSlices, "decided", lambda *args: evaluated.append(1) or decided(*args))
+    stack = slices(wang_tiling, resolution=10)
+    half = iter(stack.slabs())
+    next(half)
+    half.close()  # by somebody who has seen enough
+    found, findings = layers_and_findings(stack)
+    assert len(evaluated) == 2
+    readers = [stack.slabs(), stack.slabs()]  # a plate reads a stack that lies on it twice so
+    pairs = [pair for pairs in zip(*readers, strict=True) for pair in pairs]
+    assert b"".join(layers.tobytes() for _, layers in pairs[::2]) == found.tobytes()
+    assert b"".join(layers.tobytes() for _, layers in pairs[1::2]) == found.tobytes()
+    assert [reader.findings for reader in readers] == [findings] * 2
+    assert len(evaluated) == 2
 
 
 @pytest.mark.parametrize(("pixel", "layer", "gray"), [(0.4, 0.25, 1), (0.37, 0.11, 1), (0.4, 0.4, (3, 2))])

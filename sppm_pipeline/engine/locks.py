@@ -1,0 +1,141 @@
+"""Locks on folders and files: by ``flock``, and for a folder on a file system without it by a claim file."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import errno
+import os
+import socket
+import threading
+from pathlib import Path
+from types import ModuleType
+
+fcntl: ModuleType | None
+try:
+    import fcntl
+except ImportError:
+    fcntl = None
+
+CLAIM = ".claim"
+"""Name of the file by which a folder is claimed where the file system has no ``flock``, as some of clusters."""
+
+HEARTBEAT = 30.0
+"""Seconds between two signs of life in a claim file; a choice."""
+
+_MISSING = (errno.ENOTSUP, errno.ENOLCK, errno.EBADF, errno.ENOSYS)
+
+
+class FolderLock:
+    """An exclusive lock on a folder or file that exists.
+
+    The system gives a ``flock`` back when its process ends. A claim file stays when its process is killed: nobody
+    takes it away but a person, because no process can tell of another machine's whether it is gone. A *file* is not
+    claimed: what it holds, an account, may then be off.
+
+    Attributes
+    ----------
+    holder : str
+        After `acquire` has failed: who holds the lock, as far as that is known; else empty.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor: int | None = None
+        self._claim: _Claim | None = None
+        self.holder = ""
+
+    def acquire(self, *, wait: bool = False) -> bool:
+        """Take the lock; False if somebody else holds it.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder is not there, or not there any more.
+        """
+        if fcntl is None:
+            return self._claimed()
+        descriptor = os.open(self._path, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except OSError as error:
+            os.close(descriptor)
+            if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+                return False
+            if error.errno in _MISSING:
+                return self._claimed()
+            raise
+        try:
+            there = os.stat(self._path)
+            same = os.path.samestat(there, os.fstat(descriptor))
+        except FileNotFoundError:
+            same = False
+        except OSError:
+            os.close(descriptor)
+            raise
+        if not same:  # removed between opening and locking
+            os.close(descriptor)
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self._path))
+        self._descriptor = descriptor
+        return True
+
+    def release(self) -> None:
+        """Give the lock back; may be called twice."""
+        if self._descriptor is not None:
+            with contextlib.suppress(OSError):
+                os.close(self._descriptor)
+            self._descriptor = None
+        if self._claim is not None:
+            self._claim.release()
+            self._claim = None
+
+    def _claimed(self) -> bool:
+        if not self._path.is_dir():
+            return True
+        try:
+            self._claim = _Claim(self._path / CLAIM)
+        except FileExistsError:
+            self.holder = _told(self._path / CLAIM)
+            return False
+        return True
+
+
+class _Claim:
+    """A file that this process alone has made; its time of change is a sign of life."""
+
+    def __init__(self, path: Path) -> None:
+        descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(f"process {os.getpid()} on {socket.gethostname()} since {_moment(None)}\n")
+            self._own = os.fstat(file.fileno())
+        self._path = path
+        self._over = threading.Event()
+        threading.Thread(target=self._live, name="sppm-claim", daemon=True).start()
+
+    def release(self) -> None:
+        """Let others use the folder."""
+        self._over.set()
+        with contextlib.suppress(OSError):
+            if os.path.samestat(self._own, os.stat(self._path)):  # not that of somebody who took this one for dead
+                self._path.unlink()
+
+    def _live(self) -> None:
+        while not self._over.wait(HEARTBEAT):
+            with contextlib.suppress(OSError):
+                os.utime(self._path)
+
+
+def _told(claim: Path) -> str:
+    """What a claim file says, and when its process has last been heard of; empty if it has just gone."""
+    try:
+        text = claim.read_text("utf-8", "replace")[:200].strip()
+        heard = claim.stat().st_mtime
+    except OSError:
+        return ""
+    return f"{text}, last heard of at {_moment(heard)}; if it is gone, remove {str(claim)!r}"
+
+
+def _moment(seconds: float | None) -> str:
+    now = datetime.datetime.now(datetime.UTC)
+    moment = now if seconds is None else datetime.datetime.fromtimestamp(seconds, datetime.UTC)
+    return moment.isoformat(sep=" ", timespec="seconds").replace("+00:00", " UTC")

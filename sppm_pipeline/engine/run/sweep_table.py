@@ -1,0 +1,63 @@
+"""The table of a sweep: the numbers that its runs left, a row for each run."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+MAX_LISTED = 6
+"""Longest list whose numbers get columns of their own: vectors, and the rows and columns of a stiffness matrix."""
+
+
+def numbers_of(stages: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Numbers in the summaries of a run record's stages, as ``<stage id>.<name>``; truth values as 1 and 0.
+
+    Those of short lists are counted from 1, row by row: ``E.1``, ``C.4.4``.
+    """
+    return {f"{stage['id']}.{name}": value for stage in stages for name, value in _numbers(stage.get("summary", {}))}
+
+
+def _numbers(summary: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    for name, value in summary.items():
+        if isinstance(value, (bool, int, float)):
+            yield name, int(value) if isinstance(value, bool) else value
+        elif isinstance(value, dict):
+            yield from ((f"{name}.{inner}", number) for inner, number in _numbers(value))
+        elif isinstance(value, list) and len(value) <= MAX_LISTED:
+            listed = {str(number): one for number, one in enumerate(value, 1) if not isinstance(one, dict)}
+            yield from ((f"{name}.{inner}", number) for inner, number in _numbers(listed))
+
+
+def columns_of(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Columns ``run``, the parameters, ``status``, ``error``, then the numbers in the order in which they appear.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        With the keys run, params, status, error and columns, in order.
+    """
+    params = list(dict.fromkeys(name for run in runs for name in run["params"]))
+    numbers = list(dict.fromkeys(name for run in runs for name in run["columns"]))
+    columns: dict[str, list[Any]] = {"run": [run["run"] for run in runs]}
+    columns |= {name: [run["params"].get(name) for run in runs] for name in params}
+    columns["status"] = [run["status"] for run in runs]
+    columns["error"] = [run["error"]["message"] if run["error"] else None for run in runs]
+    return columns | {name: [run["columns"].get(name) for run in runs] for name in numbers}
+
+
+def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """The table as a list of rows."""
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+
+def csv_text(columns: Mapping[str, Sequence[Any]]) -> str:
+    """The table as CSV; lists as JSON, nothing as an empty field."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in rows_of(columns):
+        writer.writerow([json.dumps(v) if isinstance(v, (list, dict, bool)) else v for v in row.values()])
+    return text.getvalue()

@@ -1,0 +1,94 @@
+"""Layers that are kept while they are gone through twice: a bit a sample, in memory and beyond that on the disk."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+IN_MEMORY = 2**27
+"""Bytes that a spool keeps in memory; what comes then goes into a temporary file. A choice."""
+
+OF_THE_DISK = 0.25
+"""Share of what is free where temporary files go that a spool may take; a choice."""
+
+
+class Spool:
+    """Slabs of 0 and 1, in the order in which they came.
+
+    Packing and unpacking a sample takes half a nanosecond, evaluating it takes two and more. Compressing the bits as
+    well takes two (zlib at its fastest, a quarter of the size), so they are not.
+
+    Attributes
+    ----------
+    whole : bool
+        Whether all slabs that were handed over are there; not so once the disk had no room for one.
+    """
+
+    def __init__(self) -> None:
+        self._slabs: list[tuple[int, tuple[int, ...], int]] = []  # first sheet, shape, place in the file
+        self._bits: list[NDArray[np.uint8]] = []
+        self._held = 0
+        self._written = 0
+        self._file: IO[bytes] | None = None
+        self.whole = True
+
+    def append(self, start: int, slab: NDArray[np.uint8]) -> None:
+        """Keep a slab; `start` is its first sheet."""
+        if not self.whole:
+            return
+        bits = np.packbits(slab)
+        self._slabs.append((start, slab.shape, self._written))
+        if self._file is None and self._held + bits.nbytes <= IN_MEMORY:
+            self._held += bits.nbytes
+            self._bits.append(bits)
+            return
+        try:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile(prefix="sppm-layers-")  # noqa: SIM115  # gone with this process
+            room = self._written + shutil.disk_usage(tempfile.gettempdir()).free  # before there was the file
+            if self._written + bits.nbytes > OF_THE_DISK * room:
+                raise OSError("no room")
+            self._file.write(bits.data)
+            self._written += bits.nbytes
+        except OSError:  # there is another way: to evaluate the layers again
+            self.whole = False
+            self._bits.clear()
+            self._drop_file()
+
+    def __len__(self) -> int:
+        return len(self._slabs)
+
+    def slab(self, number: int) -> tuple[int, NDArray[np.uint8]]:
+        """The first sheet of a slab, and the slab as uint8."""
+        start, shape, offset = self._slabs[number]
+        count = math.prod(shape)
+        if number < len(self._bits):
+            bits = self._bits[number]
+        else:
+            assert self._file is not None
+            self._file.seek(offset)
+            bits = np.frombuffer(self._file.read((count + 7) // 8), dtype=np.uint8)
+        return start, np.unpackbits(bits, count=count).reshape(shape)
+
+    def replace(self, number: int, slab: NDArray[np.uint8]) -> None:
+        """Another content for a slab of the same shape."""
+        bits = np.packbits(slab)
+        if number < len(self._bits):
+            self._bits[number] = bits
+        else:
+            assert self._file is not None
+            self._file.seek(self._slabs[number][2])
+            self._file.write(bits.data)
+
+    def _drop_file(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def __del__(self) -> None:
+        self._drop_file()
