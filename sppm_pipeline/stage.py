@@ -5,7 +5,7 @@ the command line help, the reference pages and the JSON Schema all come from the
 its list of ports: a required port is annotated with an artifact type, an optional one with ``Artifact | None``, a port
 that takes one of several types with ``A | B``, one that takes the results of one or more stages with ``tuple[A, ...]``,
 a recipe with ``Recipe``. What `run` returns is what the stage makes; a stage annotated ``-> Any`` makes what its recipe
-makes, and a type variable on a port and on the result passes the type through.
+makes, or the last of a type (`Stage.returns`), and a type variable on a port and on the result passes the type through.
 """
 
 from __future__ import annotations
@@ -221,6 +221,21 @@ class Context(ABC):
         """
 
 
+class Observed(NamedTuple):
+    """A run of a recipe.
+
+    Attributes
+    ----------
+    made : object
+        The last result of the type that was asked for; None if the numbers were remembered.
+    numbers : mapping of "stage id.number" to float
+        What its stages reported, named as columns of sweeps are.
+    """
+
+    made: Any
+    numbers: Mapping[str, float]
+
+
 class Recipe(ABC):
     """A named sub-pipeline handed to a stage that repeats it."""
 
@@ -252,6 +267,44 @@ class Recipe(ABC):
     @abstractmethod
     def options(self) -> Mapping[str, Mapping[str, Any]]:
         """Options of each stage of the recipe by stage id, defaults included."""
+
+    def inner_options(self) -> Mapping[str, Mapping[str, Any]]:
+        """Those of the recipes that it repeats in turn, by ``recipe.stage id``; `run` takes these names, too."""
+        return {}
+
+    def number(self, name: str) -> str:
+        """The full name, ``stage id.number``, of a number that its stages report; the id may be omitted if clear.
+
+        Raises
+        ------
+        ConfigError
+            If no stage, or more than one, declares it, as far as they declare their numbers.
+        """
+        return name
+
+    def observe(
+        self,
+        context: Context,
+        kind: type,
+        *,
+        attempt: int = 0,
+        options: Mapping[str, Mapping[str, Any]] | None = None,
+        again: bool = False,
+    ) -> Observed:
+        """Run the sub-pipeline for the numbers that its stages report, or remember them from an earlier run.
+
+        Parameters
+        ----------
+        context : Context
+            The context of the calling stage.
+        kind : type
+            Of what is returned: the last result of this type.
+        attempt, options
+            See `run`.
+        again : bool
+            Whether to run even if the numbers are remembered, for what is made.
+        """
+        raise NotImplementedError
 
 
 class Headline(NamedTuple):
@@ -294,6 +347,9 @@ class Stage(ABC):
     reported : tuple of str or None
         Places of the numbers that it may `Context.report`, so that a column of a sweep's table which no run makes is
         refused before the sweep; None to have none refused. See `Artifact.reported` for how they are written.
+    returns : type or None
+        Of a stage annotated ``-> Any``: it makes the last result of this type among those of its recipe, which may
+        then end in stages that measure; None for what the recipe makes.
     advice : str
         What makes the work smaller, said when a run is refused because it can't fit; empty for a default.
     """
@@ -303,17 +359,19 @@ class Stage(ABC):
     cacheable: ClassVar[bool] = True
     headline: ClassVar[tuple[Headline, ...]] = ()
     reported: ClassVar[tuple[str, ...] | None] = None
+    returns: ClassVar[type | None] = None
     advice: ClassVar[str] = ""
 
     @abstractmethod
     def run(self, context: Context, *inputs: Any) -> Any:
         """Do the work; subclasses state their ports and result by annotation."""
 
-    def estimate(self, palette: Palette, *inputs: Any) -> Size | None:
+    def estimate(self, palette: Palette, *inputs: Any, **ports: Any) -> Size | None:
         """Tell how large the result and the work will be, in milliseconds; None if that is unknown.
 
         Subclasses take the `Size` of each port by name (None for an open one), and a `RecipeSize` for a recipe. What
-        raises, for instance because the geometry of an input is unknown, is unknown as well.
+        raises `LookupError`, because the geometry of an input is unknown, or an error of this program, is unknown as
+        well; other errors are warned of, as mistakes.
         """
         return None
 

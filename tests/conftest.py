@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -28,6 +29,8 @@ from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 os.environ["SPPM_CACHE"] = (
     "off"  # tests neither use nor fill the cache of whoever runs them, but for those of the cache
 )
+
+os.environ["SPPM_COMPILE_AHEAD"] = "off"  # all processors are busy with tests already
 
 # Whoever starts the tests in the background may have turned signals off, which all processes would inherit.
 for _number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
@@ -157,7 +160,7 @@ def run_yaml(tmp_path):
 def _numbers_are_declared(plan, record):
     """What a stage reports is what it declares; else columns that there are would be refused before a sweep."""
     from sppm_pipeline.engine.plan.inputs import declared_numbers, is_declared
-    from sppm_pipeline.engine.run.sweep import numbers_of
+    from sppm_pipeline.engine.run.sweep_table import numbers_of
 
     for step, stage in zip(plan.steps, record["stages"], strict=True):
         declared = declared_numbers(type(step.stage), step.owner.builtin, step.makes)
@@ -209,3 +212,26 @@ def _sorted_cloud(points, lattice, periodic=(False, False, False)):
     count = np.bincount(block, minlength=int(np.prod(lattice)))
     first = np.concatenate([[0], np.cumsum(count)])
     return Cloud(points[np.argsort(block, kind="stable")], first, tuple(lattice), tuple(periodic), Cell())
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium with software WebGL."""
+    required = os.environ.get("SPPM_REQUIRE_BROWSER") == "1"
+    path = next(
+        (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
+    )
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        path = None
+    if path is None:
+        if required:
+            pytest.fail("SPPM_REQUIRE_BROWSER=1, but there is no Chromium or no playwright")
+        pytest.skip("no Chromium")
+    with sync_playwright() as playwright:
+        made = playwright.chromium.launch(
+            executable_path=path, args=["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+        )
+        yield made
+        made.close()

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks import kernel_list
+from sppm_pipeline.cli.kernels import kernels_of, listed_kernels
 from sppm_pipeline.formats import ply
 from sppm_pipeline.formats.detect import decode_mesh
 from sppm_pipeline.numerics.domain import primitive_meshes
@@ -70,6 +72,19 @@ def test_quickstart(run_yaml, summary):
     )  # fmt: skip
     assert summary(record, "tile.scattered")["filled_cells"] > 10
     check_knot(record, folder, summary, rel=0.35)  # two cells across the tube
+
+
+def test_the_kernels_that_the_quickstart_calls_are_compiled_ahead(tmp_path):
+    """Called by a stage -> listed for it, for these types, in such pipelines; else run benchmarks/kernel_list.py."""
+    called, calls = kernel_list.listed(["quickstart"], tmp_path)
+    assert len(called) > 40
+    assert all("_add_tunnels_linear" in text for text in calls.unlisted)  # made for each profile
+    listed = {k.place: k for k in kernels_of(set(called[0]["with"]), listed_kernels())}
+    for call in called:
+        kernel = listed[call["kernel"]]
+        assert set(call["stages"]) <= set(kernel.stages), kernel.place
+        for signature in call["signatures"]:
+            assert signature in kernel.signatures, kernel.place
 
 
 def test_printer(run_yaml, summary):
@@ -317,6 +332,20 @@ def test_walls_tetrahedra(run_yaml, tmp_path):
     assert "agreement.md" in outputs(folder)
 
 
+def test_composite(run_yaml, tmp_path):
+    path = reduced(
+        "composite.yaml",
+        tmp_path,
+        filling=("filling: [0.1, 0.01, 0.001]", "filling: [0.1, 0.001]"),
+        porosity=("porosity: [0.3, 0.4, 0.5, 0.6, 0.7]", "porosity: [0.5]"),
+    )
+    _, folder = run_yaml(path, s=["solid.resolution=24", "solid.trials=1", "solid.tolerance=0.02"], p=["resolution=12"])
+    stiff, soft = json.loads((folder / "sweep.json").read_text())
+    assert stiff["elastic.isotropic.E"] > soft["elastic.isotropic.E"] > 0
+    assert 8e-5 < soft["elastic.expansion.1"] < stiff["elastic.expansion.1"] < 2.5e-4
+    assert {"modulus.png", "expansion.png"} <= outputs(folder)
+
+
 def test_crush_density(run_yaml, tmp_path):
     path = reduced(
         "crush_density.yaml", tmp_path,
@@ -327,6 +356,17 @@ def test_crush_density(run_yaml, tmp_path):
     dense, light = json.loads((folder / "sweep.json").read_text())
     assert dense["measured.energy_40"] > 2 * light["measured.energy_40"] > 0
     assert {"energy.md", "energy.png"} <= outputs(folder)
+
+
+def test_crush_animation(run_yaml, summary):
+    record, folder = run_yaml(
+        CONFIGS / "crush_animation.yaml",
+        s=["tune.porosity.resolution=24", "tile.periodic.cells=[1, 1, 1]", "crush.resolution=10", "crush.rate=0.05",
+           "write.frames.image_size=[60, 50]"],
+    )  # fmt: skip
+    assert summary(record, "crush")["strain_max"] == pytest.approx(0.6)
+    with Image.open(folder / "crushing" / "animation.png") as animation:
+        assert animation.n_frames == 13
 
 
 def test_no_configuration_is_forgotten():

@@ -98,7 +98,8 @@ def test_the_archives_are_complete(built):
         for file in (ROOT / folder).iterdir():
             assert file.is_dir() or f"sppm_pipeline/{folder}/{file.name}" in inside
     data = [
-        ROOT / "sppm_pipeline" / name for name in ("cli/templates", "live/assets", "report/assets", "report/templates")
+        ROOT / "sppm_pipeline" / name
+        for name in ("cli/templates", "live/assets", "report/assets", "report/templates", "studio")
     ]
     files = [file for folder in data for file in folder.rglob("*.*")]
     written = {f.relative_to(ROOT).as_posix() for f in files if f.is_file() and f.suffix != ".pyc"}

@@ -277,7 +277,7 @@ class StageFunction:
         recipe: Sequence[Any] | None = None,
         seed: int | None = None,
         threads: int | None = None,
-        output: str | Path = ".",
+        output: str | Path | None = None,
         **options: Any,
     ) -> Any:
         """Set options, and run the stage if all that it needs is there; see `BoundStage`.
@@ -297,12 +297,14 @@ class StageFunction:
         named = {port.name: options.pop(port.name) for port in ports if port.name in options}
         bound = BoundStage(self.name, options, recipe)
         if artifacts or named or all(port.optional for port in ports):
-            return bound(*artifacts, seed=seed, threads=threads, output=output, **named)
-        if seed is not None or threads is not None:
-            raise ConfigError(
-                f"{self.name} needs artifacts before it can run",
-                hint=f"sppm.{self.name}(...)(artifact, seed=...): the seed belongs to the second call",
-            )
+            folder = "." if output is None else output
+            return bound(*artifacts, seed=seed, threads=threads, output=folder, **named)
+        for name, value in (("seed", seed), ("threads", threads), ("output", output)):
+            if value is not None:
+                raise ConfigError(
+                    f"{self.name} needs artifacts before it can run",
+                    hint=f"sppm.{self.name}(...)(artifact, {name}=...): `{name}` belongs to the second call",
+                )
         return bound
 
 

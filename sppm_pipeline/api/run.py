@@ -20,7 +20,8 @@ from sppm_pipeline.engine.plan.session import (
 from sppm_pipeline.engine.run.memory import MemoryRun, run_in_memory
 from sppm_pipeline.engine.run.record import error_entry
 from sppm_pipeline.engine.run.runner import run_plan
-from sppm_pipeline.engine.run.sweep import columns_of, numbers_of, run_sweep
+from sppm_pipeline.engine.run.sweep import run_sweep
+from sppm_pipeline.engine.run.sweep_table import columns_of, numbers_of
 from sppm_pipeline.errors import ConfigError, SppmError
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet

@@ -226,7 +226,7 @@ def _feed(h: Any, value: Any) -> None:
     """Hash `value` with its type and length in front, so that different structures can't collide by concatenation."""
     record = isinstance(value, tuple) and hasattr(value, "_fields")
     if record or (is_dataclass(value) and not isinstance(value, type)):
-        names = list(value._fields) if record else [f.name for f in fields(value) if f.compare]
+        names = _given(value) if record else [f.name for f in fields(value) if f.compare]
         h.update(f"{type(value).__name__}{len(names)};".encode())
         for name in names:
             h.update(f"{name}=".encode())
@@ -249,3 +249,8 @@ def _feed(h: Any, value: Any) -> None:
         _feed(h, value.item())
     else:
         raise TypeError(f"{type(value).__name__} has no digest")
+
+
+def _given(record: Any) -> list[str]:
+    """Names of the fields of a named tuple, without those that are None if left out: absent ones change no digest."""
+    return [n for n in record._fields if getattr(record, n) is not None or record._field_defaults.get(n, 0) is not None]

@@ -34,6 +34,11 @@ class Blocks:
     added: NDArray[np.int64] | None = None
 
     @property
+    def metric(self) -> NDArray[np.float64] | None:
+        """Metrics at the nodes of `density`, (..., 6), if pores are stretched: see `StretchedBlocks`."""
+        return None
+
+    @property
     def shape(self) -> tuple[int, int, int]:
         """Number of blocks along x, y, z."""
         nx, ny, nz = self.mask.shape
@@ -48,6 +53,19 @@ class Blocks:
     def numbers(self) -> NDArray[np.int32]:
         """Interior of each block, (nx, ny, nz); -1 = none."""
         return np.where(self.mask, np.cumsum(self.mask).reshape(self.mask.shape) - 1, -1).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class StretchedBlocks(Blocks):
+    """Blocks whose pores are stretched.
+
+    Attributes
+    ----------
+    metric : (m nx + 1, m ny + 1, m nz + 1, 6) float64
+        Metrics, at the nodes of `density`, in which distances of pores are measured; see `numerics.metric`.
+    """
+
+    metric: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,9 @@ class Cloud(NamedTuple):
         Axes along which the lattice repeats, with `lattice` as its period.
     cell : Cell
         Turns the user's lengths into cell sizes.
+    metric : (n, 6) float64 or None
+        Metrics of the pores, see `numerics.metric`: the distance of two is measured in the mean of theirs. Only
+        connectors that follow them are given any.
     """
 
     points: NDArray[np.float64]
@@ -60,6 +63,7 @@ class Cloud(NamedTuple):
     lattice: tuple[int, int, int]
     periodic: tuple[bool, bool, bool]
     cell: Cell
+    metric: NDArray[np.float64] | None = None
 
     @property
     def period(self) -> NDArray[np.float64]:
@@ -87,7 +91,14 @@ class Connector(Stage):
 
     "The MBDST method is separately and concurrently applied on the surface and the interior, ultimately generating a
     tunnel between each pore on the surface and its closest counterpart on the interior" (paper, section 2.1).
+
+    Attributes
+    ----------
+    follows_metric : bool
+        Whether `join_cloud` joins pores that are stretched; otherwise it is given none.
     """
+
+    follows_metric: ClassVar[bool] = False
 
     @abstractmethod
     def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -55,10 +55,13 @@ colors = _shared("number of colors c", minimum=1)
 interiors = _shared("number of interiors K", minimum=1, maximum=1024)
 target = _shared("target value", above=0)
 trials = _shared("trial cells for each number of pores", minimum=1, maximum=200)
+least_strain = _shared("strain that must be reached", maximum=0.8)
 accuracy = _shared("largest relative error of what is tuned", above=0, below=0.5)
+draws = _shared("number of independent draws", minimum=1)
 evaluations = _shared("maximum number of evaluations", minimum=3, maximum=1000)
 
 # solvers and materials
+EACH_PHASE = "or of each phase from 1 on"
 iterations = _shared("maximum number of solver iterations for a load case", minimum=1, maximum=1_000_000)
 residual = _shared("the solver stops at this residual over the right-hand side", minimum=1e-14, maximum=0.1)
 young = _shared("Young's modulus of the solid", above=0, maximum=1e15)

@@ -1,8 +1,8 @@
 """View files: a line of JSON and packed arrays, which ``write.view`` writes and the live view reads.
 
 ``sppmview 1``, a line end, one line of JSON, a line end, and the blobs one after the other. The head's `blobs` lists
-name, bytes, type (``u8`` or ``f32``), count of numbers and whether the bytes are differences to the one before. Each
-blob is gzip without name and time, so that equal data are equal files.
+name, bytes, type (``u8``, ``u16``, ``u32`` or ``f32``), count of numbers and whether each number is the difference to
+the one before. Each blob is gzip without name and time, so that equal data are equal files.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ SUFFIX = ".view"
 MAX_HEAD = 2**22
 """Bytes of a head that are read."""
 
-_TYPES: dict[str, np.dtype[Any]] = {"u8": np.dtype("uint8"), "f32": np.dtype("<f4")}
+_TYPES: dict[str, np.dtype[Any]] = {
+    "u8": np.dtype("uint8"), "u16": np.dtype("<u2"), "u32": np.dtype("<u4"), "f32": np.dtype("<f4"),
+}  # fmt: skip
 
 
 def encode_view(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -32,14 +34,14 @@ def encode_view(head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     ----------
     head : mapping
         JSON-ready.
-    arrays : mapping of name to uint8 or float32 array
-        Bytes are packed as differences along the last axis, which a smooth field makes small.
+    arrays : mapping of name to uint8, uint16, uint32 or float array
+        Integers are packed as differences along the last axis, which a smooth field makes small.
     """
     blobs, listed = [], []
     for name, array in arrays.items():
-        kind = "u8" if array.dtype == np.uint8 else "f32"
+        kind = f"u{8 * array.dtype.itemsize}" if array.dtype.kind == "u" else "f32"
         flat = np.ascontiguousarray(array, _TYPES[kind]).reshape(-1)
-        delta = kind == "u8"
+        delta = kind != "f32"
         data = np.diff(flat, prepend=flat.dtype.type(0)).tobytes() if delta else flat.tobytes()
         blobs.append(gzip.compress(data, compresslevel=9, mtime=0))
         listed.append({"name": name, "bytes": len(blobs[-1]), "type": kind, "count": flat.size, "delta": delta})
@@ -74,6 +76,6 @@ def arrays_of(data: bytes) -> dict[str, NDArray[Any]]:
     found = {}
     for blob in head["blobs"]:
         flat = np.frombuffer(gzip.decompress(data[place : place + blob["bytes"]]), _TYPES[blob["type"]])
-        found[blob["name"]] = np.cumsum(flat, dtype=np.uint8) if blob["delta"] else flat
+        found[blob["name"]] = np.cumsum(flat, dtype=flat.dtype) if blob["delta"] else flat
         place += blob["bytes"]
     return found

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 ASSETS = Path(__file__).with_name("assets")
 
-LIVE_SCRIPTS = ("data.js", "kernels.js", "camera.js", "shader.js", "view.js", "live.js")
+LIVE_SCRIPTS = ("data.js", "kernels.js", "camera.js", "shader.js", "view.js", "meshview.js", "live.js")
 """Scripts of the live view behind ``base.js``, each before those that use it."""
 
 

@@ -91,6 +91,9 @@ class Series(NamedTuple):
         Half lengths of error bars of points; NaN for none.
     color : str, optional
         Color as matplotlib names it; the next one of `COLORS` otherwise.
+    hull : bool
+        Whether the convex hull of the points is shaded, as in charts of material families (Ashby 2011, "Materials
+        Selection in Mechanical Design"); on logarithmic axes that of the logarithms.
     """
 
     x: ArrayLike
@@ -99,6 +102,7 @@ class Series(NamedTuple):
     kind: Literal["points", "line", "dashed", "boxes", "means"] = "points"
     error: ArrayLike | None = None
     color: str | None = None
+    hull: bool = False
 
 
 class Panel(NamedTuple):
@@ -188,20 +192,53 @@ def chart(
     log_y: bool = False,
     size: tuple[float, float] = (5.0, 3.4),
 ) -> bytes:
-    """Draw series on common axes.
+    """Draw series on common axes; see `charts_beside`."""
+    axes = Axis(series, y_label, log_y)
+    return charts_beside([axes], path, title=title, x_label=x_label, legend=legend, log_x=log_x, size=size)
 
-    Parameters
+
+class Axis(NamedTuple):
+    """One of several charts over the same x.
+
+    Attributes
     ----------
     series : sequence of Series
         The first one is drawn at the bottom.
+    label : str
+        Text at the left of the axes.
+    log : bool
+        Whether the vertical axis is logarithmic.
+    """
+
+    series: Sequence[Series]
+    label: str
+    log: bool
+
+
+def charts_beside(
+    panels: Sequence[Axis],
+    path: str,
+    *,
+    title: str = "",
+    x_label: str = "",
+    legend: str = "",
+    log_x: bool = False,
+    size: tuple[float, float] = (5.0, 3.4),
+) -> bytes:
+    """Draw series over the same x on axes side by side, with a common legend.
+
+    Parameters
+    ----------
+    panels : sequence of Axis
+        From left to right. Those of several have series of the same labels.
     path : str
         Name of the file, of which the extension is used: .pdf, .png or .svg.
-    title, x_label, y_label, legend : str
-        Texts above, below and at the left of the axes, and above the entries of the legend.
-    log_x, log_y : bool
-        Whether an axis is logarithmic. Values that are not positive are then left out.
+    title, x_label, legend : str
+        Texts above and below the axes, and above the entries of the legend.
+    log_x : bool
+        Whether the horizontal axis is logarithmic. Values that are not positive are left out on such axes.
     size : (width, height)
-        Size of the figure in inches.
+        Size of each chart in inches.
 
     Returns
     -------
@@ -215,53 +252,84 @@ def chart(
     """
     from matplotlib.figure import Figure
 
+    count = len(panels)
     with styled():
-        figure = Figure(figsize=size, layout="constrained")
-        axes = figure.add_subplot()
-        axes.set(title=title, xlabel=x_label, ylabel=y_label)
-        axes.set_xscale("log" if log_x else "linear")
-        axes.set_yscale("log" if log_y else "linear")
-        axes.minorticks_on()
-        axes.grid(True)
-        boxes = [number for number, one in enumerate(series) if one.kind == "boxes"]
-        drawn: list[Artist | Container] = []
-        for number, one in enumerate(series):
-            x, y = (np.asarray(values, np.float64) for values in (one.x, one.y))
-            error = np.full(x.shape, np.nan) if one.error is None else np.asarray(one.error, np.float64)
-            if not x.ndim == 1 or not x.shape == y.shape == error.shape:
-                raise ValueError(f"x, y and errors of a series have shapes {x.shape}, {y.shape} and {error.shape}")
-            x = np.where(np.isfinite(x) & ((x > 0) | (not log_x)), x, np.nan)
-            y = np.where(np.isfinite(y) & ((y > 0) | (not log_y)), y, np.nan)
-            color = one.color or COLORS[number % len(COLORS)]
-            if one.kind == "boxes":
-                drawn.append(_boxes(axes, x, y, color, (boxes.index(number), len(boxes)), log_x))
-            elif one.kind in ("line", "dashed"):
-                drawn += axes.plot(x, y, "--" if one.kind == "dashed" else "-", color=color)
-            else:
-                joined = one.kind == "means"
-                if joined:
-                    x, y, error = _means(x, y)
-                if joined and len(x) > MANY:
-                    around = np.nan_to_num(error)
-                    axes.fill_between(x, y - around, y + around, color=color, alpha=0.22, linewidth=0)
-                    drawn += axes.plot(x, y, "-", color=color)
-                    continue
-                drawn.append(axes.errorbar(
-                    x, y, error if np.isfinite(error).any() else None, color=color, capsize=2.5, elinewidth=0.9,
-                    linestyle="-" if joined else "none", marker=_MARKERS[number % len(_MARKERS)],
-                    markeredgecolor="white", markeredgewidth=0.4,
-                ))  # fmt: skip
-        if boxes and not log_x:
-            places = np.unique(np.concatenate([np.asarray(series[number].x, np.float64) for number in boxes]))
-            if len(places) <= 12:
-                axes.set_xticks(places[np.isfinite(places)])
-                axes.set_xticks([], minor=True)
-        named = [(artist, one.label) for artist, one in zip(drawn, series, strict=True) if one.label]
-        if len(named) > 6:  # a long list would hide what it explains
+        figure = Figure(figsize=(count * size[0], size[1]), layout="constrained")
+        named: list[tuple[Artist | Container, str]] = []
+        for place, panel in enumerate(panels, 1):
+            axes = figure.add_subplot(1, count, place)
+            axes.set(title=title if count == 1 else "", xlabel=x_label, ylabel=panel.label)
+            axes.set_xscale("log" if log_x else "linear")
+            axes.set_yscale("log" if panel.log else "linear")
+            axes.minorticks_on()
+            axes.grid(True)
+            drawn = _draw(axes, panel, log_x)
+            named = [(artist, one.label) for artist, one in zip(drawn, panel.series, strict=True) if one.label]
+        if count > 1 and title:
+            figure.suptitle(title, fontsize=10)
+        if named and (len(named) > 6 or count > 1):  # a long list would hide what it explains
             figure.legend(*zip(*named, strict=True), title=legend or None, loc="outside right upper")
         elif named:
             axes.legend(*zip(*named, strict=True), title=legend or None, loc="best")
         return figure_file(figure, path)
+
+
+def _draw(axes: Axes, panel: Axis, log_x: bool) -> list[Artist | Container]:
+    """Draw all series; what stands for each in a legend."""
+    boxes = [number for number, one in enumerate(panel.series) if one.kind == "boxes"]
+    drawn: list[Artist | Container] = []
+    for number, one in enumerate(panel.series):
+        x, y = (np.asarray(values, np.float64) for values in (one.x, one.y))
+        error = np.full(x.shape, np.nan) if one.error is None else np.asarray(one.error, np.float64)
+        if not x.ndim == 1 or not x.shape == y.shape == error.shape:
+            raise ValueError(f"x, y and errors of a series have shapes {x.shape}, {y.shape} and {error.shape}")
+        x = np.where(np.isfinite(x) & ((x > 0) | (not log_x)), x, np.nan)
+        y = np.where(np.isfinite(y) & ((y > 0) | (not panel.log)), y, np.nan)
+        color = one.color or COLORS[number % len(COLORS)]
+        if one.hull:
+            corners = _hull(np.log10(x) if log_x else x, np.log10(y) if panel.log else y)
+            axes.fill(x[corners], y[corners], color=color, alpha=0.16, linewidth=0)
+        if one.kind == "boxes":
+            drawn.append(_boxes(axes, x, y, color, (boxes.index(number), len(boxes)), log_x))
+        elif one.kind in ("line", "dashed"):
+            drawn += axes.plot(x, y, "--" if one.kind == "dashed" else "-", color=color)
+        else:
+            joined = one.kind == "means"
+            if joined:
+                x, y, error = _means(x, y)
+            if joined and len(x) > MANY:
+                around = np.nan_to_num(error)
+                axes.fill_between(x, y - around, y + around, color=color, alpha=0.22, linewidth=0)
+                drawn += axes.plot(x, y, "-", color=color)
+                continue
+            drawn.append(axes.errorbar(
+                x, y, error if np.isfinite(error).any() else None, color=color, capsize=2.5, elinewidth=0.9,
+                linestyle="-" if joined else "none", marker=_MARKERS[number % len(_MARKERS)],
+                markeredgecolor="white", markeredgewidth=0.4,
+            ))  # fmt: skip
+    if boxes and not log_x:
+        places = np.unique(np.concatenate([np.asarray(panel.series[number].x, np.float64) for number in boxes]))
+        if len(places) <= 12:
+            axes.set_xticks(places[np.isfinite(places)])
+            axes.set_xticks([], minor=True)
+    return drawn
+
+
+def _hull(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[int]:
+    """Corners of the convex hull of the points with finite coordinates, once around (Andrew 1979)."""
+    order = [int(i) for i in np.lexsort((y, x)) if np.isfinite(x[i]) and np.isfinite(y[i])]
+
+    def half(points: Sequence[int]) -> list[int]:
+        side: list[int] = []
+        for i in points:
+            while len(side) > 1 and (x[side[-1]] - x[side[-2]]) * (y[i] - y[side[-2]]) <= (
+                y[side[-1]] - y[side[-2]]
+            ) * (x[i] - x[side[-2]]):
+                side.pop()
+            side.append(i)
+        return side
+
+    return half(order)[:-1] + half(order[::-1])[:-1]
 
 
 def _samples(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:

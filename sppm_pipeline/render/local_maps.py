@@ -13,16 +13,18 @@ _POINTS = 4000  # points of the moving window that are drawn
 
 
 def map_sections(
-    target: NDArray[np.float64], measured: NDArray[np.float64], there: NDArray[np.bool_]
+    target: NDArray[np.float64], measured: NDArray[np.float64], there: NDArray[np.bool_], what: str = "porosity"
 ) -> NDArray[np.uint8]:
     """The section through the middle, across the shortest axis: wanted, measured, and their difference.
 
     Parameters
     ----------
     target, measured : (nx, ny, nz) float64
-        Porosity in the moving window.
+        Values in the moving window.
     there : (nx, ny, nz) bool
         What lies in the part; elsewhere it is gray.
+    what : str
+        What is shown.
 
     Returns
     -------
@@ -40,10 +42,10 @@ def map_sections(
     largest = float(np.abs(error[inside]).max()) if inside.any() else 0.0
     pictures = [_enlarged(values, inside, low, high) for values in (wanted, found)]
     pictures.append(_enlarged(error, inside, -max(largest, 1e-6), max(largest, 1e-6)))
-    labels = ["wanted porosity", "measured porosity", f"measured less wanted, from {-largest:.4f} to {largest:.4f}"]
+    labels = [f"wanted {what}", f"measured {what}", f"measured less wanted, from {-largest:.4g} to {largest:.4g}"]
     wide = pictures[0].shape[1] > 1.5 * pictures[0].shape[0]
     sheet = contact_sheet(pictures, labels, columns=1 if wide else 3)
-    return with_scale(sheet, low, high, "porosity", 140)
+    return with_scale(sheet, low, high, what, 140)
 
 
 def _enlarged(values: NDArray[np.float64], inside: NDArray[np.bool_], low: float, high: float) -> NDArray[np.uint8]:

@@ -204,6 +204,7 @@ def _stages(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> l
                 "state": state,
                 "made": stage.get("made") or "",
                 "seconds": duration(stage["seconds"]),
+                "memory": stage.get("peak_memory_mb"),
                 "bar": round(100 * float(stage["seconds"]) / longest, 1),
                 "summary": _pairs(stage["summary"]),
                 "options": _pairs(stage.get("options", {})),
@@ -229,7 +230,7 @@ def _stages(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> l
             )
             shown_stages.append(
                 {"id": id_, "stage": str(entry.get("stage")), "state": "failed" if failed and error else "missing",
-                 "made": "", "seconds": "–", "bar": 0, "summary": [], "options": [],
+                 "made": "", "seconds": "–", "memory": None, "bar": 0, "summary": [], "options": [],
                  "inputs": {"after": before} if before else {}, "recipes": {}, "outputs": [], "inner": []}
             )  # fmt: skip
             before = id_

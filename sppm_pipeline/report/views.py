@@ -1,4 +1,4 @@
-"""Where the live view of a report comes from: a file of ``write.view``, or the last field of the run in the cache."""
+"""Where the live view of a report comes from: a file of ``write.view``, or what the run made last, from the cache."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.stiffness import StiffnessReport
+from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.engine.cache.session import CacheSession
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
@@ -68,7 +71,7 @@ def live_view(
         return None, ""
     try:
         plan = open_session(request).plan()
-        step = _last_field(plan, {str(stage["id"]) for stage in record["stages"]})
+        step = _last_shown(plan, {str(stage["id"]) for stage in record["stages"]})
         if step is None:
             return None, ""
         if not remake and (lacking := _lacking(plan, step, record, store)):
@@ -79,12 +82,13 @@ def live_view(
         return None, f"There is no live view: {error.message}."
 
 
-def _last_field(plan: Plan, ran: set[str]) -> Step | None:
-    """The last step that makes a field or a tile set, and has run."""
-    fields = [
-        step for step in plan.steps if step.id in ran and any(issubclass(t, (ScalarField, TileSet)) for t in step.makes)
-    ]
-    return fields[-1] if fields else None
+def _last_shown(plan: Plan, ran: set[str]) -> Step | None:
+    """The last step that makes a field or a tile set, and has run; if there is none, of a mesh, or of a stiffness."""
+    for kinds in ((ScalarField, TileSet), (SurfaceMesh, VolumeMesh), (StiffnessReport,)):
+        for step in reversed(plan.steps):
+            if step.id in ran and any(issubclass(made, kinds) for made in step.makes):
+                return step
+    return None
 
 
 def _lacking(plan: Plan, last: Step, record: Mapping[str, Any], store: Store | None) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.kernels.kernels import Kernels
 from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF, PORE_PROFILE, TUNNEL_PROFILES
+from sppm_pipeline.numerics.metric import matrices
 
 # Points times kernels of one chunk: 2^20 pairs keep the temporary arrays near 50 MB.
 _PAIRS = 1 << 20
@@ -33,6 +34,8 @@ def exact_sum(kernels: Kernels, points: NDArray[np.float64]) -> NDArray[np.float
         The field at the points.
     """
     points = np.asarray(points, dtype=np.float64)
+    if kernels.pore_metric is not None and kernels.tunnel_metric is not None:
+        return _stretched_sum(kernels, points)
     field = np.zeros(len(points))
     step = max(1, _PAIRS // max(1, len(kernels.centers), len(kernels.starts)))
     along, inverse = _directions(kernels)
@@ -46,6 +49,22 @@ def exact_sum(kernels: Kernels, points: NDArray[np.float64]) -> NDArray[np.float
         squared = np.einsum("ijk,ijk->ij", nearest, nearest)
         field[first : first + step] = total + TUNNEL_PROFILES[kernels.profile].value(kernels.mu, squared).sum(axis=1)
     return field
+
+
+def _stretched_sum(kernels: Kernels, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`exact_sum` of kernels with metrics, one by one: each is a plain one of the points ``M^(1/2) x``."""
+    total = np.zeros(len(points))
+    assert kernels.pore_metric is not None
+    assert kernels.tunnel_metric is not None
+    for number, metric in enumerate(matrices(np.concatenate([kernels.pore_metric, kernels.tunnel_metric]))):
+        values, vectors = np.linalg.eigh(metric)
+        root = vectors @ np.diag(np.sqrt(values)) @ vectors.T
+        pores = slice(number, number + 1) if number < len(kernels.omega) else slice(0)
+        tunnels = slice(0) if number < len(kernels.omega) else slice(number - len(kernels.omega), None)
+        one = kernels.taken(pores, tunnels)._replace(pore_metric=None, tunnel_metric=None)
+        one = one._replace(centers=one.centers @ root, starts=one.starts[:1] @ root, ends=one.ends[:1] @ root)
+        total += exact_sum(one._replace(mu=one.mu[:1]), points @ root)
+    return total
 
 
 def _directions(kernels: Kernels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -80,7 +99,14 @@ def cutoff_bound(
     -------
     float
         The bound.
+
+    Raises
+    ------
+    ValueError
+        If the kernels have metrics: the bound is one of round kernels.
     """
+    if kernels.pore_metric is not None:
+        raise ValueError("the cut-off of stretched kernels has no bound here")
     lower, upper = np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
     size = (upper - lower) / blocks
     half = float(np.linalg.norm(size)) / 2.0

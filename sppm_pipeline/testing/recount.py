@@ -20,6 +20,8 @@ def laid_kernels(tiling: Tiling) -> tuple[NDArray[np.float64], NDArray[np.float6
     """
     micro, arrays = tiling.tileset.micro, tiling.arrays
     graph, kernels = micro.graph, micro.pieces.kernels
+    if kernels.pore_metric is not None:
+        raise ValueError("stretched kernels can't be counted again")
     pores, halo = graph.pores, arrays.halo
     omega = {tuple(c): w for c, w in zip(kernels.centers.round(12).tolist(), kernels.omega.tolist(), strict=True)}
     mu = {

@@ -72,8 +72,10 @@ def test_what_does_not_fit_is_refused(cell):
         sppm.connect.mst(pores=cell)
     with pytest.raises(sppm.WiringError, match="for the port 'domain'"):
         sppm.fill.implicit()(sppm.tile.periodic(cells=[2, 2, 2], cell="2 mm")(cell))
-    with pytest.raises(sppm.ConfigError, match="second call"):
+    with pytest.raises(sppm.ConfigError, match="`seed` belongs to the second call"):
         sppm.connect.mst(seed=1)
+    with pytest.raises(sppm.ConfigError, match="`output` belongs to the second call"):
+        sppm.write.picture(path="part.png", output="somewhere")
 
 
 def test_unknown_stages_have_a_hint():

@@ -64,7 +64,7 @@ def configuration_of(
     if file.startswith(("configs/", "examples/")):
         return root / file
     if "." not in file:
-        return root / "configs" / f"{file}.yaml"
+        return next(root.glob(f"*/{file}.yaml"))  # in configs or examples
     stem = Path(file).stem
     shown = [text for text in texts_of(command.document, "yaml") if re.search(rf"^name: {stem}\b", text, re.MULTILINE)]
     assert shown, f"the page shows no configuration with `name: {stem}`"

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 from sppm_pipeline.stages import BUILT_IN
+from tests.docs.conftest import script
 
 
 @pytest.fixture(scope="module")
 def generator() -> ModuleType:
-    path = Path(__file__).resolve().parents[2] / "docs" / "generate_reference.py"
-    spec = importlib.util.spec_from_file_location("generate_reference", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("generate_reference")
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from sppm_pipeline.engine.config.parameters import sweep_rows
-from sppm_pipeline.engine.plan.session import RunRequest, open_session
-from sppm_pipeline.engine.run.sweep import check_sweep
+from sppm_pipeline.engine.plan.session import RunRequest, check_sweep, open_session
 from sppm_pipeline.errors import ConfigError, ConfigErrors, WiringError
 
 PLACEHOLDER = "pipeline:\n  - {stage: read.primitive, shape: box, size: [1, 1, 1]}\n"

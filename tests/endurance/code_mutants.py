@@ -40,7 +40,7 @@ TARGETS = {
     "numerics/homogenization/stiffness/convergence": _ELASTIC,
     "numerics/homogenization/stiffness/directional": _ELASTIC,
     "numerics/homogenization/stiffness/isotropy": _ELASTIC,
-    "numerics/homogenization/stiffness/surrogate": _ELASTIC,
+    "numerics/target_search": ("tests/numerics/test_target_search.py",),
     "numerics/homogenization/stiffness/voigt": _ELASTIC,
     "numerics/porosity/boolean_model": ("tests/numerics/porosity/test_boolean_model.py",),
     "numerics/porosity/level": ("tests/numerics/porosity/test_level.py", "tests/numerics/porosity/test_bracket.py"),

@@ -14,7 +14,18 @@ from PIL import Image
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.render import charts
-from sppm_pipeline.render.charts import COLORS, Panel, Series, bars, chart, check_chart, number_text, plain_text
+from sppm_pipeline.render.charts import (
+    COLORS,
+    Axis,
+    Panel,
+    Series,
+    bars,
+    chart,
+    charts_beside,
+    check_chart,
+    number_text,
+    plain_text,
+)
 
 X = np.array([1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, np.nan, 3.0])
 Y = np.array([1.0, 2.0, 3.0, 6.0, 2.0, 4.0, 9.0, 5.0, np.inf])
@@ -224,3 +235,28 @@ def test_means_over_many_places_are_a_line_in_a_band():
     assert few.count("<use") > many.count("<use") + 10  # no markers
     constant = chart([Series(x, x, kind="means")], "c.svg").decode()
     assert constant != many
+
+
+def test_charts_side_by_side_have_their_own_axes_one_legend_and_hulls(figure_of):
+    x, y = [1.0, 10.0, 10.0, 100.0, 10.0, np.nan], [1.0, 10.0, 100.0, 10.0, 50.0, 2.0]
+    hulled = Series(x, y, "a", hull=True)
+    panels = [Axis([hulled, Series([], [], "b", hull=True)], "first", True), Axis([hulled], "second", False)]
+    figure = figure_of(charts_beside, panels, x_label="x", log_x=True, size=(3.0, 2.0))
+    assert figure.get_size_inches().tolist() == [6.0, 2.0]
+    left, right = figure.axes
+    assert [axes.get_yscale() for axes in (left, right)] == ["log", "linear"]
+    assert [axes.get_ylabel() for axes in (left, right)] == ["first", "second"]
+    assert [len(axes.patches) for axes in (left, right)] == [2, 1]
+    # (10, 10) lies on the edge from (1, 1) to (100, 10) of the plain chart, and inside that of the logarithms
+    corners = {tuple(corner) for corner in left.patches[0].get_xy().tolist()}
+    assert corners == {(1.0, 1.0), (100.0, 10.0), (10.0, 100.0)}
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a"]
+
+
+def test_hulls_go_once_around():
+    x = np.array([0.0, 1, 1, 0, 0.5, 0.5, 1, np.nan])
+    y = np.array([0.0, 0, 1, 1, 0.5, 0.0, 0.5, 3])
+    assert sorted(charts._hull(x, y)) == [0, 1, 2, 3]
+    assert charts._hull(x[:1], y[:1]) == []
+    assert sorted(charts._hull(x[:2], y[:2])) == [0, 1]

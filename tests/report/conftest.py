@@ -1,6 +1,5 @@
-"""A small run with everything a report shows, and a browser to show it in."""
+"""A small run with everything a report shows."""
 
-import os
 import shutil
 
 import pytest
@@ -45,26 +44,3 @@ def small_run(tmp_path_factory):
 def copied(small_run, tmp_path):
     """A copy of the run that may be changed."""
     return shutil.copytree(small_run, tmp_path / "run", ignore=shutil.ignore_patterns("report.html"))
-
-
-@pytest.fixture(scope="session")
-def browser():
-    """Chromium with software WebGL."""
-    required = os.environ.get("SPPM_REQUIRE_BROWSER") == "1"
-    path = next(
-        (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
-    )
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        path = None
-    if path is None:
-        if required:
-            pytest.fail("SPPM_REQUIRE_BROWSER=1, but there is no Chromium or no playwright")
-        pytest.skip("no Chromium")
-    with sync_playwright() as playwright:
-        made = playwright.chromium.launch(
-            executable_path=path, args=["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-        )
-        yield made
-        made.close()

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.fields.live_view import view_of
 from sppm_pipeline.live.data import head_of
-from sppm_pipeline.live.page import ASSETS
+from sppm_pipeline.live.page import ASSETS, live_page
 from sppm_pipeline.numerics.grid import Grid, cell_centers
+from sppm_pipeline.numerics.homogenization.stiffness.directional import sphere_mesh
 from sppm_pipeline.report.build import read_record, report_html
 
 pytestmark = pytest.mark.browser
@@ -269,3 +271,30 @@ def test_hostile_names_are_text(browser, copied):
 
 def test_a_page_can_be_printed(opened):
     assert len(re.findall(rb"/Type\s*/Page\b", opened.pdf())) >= 1
+
+
+def test_a_mesh_is_shown_and_cut_open(browser, tmp_path):
+    sphere, faces = sphere_mesh(4)
+    (tmp_path / "mesh.html").write_text(live_page(view_of(SurfaceMesh(3 * sphere, faces))), encoding="utf-8")
+    page = browser.new_page(viewport={"width": WIDTH, "height": 500})
+    heard = []
+    page.on("pageerror", lambda error: heard.append(str(error)))
+    page.goto((tmp_path / "mesh.html").as_uri())
+    until(page, SETTLED, "no mesh")
+    shown = pixels_of(page, "live-canvas")
+    height, width = shown.shape[:2]
+    y, x = np.mgrid[:height, :width]
+    ball = np.hypot(x - (width - 1) / 2, y - (height - 1) / 2) < 0.46 * min(width, height)
+    solid = shown[:, :, 3] > 127
+    assert (solid & ball).sum() / (solid | ball).sum() >= 0.98
+    assert not (shown[:, :, 0].astype(int) > 1.7 * shown[:, :, 1]).any()  # no inside is seen
+    page.evaluate("delete document.getElementById('live-canvas').dataset.passes")
+    slide(page, "live-cut", 0.5)
+    until(page, SETTLED, "no cut")
+    opened = pixels_of(page, "live-canvas")
+    assert (opened[:, :, 3] > 127).sum() < 0.85 * solid.sum()
+    assert (opened[:, :, 0].astype(int) > 1.7 * opened[:, :, 1]).sum() > 0.1 * solid.sum()
+    assert page.inner_text("#live-cut-readout").endswith(" mm")
+    assert not page.is_visible("#live-level")
+    assert heard == []
+    page.close()

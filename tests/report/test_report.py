@@ -1,6 +1,7 @@
 """Reports of runs of all kinds: what they say, how large they are, and that they are the same text every time."""
 
 import base64
+import contextlib
 import gzip
 import json
 import re
@@ -9,11 +10,15 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.cli.main import main
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.engine.run.verification import verify_run
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.fields.live_view import view_of
 from sppm_pipeline.live.data import arrays_of, encode_view, head_of
+from sppm_pipeline.live.meshes import clustered
+from sppm_pipeline.numerics.homogenization.stiffness.directional import sphere_mesh
 from sppm_pipeline.report.boxes import boxes, duration, porosities
 from sppm_pipeline.report.build import read_record, report_html
 from sppm_pipeline.report.charts import Curve, line_chart, modulus_chart, ticks
@@ -70,23 +75,25 @@ def test_a_page_of_its_run_is_current(copied):
 def test_the_page_is_served_to_this_machine_only(copied):
     import http.client
     import threading
-    from http.server import ThreadingHTTPServer
 
     from sppm_pipeline.cli.view import handler_of
+    from sppm_pipeline.live.serving import LocalServer
 
     (copied / "report.html").write_text("the page", encoding="utf-8")
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler_of(copied / "report.html", "token")) as server:
+    with LocalServer(0, handler_of(copied / "report.html")) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
 
         def asked(path, host):
             connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
-            connection.request("GET", path, headers={"Host": host})
-            answer = connection.getresponse()
-            return answer.status, answer.read()
+            with contextlib.closing(connection):
+                connection.request("GET", path, headers={"Host": host})
+                answer = connection.getresponse()
+                return answer.status, answer.read()
 
-        assert asked("/token/", f"localhost:{server.server_port}") == (200, b"the page")
+        assert asked(f"/{server.token}/", f"localhost:{server.server_port}") == (200, b"the page")
         assert asked("/other/", "127.0.0.1")[0] == 403
-        assert asked("/token/", "evil.example")[0] == 403
+        assert asked(f"/{server.token}/", "evil.example")[0] == 403
+        assert asked(f"/{server.token}/other", "127.0.0.1")[0] == 404
         server.shutdown()
 
 
@@ -276,3 +283,47 @@ def test_views_of_cells_tiles_and_fields(cell, wang, wang_tiling):
     sums = wang_tiling.sample(n) + wang_tiling.solid_below
     wanted = np.rint(255 * np.clip(sums / (3 * wang_tiling.solid_below), 0, 1))
     assert (wanted == arrays["field"].reshape(nz, ny, nx).T).all()
+
+
+def test_a_mesh_in_a_view_keeps_its_shape():
+    sphere, faces = sphere_mesh(4)
+    ball = SurfaceMesh(np.array([3.0, 2.0, 1.0]) * sphere, faces, name="egg")
+    head, arrays = head_of(view_of(ball)), arrays_of(view_of(ball))
+    assert (head["kind"], head["title"], head["unit"], head["shown"]) == ("mesh", "egg", "mm", len(faces))
+
+    def volume(points, triangles):
+        a, b, c = (points[triangles[:, i]] for i in range(3))
+        return np.einsum("ij,ij->", np.cross(a, b), c) / 6
+
+    points = head["origin"] + arrays["vertices"].reshape(3, -1).T * (max(head["size"]) / 65535)
+    triangles = arrays["faces"].reshape(3, -1).T.astype(int)
+    whole = volume(ball.vertices, ball.faces)
+    assert volume(points, triangles) == pytest.approx(whole, rel=1e-4)  # half a step is 5e-5 mm
+    for most in (2000, 300):
+        fewer, kept = clustered(ball.vertices, ball.faces, most)
+        assert most / 3 < len(kept) <= most
+        edges = np.sort(np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]], kept[:, [2, 0]]]), axis=1)
+        assert (np.unique(edges, axis=0, return_counts=True)[1] % 2 == 0).all()  # closed
+        assert volume(fewer, kept) == pytest.approx(whole, rel=30 / most)
+    assert view_of(ball) == view_of(ball)
+
+
+def test_a_stiffness_is_shown_by_its_modulus():
+    stiffness = np.diag([2.0, 2, 2, 0.5, 0.5, 0.5])  # no Poisson's ratio: E is 2 along the axes
+    view = view_of(StiffnessReport(stiffness, ((1.0, 2.0, 0.0),), "exact", unit="GPa"))
+    assert head_of(view)["unit"] == "GPa"
+    assert head_of(view)["size"] == pytest.approx([4, 4, 4], rel=0.01)
+
+
+def test_a_run_without_a_field_shows_its_mesh(tmp_path, capsys):
+    (tmp_path / "box.yaml").write_text(
+        "sppm: 1\npipeline:\n  - {stage: read.primitive, shape: ball, size: [4 mm, 4 mm, 4 mm]}\n"
+        "  - {stage: write.mesh, path: ball.stl}\n"
+    )
+    folder = str(tmp_path / "run")
+    assert main(["run", str(tmp_path / "box.yaml"), "-o", folder, "--no-cache", "--report"]) == 0
+    html = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    view = base64.b64decode(re.search(r'id="data-view">([^<]+)<', html)[1])
+    assert head_of(view)["kind"] == "mesh"
+    assert "triangles; coordinates have 16 bits" in html
+    assert 'id="live-level"' not in html

@@ -30,6 +30,7 @@ REQUIRED = {
     "fill.combine": {"operation": "union"},
     "tune.porosity": {"target": 0.5},
     "tune.stiffness": {"target": 0.1},
+    "tune.property": {"of": "elastic.E.1", "target": 0.1, "vary": "porous.target", "low": 0.3, "high": 0.8},
     "write.chart": {"x": "a", "y": "b"},
     "write.bars": {"columns": ("a",)},
     "write.table": {"columns": ("a",)},

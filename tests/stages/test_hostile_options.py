@@ -65,6 +65,10 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "grade.points": ([], "of: ct, path: points.csv", []),
     "grade.nodes": ([], "of: ct, path: part.vtu", []),
     "grade.distance": ([BOX], "of: depth", []),
+    "grade.stiffness": (
+        ["  - {stage: grade.table, of: stiffness, values: [[0, 0.3], [1, 0.4]]}"],
+        "values: [[0.3, 0.5], [0.7, 0.1]]", [],
+    ),
     "read.compression": ([], "path: test.csv, size: [20, 20, 20]", []),
     "sample.mirrored_faces": ([], "count: 6, spacing: 0.25", AS_CELL[1:]),
     "sample.dart_throwing": (AS_CELL[:1], "count: 5, spacing: 0.25", AS_CELL[2:]),
@@ -82,6 +86,9 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "tune.stiffness": (
         [], "recipe: cell, target: 0.3, vary: field.gaussian.level, low: 0.2, high: 0.5, resolution: 6, evaluations: 4",
         []),
+    "tune.property": (
+        [], "recipe: cell, of: porosity, target: 0.4, vary: field.gaussian.level, low: 0.2, high: 0.5, accuracy: 0.4, "
+        "evaluations: 4", []),
     "tune.retry": ([], "recipe: cell", []),
     "tune.local_porosity": ([MAP, *TILED], "resolution: 8, tolerance: 0.1", []),
     "tileset.wang_3color": ([], SMALL, []),
@@ -116,6 +123,7 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "extract.manifold_sdf": (TILED, "resolution: 8", []),
     "extract.unit_cell": (REPEATED, "resolution: 8", []),
     "extract.voxels": (TILED, "resolution: 8", []),
+    "extract.phases": (TILED, "resolution: 8, coating: 0.3 mm", []),
     "fill.boolean": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "resolution: 8", []),
     "fill.combine": ([BOX, BALL], "operation: union, from: {tool: ball}", []),
     "mesh.isosurface_stuffing": (REPEATED, "resolution: 8", []),

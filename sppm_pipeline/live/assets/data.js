@@ -1,18 +1,18 @@
 // View files: a line of JSON and packed arrays; see live/data.py.
-async function readView(bytes) {
+function headOf(bytes) {
   const first = bytes.indexOf(10) + 1, end = bytes.indexOf(10, first);
-  const head = JSON.parse(new TextDecoder().decode(bytes.subarray(first, end)));
-  const arrays = {};
+  return { head: JSON.parse(new TextDecoder().decode(bytes.subarray(first, end))), end };
+}
+
+async function readView(bytes) {
+  const { head, end } = headOf(bytes), arrays = {};
   let place = end + 1;
   for (const blob of head.blobs) {
     const plain = await unpacked(bytes.subarray(place, place + blob.bytes));
     place += blob.bytes;
-    if (blob.type === "f32") {
-      arrays[blob.name] = new Float32Array(plain.buffer, plain.byteOffset, blob.count);
-    } else {
-      if (blob.delta) for (let i = 1; i < plain.length; i++) plain[i] += plain[i - 1];
-      arrays[blob.name] = plain;
-    }
+    const kinds = { u8: Uint8Array, u16: Uint16Array, u32: Uint32Array, f32: Float32Array };
+    const numbers = (arrays[blob.name] = new kinds[blob.type](plain.buffer, plain.byteOffset, blob.count));
+    if (blob.delta) for (let i = 1; i < numbers.length; i++) numbers[i] += numbers[i - 1];
   }
   return { head, arrays };
 }

@@ -1,18 +1,26 @@
-// The live view of a page: its controls, the porosity they give, and the plane that it shares with the layers.
+// The live view of a page: its controls, the porosity they give, and the plane that it shares with the layers. What it
+// returns takes other data, and other radii and levels of the kernels, than those it began with; null without WebGL 2.
 async function startLive(bytes) {
   const live = byId("live"), canvas = byId("live-canvas"), still = byId("still");
-  let view;
+  let view, kernels, design, porosity, finer = 0;
   try {
-    view = new View(canvas);
+    view = headOf(bytes).head.kind === "mesh" ? new MeshView(canvas) : new View(canvas);
   } catch (error) {
     byId("live-note").hidden = false;
-    return;
+    return null;
   }
-  const { head, arrays } = await readView(bytes);
-  const kernels = head.kind === "kernels", slider = (name) => byId(`live-${name}`);
-  const state = { tile: 0, pore: 1, tunnel: 1, cells: null };
-  const design = (head.level - head.base) / head.top;
-  let porosity;
+  let { head, arrays } = await readView(bytes);
+  const slider = (name) => byId(`live-${name}`), state = { tile: 0, pore: 1, tunnel: 1, cells: null };
+
+  function begin(n) {
+    kernels = head.kind === "kernels";
+    design = (head.level - head.base) / head.top;
+    Object.assign(state, { pore: 1, tunnel: 1 });
+    if (state.tile >= (kernels ? head.pores.length : 1)) state.tile = 0;
+    fill(n);
+    view.level = design;
+    if (slider("level")) slider("level").value = String(design);
+  }
 
   const part = (array, counts, width) => {
     const first = counts.slice(0, state.tile).reduce((a, b) => a + b, 0);
@@ -46,7 +54,9 @@ async function startLive(bytes) {
 
   function fill(n) {
     if (state.cells) return fillCells();
-    if (kernels) {
+    if (head.kind === "mesh") {
+      view.loadMesh(arrays.vertices, arrays.faces, head.size);
+    } else if (kernels) {
       const sums = sumKernels(head, part(arrays.pores, head.pores, 4), part(arrays.tunnels, head.tunnels, 7), n, state.pore, state.tunnel);
       const field = sumBytes(sums, head.top);
       view.load(field, null, [n, n, n], [1, 1, 1], true);
@@ -59,6 +69,7 @@ async function startLive(bytes) {
   }
 
   function said() {
+    if (!porosity) return;
     const recorded = kernels ? head.tile_porosity[state.tile] ?? null : head.porosity;
     const asDesigned = Math.abs(view.level - design) < 1e-6 && state.pore === 1 && state.tunnel === 1 && !state.cells;
     const value = asDesigned && recorded !== null ? recorded : porosity.at(view.level);
@@ -71,7 +82,7 @@ async function startLive(bytes) {
     const { axis, at } = view.cut, edge = head.edge_mm || 1;
     const z = state.cells ? head.lattice_mm[axis] + (state.cells[axis] - 1 + 3 * at) * edge
       : head.origin[axis] + at * head.size[axis] * view.repeat;
-    slider("cut-readout").textContent = at < 1 ? `${"xyz"[axis]} ${z.toPrecision(4)} ${head.unit === "mm" ? "mm" : "cells"}` : "no cut";
+    slider("cut-readout").textContent = at < 1 ? `${"xyz"[axis]} ${z.toPrecision(4)} ${head.unit === "cell" ? "cells" : head.unit}` : "no cut";
     canvas.dataset.cut = at < 1 ? String(z) : "";
     return z;
   }
@@ -79,9 +90,7 @@ async function startLive(bytes) {
   const settle = (full) => { fill(full ? head.n : Math.min(head.n, 40)); said(); view.changed(); };
   const on = (name, event, act) => slider(name) && slider(name).addEventListener(event, act);
 
-  fill(head.n);
-  view.level = design;
-  slider("level").value = String(design);
+  begin(head.n);
   // a picture is shown as large as its place, the still picture's if there is one
   const room = (live.parentElement.clientWidth || 800), ratio = Math.min(1.5, window.devicePixelRatio || 1);
   canvas.width = Math.round(Math.min(room, 1000) * ratio);
@@ -183,6 +192,33 @@ async function startLive(bytes) {
   said();
   cutSaid();
   view.changed();
+  return {
+    head: () => head,
+    async load(data) {
+      const before = JSON.stringify(view.size);
+      ({ head, arrays } = await readView(data));
+      begin(Math.min(head.n, 40));
+      clearTimeout(finer);
+      if (kernels) finer = setTimeout(() => { fill(head.n); said(); view.changed(); }, 250);
+      if (!head.periodic) view.repeat = 1;
+      if (slider("repeat") && !head.periodic) slider("repeat").value = "1";
+      if (JSON.stringify(view.size) !== before) view.fit();
+      said();
+      cutSaid();
+      view.changed();
+    },
+    // Factors of the radii, and a level or null for that of the data; coarse while something is being moved.
+    preview(pore, tunnel, level, coarse) {
+      clearTimeout(finer);
+      if (pore !== state.pore || tunnel !== state.tunnel || !coarse) {
+        Object.assign(state, { pore, tunnel });
+        fill(coarse ? Math.min(head.n, 40) : head.n);
+      }
+      view.level = level === null ? design : (level - head.base) / head.top;
+      said();
+      view.changed();
+    },
+  };
 }
 
 if (byId("data-view")) startLive(bytesOf("data-view"));

@@ -3,19 +3,32 @@
 const CORNERS = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID % 2, gl_VertexID / 2) * 4.0 - 1.0, 0.0, 1.0); }`;
 
+// A color under the three lights of render/shading.py, which stand with the viewer; `open_` is how much of the sky is.
+const LIGHT = `
+uniform vec3 right, up, toward;
+const vec3 BONE = vec3(0.761, 0.672, 0.527), CUT = vec3(0.658, 0.202, 0.098);
+vec3 lit(vec3 color, vec3 normal, float open_) {
+  vec3 n = vec3(dot(normal, right), dot(normal, up), dot(normal, toward));
+  float key = max(dot(n, vec3(-0.4603, 0.6554, 0.5989)), 0.0), fill = max(dot(n, vec3(0.8111, 0.1217, 0.5721)), 0.0);
+  float shine = pow(max(dot(n, vec3(-0.2574, 0.3665, 0.8941)), 0.0), 32.0), sky = 0.5 + 0.5 * n.y;
+  float direct = 0.25 * open_ + 0.75 * open_ * open_;
+  float warm = 0.82 * key * direct, cool = 0.36 * fill * direct, round_ = (0.17 + 0.22 * sky) * open_;
+  vec3 light = vec3(warm * 1.03 + cool * 0.90, warm + cool, warm * 0.95 + cool * 1.12) + round_;
+  return color * light + 0.05 * shine * direct;
+}`;
+
 const RAYS = `#version 300 es
 precision highp float;
 precision highp sampler3D;
 uniform sampler3D field, bricks;
 uniform vec3 size, low, high;       // of one copy; corners of what is shown
-uniform vec3 right, up, toward;
 uniform vec2 middle, pixels, jitter;
 uniform float pixel, level, texel;  // sizes of a pixel and of a sample
 uniform vec2 reach;                 // least distance for a unit of field and of domain
 uniform bool domain;
 out vec4 color;
 
-const vec3 BONE = vec3(0.761, 0.672, 0.527), CUT = vec3(0.658, 0.202, 0.098);
+${LIGHT}
 
 vec2 both(vec3 p) {
   vec2 s = texture(field, p / size).rg;
@@ -89,13 +102,7 @@ void main() {
     }
   }
   float open_ = clamp(1.0 - hidden / 10.0, 0.05, 1.0);
-  vec3 n = vec3(dot(normal, right), dot(normal, up), dot(normal, toward));
-  float key = max(dot(n, vec3(-0.4603, 0.6554, 0.5989)), 0.0), fill = max(dot(n, vec3(0.8111, 0.1217, 0.5721)), 0.0);
-  float shine = pow(max(dot(n, vec3(-0.2574, 0.3665, 0.8941)), 0.0), 32.0), sky = 0.5 + 0.5 * n.y;
-  float direct = 0.25 * open_ + 0.75 * open_ * open_;
-  float warm = 0.82 * key * direct, cool = 0.36 * fill * direct, round_ = (0.17 + 0.22 * sky) * open_;
-  vec3 light = vec3(warm * 1.03 + cool * 0.90, warm + cool, warm * 0.95 + cool * 1.12) + round_;
-  color = vec4((cap || outer ? CUT : BONE) * light + 0.05 * shine * direct, 1.0);
+  color = vec4(lit(cap || outer ? CUT : BONE, normal, open_), 1.0);
 }`;
 
 // The mean of the passes, coded as sRGB.

@@ -23,9 +23,9 @@ class View {
     this.onframe = () => {};
   }
 
-  program(text) {
+  program(text, corners = CORNERS) {
     const gl = this.gl, program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, CORNERS], [gl.FRAGMENT_SHADER, text]]) {
+    for (const [kind, source] of [[gl.VERTEX_SHADER, corners], [gl.FRAGMENT_SHADER, text]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, source);
       gl.compileShader(shader);
@@ -66,20 +66,25 @@ class View {
     for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) gl.texParameteri(gl.TEXTURE_3D, side, wrap);
   }
 
-  // Point the camera at what is there: corners of the box, or of the bricks that hold something of a part.
-  fit() {
+  // What the camera has to show: corners of the box, or of the bricks that hold something of a part.
+  points() {
     const [sx, sy, sz] = this.size.map((s) => s * this.repeat), points = [];
     if (!this.domain) {
       for (let i = 0; i < 8; i++) points.push([(i & 1) * sx, ((i >> 1) & 1) * sy, (i >> 2) * sz]);
-    } else {
-      const [bx, by, bz] = this.count, edge = 8 * this.texel;
-      for (let k = 0, b = 0; k < bz; k++) for (let j = 0; j < by; j++) for (let i = 0; i < bx; i++, b++) {
-        if (this.least[2 * b + 1] < 128) for (let c = 0; c < 8; c++) {
-          points.push([Math.min(sx, (i + (c & 1)) * edge), Math.min(sy, (j + ((c >> 1) & 1)) * edge), Math.min(sz, (k + (c >> 2)) * edge)]);
-        }
-      }
-      if (!points.length) points.push([0, 0, 0], [sx, sy, sz]);
+      return points;
     }
+    const [bx, by, bz] = this.count, edge = 8 * this.texel;
+    for (let k = 0, b = 0; k < bz; k++) for (let j = 0; j < by; j++) for (let i = 0; i < bx; i++, b++) {
+      if (this.least[2 * b + 1] < 128) for (let c = 0; c < 8; c++) {
+        points.push([Math.min(sx, (i + (c & 1)) * edge), Math.min(sy, (j + ((c >> 1) & 1)) * edge), Math.min(sz, (k + (c >> 2)) * edge)]);
+      }
+    }
+    return points.length ? points : [[0, 0, 0], [sx, sy, sz]];
+  }
+
+  // Point the camera at it.
+  fit() {
+    const points = this.points();
     const { middle, span } = extent(this.camera.axes(), points);
     this.middle = middle;
     this.span = span;
@@ -156,19 +161,14 @@ class View {
     this.timed(performance.now() - started, scale);
   }
 
-  // One sample for each pixel, elsewhere in the pixel in each pass (a Halton sequence).
-  pass(w, h) {
-    const gl = this.gl, u = this.rays.at, axes = this.camera.axes();
+  // What all programs are told of the camera; each pass looks elsewhere in the pixel (a Halton sequence).
+  aim({ program, at: u }, w, h) {
+    const gl = this.gl, axes = this.camera.axes();
     const halton = (n, base) => { let f = 1, r = 0; for (; n; n = Math.floor(n / base)) { f /= base; r += f * (n % base); } return r; };
     const room = 0.92, pixel = Math.max(this.span[0] / (room * w), this.span[1] / (room * h)) / this.camera.zoom;
-    const box = this.size.map((s) => s * this.repeat), low = [0, 0, 0], high = [...box];
+    const high = this.size.map((s) => s * this.repeat);
     high[this.cut.axis] *= this.cut.at;
-    gl.useProgram(this.rays.program);
-    gl.uniform1i(u("field"), 0);
-    gl.uniform1i(u("bricks"), 1);
-    gl.uniform3fv(u("size"), this.size);
-    gl.uniform3fv(u("low"), low);
-    gl.uniform3fv(u("high"), high);
+    gl.useProgram(program);
     ["right", "up", "toward"].forEach((name, a) => gl.uniform3fv(u(name), axes[a]));
     const shift = this.camera.shift.map((s) => s * h * pixel);
     gl.uniform2f(u("middle"), dot(axes[0], this.center) + this.off[0] + shift[0], dot(axes[1], this.center) + this.off[1] + shift[1]);
@@ -176,6 +176,17 @@ class View {
     const first = this.passes === 0;
     gl.uniform2f(u("jitter"), first ? 0 : halton(this.passes, 2) - 0.5, first ? 0 : halton(this.passes, 3) - 0.5);
     gl.uniform1f(u("pixel"), pixel);
+    return { high };
+  }
+
+  // One sample for each pixel.
+  pass(w, h) {
+    const gl = this.gl, u = this.rays.at, { high } = this.aim(this.rays, w, h);
+    gl.uniform1i(u("field"), 0);
+    gl.uniform1i(u("bricks"), 1);
+    gl.uniform3fv(u("size"), this.size);
+    gl.uniform3fv(u("low"), [0, 0, 0]);
+    gl.uniform3fv(u("high"), high);
     gl.uniform1f(u("level"), this.level);
     gl.uniform1f(u("texel"), this.texel);
     gl.uniform2f(u("reach"), 1 / Math.max(this.steepest, 1e-9), 2 * this.texel);

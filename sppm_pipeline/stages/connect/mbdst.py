@@ -26,6 +26,7 @@ class BoundedDegreeSubgraph(Connector):
     """
 
     name: ClassVar[str] = "connect.mbdst"
+    follows_metric: ClassVar[bool] = True
 
     degree: tuple[int, int] = option(
         (3, 5), help="minimum and maximum number of tunnels of a pore, A and B", minimum=1, maximum=64
@@ -93,6 +94,7 @@ class BoundedDegreeSubgraph(Connector):
                 k=self.neighbors,
                 two_edge_connected=self.two_edge_connected,
                 clearance=None if self.clearance is None else cloud.cell.fraction(self.clearance),
+                metric=cloud.metric,
             )
         for option_name, given in (("two_edge_connected", self.two_edge_connected), ("clearance", self.clearance)):
             if given:
@@ -108,6 +110,7 @@ class BoundedDegreeSubgraph(Connector):
             spacing=cloud.spacing,
             mode=self.mode,
             k=self.neighbors,
+            metric=cloud.metric,
             threads=context.threads,
             progress=lambda done, total: context.progress(done, total, "passes over the regions"),
         )

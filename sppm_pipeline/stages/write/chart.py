@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -16,10 +16,16 @@ from sppm_pipeline.families import options
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.stages.write.bars import CHARTS
 
+if TYPE_CHECKING:
+    from sppm_pipeline.render.charts import Series
+
 
 @dataclass(frozen=True, kw_only=True)
 class WriteChart(Stage):
-    """Draw one column of a table over another: points, box plots or means of equal x, and a fitted line if requested.
+    """Draw columns of a table over another: points, box plots or means of equal x, and a fitted line if requested.
+
+    Several columns `y` become charts side by side over the same `x`. With `hulls` the region that the points of each
+    group reach is shaded, as in charts by which materials are chosen.
 
     The table is that of a sweep, or one that a stage makes. Labels and titles may hold mathematics between dollar
     signs. Charts are drawn by matplotlib: ``pip install 'sppm-pipeline[plot]'``.
@@ -29,7 +35,7 @@ class WriteChart(Stage):
 
     path: str = options.write_path("chart.png", suffixes=CHARTS)
     x: str = option(help="column along the horizontal axis", column=True)
-    y: str = option(help="column along the vertical axis", column=True)
+    y: str | tuple[str, ...] = option(help="column along the vertical axis; or several, side by side", column=True)
     kind: str = option(
         "points",
         help="points, box plots of the values at equal x, or their means with standard deviations as error bars",
@@ -39,46 +45,89 @@ class WriteChart(Stage):
     group: str = option("", help="column by whose values the rows are told apart by color; none if empty", column=True)
     family: str = option("", help="text at which a value of `group` ends; the whole value if empty")
     bound: str = option("", help="column that is drawn as a dashed line, say of a bound; none if empty", column=True)
+    hulls: bool = option(False, help="shade the convex hull of the points of each group")
     line: bool = option(False, help="draw the least-squares line through all points and report it")
     log_x: bool = option(False, help="logarithmic horizontal axis; values that are not positive are left out")
-    log_y: bool = option(False, help="logarithmic vertical axis; values that are not positive are left out")
+    log_y: bool | tuple[bool, ...] = option(
+        False, help="logarithmic vertical axis; values that are not positive are left out; or of each of several"
+    )
     title: str = options.title("", note="above the chart")
     x_label: str = option("", help="text below the horizontal axis; the column's name if empty")
-    y_label: str = option("", help="text beside the vertical axis; the column's name if empty")
+    y_label: str | tuple[str, ...] = option("", help="text beside the vertical axis; the column's name if empty")
     group_label: str = option("", help="title of the legend; the name of the column `group` if empty")
 
     def check_options(self) -> None:
         """A chart that can be drawn, and error bars for points only."""
         from sppm_pipeline.render.charts import check_chart
 
-        texts = {name: getattr(self, name) for name in ("title", "x_label", "y_label", "group_label")}
-        check_chart(self.path, **texts)
+        texts = {name: getattr(self, name) for name in ("title", "x_label", "group_label")}
+        labels = {f"y_label[{n}]": text for n, text in enumerate(self.y_label)}
+        check_chart(self.path, **texts, **(labels if isinstance(self.y_label, tuple) else {"y_label": self.y_label}))
         if self.error and self.kind != "points":
             raise ConfigError(f"`error` belongs to points, not to {self.kind}", hint="leave out `error` or `kind`")
+        count = len(_each(self.y))
+        for name in ("y_label", "log_y"):
+            if len(_each(getattr(self, name))) not in (1, count):
+                raise ConfigError(f"`{name}` has {len(_each(getattr(self, name)))} values for {count} columns `y`")
+        if not count or (count > 1 and (self.error or self.bound or self.line)):
+            raise ConfigError("`error`, `bound` and `line` belong to a single column `y`", hint="draw it by itself")
 
     def estimate(self, palette: Palette, table: Size) -> Size:
         return Size()
 
     def run(self, context: Context, table: Table) -> None:
-        """Draw the chart."""
-        from sppm_pipeline.render.charts import Series, chart, number_text, plain_text
+        """Draw the charts."""
+        from sppm_pipeline.render.charts import Axis, charts_beside, plain_text
 
-        x, y = table.numbers(self.x), table.numbers(self.y)
+        columns = _each(self.y)
+        logs, labels = _each(self.log_y), _each(self.y_label)
+        logs = logs * len(columns) if len(logs) == 1 else logs
+        labels = labels if len(labels) == len(columns) else ("",) * len(columns)
+        x = table.numbers(self.x)
+        values = [table.numbers(y) for y in columns]
+        shown = [
+            np.isfinite(x) & np.isfinite(y) & ((x > 0) | (not self.log_x)) & ((y > 0) | (not log))
+            for y, log in zip(values, logs, strict=True)
+        ]
+        for y, there in zip(columns, shown, strict=True):
+            if there.sum() < 2:
+                raise ConfigError(
+                    f"columns {self.x!r} and {y!r} have fewer than two rows with numbers in both",
+                    hint="a logarithmic axis takes positive numbers only" if self.log_x or any(logs) else None,
+                )
+        groups = self._groups(table)
+        present = _in_order([group for group, there in zip(groups, np.any(shown, axis=0), strict=True) if there])
+        panels = []
+        for y, there, log, label, column in zip(values, shown, logs, labels, columns, strict=True):
+            series = self._series(context, table, x, y, groups, present, there, log)
+            panels.append(Axis(series, label or plain_text(column), log))
+        data = charts_beside(
+            panels, self.path, title=self.title, x_label=self.x_label or plain_text(self.x),
+            legend=self.group_label or plain_text(self.group), log_x=self.log_x,
+        )  # fmt: skip
+        context.output(self.path).write_bytes(data)
+
+    def _groups(self, table: Table) -> tuple[Any, ...]:
+        """The group of each row."""
+        groups = table.column(self.group) if self.group else ("",) * len(table.numbers(self.x))
+        if not self.family:
+            return groups
+        return tuple(group.split(self.family)[0] if isinstance(group, str) else group for group in groups)
+
+    def _series(
+        self, context: Context, table: Table, x: np.ndarray, y: np.ndarray, groups: tuple[Any, ...],
+        present: Sequence[Any], shown: np.ndarray, log_y: bool,
+    ) -> list[Series]:  # fmt: skip
+        """A series for each group, and those of bound and line."""
+        from sppm_pipeline.render.charts import Series, number_text, plain_text
+
         error = table.numbers(self.error) if self.error else np.full(len(x), np.nan)
-        groups = table.column(self.group) if self.group else ("",) * len(x)
-        if self.family:
-            groups = tuple(group.split(self.family)[0] if isinstance(group, str) else group for group in groups)
-        shown = np.isfinite(x) & np.isfinite(y) & ((x > 0) | (not self.log_x)) & ((y > 0) | (not self.log_y))
-        if shown.sum() < 2:
-            raise ConfigError(
-                f"columns {self.x!r} and {self.y!r} have fewer than two rows with numbers in both",
-                hint="a logarithmic axis takes positive numbers only" if self.log_x or self.log_y else None,
-            )
         series = []
-        for group in _in_order([group for group, there in zip(groups, shown, strict=True) if there]):
+        for group in present:
             own = shown & np.array([value == group for value in groups])
             label = plain_text(group) if isinstance(group, str) else f"{group:g}"
-            series.append(Series(x[own], y[own], label, self.kind, error[own]))  # type: ignore[arg-type]  # a choice
+            kind: Any = self.kind
+            series.append(Series(x[own], y[own], label, kind, error[own], hull=self.hulls))
         if self.bound:
             values = table.numbers(self.bound)
             order = np.argsort(x[shown], kind="stable")
@@ -87,16 +136,15 @@ class WriteChart(Stage):
             slope, intercept, r_squared = _fitted(x[shown], y[shown])
             context.report(slope=slope, intercept=intercept, r_squared=r_squared)
             # enough points to be a curve on logarithmic axes
-            along = np.linspace(x[shown].min(), x[shown].max(), 200 if self.log_x or self.log_y else 2)
+            along = np.linspace(x[shown].min(), x[shown].max(), 200 if self.log_x or log_y else 2)
             sign = "+" if intercept >= 0 else "-"
             label = f"$y = {number_text(slope)} x {sign} {number_text(abs(intercept))}$, $R^2 = {r_squared:.3f}$"
             series.append(Series(along, slope * along + intercept, label, "line", color="#000000"))
-        data = chart(
-            series, self.path, title=self.title, x_label=self.x_label or plain_text(self.x),
-            y_label=self.y_label or plain_text(self.y), legend=self.group_label or plain_text(self.group),
-            log_x=self.log_x, log_y=self.log_y,
-        )  # fmt: skip
-        context.output(self.path).write_bytes(data)
+        return series
+
+
+def _each(value: Any) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
 
 
 def _fitted(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.numerics.curves.compression import efficiency, loading, mean_and_spread
-from sppm_pipeline.numerics.curves.measures import Specimen
+from sppm_pipeline.numerics.curves.measures import Specimen, percent
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.stages.measure.compression import check_plateau, measured
 from sppm_pipeline.stages.write.bars import CHARTS
@@ -95,6 +95,7 @@ class WriteCurves(Stage):
         try:
             if len(pairs) == 1:
                 drawn = loading(*pairs[0])
+                note += f" to {percent(drawn.end)}, where {first.ended}" if first.ended else ""
             else:
                 strain, mean, spread = mean_and_spread(pairs)
                 drawn, note = loading(strain, mean), f"mean of {len(batch)} {note}s ± s"

@@ -48,7 +48,10 @@ class WriteFrames(Stage):
     section: float | None = options.section(None)
 
     def estimate(self, palette: Palette, body: Size) -> Size:
-        return Size()
+        # a crushed body counts its nodes three times, and once for each of its frames
+        frames = max(1.0, body.nodes / body.resident - 3) if body.resident else 1.0
+        # of the six faces of a voxel of a wall, two or three are bare, two triangles each
+        return Size(pixels=frames * self.image_size[0] * self.image_size[1], triangles=5 * frames * body.resident)
 
     def run(self, context: Context, body: CrushedBody) -> None:
         """Draw and write."""

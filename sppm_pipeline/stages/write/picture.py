@@ -8,9 +8,10 @@ from typing import ClassVar
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
+from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.fields.picture import MAX_SAMPLES, MAX_TILES, mesh_picture, scene_of, tile_sheet
+from sppm_pipeline.fields.picture import MAX_SAMPLES, MAX_TILES, mesh_picture, scene_of, tile_sheet, voxel_picture
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.stage import Context, Stage, option
@@ -18,11 +19,11 @@ from sppm_pipeline.stage import Context, Stage, option
 
 @dataclass(frozen=True, kw_only=True)
 class WritePicture(Stage):
-    """Render a mesh, a cell, a tiling or a part as PNG; a tile set becomes a sheet of all its tiles.
+    """Render a mesh, a cell, a tiling, a part or voxels as PNG; a tile set becomes a sheet of all its tiles.
 
     What is solid of a field is seen by rays, within the triangles of the part: rims are exact. Islands that are removed
     from the layers of a part are not shown, and their share of the solid is reported. Cut faces, and the skin, have
-    colors of their own.
+    colors of their own. Voxels have the color of their phase: bone, blue, orange, green, pink, sky, red.
     """
 
     name: ClassVar[str] = "write.picture"
@@ -45,6 +46,9 @@ class WritePicture(Stage):
         tiles = 1.0
         if what.triangles:
             return Size(pixels=pixels, triangles=what.triangles)
+        if what.voxels:
+            # as many as an image of pores and walls that are eight voxels wide has
+            return Size(pixels=pixels, triangles=what.voxels / 2)
         body = what.body
         if what.cells > body.volume:  # a sheet of a tile set
             tiles, pixels = min(what.cells, MAX_TILES), 300.0 * 270
@@ -55,7 +59,7 @@ class WritePicture(Stage):
             pixels=tiles * pixels, samples=tiles * grid.samples, sums=tiles * grid.sums, resident=grid.samples
         )  # fmt: skip
 
-    def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet) -> None:
+    def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet | Voxels) -> None:
         """Render and write."""
         from PIL import Image
 
@@ -71,6 +75,11 @@ class WritePicture(Stage):
                 threads=threads,
                 progress=lambda done, of: context.progress(done, of, "tiles drawn"),
             )
+        elif isinstance(what, Voxels):
+            picture = voxel_picture(
+                what, self.image_size, camera, section=self.section, section_along=self.section_along,
+                annotate=self.annotate, background=self.background, threads=threads,
+            )  # fmt: skip
         elif isinstance(what, SurfaceMesh) and self.section is None:
             picture = mesh_picture(
                 what, self.image_size, camera, annotate=self.annotate, background=self.background, threads=threads

@@ -10,8 +10,10 @@ from PIL import Image
 
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.table import Table
+from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.fields.part import Part
+from sppm_pipeline.render.voxel_view import PHASE_COLORS, phase_surface
 from sppm_pipeline.stages.write.chart import WriteChart
 from sppm_pipeline.stages.write.graph import WriteGraph
 from sppm_pipeline.stages.write.picture import WritePicture
@@ -46,6 +48,34 @@ def test_a_section_shows_the_inside(wang_tiling, ball, tmp_path):
     whole = picture(WritePicture(image_size=(160, 120), resolution=10), part, tmp_path)[1]
     half = picture(WritePicture(image_size=(160, 120), resolution=10, section=0.5), part, tmp_path)[1]
     assert not np.array_equal(whole, half)
+
+
+def test_voxels_in_colors_of_their_phases(tmp_path):
+    values = np.zeros((4, 5, 6), np.uint8)
+    values[:2, :4, :3], values[2:, :4, :3] = 1, 2
+    values[:, 3] = 3
+    image = Voxels.from_array(values, spacing=(0.5, 0.5, 0.2))
+    vertices, faces, colors = phase_surface(image.values, image.spacing)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(np.count_nonzero(values) * 0.05)
+    bone, blue, orange = PHASE_COLORS[:3].tolist()
+    assert {tuple(c) for c in colors.tolist()} == {tuple(bone), tuple(blue), tuple(orange)}
+    # what lies at large x is of phase 2 or 3
+    assert {tuple(c) for c in colors[(a[:, 0] == 2) & (b[:, 0] == 2) & (c[:, 0] == 2)].tolist()} == {
+        tuple(blue), tuple(orange)
+    }  # fmt: skip
+    # from the front the first two phases hide the lower half of the third one, until they are cut away
+    front = {"image_size": (160, 120), "annotate": False, "azimuth": -90.0, "elevation": 0.0}
+    shares = []
+    for section in (None, 0.4):
+        pixels = picture(WritePicture(**front, section=section), image, tmp_path)[1].reshape(-1, 3).astype(int)
+        shares.append([np.mean(pixels[:, 2] - pixels[:, 0] > 90), np.mean(pixels[:, 0] - pixels[:, 2] > 90)])
+    (blue_seen, orange_seen), (blue_left, orange_left) = shares
+    assert blue_seen > 0.1
+    assert orange_left > orange_seen + 0.1
+    assert blue_left < 0.01
+    fractions = Voxels.from_array(np.where(values > 0, 0.7, 0.2).astype(np.float32))
+    assert len(np.unique(picture(WritePicture(image_size=(160, 120)), fractions, tmp_path)[1])) > 30
 
 
 def test_a_sheet_of_tiles(wang, tmp_path):

@@ -132,12 +132,19 @@ def test_charts_take_groups_error_bars_and_logarithmic_axes(tmp_path):
     for options in (
         {}, {"group": "g"}, {"group": "k"}, {"group": "k", "group_label": "$k$"}, {"error": "x"}, {"kind": "means"},
         {"log_y": True}, {"log_x": True, "group": "g"}, {"x_label": r"$\nu_{xy}$"}, {"bound": "x"},
+        {"hulls": True}, {"y": ("y", "x"), "log_y": (True, False)}, {"y": ("y", "x"), "y_label": ("a", "b")},
     ):  # fmt: skip
-        stage = WriteChart(x="x", y="y", **options)
+        stage = WriteChart(**({"x": "x", "y": "y"} | options))
         data = run(stage, table, tmp_path)[0]
         assert run(stage, table, tmp_path)[0] == data
         seen.add(data)
-    assert len(seen) == 10
+    assert len(seen) == 13
+    for wrong, words in (
+        ({"log_y": (True, False)}, "`log_y` has 2 values for 1"), ({"y": ("y", "x"), "line": True}, "single column"),
+        ({"y": ("y", "x"), "y_label": ("a", "b", "c")}, "`y_label` has 3 values for 2"),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=words):
+            WriteChart(**({"x": "x", "y": "y"} | wrong)).check_options()
     for extension, start in (("pdf", b"%PDF"), ("svg", b"<?xml")):
         assert run(WriteChart(x="x", y="y", path=f"a.{extension}"), table, tmp_path)[0].startswith(start)
         assert run(WriteBars(columns=("y",), label="g", path=f"b.{extension}"), table, tmp_path)[0].startswith(start)
