@@ -3,10 +3,12 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: quickstart test test-oldest clean
+.PHONY: quickstart test test-oldest docs clean
 
 quickstart: $(VENV)/.installed  ## set up and run the main job; results are in runs/quickstart
+	@echo "== running configs/quickstart.yaml; the first run compiles for half a minute"
 	$(BIN)/sppm run configs/quickstart.yaml
+	@echo "== done: look at runs/quickstart/part.png, and at runs/quickstart/slices"
 
 test: $(VENV)/.installed-tests  ## set up and pass all checks and tests
 	$(BIN)/ruff check .
@@ -20,14 +22,25 @@ test-oldest:  ## the tests with the oldest libraries that pyproject.toml allows;
 	$(VENV)-oldest/bin/pip install --quiet --constraint tests/oldest.txt --editable ".[test,images,volume]"
 	$(VENV)-oldest/bin/python -m pytest -n auto --dist loadfile tests
 
+docs: $(VENV)/.installed-docs  ## run the gallery and make a site of the documentation in build/site; warnings are errors
+	$(BIN)/python docs/generate_gallery.py --reports build/site/gallery/reports
+	$(BIN)/python -m sphinx -W --keep-going -q -E -d build/doctrees docs build/site
+
 $(VENV)/.installed: pyproject.toml
+	@echo "== making a virtual environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --editable .
+	@echo "== installing the program and its libraries there"
+	$(BIN)/pip install --disable-pip-version-check --editable .
 	touch $@
 
 $(VENV)/.installed-tests: pyproject.toml $(wildcard plugins/*/pyproject.toml)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --editable ".[test]" $(foreach plugin,$(wildcard plugins/*/pyproject.toml),--editable $(dir $(plugin)))
+	touch $(VENV)/.installed $@
+
+$(VENV)/.installed-docs: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --editable ".[docs,plot]" --editable plugins/sppm-structures
 	touch $(VENV)/.installed $@
 
 clean:
