@@ -23,10 +23,13 @@ from sppm_pipeline.errors import ConfigError, Position
 _AREA = 4096
 """Bytes of the texts."""
 
-_HEAD = struct.Struct("<Bdd")
-"""Whether the process means to end; when the run and when the current stage has to have ended."""
+_RUN, _STAGE = 0, 1
+"""Which of the numbers at the beginning says when the run, and when the current stage has to have ended."""
 
-_TEXT, _WORDS = _HEAD.size, _HEAD.size + _AREA
+_ENDS = 2 * 8
+"""The byte that says whether the process means to end."""
+
+_TEXT, _WORDS = _ENDS + 8, _ENDS + 8 + _AREA
 """Where what is being done and the last message begin; each is its length and UTF-8."""
 
 
@@ -57,6 +60,10 @@ class Activity(NamedTuple):
 
 
 _shared: mmap.mmap | None = None
+_times: memoryview = memoryview(b"")
+"""The numbers in `_shared`. Each is stored at once; `struct.pack_into` clears what it writes to first, and a supervisor
+that looked in between would see a time long past."""
+
 _run: ContextVar[str] = ContextVar("run", default="")
 _lock = threading.Lock()
 _active: list[tuple[Activity, float]] = []
@@ -64,15 +71,17 @@ _active: list[tuple[Activity, float]] = []
 
 def share(file: Path | None = None) -> None:
     """Share what is noted from now on with children forked from this process, or with whoever reads `file`."""
-    global _shared
-    size = _HEAD.size + 2 * _AREA
+    global _shared, _times
+    size = _WORDS + _AREA
     if file is None:
         _shared = mmap.mmap(-1, size)
     else:
         with file.open("w+b") as opened:
             opened.truncate(size)
             _shared = mmap.mmap(opened.fileno(), size)
-    _HEAD.pack_into(_shared, 0, 0, math.inf, math.inf)
+    _times = memoryview(_shared)[:_ENDS].cast("d")
+    _times[_RUN] = _times[_STAGE] = math.inf
+    _shared[_ENDS] = 0
 
 
 @contextlib.contextmanager
@@ -117,8 +126,7 @@ def _note() -> None:
     assert _shared is not None
     activity = _active[-1][0] if _active else Activity("", True)
     _write(_TEXT, "\0".join([activity.what, "1" if activity.builtin else "", activity.where, activity.stage]))
-    until = min((deadline for _, deadline in _active), default=math.inf)
-    _HEAD.pack_into(_shared, 0, *_HEAD.unpack_from(_shared)[:2], until)
+    _times[_STAGE] = min((deadline for _, deadline in _active), default=math.inf)
 
 
 def _write(at: int, text: str) -> None:
@@ -154,27 +162,26 @@ def limit_run(seconds: float) -> None:
     """
     if _shared is None:
         raise ConfigError("--time-limit needs a supervising process, which only the command on Linux and macOS has")
-    _HEAD.pack_into(_shared, 0, 0, time.monotonic() + seconds, _HEAD.unpack_from(_shared)[2])
+    _times[_RUN] = time.monotonic() + seconds
 
 
 def deadlines() -> tuple[float, float]:
     """When the run and when the stage has to have ended, on the clock of `time.monotonic`."""
     if _shared is None:
         return math.inf, math.inf
-    _, run, stage = _HEAD.unpack_from(_shared)
-    return run, stage
+    return _times[_RUN], _times[_STAGE]
 
 
 def leave(code: int) -> None:
     """End this process at once, with an exit code that it means; whatever else ends it has failed."""
     if _shared is not None:
-        _shared[0] = 1
+        _shared[_ENDS] = 1
     os._exit(code)
 
 
 def was_left() -> bool:
     """Whether the process has ended by `leave`."""
-    return _shared is not None and _shared[0] == 1
+    return _shared is not None and _shared[_ENDS] == 1
 
 
 def leave_message(text: str) -> None:

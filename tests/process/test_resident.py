@@ -1,23 +1,28 @@
 """The peak of memory of what goes on, not of all that went before."""
 
+import mmap
 import threading
 import time
-
-import numpy as np
 
 from sppm_pipeline.process import resident
 from sppm_pipeline.process.resident import PeakWatch
 
 
+def held(megabytes):
+    """Memory that nobody had before; what numpy is given may be what something else has left, which is resident."""
+    area = mmap.mmap(-1, megabytes * 10**6)
+    for at in range(0, len(area), mmap.PAGESIZE):
+        area[at] = 1
+    return area
+
+
 def taken(megabytes):
     """The peak while so much is held, above what was there before; held until the thread has looked, for a minute."""
     before = resident.resident()
-    with PeakWatch() as watch:
-        held = np.ones(megabytes * 125_000)
+    with PeakWatch() as watch, held(megabytes):
         until = time.monotonic() + 60
         while watch.most < before + 0.9e6 * megabytes and time.monotonic() < until:
             time.sleep(0.01)
-        del held
     return watch.mb - before / 1e6
 
 
@@ -36,8 +41,7 @@ def test_a_new_peak_is_exact_however_short(monkeypatch):
     before = resident.highest() / 1e6
     above = int(before - resident.resident() / 1e6) + 200
     with PeakWatch() as watch:
-        held = np.ones(above * 125_000)
-        del held
+        held(above).close()
     assert before + 150 < watch.mb < before + 250
 
 
