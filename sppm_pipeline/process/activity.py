@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sppm_pipeline.errors import ConfigError, Position
 
@@ -60,7 +60,7 @@ class Activity(NamedTuple):
 
 
 _shared: mmap.mmap | None = None
-_times: memoryview = memoryview(b"")
+_times: Any = memoryview(b"")  # of doubles, which its annotations take for whole numbers
 """The numbers in `_shared`. Each is stored at once; `struct.pack_into` clears what it writes to first, and a supervisor
 that looked in between would see a time long past."""
 
