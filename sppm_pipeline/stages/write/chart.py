@@ -61,7 +61,7 @@ class WriteChart(Stage):
 
     def check_options(self) -> None:
         """A chart that can be drawn, and error bars for points only."""
-        from sppm_pipeline.render.charts import check_chart
+        from sppm_pipeline.render.chart_style import check_chart
 
         texts = {name: getattr(self, name) for name in ("title", "x_label", "group_label")}
         labels = {f"y_label[{n}]": text for n, text in enumerate(self.y_label)}
@@ -80,7 +80,8 @@ class WriteChart(Stage):
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the charts."""
-        from sppm_pipeline.render.charts import Axis, charts_beside, plain_text
+        from sppm_pipeline.render.chart_style import plain_text
+        from sppm_pipeline.render.charts import Axis, charts_beside
 
         columns = _each(self.y)
         logs, labels = _each(self.log_y), _each(self.y_label)
@@ -122,7 +123,8 @@ class WriteChart(Stage):
         present: Sequence[Any], shown: np.ndarray, log_y: bool,
     ) -> list[Series]:  # fmt: skip
         """A series for each group, and those of bound and line."""
-        from sppm_pipeline.render.charts import Series, number_text, plain_text
+        from sppm_pipeline.render.chart_style import number_text, plain_text
+        from sppm_pipeline.render.charts import Series
 
         error = table.numbers(self.error) if self.error else np.full(len(x), np.nan)
         series = []
@@ -147,7 +149,8 @@ class WriteChart(Stage):
     @staticmethod
     def _bounds(x: np.ndarray, bound: np.ndarray, groups: Sequence[np.ndarray]) -> list[Series]:
         """One line if it turns no more often than those of the groups; else theirs, as the bound depends on them."""
-        from sppm_pipeline.render.charts import COLORS, Series
+        from sppm_pipeline.render.chart_style import COLORS
+        from sppm_pipeline.render.charts import Series
 
         whole = _line(x[np.any(groups, axis=0)], bound[np.any(groups, axis=0)])
         lines = [_line(x[own], bound[own]) for own in groups]
