@@ -36,8 +36,8 @@ TYPE_CHECKING = False  # as type checkers understand it; importing `typing` woul
 if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from typing import Any
 
+    from sppm_pipeline.api.bound_stage import SppmWarning
     from sppm_pipeline.api.functions import (
-        SppmWarning,
         StageFunction,
         check,
         connect,
@@ -135,7 +135,8 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.stage import Context, Headline, Recipe, Rejected, Stage, option
 
 _PLACES = {
-    "api.functions": "SppmWarning StageFunction check connect extract field fill grade homogenize measure mesh "
+    "api.bound_stage": "SppmWarning",
+    "api.functions": "StageFunction check connect extract field fill grade homogenize measure mesh "
     "read sample slice step tile tileset tune warp write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",

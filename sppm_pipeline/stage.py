@@ -303,6 +303,11 @@ class Recipe(ABC):
             See `run`.
         again : bool
             Whether to run even if the numbers are remembered, for what is made.
+
+        Raises
+        ------
+        DesignError
+            If the design can't be satisfied or is rejected; this is remembered as well.
         """
         raise NotImplementedError
 

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.api.functions import entry_of
+from sppm_pipeline.api.bound_stage import entry_of
 from sppm_pipeline.api.run import Run
 from sppm_pipeline.data.artifact import escaped
 from sppm_pipeline.data.table import Table

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.api.functions import WarningMonitor
+from sppm_pipeline.api.bound_stage import WarningMonitor
 from sppm_pipeline.data.artifact import escaped, shown
 from sppm_pipeline.data.table import Table
 from sppm_pipeline.engine.cache.housekeeping import open_store

@@ -27,9 +27,8 @@ def configure(parser: ArgumentParser) -> None:
 
 def execute(args: Namespace) -> int:
     """Print the findings; 1 if something is wrong."""
-    if args.kernels:
-        _compile()
-    findings = [*_python(), *_packages(), *_machine(), *_kernel_cache(), *_plugins(args)]
+    failed = _compile() if args.kernels else []
+    findings = [*_python(), *_packages(), *_machine(), *_kernel_cache(), *failed, *_plugins(args)]
     if args.json:
         print(json.dumps([{"ok": ok, "what": what, "found": found} for ok, what, found in findings], indent=1))
     else:
@@ -39,15 +38,18 @@ def execute(args: Namespace) -> int:
     return 0 if all(ok for ok, _, _ in findings) else 1
 
 
-def _compile() -> None:
-    """Compile what is not kept yet, on all processors."""
+def _compile() -> list[Finding]:
+    """Compile what is not kept yet, on all processors; the kernels that could not be."""
     from sppm_pipeline.cli.kernels import CompileAhead, listed_kernels, missing
     from sppm_pipeline.cli.progress import ProgressLines
     from sppm_pipeline.engine.run.runner import available_threads
 
     if not (kernels := missing(listed_kernels())):
-        return
-    ahead = CompileAhead(kernels, available_threads(), {})
+        return []
+    failed: list[Finding] = []
+    ahead = CompileAhead(
+        kernels, available_threads(), {}, lambda place, why: failed.append((False, "kernel", f"{place}: {why}"))
+    )
     lines = ProgressLines(sys.stderr) if sys.stderr is not None else None
     try:
         ahead.wait(None, lines.compiling if lines else lambda done, total: None)
@@ -55,6 +57,7 @@ def _compile() -> None:
         ahead.close()
         if lines:
             lines.close()
+    return failed
 
 
 def _python() -> Iterator[Finding]:

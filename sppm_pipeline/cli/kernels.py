@@ -10,6 +10,7 @@ can't be written or an outdated list leave the work to the run itself.
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import threading
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.run.events import Monitor
-from sppm_pipeline.numerics.kernel_cache import is_kept, kernel_cache_lasts
+from sppm_pipeline.numerics.kernel_cache import is_kept, kernel_cache_lasts, look_again
 from sppm_pipeline.process.interruption import check
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def kernels_of(stages: set[str], kernels: Iterable[Kernel]) -> list[Kernel]:
 
 def missing(kernels: Iterable[Kernel]) -> list[Kernel]:
     """Those that have to be compiled; none if nothing can be kept on the disk."""
+    look_again()
     return [k for k in kernels if not is_kept(k.place, len(k.signatures))] if kernel_cache_lasts() else []
 
 
@@ -103,6 +105,9 @@ class Waiting(Monitor):
     def compiling(self, done: int, total: int) -> None:
         """So many of all kernels are compiled."""
 
+    def not_compiled(self, place: str, why: str) -> None:
+        """A kernel could not be compiled ahead, which is left to its first call. Calls may come from any thread."""
+
 
 class CompileAhead:
     """Child processes that compile kernels.
@@ -112,15 +117,25 @@ class CompileAhead:
     kernels : sequence of Kernel
     processes : int
     ids : dict of stage id to stage name
+    failed : function of two str, optional
+        Told of each kernel that could not be compiled, and why.
     """
 
-    def __init__(self, kernels: Sequence[Kernel], processes: int, ids: dict[str, str]) -> None:
+    def __init__(
+        self,
+        kernels: Sequence[Kernel],
+        processes: int,
+        ids: dict[str, str],
+        failed: Callable[[str, str], None] = lambda place, why: None,
+    ) -> None:
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
 
         from sppm_pipeline.engine.run.executors import begin_worker
 
         self._ids = ids
+        self._failed = failed
+        self._ended: set[Future[None]] = set()  # and told of, which futures that are done need not be yet
         self._changed = threading.Condition()
         self._pool = ProcessPoolExecutor(
             min(processes, len(kernels), MOST),
@@ -133,11 +148,14 @@ class CompileAhead:
         with contextlib.suppress(OSError, RuntimeError):  # no more processes, or they die at once
             for kernel in in_order(kernels, list(ids.values())):
                 future = self._pool.submit(_compile, kernel.place, kernel.signatures)
-                future.add_done_callback(self._tell)
+                future.add_done_callback(functools.partial(self._tell, kernel))
                 self._futures.append((kernel, future))
 
-    def _tell(self, future: Future[None]) -> None:
+    def _tell(self, kernel: Kernel, future: Future[None]) -> None:
+        if not future.cancelled() and (error := future.exception()) is not None:
+            self._failed(kernel.place, _why(error))
         with self._changed:
+            self._ended.add(future)
             self._changed.notify_all()
 
     def wait(self, stage: str | None, notify: Callable[[int, int], None]) -> None:
@@ -152,9 +170,9 @@ class CompileAhead:
         name = None if stage is None else self._ids.get(stage, stage)
         needed = [future for kernel, future in self._futures if name is None or name in kernel.stages]
         told = -1
-        while not all(future.done() for future in needed):
+        while not self._ended.issuperset(needed):
             check()
-            done = sum(future.done() for _, future in self._futures)
+            done = len(self._ended)
             if done != told:
                 notify(done, len(self._futures))
                 told = done
@@ -163,10 +181,20 @@ class CompileAhead:
 
     def close(self) -> None:
         """End the processes; what they have compiled stays."""
+        self._failed = lambda place, why: None  # what is ended from here has not failed
         processes = list((self._pool._processes or {}).values())
         self._pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.terminate()
+
+
+def _why(error: BaseException) -> str:
+    """In one line why a child has not compiled."""
+    from concurrent.futures import BrokenExecutor
+
+    if isinstance(error, BrokenExecutor):
+        return "a compiling process died"
+    return f"{type(error).__name__}: {(str(error).strip().splitlines() or [''])[0]}"
 
 
 def _compile(place: str, signatures: list[Any]) -> None:
@@ -187,9 +215,10 @@ def compiling_ahead(plan: Plan, monitor: Waiting, processes: int) -> Iterator[Co
         wanted = []
     needed = missing(wanted)
     ahead = None
+    ids = {step.id: step.stage.name for step in plan.steps}
     if sum(k.seconds for k in needed) >= WORTH:
         with contextlib.suppress(OSError, ImportError, NotImplementedError):  # no semaphores in this sandbox
-            ahead = CompileAhead(needed, processes, {step.id: step.stage.name for step in plan.steps})
+            ahead = CompileAhead(needed, processes, ids, monitor.not_compiled)
     monitor.ahead = ahead
     try:
         yield ahead

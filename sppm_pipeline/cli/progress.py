@@ -90,6 +90,10 @@ class ProgressLines(Waiting):
         """Kernels are compiled ahead, once; then they are kept."""
         self._show(done / total, f"compiling kernels {done} of {total}")
 
+    def not_compiled(self, place: str, why: str) -> None:
+        """For those who asked for each event: nothing is lost but time."""
+        self._record(f"not compiled ahead: {place}: {why}")
+
     def progress(self, stage: str, inner: bool, done: float, total: float, what: str) -> None:
         """See `Monitor`; what a stage says itself hides what the stages of its recipes say."""
         if inner and self._outer:

@@ -8,6 +8,7 @@ import errno
 import os
 import socket
 import threading
+import time
 from pathlib import Path
 from types import ModuleType
 
@@ -22,6 +23,12 @@ CLAIM = ".claim"
 
 HEARTBEAT = 30.0
 """Seconds between two signs of life in a claim file; a choice."""
+
+SILENCE = 3
+"""Heartbeats without a sign of life after which nobody waits for a claim any longer; a choice."""
+
+POLL = 0.05
+"""Seconds between two looks at a claim that is waited for."""
 
 _MISSING = (errno.ENOTSUP, errno.ENOLCK, errno.EBADF, errno.ENOSYS)
 
@@ -48,13 +55,19 @@ class FolderLock:
     def acquire(self, *, wait: bool = False) -> bool:
         """Take the lock; False if somebody else holds it.
 
+        Parameters
+        ----------
+        wait : bool
+            Whether to wait until it is given back. It is False even then if the lock is a claim file whose process
+            gives no sign of life, for it may be gone.
+
         Raises
         ------
         FileNotFoundError
             If the folder is not there, or not there any more.
         """
         if fcntl is None:
-            return self._claimed()
+            return self._claimed(wait)
         descriptor = os.open(self._path, os.O_RDONLY)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
@@ -63,7 +76,7 @@ class FolderLock:
             if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
                 return False
             if error.errno in _MISSING:
-                return self._claimed()
+                return self._claimed(wait)
             raise
         try:
             there = os.stat(self._path)
@@ -89,15 +102,25 @@ class FolderLock:
             self._claim.release()
             self._claim = None
 
-    def _claimed(self) -> bool:
+    def _claimed(self, wait: bool) -> bool:
         if not self._path.is_dir():
             return True
-        try:
-            self._claim = _Claim(self._path / CLAIM)
-        except FileExistsError:
-            self.holder = _told(self._path / CLAIM)
-            return False
-        return True
+        claim = self._path / CLAIM
+        heard, since = None, time.monotonic()
+        while True:
+            try:
+                self._claim = _Claim(claim)
+            except FileExistsError:
+                pass
+            else:
+                return True
+            now = _heard(claim)
+            if now != heard:  # by its own clock, which another machine may have set otherwise
+                heard, since = now, time.monotonic()
+            if not wait or time.monotonic() - since > SILENCE * HEARTBEAT:
+                self.holder = _told(claim)
+                return False
+            time.sleep(POLL)
 
 
 class _Claim:
@@ -123,6 +146,14 @@ class _Claim:
         while not self._over.wait(HEARTBEAT):
             with contextlib.suppress(OSError):
                 os.utime(self._path)
+
+
+def _heard(claim: Path) -> int | None:
+    """When a claim's process has last given a sign of life, in nanoseconds of the file system; None if it is gone."""
+    try:
+        return claim.stat().st_mtime_ns
+    except OSError:
+        return None
 
 
 def _told(claim: Path) -> str:

@@ -67,15 +67,3 @@ def head_of(data: bytes) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"this is no view file: {error}", hint="write one with `write.view`") from error
     return head
-
-
-def arrays_of(data: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays of a view file of one's own, flat; see `encode_view`."""
-    head = head_of(data)
-    place = data.find(b"\n", len(MAGIC)) + 1
-    found = {}
-    for blob in head["blobs"]:
-        flat = np.frombuffer(gzip.decompress(data[place : place + blob["bytes"]]), _TYPES[blob["type"]])
-        found[blob["name"]] = np.cumsum(flat, dtype=flat.dtype) if blob["delta"] else flat
-        place += blob["bytes"]
-    return found

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.live.data import encode_view
+from sppm_pipeline.numerics.meshcheck.measures import balanced_edges
 
 TRIANGLES = 80_000
 """Most triangles that are handed to the browser; a choice."""
@@ -44,8 +45,8 @@ def mesh_view(
     steps = np.rint((kept - low) / longest * STEPS).astype(np.uint16)
     head = {
         "kind": "mesh", "title": title, "unit": unit, "edge_mm": None, "periodic": False, "explore": None,
-        "triangles": len(faces), "shown": len(shown), "size": size.tolist(), "origin": low.tolist(),
-        "level": 0.0, "base": 0.0, "top": 1.0, "porosity": None,
+        "triangles": len(faces), "shown": len(shown), "closed": balanced_edges(shown),
+        "size": size.tolist(), "origin": low.tolist(), "level": 0.0, "base": 0.0, "top": 1.0, "porosity": None,
     }  # fmt: skip
     return encode_view(head, {"vertices": steps.T, "faces": shown.astype(np.uint32).T})
 

@@ -139,6 +139,11 @@ def is_kept(place: str, specializations: int) -> bool:
     return sum(file.startswith(stem) and file.endswith(".nbc") for file in kept) >= specializations
 
 
+def look_again() -> None:
+    """Forget which kernels were kept when `is_kept` last looked: other processes may have compiled some since."""
+    _kept_files.cache_clear()
+
+
 @functools.cache
 def _kept_files(folder: Path) -> tuple[str, ...]:
     return tuple(file.name for file in folder.glob("*/*.nbc"))

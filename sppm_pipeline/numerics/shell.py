@@ -17,6 +17,7 @@ def crossings(values: NDArray[np.float32], periodic: bool) -> NDArray[np.float64
     Parameters
     ----------
     values : (nz, ny, nx) float32
+        NaN counts as positive. Beside a value that is not finite the level is taken to lie half way between samples.
     periodic : bool
         Whether opposite sides are neighbors.
     """
@@ -31,7 +32,9 @@ def crossings(values: NDArray[np.float32], periodic: bool) -> NDArray[np.float64
         beyond[:, axis] = (beyond[:, axis] + 1) % values.shape[axis]
         here, there = (values[tuple(at.T)].astype(np.float64) for at in (places, beyond))
         points = places.astype(np.float64)
-        points[:, axis] += here / (here - there)
+        with np.errstate(invalid="ignore"):  # NaN and infinity
+            share = here / (here - there)
+        points[:, axis] += np.where(np.isfinite(here) & np.isfinite(there), share, 0.5)
         found.append(points[:, ::-1])
     return np.concatenate(found)
 

@@ -4,6 +4,9 @@ A stage may be deep inside of compiled code that does not see signals. So work g
 main thread waits for signals (`interruptibly`). When one comes, the next call of a stage to its context raises
 `KeyboardInterrupt` (`check`); if that does not happen soon enough, `cancel_all` writes the records from outside, and
 the process is ended.
+
+A process that does several things at once, as a server does, may stop one of them and leave the others alone: what goes
+on `within` a `Stop` ends when that is requested.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
 from typing import Protocol
@@ -52,7 +56,25 @@ class Interrupted(KeyboardInterrupt):
         self.number = number
 
 
+class Stop:
+    """Asks one piece of work to end, whoever else is at work in this process."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+
+    def request(self) -> None:
+        """Ask what goes on within this to end; for good."""
+        self._event.set()
+
+    @property
+    def requested(self) -> bool:
+        """Whether it was asked to end."""
+        return self._event.is_set()
+
+
 _requested = threading.Event()
+_scope: ContextVar[Stop | None] = ContextVar("sppm-stop", default=None)
+"""Of each thread; work that is handed to other threads takes it along (`current_stop`)."""
 _running: list[tuple[Cancelable, int]] = []
 """What runs, and in which thread."""
 _observers: list[Callable[[Path], None]] = []
@@ -63,15 +85,31 @@ def request() -> None:
     _requested.set()
 
 
-def check() -> None:
-    """Raise `KeyboardInterrupt` if everything was asked to stop."""
-    if _requested.is_set():
+@contextlib.contextmanager
+def within(stop: Stop) -> Iterator[None]:
+    """What this thread does inside ends by `KeyboardInterrupt` if `stop` is requested."""
+    token = _scope.set(stop)
+    try:
+        yield
+    finally:
+        _scope.reset(token)
+
+
+def current_stop() -> Stop | None:
+    """What this thread works within, for threads that help it."""
+    return _scope.get()
+
+
+def check(stop: Stop | None = None) -> None:
+    """Raise `KeyboardInterrupt` if everything was asked to stop, or `stop` was, or what this thread works within."""
+    if requested(stop):
         raise KeyboardInterrupt
 
 
-def requested() -> bool:
-    """Whether everything was asked to stop."""
-    return _requested.is_set()
+def requested(stop: Stop | None = None) -> bool:
+    """Whether everything was asked to stop, or `stop` was, or what this thread works within."""
+    own = stop or _scope.get()
+    return _requested.is_set() or (own is not None and own.requested)
 
 
 def reset() -> None:

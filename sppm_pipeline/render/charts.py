@@ -1,77 +1,27 @@
-r"""Charts of results by matplotlib as PDF, SVG or PNG: points, lines, error bars, box plots and panels of bars.
-
-The same data give the same bytes on every run: the style does not depend on a ``matplotlibrc``, fonts are those that
-come with matplotlib, and files hold neither dates nor versions. Another version of matplotlib may draw other bytes.
+r"""Charts of results by matplotlib: points, lines, error bars and box plots, on common axes or side by side.
 
 Titles and labels may hold mathematics between dollar signs, for instance ``$E_x / E_\mathrm{s}$``.
 """
 
 from __future__ import annotations
 
-import io
-import math
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
-from importlib.util import find_spec
-from pathlib import PurePath
-from threading import Lock
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.render.chart_style import COLORS, figure_file, styled
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.container import Container
-    from matplotlib.figure import Figure
-
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""Told apart with every kind of color vision (Okabe and Ito 2008, "Color Universal Design"), without its yellow, which
-is too light for a line on white."""
 
 _MARKERS = "os^DvPXp"  # one more than colors, so that 56 series differ
-_GRAY = "#888888"
 
 MANY = 20
 """Means over more x than this are a line in a band, instead of markers with error bars: a choice."""
-
-# No date and no version, so that bytes depend on the data only.
-_METADATA: dict[str, dict[str, None]] = {
-    "pdf": dict.fromkeys(("Creator", "Producer", "CreationDate")),
-    "svg": dict.fromkeys(("Creator", "Date")),
-    "png": {"Software": None},
-}
-
-_STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "mathtext.fontset": "dejavusans",
-    "font.size": 9.0,
-    "axes.titlesize": 10.0,
-    "axes.linewidth": 0.7,
-    "axes.formatter.use_mathtext": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e4e7eb",
-    "grid.linewidth": 0.6,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "xtick.top": True,
-    "ytick.right": True,
-    "legend.frameon": True,
-    "legend.edgecolor": "#e4e7eb",
-    "legend.fontsize": 8.5,
-    "legend.title_fontsize": 8.5,
-    "lines.linewidth": 1.2,
-    "lines.markersize": 4.0,
-    "savefig.dpi": 200.0,
-    "pdf.fonttype": 42,  # TrueType, as publishers ask for
-    "svg.hashsalt": "sppm_pipeline",
-}
-
-# The style of matplotlib is global to the process, while stages may run in several threads.
-_style_lock = Lock()
 
 
 class Series(NamedTuple):
@@ -103,81 +53,6 @@ class Series(NamedTuple):
     error: ArrayLike | None = None
     color: str | None = None
     hull: bool = False
-
-
-class Panel(NamedTuple):
-    """One measure in a chart of bars: its heading, and a value for each row, NaN where there is none."""
-
-    heading: str
-    values: ArrayLike
-
-
-def check_chart(path: str, **texts: str) -> None:
-    """Refuse before any work what could not be drawn.
-
-    Parameters
-    ----------
-    path : str
-        Name of the file; its extension is the format.
-    **texts : str
-        Options whose values may hold mathematics.
-
-    Raises
-    ------
-    ConfigError
-        If matplotlib is not installed, the extension is none of .pdf, .png and .svg, or the mathematics of a label is
-        not valid.
-    """
-    if find_spec("matplotlib") is None:
-        raise ConfigError(
-            "charts are drawn by the library matplotlib, which is not installed",
-            hint="pip install 'sppm-pipeline[plot]'",
-        )
-    if PurePath(path).suffix.lower().removeprefix(".") not in _METADATA:
-        raise ConfigError(f"a chart is written as .pdf, .png or .svg, not as {path!r}")
-    for option, text in texts.items():
-        if "$" in text:
-            from matplotlib.cbook import is_math_text
-            from matplotlib.mathtext import MathTextParser
-
-            try:
-                if is_math_text(text):
-                    MathTextParser("path").parse(text)
-            except ValueError as error:
-                raise ConfigError(
-                    f"`{option}` is {text!r}, which is not valid mathematics: {str(error).strip().splitlines()[-1]}",
-                    hint=r"write for instance '$E_x / E_\mathrm{s}$', and \$ for a dollar sign",
-                ) from error
-
-
-def plain_text(text: str) -> str:
-    """A string that is drawn as it is, even if it has dollar signs."""
-    return text.replace("$", r"\$")
-
-
-def number_text(value: float) -> str:
-    """Four significant digits as mathematics, without dollar signs."""
-    mantissa, _, exponent = f"{value:.4g}".partition("e")
-    return rf"{mantissa} \times 10^{{{int(exponent)}}}" if exponent else mantissa
-
-
-@contextmanager
-def styled() -> Iterator[None]:
-    """The style of all charts, while a figure is drawn and written."""
-    import matplotlib
-
-    with _style_lock, matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_STYLE)
-        yield
-
-
-def figure_file(figure: Figure, path: str) -> bytes:
-    """The file that a figure becomes, by the extension of its name."""
-    extension = PurePath(path).suffix.lower().removeprefix(".")
-    data = io.BytesIO()
-    figure.savefig(data, format=extension, metadata=_METADATA[extension])
-    return data.getvalue()
 
 
 def chart(
@@ -379,68 +254,3 @@ def _boxes(
     )
     box: Artist = found["boxes"][0]
     return box
-
-
-def bars(
-    labels: Sequence[str], panels: Sequence[Panel], path: str, *, title: str = "", marked: Collection[int] = ()
-) -> bytes:
-    """Draw a row for each thing and a panel of bars for each measure, side by side.
-
-    Each panel has a scale of its own that includes zero. Numbers stand beside the bars, a dash where there is none.
-
-    Parameters
-    ----------
-    labels : sequence of str
-        Names of the rows, from top to bottom; drawn as they are.
-    panels : sequence of Panel
-        From left to right.
-    path : str
-        Name of the file, of which the extension is used: .pdf, .png or .svg.
-    title : str
-        Text above all panels.
-    marked : collection of int
-        Rows that are drawn in another color.
-
-    Returns
-    -------
-    bytes
-        The file.
-
-    Raises
-    ------
-    DesignError
-        If there is no row or no panel.
-    ValueError
-        If a panel has another number of values than there are labels.
-    """
-    from matplotlib.figure import Figure
-
-    if not labels or not panels:
-        raise DesignError(f"{len(labels)} rows and {len(panels)} measures make no chart; at least one each is needed")
-    columns = [np.asarray(panel.values, np.float64) for panel in panels]
-    if any(column.shape != (len(labels),) for column in columns):
-        raise ValueError(f"{len(labels)} rows have panels of shapes {[column.shape for column in columns]}")
-    rows = np.arange(len(labels))
-    colors = [COLORS[1] if row in marked else COLORS[0] for row in rows]
-    with styled():
-        figure = Figure(figsize=(1.2 + 1.25 * len(panels), 0.6 + 0.19 * len(labels)), layout="constrained")
-        figure.suptitle(title, fontsize=10)
-        for column, (axes, panel) in enumerate(
-            zip(figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True)
-        ):
-            values = np.where(np.isfinite(columns[column]), columns[column], np.nan)
-            drawn = axes.barh(rows, np.nan_to_num(values), height=0.62, color=colors)
-            texts = [f"{value:.3g}" if math.isfinite(value) else "–" for value in values.tolist()]
-            axes.bar_label(drawn, texts, padding=2, fontsize=7.5)
-            axes.barh(rows[::2], 1, height=1, color="#f4f6f8", zorder=0, transform=axes.get_yaxis_transform())
-            axes.axvline(0.0, color=_GRAY, linewidth=0.7)
-            axes.set_title(panel.heading, fontsize=9)
-            axes.spines[:].set_visible(False)
-            axes.tick_params(left=False, right=False, bottom=False, top=False, labelbottom=False)
-            axes.margins(x=0.36, y=0)
-            axes.set_ylim(len(labels) - 0.5, -0.5)
-            if not column:  # the others share its rows
-                axes.set_yticks(rows, [plain_text(label) for label in labels])
-                for row in marked:
-                    axes.get_yticklabels()[row].set_color(COLORS[1])
-        return figure_file(figure, path)

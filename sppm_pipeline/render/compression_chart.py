@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.render.charts import COLORS, figure_file, plain_text, styled
+from sppm_pipeline.render.chart_style import COLORS, figure_file, plain_text, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,8 @@ import dataclasses
 import json
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -123,8 +124,9 @@ class Design:
             for target in self.targets
         }
         self._engine = threading.Lock()
-        self._latest = 0
-        self._counting = threading.Lock()
+        self._saving = threading.Lock()
+        self._newest = interruption.Stop()
+        self._asking = threading.Lock()
         self._last: tuple[tuple[str, str], Any] | None = None
 
     def text_with(self, changes: Mapping[str, Any]) -> str:
@@ -194,14 +196,15 @@ class Design:
             )
         text = self.text_with(changes)
         self._with_text(text).plan()
-        try:
-            there: str | None = yaml_text(self.file)
-        except SppmError:
-            there = None
-        if there != self._saved and not anyway:
-            raise Changed(f"{str(self.file)!r} was changed by someone else since it was read")
-        write_whole(self.file, text)
-        self._saved = text
+        with self._saving:  # of two pages that save at once, the second must see what the first has written
+            try:
+                there: str | None = yaml_text(self.file)
+            except SppmError:
+                there = None
+            if there != self._saved and not anyway:
+                raise Changed(f"{str(self.file)!r} was changed by someone else since it was read")
+            write_whole(self.file, text)
+            self._saved = text
         return text
 
     def _cell(self, changes: Mapping[str, Any], name: str) -> tuple[dict[str, Any], bytes]:
@@ -251,35 +254,22 @@ class Design:
             for one in errors
         ]
 
-    def _turn(self) -> _Turn:
-        with self._counting:
-            self._latest += 1
-            interruption.request()  # here, so that an older one can't ask a newer one to stop
-            return _Turn(self, self._latest)
+    def _turn(self) -> AbstractContextManager[None]:
+        """One request at the engine; that before it is asked to stop, and does not begin if it has not begun."""
+        with self._asking:  # here, so that an older one can't ask a newer one to stop
+            self._newest.request()
+            self._newest = stop = interruption.Stop()
+        return self._at_engine(stop)
 
-    def is_latest(self, number: int) -> bool:
-        """Whether no newer request has come."""
-        return number == self._latest
-
-
-class _Turn:
-    """One request at the engine; those before it are asked to stop, and one that is not the newest does not begin."""
-
-    def __init__(self, design: Design, number: int) -> None:
-        self._design = design
-        self._number = number
-
-    def __enter__(self) -> None:
-        self._design._engine.acquire()
-        interruption.reset()
-        if not self._design.is_latest(self._number):
-            self._design._engine.release()
-            raise Superseded
-
-    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        self._design._engine.release()
-        if kind is not None and issubclass(kind, KeyboardInterrupt):
-            raise Superseded
+    @contextmanager
+    def _at_engine(self, stop: interruption.Stop) -> Iterator[None]:
+        with self._engine, interruption.within(stop):
+            if stop.requested:
+                raise Superseded
+            try:
+                yield
+            except KeyboardInterrupt:
+                raise Superseded from None
 
 
 def targets_of(plan: Plan) -> list[Target]:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import io
 import multiprocessing
+import operator
+import re
 import subprocess
 import sys
 import threading
 import time
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from unittest.mock import MagicMock
 
@@ -21,13 +25,16 @@ from sppm_pipeline.cli.kernels import (
     CompileAhead,
     Kernel,
     Waiting,
+    _why,
     compiling_ahead,
     in_order,
     kernels_of,
     listed_kernels,
     missing,
+    stages_of,
 )
 from sppm_pipeline.cli.main import main
+from sppm_pipeline.cli.progress import ProgressLines
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.numerics import kernel_cache
 from sppm_pipeline.numerics.kernel_signatures import read, written
@@ -126,7 +133,8 @@ def test_children_compile_what_a_later_process_finds(empty):
     good = next(k for k in listed_kernels() if k.place == SORT)
     gone = Kernel("sppm_pipeline.numerics.meshcheck.measures:_no_more", 1, ("write.png",), (), [["int64"]])
     assert missing([good]) == [good]
-    ahead = CompileAhead([gone, good], 1, {"layers": "write.png"})
+    failed = []
+    ahead = CompileAhead([gone, good], 1, {"layers": "write.png"}, lambda *why: failed.append(why))
     try:
         told = []
         ahead.wait("layers", lambda *numbers: told.append(numbers))
@@ -138,7 +146,7 @@ def test_children_compile_what_a_later_process_finds(empty):
     while multiprocessing.active_children() and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not multiprocessing.active_children()
-    kernel_cache._kept_files.cache_clear()
+    assert [(place, "_no_more" in why, "\n" in why) for place, why in failed] == [(gone.place, True, False)]
     assert missing([good]) == []
     found = subprocess.run([sys.executable, "-c", CALL], capture_output=True, text=True, check=True)
     assert found.stdout.split() == ["{}", "1"]
@@ -150,8 +158,27 @@ def test_doctor_compiles_what_is_missing(empty, monkeypatch, capsys):
     main(["doctor"])
     assert "empty; 1 of 1 that are common are not, which `sppm doctor --kernels` compiles" in capsys.readouterr().out
     main(["doctor", "--kernels"])
-    kernel_cache._kept_files.cache_clear()
+    found = capsys.readouterr().out
+    assert "1 kernels compiled" in found
+    assert "that are common are not" not in found
     assert missing(one) == []
+    one[0] = one[0]._replace(place=one[0].place + "_no_more")
+    assert main(["doctor", "--kernels"]) == 1
+    assert re.search(r"BAD +kernel +\S+_largest_bits_no_more: AttributeError", capsys.readouterr().out)
+
+
+def test_what_children_could_not_compile_is_told_to_those_who_want_to_know(cell_plan, monkeypatch):
+    monkeypatch.setattr("sppm_pipeline.cli.kernels._compile", operator.truediv)  # raises in the child
+    stream, log = io.StringIO(), io.StringIO()
+    monitor = ProgressLines(stream, log=log)
+    with compiling_ahead(cell_plan, monitor, 2) as ahead:
+        ahead.wait(None, lambda done, total: None)
+    monitor.close()
+    lines = [line for line in log.getvalue().splitlines() if "not compiled ahead: sppm_pipeline." in line]
+    assert len(lines) == len(missing(kernels_of(stages_of(cell_plan), listed_kernels()))) > 10
+    assert all(": TypeError: unsupported operand" in line for line in lines)
+    assert stream.getvalue() == ""
+    assert _why(BrokenProcessPool("about the pool")) == "a compiling process died"
 
 
 @pytest.fixture
@@ -173,7 +200,7 @@ def test_a_system_without_child_processes_runs_without_them(cell_plan, monkeypat
 
 def test_stages_wait_for_what_is_compiled_ahead_and_nobody_else_does(cell_plan, monkeypatch):
     begun = []
-    monkeypatch.setattr("sppm_pipeline.cli.kernels.CompileAhead", lambda *args: begun.append(args) or MagicMock())
+    monkeypatch.setattr("sppm_pipeline.cli.kernels.CompileAhead", lambda *args: begun.append(args[:3]) or MagicMock())
     with compiling_ahead(cell_plan, Waiting(), 1) as alone:
         assert alone is None
     monitor = Waiting()

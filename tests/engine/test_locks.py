@@ -1,6 +1,7 @@
 import errno
 import fcntl
 import os
+import threading
 import time
 
 import pytest
@@ -34,6 +35,29 @@ def test_a_claimed_folder_is_nobody_elses_until_it_is_released(tmp_path, without
     assert list(tmp_path.iterdir()) == []
     assert second.acquire()
     second.release()
+
+
+def test_a_claim_is_waited_for_until_it_is_released(tmp_path, without_flock):
+    first, second = FolderLock(tmp_path), FolderLock(tmp_path)
+    assert first.acquire()
+    got = []
+    thread = threading.Thread(target=lambda: got.append(second.acquire(wait=True)))
+    thread.start()
+    thread.join(0.2)
+    assert (thread.is_alive(), got) == (True, [])
+    first.release()
+    thread.join(10)
+    assert got == [True]
+    second.release()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nobody_waits_for_a_claim_without_signs_of_life(tmp_path, without_flock, monkeypatch):
+    (tmp_path / CLAIM).write_text("process 1 on another host")
+    monkeypatch.setattr(locks, "HEARTBEAT", 0.05)
+    lock = FolderLock(tmp_path)
+    assert not lock.acquire(wait=True)
+    assert lock.holder.startswith("process 1 on another host, last heard of at ")
 
 
 def test_whoever_claims_gives_signs_of_life(tmp_path, without_flock, monkeypatch):

@@ -7,7 +7,6 @@ import pytest
 
 from sppm_pipeline.fields.formula import FormulaField
 from sppm_pipeline.fields.level_field import LevelField
-from sppm_pipeline.numerics.grading.level_spline import spline_values
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 
 
@@ -25,7 +24,7 @@ def around(field, n, fraction=0.37):
     return Grid((fraction, 0.21, 0.1), (h, 1.1 * h, 0.9 * h), (n, n - 3, n // 2))
 
 
-def test_solid_is_where_the_sum_is_below_the_spline(leveled):
+def test_solid_is_where_the_sum_is_below_the_spline(leveled, spline_values):
     grid = around(leveled, 30)
     level = np.exp(spline_values(leveled.control, *(grid.axis(a) for a in range(3)))).T
     sums = leveled.base.sums(grid)
@@ -57,7 +56,7 @@ def test_fine_grids_are_interpolated_from_finer_ones_where_tunnels_are_narrow(le
     assert narrow.finest_radius < leveled.finest_radius < leveled.base.finest_radius
 
 
-def test_patches_of_tiles_that_repeat_are_used(wang_tiling):
+def test_patches_of_tiles_that_repeat_are_used(wang_tiling, spline_values):
     field = LevelField(wang_tiling, np.log(wang_tiling.solid_below) + np.linspace(-0.2, 0.1, 36).reshape(4, 3, 3))
     grid = cell_centers(16, (4, 3, 3))
     assert wang_tiling.patches(16, 0.5) is not None
@@ -85,7 +84,7 @@ class Waves(FormulaField):
         return np.cos(2 * np.pi * x) + np.cos(2 * np.pi * y) + np.cos(2 * np.pi * z)
 
 
-def test_any_other_field_is_cut_at_the_spline():
+def test_any_other_field_is_cut_at_the_spline(spline_values):
     waves = Waves(edge=3.0, region=(2, 1, 1))
     control = np.array([-0.5, 0.8]).reshape(2, 1, 1)
     field = LevelField(waves, control)

@@ -13,7 +13,7 @@ from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh
 from sppm_pipeline.numerics.grid import cell_nodes
 from sppm_pipeline.numerics.meshcheck.box_tree import box_tree
-from sppm_pipeline.numerics.meshcheck.measures import degenerate_faces, edge_counts, volume
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, measure_surface, volume
 from sppm_pipeline.numerics.meshcheck.self_intersections import self_intersections
 from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD
 
@@ -58,7 +58,7 @@ def mesh(field, domain, n, skin=0.0):
     part = Part(field, SurfaceMesh(*domain, name="domain"), skin, "keep")
     vertices, faces, _, kinds = FieldSurface(part, node_grid(part, n), "keep").mesh_with_kinds()
     assert edge_counts(faces).bounds_solid
-    assert degenerate_faces(vertices, faces) == 0
+    assert measure_surface(vertices, faces).degenerate == 0
     assert len(kinds) == len(faces)
     return vertices, faces, kinds
 

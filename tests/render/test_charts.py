@@ -13,19 +13,10 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.render import charts
-from sppm_pipeline.render.charts import (
-    COLORS,
-    Axis,
-    Panel,
-    Series,
-    bars,
-    chart,
-    charts_beside,
-    check_chart,
-    number_text,
-    plain_text,
-)
+from sppm_pipeline.render import bar_chart, chart_style, charts
+from sppm_pipeline.render.bar_chart import Panel, bars
+from sppm_pipeline.render.chart_style import COLORS, check_chart, number_text, plain_text
+from sppm_pipeline.render.charts import Axis, Series, chart, charts_beside
 
 X = np.array([1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, np.nan, 3.0])
 Y = np.array([1.0, 2.0, 3.0, 6.0, 2.0, 4.0, 9.0, 5.0, np.inf])
@@ -35,7 +26,8 @@ NAMES = ["one", "two", "three"]
 @pytest.fixture
 def figure_of(monkeypatch):
     """Function from the arguments of a drawing function to the figure, in place of the file."""
-    monkeypatch.setattr(charts, "figure_file", lambda figure, path: figure)
+    for module in (charts, bar_chart):
+        monkeypatch.setattr(module, "figure_file", lambda figure, path: figure)
     return lambda draw, *arguments, **options: draw(*arguments, "a.png", **options)
 
 
@@ -195,7 +187,7 @@ def test_what_cannot_be_drawn_is_refused_beforehand(monkeypatch):
     with pytest.raises(ConfigError, match=r"`title` is .*\\nosuch.*not valid mathematics") as caught:
         check_chart("a.png", title=r"$\nosuch_x$")
     assert "mathrm" in caught.value.hint
-    monkeypatch.setattr(charts, "find_spec", lambda name: None)
+    monkeypatch.setattr(chart_style, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match="matplotlib, which is not installed") as caught:
         check_chart("a.png")
     assert caught.value.hint == "pip install 'sppm-pipeline[plot]'"

@@ -296,5 +296,24 @@ def test_a_mesh_is_shown_and_cut_open(browser, tmp_path):
     assert (opened[:, :, 0].astype(int) > 1.7 * opened[:, :, 1]).sum() > 0.1 * solid.sum()
     assert page.inner_text("#live-cut-readout").endswith(" mm")
     assert not page.is_visible("#live-level")
+    # the cut is a flat cap: one color from rim to rim, without the bowl behind it
+    cap = opened[opened[:, :, 0].astype(int) > 1.7 * opened[:, :, 1]][:, :3].astype(int)
+    assert len(cap) > 0.1 * solid.sum()
+    assert (np.abs(cap - np.median(cap, axis=0)).max(1) <= 2).mean() > 0.95
     assert heard == []
+    page.close()
+
+
+def test_what_an_open_mesh_shows_of_its_back_is_no_cap(browser, tmp_path):
+    sphere, faces = sphere_mesh(4)
+    whole, bowl = SurfaceMesh(3 * sphere, faces), SurfaceMesh(3 * sphere, faces[sphere[faces][:, :, 2].max(1) < 0.5])
+    assert [head_of(view_of(mesh))["closed"] for mesh in (whole, bowl)] == [True, False]
+    (tmp_path / "bowl.html").write_text(live_page(view_of(bowl)), encoding="utf-8")
+    page = browser.new_page(viewport={"width": WIDTH, "height": 500})
+    page.goto((tmp_path / "bowl.html").as_uri())
+    until(page, SETTLED, "no mesh")
+    shown = pixels_of(page, "live-canvas")
+    back = shown[shown[:, :, 0].astype(int) > 1.7 * shown[:, :, 1]][:, :3].astype(int)
+    assert len(back) > 100
+    assert np.ptp(back, axis=0).max() > 40  # round
     page.close()

@@ -16,7 +16,7 @@ from sppm_pipeline.engine.run.verification import verify_run
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.fields.live_view import view_of
-from sppm_pipeline.live.data import arrays_of, encode_view, head_of
+from sppm_pipeline.live.data import MAGIC, encode_view, head_of
 from sppm_pipeline.live.meshes import clustered
 from sppm_pipeline.numerics.homogenization.stiffness.directional import sphere_mesh
 from sppm_pipeline.report.boxes import boxes, duration, porosities
@@ -249,6 +249,18 @@ def test_ten_thousand_rows_fit(tmp_path):
     assert html.count('<svg class="chart') == 6
     packed = re.search(r'id="data-rows">([^<]+)<', html)[1]
     assert len(json.loads(gzip.decompress(base64.b64decode(packed)))) == count
+
+
+def arrays_of(data):
+    """The arrays of a view file, flat, as the page's script unpacks them."""
+    place, found = data.find(b"\n", len(MAGIC)) + 1, {}
+    for blob in head_of(data)["blobs"]:
+        kind = {"u8": "u1", "u16": "<u2", "u32": "<u4", "f32": "<f4"}[blob["type"]]
+        flat = np.frombuffer(gzip.decompress(data[place : place + blob["bytes"]]), kind)
+        assert flat.size == blob["count"]
+        found[blob["name"]] = np.cumsum(flat, dtype=flat.dtype) if blob["delta"] else flat
+        place += blob["bytes"]
+    return found
 
 
 def test_a_view_file_holds_what_it_was_given():

@@ -5,14 +5,20 @@ import http.client
 import json
 import struct
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.parse import urlencode
 
 import pytest
 
 from sppm_pipeline.api.pipeline import Pipeline
+from sppm_pipeline.data.size import ONE
 from sppm_pipeline.engine.config.limits import MAX_DEPTH
+from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.session import RunRequest
+from sppm_pipeline.engine.run.context import RunContext, StageLog
+from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.errors import ConfigError, InputError, SppmError
 from sppm_pipeline.fields.live_view import view_of
 from sppm_pipeline.process import interruption
@@ -120,6 +126,46 @@ def test_a_request_that_is_late_does_not_end_a_newer_one(started):
     thread.join()
 
 
+def test_only_requests_of_the_same_page_end_each_other(started):
+    other = design()
+    with started._turn():
+        reporting = RunContext(
+            seed=1, path=("a",), address="a", threads=1, palette=ONE, log=StageLog(Monitor(), "a"), folder=None
+        )
+        other.cell({"params.pores": 12}, "")
+        with other._turn():
+            pass
+        reporting.report(a=1)  # nobody has asked this one to end
+        begun = started._turn()
+        heard = []
+
+        def report():
+            try:
+                reporting.report(a=2)
+            except KeyboardInterrupt:
+                heard.append(True)
+
+        thread = threading.Thread(target=report)  # as threads of stages do
+        thread.start()
+        thread.join()
+        assert heard == [True]
+        assert interruption.requested()
+    with begun:
+        assert not interruption.requested()
+    with pytest.raises(Superseded), started._turn():
+        raise KeyboardInterrupt
+
+
+def test_what_stops_the_program_stops_the_studio_and_stays(started):
+    interruption.request()
+    try:
+        with pytest.raises(Superseded):
+            started.cell({"params.pores": 13}, "")
+        assert interruption.requested()
+    finally:
+        interruption.reset()
+
+
 def test_options_of_a_plugin_have_controls():
     made = Design(RunRequest(str(EXAMPLES / "single_file_plugin.yaml")), None, 2)
     found = controls(made)
@@ -192,6 +238,22 @@ def test_a_file_is_saved_when_asked_and_never_silently_replaced(tmp_path):
     assert "pores: 32" in file.read_text(encoding="utf-8")
     with pytest.raises(InputError, match="not started with a file"):
         design().save({})
+
+
+def test_saves_at_once_do_not_take_each_other_for_strangers(tmp_path, monkeypatch):
+    file = tmp_path / "mine.yaml"
+    file.write_text(START, encoding="utf-8")
+    made = Design(RunRequest(str(file), distributions=False), file, 2)
+    whole = write_whole
+
+    def slow(path, text):
+        whole(path, text)
+        time.sleep(0.05)  # written, and not yet noted
+
+    monkeypatch.setattr("sppm_pipeline.studio.design.write_whole", slow)
+    with ThreadPoolExecutor(4) as pool:
+        written = list(pool.map(lambda pores: made.save({"params.pores": pores}), (20, 21, 22, 23)))
+    assert file.read_text(encoding="utf-8") in written
 
 
 # --- the server ----------------------------------------------------------------------------------------------------

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
-import importlib.util
-import inspect
 import os
 import re
-import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +15,7 @@ import pluggy
 
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
+from sppm_pipeline.engine.plan.plugin_files import first_line, import_file, missing_module, stage_classes
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
 from sppm_pipeline.process.containment import guarded
 
@@ -187,7 +183,7 @@ def load_plugins(
             seen.add(path.resolve())
             plugin = Plugin(str(path))
             result.append(plugin)
-            _attempt(manager, plugin, lambda path=path: _import_file(path))  # type: ignore[misc]
+            _attempt(manager, plugin, lambda path=path: import_file(path))  # type: ignore[misc]
     _refuse_duplicates(result)
     return Plugins(result, disabled=not distributions)
 
@@ -215,7 +211,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         return
     except Exception as error:
         plugin.error = PluginError(
-            f"{plugin} can't be loaded: {type(error).__name__}: {_first_line(error)}", hint=_missing(error)
+            f"{plugin} can't be loaded: {type(error).__name__}: {first_line(error)}", hint=missing_module(error)
         )
         plugin.error.__cause__ = error
         return
@@ -254,7 +250,7 @@ def _attempt(manager: pluggy.PluginManager, plugin: Plugin, load: Callable[[], A
         plugin.error = BrokenContract(f"{plugin}: {hook} raised {type(error).__name__}: {error}")
         plugin.error.__cause__ = error
     if isinstance(module, ModuleType) and not plugin.builtin and plugin.distribution is None:
-        for cls in _stage_classes(module):
+        for cls in stage_classes(module):
             if cls not in plugin.stages.values():
                 plugin.stages[cls.name] = cls
 
@@ -277,64 +273,6 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
     ("sppm_presets", "presets", lambda value: isinstance(value, hookspecs.Preset), "a Preset"),
 )
 """Hooks that return a map of names: where the map goes in `Plugin`, what its values may be, and that in words."""
-
-
-def _import_file(path: Path) -> ModuleType:
-    """Import a single file under a name of its own, once for each content; runs of a sweep may ask at the same time."""
-    if not path.is_file():
-        raise PluginError(f"there is no plugin file {str(path)!r}")
-    digest = hashlib.sha256(str(path.resolve()).encode() + b"\0" + path.read_bytes()).hexdigest()[:16]
-    name = f"sppm_plugin_{path.stem}_{digest}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise PluginError(f"a plugin file must end in .py, got {str(path)!r}")
-    with _IMPORTING:
-        if name in sys.modules:
-            return sys.modules[name]
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module  # dataclasses look their module up there
-        try:
-            spec.loader.exec_module(module)
-        except BaseException as error:
-            del sys.modules[name]
-            if not isinstance(error, Exception):
-                raise
-            line = _line_in(error, path)
-            raise PluginError(
-                f"the plugin {path}{line} can't be loaded: {type(error).__name__}: {_first_line(error)}",
-                hint=_missing(error),
-            ) from error
-    return module
-
-
-_IMPORTING = threading.Lock()
-
-
-def _line_in(error: Exception, path: Path) -> str:
-    """``:12`` for the last line of `path` that the error passed through."""
-    if isinstance(error, SyntaxError):
-        return f":{error.lineno}"
-    trace, line = error.__traceback__, ""
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path):
-            line = f":{trace.tb_lineno}"
-        trace = trace.tb_next
-    return line
-
-
-def _stage_classes(module: ModuleType) -> list[type[Stage]]:
-    """Complete stages that a file defines itself."""
-    from sppm_pipeline.stage import Stage
-
-    return [
-        cls
-        for cls in vars(module).values()
-        if inspect.isclass(cls)
-        and issubclass(cls, Stage)
-        and cls.__module__ == module.__name__
-        and not inspect.isabstract(cls)
-        and isinstance(getattr(cls, "name", None), str)
-    ]
 
 
 def imported(plugin: Plugin, what: str, target: Any) -> Any:
@@ -361,7 +299,7 @@ def imported(plugin: Plugin, what: str, target: Any) -> Any:
         raise
     except Exception as error:
         raise PluginError(
-            f"{plugin}: {what} can't be imported: {type(error).__name__}: {error}", hint=_missing(error)
+            f"{plugin}: {what} can't be imported: {type(error).__name__}: {error}", hint=missing_module(error)
         ) from error
 
 
@@ -407,16 +345,6 @@ def _refuse_duplicates(plugins: list[Plugin]) -> None:
                         hint="rename one, or remove one of the plugins",
                     )
                 owners.setdefault(name, plugin)
-
-
-def _missing(error: Exception) -> str | None:
-    if isinstance(error, ModuleNotFoundError) and error.name:
-        return f"the module {error.name!r} is not installed"
-    return None
-
-
-def _first_line(error: Exception) -> str:
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
 
 
 def _hook_hint(module: Any) -> str | None:

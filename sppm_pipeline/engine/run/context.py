@@ -24,7 +24,7 @@ from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.process.budget import planning_memory, requested_memory
-from sppm_pipeline.process.interruption import check
+from sppm_pipeline.process.interruption import check, current_stop
 from sppm_pipeline.stage import Context
 
 
@@ -138,6 +138,7 @@ class RunContext(Context):
         self.folder = folder
         self.memory = planning_memory()
         self.memory_limit = requested_memory()
+        self._stop = current_stop()  # stages report from threads of their own, too
 
     def inside(self, recipe: str, attempt: int, id_: str, address: str, palette: Palette) -> RunContext:
         """The context of a stage of a recipe that this stage repeats."""
@@ -163,23 +164,23 @@ class RunContext(Context):
 
     def rng(self, *key: int) -> np.random.Generator:
         """See `Context.rng`."""
-        check()
+        check(self._stop)
         self.log.drew = True
         return generator(self._seed, self.path, key)
 
     def report(self, **values: Any) -> None:
         """See `Context.report`."""
-        check()
+        check(self._stop)
         self.log.report(self.address, values)
 
     def progress(self, done: float, total: float, what: str = "") -> None:
         """See `Context.progress`."""
-        check()
+        check(self._stop)
         self.log.progress(self.address, done, total, what)
 
     def warn(self, message: str) -> None:
         """See `Context.warn`."""
-        check()
+        check(self._stop)
         self.log.warn(self.address, message)
 
     def remember(self, key: str, state: Any) -> None:
@@ -201,7 +202,7 @@ class RunContext(Context):
 
     def recall(self, key: str) -> Any:
         """See `Context.recall`."""
-        check()
+        check(self._stop)
         if self._store is None:
             return None
         try:
@@ -212,7 +213,7 @@ class RunContext(Context):
 
     def output(self, name: str) -> Path:
         """See `Context.output`."""
-        check()
+        check(self._stop)
         if self.folder is None:
             raise ConfigError(f"there is no run directory for the output {name!r}")
         return self.folder.claim(self.address, name)

@@ -24,11 +24,11 @@ from sppm_pipeline.engine.plan.wiring import Step, last_uses
 from sppm_pipeline.engine.run.context import RunContext
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import jsonable
-from sppm_pipeline.errors import ConfigError, InputError, PluginError, ResourceError, SppmError
+from sppm_pipeline.errors import ConfigError, DesignError, InputError, PluginError, ResourceError, SppmError
 from sppm_pipeline.process.budget import exhausted_resource
 from sppm_pipeline.process.containment import contained, limited
 from sppm_pipeline.process.interruption import check
-from sppm_pipeline.stage import Context, Observed, Recipe, Stage
+from sppm_pipeline.stage import Context, Observed, Recipe, Rejected, Stage
 
 RecipeSteps = Mapping[str, Sequence[Step]]
 
@@ -218,16 +218,32 @@ class StepRecipe(Recipe):
         key = own.recipe_key(self.name, recipes, attempt)
         known = None if again or key is None else context.recall(key)
         if known is not None:
-            return Observed(None, known)
+            if "failed" in known:
+                raise self._failure(known["failed"])
+            return Observed(None, known["numbers"])
         kept: Any = None
         entries: list[Mapping[str, Any]] = []
-        for made, entry in self._run(own, context.palette, attempt, recipes):
-            kept = made if isinstance(made, kind) else kept
-            entries.append(entry)
+        try:
+            for made, entry in self._run(own, context.palette, attempt, recipes):
+                kept = made if isinstance(made, kind) else kept
+                entries.append(entry)
+        except DesignError as error:  # of this draw, as its numbers would be
+            if key is not None:
+                failed = {"message": error.message, "hint": error.hint or "", "stage": error.stage or ""}
+                context.remember(key, {"failed": {**failed, "rejected": isinstance(error, Rejected)}})
+            raise
         numbers = numbers_of(entries)
         if key is not None:
-            context.remember(key, numbers)
+            context.remember(key, {"numbers": numbers})
         return Observed(kept, numbers)
+
+    def _failure(self, failed: Mapping[str, Any]) -> DesignError:
+        """The error that ended a remembered run, at the place where its stage stands now."""
+        kind = Rejected if failed["rejected"] else DesignError
+        stage = failed["stage"] or None
+        steps = (step for steps in self._recipes.values() for step in steps)
+        where = next((step.where for step in steps if step.address == stage), None)
+        return kind(failed["message"], hint=failed["hint"] or None, where=where, stage=stage)
 
     def _run(
         self, context: RunContext, palette: Palette, attempt: int, recipes: RecipeSteps

@@ -10,6 +10,7 @@ import signal
 import socket
 import uuid
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -93,22 +94,19 @@ def run_sweep(
     check_until(plan, until)
     rows = session.rows
     check_sweep(session, rows, until)
+    asked = _Asked(
+        workers=workers,
+        executor=executor or default_executor(workers),
+        threads=max(1, threads // workers),
+        until=until,
+        cache=None if cache is None else cache.resolve(),
+        retries=retries,
+        same_processor=same_processor,
+    )
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         recorder.extra["runs"] = runs = []
         names = _row_names(len(rows))
-        found, stopped = _run_rows(
-            session,
-            path,
-            names,
-            workers,
-            executor,
-            max(1, threads // workers),
-            until,
-            monitor,
-            cache,
-            retries,
-            same_processor,
-        )
+        found, stopped = _run_rows(session, path, names, asked, monitor)
         remove_stale_runs(path, names)
         columns = columns_of(found)
         runs += [{key: value for key, value in run.items() if key not in ("columns", "files")} for run in found]
@@ -172,27 +170,36 @@ def _store(cache: Path | None) -> Store | None:
     return open_store(cache)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """How rows are to be run; see `run_sweep`.
+
+    Attributes
+    ----------
+    executor : str
+        Also of rows that are run alone.
+    threads : int
+        Of each worker.
+    """
+
+    workers: int
+    executor: str
+    threads: int
+    until: str | None
+    cache: Path | None
+    retries: int
+    same_processor: bool
+
+
 def _run_rows(
-    session: Session,
-    path: Path,
-    names: Sequence[str],
-    workers: int,
-    executor: str | None,
-    threads: int,
-    until: str | None,
-    monitor: Monitor,
-    cache: Path | None,
-    retries: int,
-    same_processor: bool,
+    session: Session, path: Path, names: Sequence[str], asked: _Asked, monitor: Monitor
 ) -> tuple[list[dict[str, Any]], SppmError | None]:
     """Hand the rows to an executor; results in the order of the rows, and what stopped it before any row had ended.
 
     Where a worker process dies, the rows that were running are run again, each alone: a row that takes its process down
     each time has failed, and the others go on. What stops the sweep as a whole is the error of the rows that are left.
     """
-    executor = executor or default_executor(workers)  # also of rows that are run alone
     path = path.resolve()
-    cache = cache.resolve() if cache is not None else None
     stopped: SppmError | None = None
     results: dict[int, dict[str, Any]] = {}
     again: dict[int, int] = {}  # how often a row was run once more
@@ -211,18 +218,18 @@ def _run_rows(
         elif isinstance(error, SppmError):
             raise error
         else:
-            text = f"the executor {executor!r} lost run {names[number]!r}: {type(error).__name__}: {error}"
+            text = f"the executor {asked.executor!r} lost run {names[number]!r}: {type(error).__name__}: {error}"
             ended(number, _failed(session, tasks[number], PluginError(text)))
 
     def serve_rows(workers: int, left: Mapping[int, Mapping[str, Any]]) -> tuple[BaseException | None, list[int]]:
-        pool = make_executor(executor, workers, session.plugins)
+        pool = make_executor(asked.executor, workers, session.plugins)
         if len(left) == len(tasks):
             monitor.sweep_started(getattr(pool, "about", ""), len(tasks))
         return serve(pool, run_row, left, ended, failed, most=max(IN_FLIGHT, 4 * workers))
 
     def alone(number: int) -> None:
         codes: list[int] = []
-        for _ in range(retries):
+        for _ in range(asked.retries):
             suspects.discard(number)
             again[number] = again.get(number, 0) + 1
             broken, codes = serve_rows(1, {number: tasks[number]})
@@ -236,14 +243,14 @@ def _run_rows(
     try:
         with (
             TemporaryDirectory(prefix="sppm-sweep-") as folder,
-            announced(path, cache, session.plugins, same_processor=same_processor) as driver,
+            announced(path, asked.cache, session.plugins, same_processor=asked.same_processor) as driver,
         ):
             common = {
                 "request": session.request.absolute(),
                 "sweep": uuid.uuid4().hex,
-                "threads": threads,
-                "until": until,
-                "cache": cache,
+                "threads": asked.threads,
+                "until": asked.until,
+                "cache": asked.cache,
                 "from": os.getpid(),
                 "driver": driver,
             }
@@ -252,7 +259,7 @@ def _run_rows(
                 for i, name in enumerate(names)
             ]
             while left := {i: task for i, task in enumerate(tasks) if i not in results}:
-                broken, _ = serve_rows(workers, left)
+                broken, _ = serve_rows(asked.workers, left)
                 if broken is not None:
                     begun = {i for i, task in left.items() if i not in results and Path(task["notes"]).exists()}
                     if not (begun or suspects):

@@ -55,7 +55,7 @@ async function startLive(bytes) {
   function fill(n) {
     if (state.cells) return fillCells();
     if (head.kind === "mesh") {
-      view.loadMesh(arrays.vertices, arrays.faces, head.size);
+      view.loadMesh(arrays.vertices, arrays.faces, head.size, head.closed);
     } else if (kernels) {
       const sums = sumKernels(head, part(arrays.pores, head.pores, 4), part(arrays.tunnels, head.tunnels, 7), n, state.pore, state.tunnel);
       const field = sumBytes(sums, head.top);

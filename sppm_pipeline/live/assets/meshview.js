@@ -1,5 +1,6 @@
-// Shows triangles, with the camera, the light and the passes of the other views. Where the plane cuts the mesh open, its
-// inside has the color of a cut.
+// Shows triangles, with the camera, the light and the passes of the other views. What is seen of a closed mesh from
+// within lies behind the plane that cuts it open, where the ray has entered the solid: it is drawn as this cut. An open
+// mesh has no inside, and shows its back in the color of a cut.
 const CORNER = `#version 300 es
 precision highp float;
 layout(location = 0) in vec3 place;
@@ -19,7 +20,7 @@ void main() {
 const TRIANGLE = `#version 300 es
 precision highp float;
 in vec3 at, smooth_;
-uniform vec3 high;
+uniform vec3 high, cut;  // the normal of the plane that cuts a closed mesh open; zero if there is none
 ${LIGHT}
 out vec4 color;
 void main() {
@@ -27,7 +28,8 @@ void main() {
   vec3 flat_ = normalize(cross(dFdx(at), dFdy(at)));
   // an edge stays sharp: there the mean of its sides is the direction of none of them
   vec3 normal = dot(flat_, smooth_) > 0.85 * length(smooth_) ? normalize(smooth_) : flat_;
-  color = vec4(lit(gl_FrontFacing ? BONE : CUT, gl_FrontFacing ? normal : flat_, 0.9), 1.0);
+  vec3 back = cut == vec3(0.0) ? flat_ : cut;
+  color = vec4(lit(gl_FrontFacing ? BONE : CUT, gl_FrontFacing ? normal : back, 0.9), 1.0);
 }`;
 
 class MeshView extends View {
@@ -38,7 +40,7 @@ class MeshView extends View {
   }
 
   // Vertices as x..., y..., z... in steps of 1/65535 of the longest edge; corners of triangles likewise.
-  loadMesh(vertices, faces, size) {
+  loadMesh(vertices, faces, size, closed) {
     const gl = this.gl, n = vertices.length / 3, m = faces.length / 3, longest = Math.max(...size) || 1;
     const places = new Float32Array(3 * n), ways = new Float32Array(3 * n), corners = new Uint32Array(3 * m);
     for (let i = 0; i < n; i++) for (let a = 0; a < 3; a++) places[3 * i + a] = vertices[a * n + i] / 65535;
@@ -53,7 +55,7 @@ class MeshView extends View {
       const length = Math.hypot(ways[i], ways[i + 1], ways[i + 2]) || 1;
       for (let a = 0; a < 3; a++) ways[i + a] /= length;
     }
-    Object.assign(this, { size: size.map((s) => s / longest), count: 3 * m, places, domain: false, periodic: false });
+    Object.assign(this, { size: size.map((s) => s / longest), count: 3 * m, places, closed, domain: false, periodic: false });
     [places, ways].forEach((data, index) => {
       gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
       gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
@@ -80,6 +82,7 @@ class MeshView extends View {
     const { high } = this.aim(this.triangles, w, h);
     gl.uniform3fv(u("box"), this.size);
     gl.uniform3fv(u("high"), high.map((v, a) => (a === this.cut.axis && this.cut.at < 1 ? v : v + 1)));
+    gl.uniform3fv(u("cut"), high.map((_, a) => (this.closed && a === this.cut.axis && this.cut.at < 1 ? 1 : 0)));
     gl.uniform1f(u("depth"), Math.hypot(...this.size));
     gl.enable(gl.DEPTH_TEST);
     gl.clear(gl.DEPTH_BUFFER_BIT);

@@ -9,15 +9,9 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.connecting.candidates import candidate_graph
 from sppm_pipeline.numerics.connecting.clearance import close_pairs
 from sppm_pipeline.numerics.connecting.degrees import harary_edges
-from sppm_pipeline.numerics.connecting.exchange import (
-    CHOSEN,
-    connect_and_fill,
-    edge_table,
-    improve,
-    insert_all,
-    node_table,
-)
+from sppm_pipeline.numerics.connecting.exchange import connect_and_fill, improve
 from sppm_pipeline.numerics.connecting.loops import make_loops
+from sppm_pipeline.numerics.connecting.moves import CHOSEN, edge_table, insert_all, node_table
 from sppm_pipeline.numerics.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree, nearest_turns
 
 Edges = tuple[NDArray[np.int64], NDArray[np.int64]]

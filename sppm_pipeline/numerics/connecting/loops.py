@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connecting.exchange import CHOSEN, DEGREE, FROM, SLOTS, TO, UPPER, apply_move
+from sppm_pipeline.numerics.connecting.moves import CHOSEN, DEGREE, FROM, SLOTS, TO, UPPER, apply_move
 from sppm_pipeline.numerics.connecting.trees import find_root, mark_bridges
 
 

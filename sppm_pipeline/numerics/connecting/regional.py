@@ -18,17 +18,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.connecting.candidates import candidate_graph, candidates_of_region
-from sppm_pipeline.numerics.connecting.exchange import (
-    CHOSEN,
-    DEGREE,
-    edge_table,
-    fill,
-    improve,
-    insert_all,
-    lower_degrees,
-    node_table,
-    raise_degrees,
-)
+from sppm_pipeline.numerics.connecting.exchange import fill, improve, lower_degrees, raise_degrees
+from sppm_pipeline.numerics.connecting.moves import CHOSEN, DEGREE, edge_table, insert_all, node_table
 from sppm_pipeline.numerics.connecting.relative_degrees import (
     REACH,
     Network,

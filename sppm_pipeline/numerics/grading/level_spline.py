@@ -34,30 +34,6 @@ def _contracted(values: NDArray[np.float64], along: _Along) -> NDArray[np.float6
     return np.moveaxis(taken[0] + taken[1] + taken[2], 0, -1)
 
 
-def spline_values(
-    control: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """The spline at the points of three axes.
-
-    Parameters
-    ----------
-    control : (nx, ny, nz) float64
-        Control points, one for each cell.
-    x, y, z : (k,), (m,), (n,) float64
-        Positions along the axes, cell sizes.
-
-    Returns
-    -------
-    (n, m, k) float64
-        Indexed z, y, x.
-    """
-    along = (_along(p, n) for p, n in zip((x, y, z), control.shape, strict=True))
-    values = control
-    for axis in along:
-        values = _contracted(values, axis)
-    return values.transpose(2, 1, 0)
-
-
 def rows_of_cell(
     control: NDArray[np.float64], t: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -136,11 +136,6 @@ def surface_area(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> 
     return _volume_and_area(vertices, faces)[1]
 
 
-def degenerate_faces(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> int:
-    """Number of triangles that name a vertex twice, or whose height is at most 1e-12 of their longest edge."""
-    return _volume_and_area(vertices, faces)[2]
-
-
 def bounds(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -65,7 +65,7 @@ class CheckLocalPorosity(Stage):
     def check_options(self) -> None:
         """Charts need matplotlib."""
         if self.path is not None:
-            from sppm_pipeline.render.charts import check_chart
+            from sppm_pipeline.render.chart_style import check_chart
 
             check_chart("scatter.png")
 

@@ -21,6 +21,9 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.stage import Context, Headline, Stage, option
 from sppm_pipeline.stages.extract.voxels import ExtractVoxels, image_grid
 
+MAX_PHASES = 255
+"""Of an image of 8 bits, in which 0 is void."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ExtractPhases(Stage):
@@ -51,6 +54,13 @@ class ExtractPhases(Stage):
     def run(self, context: Context, fields: tuple[ScalarField, ...]) -> Voxels:
         """Sample the fields, the first one on top."""
         first = fields[0]
+        names = ["solid" if len(fields) == 1 else f"solid {number}" for number in range(1, len(fields) + 1)]
+        names += ["coating"] * (self.coating is not None) + ["filling"] * self.filling
+        if len(names) > MAX_PHASES:
+            raise ConfigError(
+                f"{len(fields)} fields make {len(names)} phases, and an image holds at most {MAX_PHASES}",
+                hint="lay fewer fields over each other, or join some by `field.blend` first",
+            )
         for number, field in enumerate(fields[1:], 2):
             _check_fits(first, field, number)
         if self.filling and any(isinstance(field, Part) for field in fields):
@@ -70,8 +80,6 @@ class ExtractPhases(Stage):
             else:
                 self._lay(context, field, grid, np.uint8(number), labels)
             context.progress(len(fields) + 1 - number, len(fields), "fields")
-        names = ["solid" if len(fields) == 1 else f"solid {number}" for number in range(1, len(fields) + 1)]
-        names += ["coating"] * (self.coating is not None) + ["filling"] * self.filling
         if self.filling:
             labels[labels == 0] = len(names)
         context.report(names=names)

@@ -15,7 +15,8 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.families import options
-from sppm_pipeline.formats.machine_csv import LARGEST_FILE, UNITS, Readings, read_readings
+from sppm_pipeline.formats.machine_columns import UNITS
+from sppm_pipeline.formats.machine_csv import LARGEST_FILE, Readings, read_readings
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
 BACK = 0.01

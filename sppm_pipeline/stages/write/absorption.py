@@ -36,7 +36,7 @@ class WriteAbsorption(Stage):
 
     def check_options(self) -> None:
         """A chart that can be drawn."""
-        from sppm_pipeline.render.charts import check_chart
+        from sppm_pipeline.render.chart_style import check_chart
 
         check_chart(self.path, title=self.title)
 

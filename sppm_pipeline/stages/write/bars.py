@@ -40,7 +40,7 @@ class WriteBars(Stage):
 
     def check_options(self) -> None:
         """Columns, a heading for each, and a chart that can be drawn."""
-        from sppm_pipeline.render.charts import check_chart
+        from sppm_pipeline.render.chart_style import check_chart
 
         check_columns(self.columns, self.headings)
         check_chart(self.path, title=self.title, **{f"headings[{n}]": text for n, text in enumerate(self.headings)})
@@ -50,7 +50,8 @@ class WriteBars(Stage):
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the panels."""
-        from sppm_pipeline.render.charts import Panel, bars, plain_text
+        from sppm_pipeline.render.bar_chart import Panel, bars
+        from sppm_pipeline.render.chart_style import plain_text
 
         if not 0 < table.rows <= MAX_ROWS:
             raise ConfigError(f"the table has {table.rows} rows; bars can be drawn of 1 to {MAX_ROWS}")

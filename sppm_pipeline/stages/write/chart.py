@@ -44,7 +44,10 @@ class WriteChart(Stage):
     error: str = option("", help="column with half lengths of the error bars of points; none if empty", column=True)
     group: str = option("", help="column by whose values the rows are told apart by color; none if empty", column=True)
     family: str = option("", help="text at which a value of `group` ends; the whole value if empty")
-    bound: str = option("", help="column that is drawn as a dashed line, say of a bound; none if empty", column=True)
+    bound: str = option(
+        "", help="column that is drawn as a dashed line, say of a bound, or as one for each group if these differ",
+        column=True,
+    )  # fmt: skip
     hulls: bool = option(False, help="shade the convex hull of the points of each group")
     line: bool = option(False, help="draw the least-squares line through all points and report it")
     log_x: bool = option(False, help="logarithmic horizontal axis; values that are not positive are left out")
@@ -58,7 +61,7 @@ class WriteChart(Stage):
 
     def check_options(self) -> None:
         """A chart that can be drawn, and error bars for points only."""
-        from sppm_pipeline.render.charts import check_chart
+        from sppm_pipeline.render.chart_style import check_chart
 
         texts = {name: getattr(self, name) for name in ("title", "x_label", "group_label")}
         labels = {f"y_label[{n}]": text for n, text in enumerate(self.y_label)}
@@ -77,7 +80,8 @@ class WriteChart(Stage):
 
     def run(self, context: Context, table: Table) -> None:
         """Draw the charts."""
-        from sppm_pipeline.render.charts import Axis, charts_beside, plain_text
+        from sppm_pipeline.render.chart_style import plain_text
+        from sppm_pipeline.render.charts import Axis, charts_beside
 
         columns = _each(self.y)
         logs, labels = _each(self.log_y), _each(self.y_label)
@@ -119,7 +123,8 @@ class WriteChart(Stage):
         present: Sequence[Any], shown: np.ndarray, log_y: bool,
     ) -> list[Series]:  # fmt: skip
         """A series for each group, and those of bound and line."""
-        from sppm_pipeline.render.charts import Series, number_text, plain_text
+        from sppm_pipeline.render.chart_style import number_text, plain_text
+        from sppm_pipeline.render.charts import Series
 
         error = table.numbers(self.error) if self.error else np.full(len(x), np.nan)
         series = []
@@ -129,9 +134,8 @@ class WriteChart(Stage):
             kind: Any = self.kind
             series.append(Series(x[own], y[own], label, kind, error[own], hull=self.hulls))
         if self.bound:
-            values = table.numbers(self.bound)
-            order = np.argsort(x[shown], kind="stable")
-            series.append(Series(x[shown][order], values[shown][order], "bound", "dashed", color="#000000"))
+            own = [shown & np.array([value == group for value in groups]) for group in present]
+            series += self._bounds(x, table.numbers(self.bound), own)
         if self.line:
             slope, intercept, r_squared = _fitted(x[shown], y[shown])
             context.report(slope=slope, intercept=intercept, r_squared=r_squared)
@@ -141,6 +145,33 @@ class WriteChart(Stage):
             label = f"$y = {number_text(slope)} x {sign} {number_text(abs(intercept))}$, $R^2 = {r_squared:.3f}$"
             series.append(Series(along, slope * along + intercept, label, "line", color="#000000"))
         return series
+
+    @staticmethod
+    def _bounds(x: np.ndarray, bound: np.ndarray, groups: Sequence[np.ndarray]) -> list[Series]:
+        """One line if it turns no more often than those of the groups; else theirs, as the bound depends on them."""
+        from sppm_pipeline.render.chart_style import COLORS
+        from sppm_pipeline.render.charts import Series
+
+        whole = _line(x[np.any(groups, axis=0)], bound[np.any(groups, axis=0)])
+        lines = [_line(x[own], bound[own]) for own in groups]
+        if len(lines) == 1 or _turns(whole[1]) <= sum(_turns(y) for _, y in lines):
+            return [Series(*whole, "bound", "dashed", color="#000000")]
+        found = [Series(*line, "", "dashed", color=COLORS[n % len(COLORS)]) for n, line in enumerate(lines)]
+        return [*found, Series([], [], "bound, of each", "dashed", color="#000000")]
+
+
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values from left to right, each x once with the mean of what stands there."""
+    known = np.isfinite(x) & np.isfinite(y)
+    places, number, count = np.unique(x[known], return_inverse=True, return_counts=True)
+    return places, np.bincount(number, y[known], len(places)) / count
+
+
+def _turns(y: np.ndarray) -> int:
+    """How often a line turns from rising to falling or back, by more than rounding."""
+    steps = np.diff(y)
+    steps = steps[np.abs(steps) > 1e-6 * np.ptp(y)] if len(y) else steps
+    return int(np.count_nonzero(np.diff(np.sign(steps))))
 
 
 def _each(value: Any) -> tuple[Any, ...]:

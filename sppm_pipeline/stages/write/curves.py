@@ -51,7 +51,7 @@ class WriteCurves(Stage):
 
     def check_options(self) -> None:
         """A chart that can be drawn."""
-        from sppm_pipeline.render.charts import check_chart
+        from sppm_pipeline.render.chart_style import check_chart
 
         check_chart(self.path, title=self.title)
         check_plateau(self.plateau)

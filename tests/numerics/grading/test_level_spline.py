@@ -10,7 +10,6 @@ from sppm_pipeline.numerics.grading.level_spline import (
     control_of_means,
     control_with_some_held,
     extended,
-    spline_values,
 )
 from sppm_pipeline.numerics.grading.local_level import CellCodes, fit_level, void_and_slope
 from sppm_pipeline.numerics.grading.local_means import block_counts, smoothed_means
@@ -22,7 +21,7 @@ def middles(n, count):
     return (np.arange(n * count) + 0.5) / n
 
 
-def test_a_constant_stays_one_and_goes_on_beyond_the_lattice():
+def test_a_constant_stays_one_and_goes_on_beyond_the_lattice(spline_values):
     x = np.linspace(-1, 4, 23)
     assert np.allclose(spline_values(np.full((3, 3, 3), 0.7), x, x, x), 0.7)
     values = spline_values(CONTROL, np.array([-0.5, 0, 3, 3.5]), np.array([1.2]), np.array([0.3]))[0, 0]
@@ -30,7 +29,7 @@ def test_a_constant_stays_one_and_goes_on_beyond_the_lattice():
     assert values[2] == values[3]
 
 
-def test_values_and_slopes_are_continuous_across_the_planes_of_the_lattice():
+def test_values_and_slopes_are_continuous_across_the_planes_of_the_lattice(spline_values):
     h = 1e-4
     y, z = np.linspace(0.1, 3.9, 7), np.array([0.4])
     for plane in (0.0, 1.0, 2.0, 3.0):
@@ -40,7 +39,7 @@ def test_values_and_slopes_are_continuous_across_the_planes_of_the_lattice():
         assert np.abs(left - right).max() < 20 * h
 
 
-def test_means_of_cells_come_out_as_asked():
+def test_means_of_cells_come_out_as_asked(spline_values):
     n = 40
     means = np.random.default_rng(5).normal(size=(3, 1, 5))
     control = control_of_means(means)
@@ -50,7 +49,7 @@ def test_means_of_cells_come_out_as_asked():
     assert np.abs(control - means).max() > 0.1
 
 
-def test_means_of_the_others_come_out_where_some_control_points_are_held():
+def test_means_of_the_others_come_out_where_some_control_points_are_held(spline_values):
     rng = np.random.default_rng(6)
     means, held = rng.normal(size=(4, 3, 2)), rng.random((4, 3, 2)) < 0.3
     assert 3 < held.sum() < 12
@@ -63,7 +62,7 @@ def test_means_of_the_others_come_out_where_some_control_points_are_held():
     assert np.allclose(control_with_some_held(means, np.zeros_like(held)), control_of_means(means), atol=1e-8)
 
 
-def test_layers_are_those_of_the_whole_and_depend_on_their_position_alone():
+def test_layers_are_those_of_the_whole_and_depend_on_their_position_alone(spline_values):
     x, y, z = middles(7, 3), middles(5, 4), np.linspace(-0.2, 1.2, 9)
     whole = spline_values(CONTROL, x, y, z)
     layers, some = LayerSpline(CONTROL, x, y, z), LayerSpline(CONTROL, x[4:9], y[3:], z[4:])
@@ -75,7 +74,7 @@ def test_layers_are_those_of_the_whole_and_depend_on_their_position_alone():
     assert np.array_equal(some.less(0.5, 4, slice(0, 17), slice(0, 5)), found[3:, 4:9])
 
 
-def test_samples_of_a_cell_are_counted_as_by_their_values():
+def test_samples_of_a_cell_are_counted_as_by_their_values(spline_values):
     rng = np.random.default_rng(7)
     control = rng.normal(-1.4, 0.4, (3, 3, 3))
     values = rng.normal(-1.4, 0.6, (6, 6, 6))
@@ -109,7 +108,7 @@ def porous(rng, cells, n):
 
 
 @pytest.mark.parametrize("memory", [1e9, 0.0], ids=["kept", "asked for again"])
-def test_every_cell_gets_its_porosity_also_where_only_a_part_of_it_counts(memory):
+def test_every_cell_gets_its_porosity_also_where_only_a_part_of_it_counts(memory, spline_values):
     cells = [(i, j, 0) for i in range(4) for j in range(3) if (i, j) != (1, 1)]
     values = porous(np.random.default_rng(1), cells, 20)
     half = np.zeros((20, 20, 20), bool)

@@ -7,7 +7,6 @@ from sppm_pipeline.numerics.meshcheck.measures import (
     balanced_edges,
     bounds,
     components,
-    degenerate_faces,
     edge_counts,
     euler_number,
     genus,
@@ -112,7 +111,7 @@ def test_edge_counts_against_a_dictionary() -> None:
 def test_degenerate_triangles() -> None:
     points = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1e-6, 0], [3, 3, 3]], float)
     faces = np.array([[0, 1, 2], [0, 1, 1], [0, 1, 3]])
-    assert degenerate_faces(points, faces) == 2
+    assert measure_surface(points, faces).degenerate == 2
     assert surface_area(points, faces) == pytest.approx(5e-7)
     assert not edge_counts(np.array([[0, 1, 1]])).bounds_solid
 

@@ -9,6 +9,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.numerics.shell import in_shell
 from sppm_pipeline.stages.extract.phases import ExtractPhases
 from sppm_pipeline.stages.homogenize.conductivity import HomogenizeConductivity
 from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
@@ -97,6 +98,26 @@ def test_thin_shells_empty_phases_and_parts(ball, wang_tiling):
     part = labeled(Part(wang_tiling, ball), resolution=8, coating=Length(0.15))
     assert part.periodic == (False,) * 3
     assert {0, 2} <= set(np.unique(part.values))
+
+
+def test_more_phases_than_an_image_holds_are_refused():
+    ball = Ball(0.4)
+    assert labeled(*[ball] * 254, resolution=4, filling=True).values.max() == 255
+    with pytest.raises(ConfigError, match="254 fields make 256 phases, and an image holds at most 255"):
+        labeled(*[ball] * 254, resolution=4, coating=Length(0.1), filling=True)
+
+
+def test_a_shell_below_values_that_are_no_numbers():
+    values = Ball(0.4).sample(16).T.copy()
+    plain = in_shell(values, 1.5, True)
+    for odd in (np.nan, np.inf):
+        bad = np.where(values > 0.1, np.float32(odd), values)  # none beside the level
+        assert np.array_equal(in_shell(bad, 1.5, True), plain)
+    bad = np.where(values >= 0, np.float32(np.nan), values)
+    found = in_shell(bad, 1.5, True)
+    assert not found[values >= 0].any()
+    assert 0.8 * plain.sum() < found.sum() < 1.2 * plain.sum()  # the level half way between samples
+    assert not in_shell(np.full((4, 4, 4), np.nan, np.float32), 1.0, False).any()
 
 
 def test_homogenizers_take_the_labels():

@@ -161,6 +161,29 @@ def test_runs_are_remembered_for_other_targets_and_more_draws(tmp_path):
     assert tuned(of="rising", target=5.0, draws=2)[1] == said
 
 
+def test_draws_that_failed_are_remembered_too(tmp_path):
+    def reach(**options):
+        context = PlainContext(0)
+        context._store = Store(tmp_path)
+        given = {"of": "rising", "target": 20.0, "low": 0.0, "high": 2.0} | options
+        try:
+            TuneProperty(vary="field.plate.height", **given).run(context, recipe_of(Make(), Measure()))
+        except DesignError as error:
+            context.warnings.append(error.message)
+        inner = context.log.inner.get("recipe.field.plate", {"runs": 0})
+        return inner["runs"], context.warnings, dict(context.reported)
+
+    first = reach()
+    assert first[1] == ["left out: too high, at field.plate.height = 2"]
+    assert (first[0], first[2]["failed"]) == (first[2]["evaluations"] - 1, 1)
+    again = reach()
+    assert again[0] == 1  # the structure that comes out is made
+    assert again[1:] == first[1:]
+    hopeless = {"low": 1.95, "high": 2.0}
+    assert reach(**hopeless)[1:] == reach(**hopeless)[1:]
+    assert reach(**hopeless)[0] == 0
+
+
 def test_integers_lengths_and_options_of_all_stages():
     _, said, _ = tuned(of="list.2", target=150.0, vary="count", low=3, high=30)
     assert said["value"] == 12  # 0.5 + 12 of one stage, times 12 of the other

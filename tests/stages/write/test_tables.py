@@ -150,6 +150,30 @@ def test_charts_take_groups_error_bars_and_logarithmic_axes(tmp_path):
         assert run(WriteBars(columns=("y",), label="g", path=f"b.{extension}"), table, tmp_path)[0].startswith(start)
 
 
+def bound_lines(x, bound, groups, monkeypatch, tmp_path):
+    shown = []
+    monkeypatch.setattr(
+        "sppm_pipeline.render.charts.charts_beside", lambda panels, *a, **k: shown.append(panels) or b""
+    )
+    table = Table({"x": tuple(x), "y": (1.0,) * len(x), "b": tuple(bound), "g": tuple(groups)})
+    run(WriteChart(x="x", y="y", bound="b", group="g"), table, tmp_path)
+    return [one for one in shown[0][0].series if one.kind == "dashed"]
+
+
+def test_a_bound_is_one_line_unless_the_groups_differ(monkeypatch, tmp_path):
+    x = np.array([0.4, 0.1, 0.3, 0.2, 0.3])
+    (line,) = bound_lines(x, 1 - x**2, "ababa", monkeypatch, tmp_path)
+    assert np.allclose((line.x, line.y), ([0.1, 0.2, 0.3, 0.4], 1 - np.array([0.1, 0.2, 0.3, 0.4]) ** 2))
+    # of rows at one x the mean: draws whose bound varies a little
+    (line,) = bound_lines([1, 1, 2, 2], [3.0, 5.0, 7.0, 9.0], "aabb", monkeypatch, tmp_path)
+    assert (line.x.tolist(), line.y.tolist()) == ([1, 2], [4, 8])
+    # another bound of each group, where a single line would go up and down
+    lines = bound_lines([1, 2, 3, 4, 5, 6], [1.0, 9.0, 2.0, 8.0, 3.0, 7.0], "ababab", monkeypatch, tmp_path)
+    assert [(list(one.x), list(one.y)) for one in lines[:2]] == [([1, 3, 5], [1, 2, 3]), ([2, 4, 6], [9, 8, 7])]
+    assert lines[0].color != lines[1].color
+    assert [one.label for one in lines] == ["", "", "bound, of each"]
+
+
 def test_a_family_is_what_a_name_begins_with(tmp_path):
     names, families = ("walls_a", "walls_b", "gyroid"), ("walls", "walls", "gyroid")
     values = {"x": (1, 2, 3), "y": (3.0, 2.0, 1.0)}

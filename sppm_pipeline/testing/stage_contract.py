@@ -1,0 +1,119 @@
+"""What every stage promises, as a suite to inherit from; see `sppm_pipeline.testing.contracts`."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sppm_pipeline.data.artifact import Artifact
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.engine.config.options import options_of, parse_typed, plain_option
+from sppm_pipeline.engine.files import digest_of
+from sppm_pipeline.engine.plan.ports import signature_of
+from sppm_pipeline.engine.strict_json import json_text, jsonable
+from sppm_pipeline.stage import Stage
+from sppm_pipeline.testing.plain_context import PlainContext
+
+
+class StageContract:
+    """What the engine expects of any stage."""
+
+    @abstractmethod
+    def stages(self) -> Sequence[Stage]:
+        """Instances to be tested, with options that differ."""
+
+    def inputs(self) -> Mapping[str, Any]:
+        """An artifact for each port that the stage needs."""
+        return {}
+
+    def palette(self) -> Palette:
+        """How many interiors and colors are asked for."""
+        return Palette()
+
+    def _run(self, stage: Stage, *, seed: int = 5, threads: int = 1) -> tuple[Any, PlainContext]:
+        context = PlainContext(seed, threads=threads, palette=self.palette())
+        open_ports = {port.name: None for port in signature_of(type(stage)).ports if port.optional}
+        return stage.run(context, **{**open_ports, **self.inputs()}), context
+
+    def _digest(self, stage: Stage, **how: Any) -> tuple[str | None, str, str]:
+        made, context = self._run(stage, **how)
+        own = made.digest() if isinstance(made, Artifact) else None
+        return own, digest_of(context.directory), json_text(jsonable(context.reported))
+
+    def test_has_a_name_of_family_and_word(self) -> None:
+        """``family.name``, both in lower case."""
+        for stage in self.stages():
+            family, dot, word = stage.name.partition(".")
+            assert dot, f"{stage.name!r} must be family.name"
+            assert family.isidentifier()
+            assert f"_{word}".isidentifier()  # it may begin with a digit
+            assert stage.name == stage.name.lower()
+
+    def test_says_what_it_does(self) -> None:
+        """A docstring and a sentence for each option."""
+        for stage in self.stages():
+            assert (type(stage).__doc__ or "").strip()
+            assert not (type(stage).__doc__ or "").startswith(f"{type(stage).__name__}("), "the docstring is missing"
+            assert all(option.spec.help for option in options_of(type(stage)).values())
+
+    def test_is_frozen(self) -> None:
+        """Options can't be changed after they were checked."""
+        for stage in self.stages():
+            parameters = stage.__dataclass_params__  # type: ignore[attr-defined]
+            assert parameters.frozen
+            assert all(field.kw_only for field in dataclasses.fields(stage))
+
+    def test_options_survive_a_run_record(self) -> None:
+        """Written as JSON and read again, options are the same."""
+        for stage in self.stages():
+            for name, option in options_of(type(stage)).items():
+                value = getattr(stage, name)
+                assert parse_typed(option, plain_option(value), Path()) == value, name
+
+    def test_declares_its_ports(self) -> None:
+        """The signature of `run` can be read."""
+        for stage in self.stages():
+            names = {port.name for port in signature_of(type(stage)).ports}
+            assert set(self.inputs()) <= names
+
+    def test_makes_what_it_announces(self) -> None:
+        """The type of the result, and its parts agree with each other."""
+        for stage in self.stages():
+            made, _ = self._run(stage)
+            signature = signature_of(type(stage))
+            if not signature.as_recipe:
+                assert isinstance(made, signature.makes or type(None))
+            if isinstance(made, Artifact):
+                made.check()
+                json_text(jsonable(made.summary()))
+
+    def test_same_seed_same_result(self) -> None:
+        """Whatever the number of threads."""
+        for stage in self.stages():
+            first = self._digest(stage)
+            assert self._digest(stage) == first
+            assert self._digest(stage, threads=3) == first
+
+    def test_leaves_its_inputs_alone(self) -> None:
+        """Artifacts are shared between stages."""
+        for stage in self.stages():
+            inputs = {name: value for name, value in self.inputs().items() if isinstance(value, Artifact)}
+            before = {name: value.digest() for name, value in inputs.items()}
+            open_ports = {port.name: None for port in signature_of(type(stage)).ports if port.optional}
+            context = PlainContext(5, palette=self.palette())
+            stage.run(context, **{**open_ports, **self.inputs(), **inputs})
+            assert {name: value.digest() for name, value in inputs.items()} == before
+
+    def test_leaves_global_random_numbers_alone(self) -> None:
+        """Random numbers come from the context."""
+        for stage in self.stages():
+            before = np.random.get_state(legacy=False)["state"]  # noqa: NPY002 - the point of the test
+            self._run(stage)
+            after = np.random.get_state(legacy=False)["state"]  # noqa: NPY002
+            assert np.array_equal(before["key"], after["key"])
+            assert before["pos"] == after["pos"]
