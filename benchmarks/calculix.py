@@ -43,8 +43,13 @@ def _solved(folder: Path, name: str, lines: list[str]) -> list[list[str]]:
     return [line.split() for line in (folder / f"{name}.dat").read_text(encoding="ascii").splitlines() if line.strip()]
 
 
-def curve(body: Body, kind: str, folder: Path, strains: NDArray[np.float64], to: float = 0.25) -> NDArray[np.float64]:
-    """Stress of a body at some strains up to `to`, by elements of a kind. Walls that meet pass through each other."""
+def curve(
+    body: Body, kind: str, folder: Path, strains: NDArray[np.float64], to: float = 0.25, *, glued: bool = True
+) -> NDArray[np.float64]:
+    """Stress of a body at some strains up to `to`, by elements of a kind. Walls that meet pass through each other.
+
+    What lies at a plate is glued to it along z, or the plates push as ours do: all that reaches them, and without pull.
+    """
     n = body.shape[2]
     lines = ["*NODE, NSET=ALL", *(f"{i + 1}, {x}., {y}., {z}." for i, (x, y, z) in enumerate(body.nodes))]
     lines += [f"*ELEMENT, TYPE={kind}, ELSET=SOLID"]
@@ -54,10 +59,14 @@ def curve(body: Body, kind: str, folder: Path, strains: NDArray[np.float64], to:
     bottom = np.flatnonzero(body.nodes[:, 2] == 0)
     first = bottom[0]
     far = bottom[np.argmax(np.abs(body.nodes[bottom, 0] - body.nodes[first, 0]))]
-    step = INCREMENT / to
-    lines += [*_MATERIAL, "*BOUNDARY", "BOTTOM, 3, 3, 0.", f"{first + 1}, 1, 2, 0.", f"{far + 1}, 2, 2, 0.",
-              "*STEP, NLGEOM, INC=1000", "*STATIC", f"{step:.12g}, 1., 1e-6, {step:.12g}", "*BOUNDARY",
-              f"TOP, 3, 3, {-to * n}", "*NODE PRINT, NSET=TOP, TOTALS=ONLY", "RF", "*END STEP"]  # fmt: skip
+    step, held, pressed = INCREMENT / to, ["BOTTOM, 3, 3, 0."], "TOP"
+    if not glued:
+        held, pressed = ["LOWER, 1, 3, 0.", "UPPER, 1, 2, 0."], "UPPER"
+        lines += _plates(body, to)
+    lines += [*_MATERIAL, "*BOUNDARY", *held, f"{first + 1}, 1, 2, 0.", f"{far + 1}, 2, 2, 0.",
+              "*STEP, NLGEOM, INC=1000", "*STATIC", f"{step:.12g}, 1., 1e-7, {step:.12g}", "*BOUNDARY",
+              f"{pressed}, 3, 3, {-to * n}", f"*NODE PRINT, NSET={pressed}, TOTALS=ONLY", "RF",
+              "*END STEP"]  # fmt: skip
     rows, at = [(0.0, 0.0)], 0.0
     for words in _solved(folder, "cell", lines):
         if "time" in words:
@@ -65,6 +74,27 @@ def curve(body: Body, kind: str, folder: Path, strains: NDArray[np.float64], to:
         elif len(words) == 3:
             rows.append((to * at, -float(words[2]) / n**2))
     return np.interp(strains, *np.array(rows).T)
+
+
+def _plates(body: Body, to: float) -> list[str]:
+    """Nodes of two plates, and a gap between one of these and each node of the body that may reach the plate."""
+    n, count = body.shape[2], len(body.nodes)
+    lines, number = [], count
+    z = body.nodes[:, 2]
+    for name, away in (("LOWER", z), ("UPPER", n - z)):
+        near = np.flatnonzero(away < to * n + 4)
+        plate = number + 1 + np.arange(len(near))
+        number += len(near)
+        lines += [f"*NODE, NSET={name}"]
+        lines += [f"{k}, {body.nodes[i, 0]}, {body.nodes[i, 1]}, {0 if name == 'LOWER' else n}" for i, k in
+                  zip(near, plate, strict=True)]  # fmt: skip
+        for gap in np.unique(away[near]):
+            lines += [f"*ELEMENT, TYPE=GAPUNI, ELSET={name}{int(gap)}"]
+            for i, k in zip(near[away[near] == gap] + 1, plate[away[near] == gap], strict=True):
+                lines.append(f"{len(body.corners) + k}, " + (f"{k}, {i}" if name == "LOWER" else f"{i}, {k}"))
+            # stiffness much above that of a voxel, and next to no pull
+            lines += [f"*GAP, ELSET={name}{int(gap)}", f"{gap}, 0., 0., 1., , {20 * SOLID.young}, 1e-8"]
+    return lines
 
 
 CORNERS = np.array([[1.0 - ((a >> c) & 1) for c in range(3)] for a in range(8)])
@@ -172,13 +202,15 @@ def bricks(folder: Path, steps: int = 50) -> None:
 def curves(folder: Path, split: int) -> None:
     """The curves of the same voxels in CalculiX, which knows nothing of walls that meet, beside ours with and without.
 
-    C3D8 is integrated fully and too stiff where it flows; C3D8I has incompatible modes.
+    C3D8 is integrated fully and too stiff where it flows; C3D8I has incompatible modes. Between plates that push, C3D8
+    is held as our voxels are.
     """
     image = gyroid(16, 1)
     for axis in range(3):
         image = np.repeat(image, split, axis)
     body = body_of(image)
     columns = {kind: curve(body, kind, folder / kind, STRAINS) for kind in ("C3D8", "C3D8I")}
+    columns["C3D8 pushed"] = curve(body, "C3D8", folder / "pushed", STRAINS, glued=False)
     for name, one in {"ours": body, "ours without contact": body._replace(carried=np.zeros_like(body.carried))}.items():
         march = March(one, (SOLID,), Load(0.25, 0.005))
         march.to(0.25)

@@ -273,6 +273,29 @@ def test_a_page_can_be_printed(opened):
     assert len(re.findall(rb"/Type\s*/Page\b", opened.pdf())) >= 1
 
 
+def test_rows_of_a_sweep_keep_their_words_when_they_are_sorted(browser, tmp_path):
+    values = (6.56314e-05, 0.25, -1234567.5, 97, 12345678, 1.5e-12, True, "a b", None, 0.000123456789)
+    rows = [{"run": f"{i:04}", "n": i, "e.value": value} for i, value in enumerate(values)]
+    runs = [{"run": row["run"], "params": {"n": row["n"]}, "status": "done", "error": None} for row in rows]
+    record = {
+        "sppm_run": 1, "config": {"name": "rows"}, "name": "rows", "status": "done", "seed": 0, "params": {},
+        "file": "rows.yaml", "started": "then", "seconds": 5.0, "threads": 2, "stages": [], "runs": runs,
+    }  # fmt: skip
+    (tmp_path / "run.json").write_text(json_text(sealed(record)), encoding="utf-8")
+    (tmp_path / "sweep.json").write_text(json.dumps(rows), encoding="utf-8")
+    page = browser.new_page()
+    page.goto(written(tmp_path).as_uri())
+    until(page, "!document.getElementById('rows-controls').hidden", "the table has no script")
+    shown = "() => [...document.querySelectorAll('#rows tbody tr')].map(r => [...r.cells].map(c => c.textContent))"
+    plain = page.evaluate(shown)
+    assert [row[-1] for row in plain[:3]] == ["6.56314e-05", "0.25", "-1.23457e+06"]
+    page.click("#rows th >> nth=0")
+    assert page.evaluate(shown) == plain
+    page.click("#rows th >> nth=0")
+    assert page.evaluate(shown) == plain[::-1]
+    page.close()
+
+
 def test_a_mesh_is_shown_and_cut_open(browser, tmp_path):
     sphere, faces = sphere_mesh(4)
     (tmp_path / "mesh.html").write_text(live_page(view_of(SurfaceMesh(3 * sphere, faces))), encoding="utf-8")

@@ -2,7 +2,14 @@
 {
   const head = jsonOf("head-rows"), table = byId("rows"), body = table.tBodies[0], more = byId("rows-more");
   const PORTION = 200;
-  const text = (value) => (value === null ? "" : typeof value === "number" ? String(+value.toPrecision(6)) : String(value));
+  // as the rows that stand in the page are written: six digits, powers of ten for what is small or large
+  const text = (value) => {
+    if (value === null) return "";
+    if (typeof value === "boolean") return value ? "True" : "False";
+    if (typeof value !== "number" || Number.isInteger(value)) return String(value);
+    const short = +value.toPrecision(6), size = Math.abs(short);
+    return size >= 1e-4 && size < 1e6 ? String(short) : short.toExponential().replace(/e([+-])(\d)$/, "e$10$2");
+  };
   let rows = [], count = 0, by = -1, down = false;
 
   function fill(upTo) {

@@ -135,7 +135,7 @@ class WriteChart(Stage):
             series.append(Series(x[own], y[own], label, kind, error[own], hull=self.hulls))
         if self.bound:
             own = [shown & np.array([value == group for value in groups]) for group in present]
-            series += self._bounds(x, table.numbers(self.bound), own)
+            series += self._bounds(x, table.numbers(self.bound), own, shown)
         if self.line:
             slope, intercept, r_squared = _fitted(x[shown], y[shown])
             context.report(slope=slope, intercept=intercept, r_squared=r_squared)
@@ -147,14 +147,14 @@ class WriteChart(Stage):
         return series
 
     @staticmethod
-    def _bounds(x: np.ndarray, bound: np.ndarray, groups: Sequence[np.ndarray]) -> list[Series]:
+    def _bounds(x: np.ndarray, bound: np.ndarray, groups: Sequence[np.ndarray], shown: np.ndarray) -> list[Series]:
         """One line if it turns no more often than those of the groups; else theirs, as the bound depends on them."""
         from sppm_pipeline.render.chart_style import COLORS
         from sppm_pipeline.render.charts import Series
 
-        whole = _line(x[np.any(groups, axis=0)], bound[np.any(groups, axis=0)])
+        whole = _line(x[shown], bound[shown])
         lines = [_line(x[own], bound[own]) for own in groups]
-        if len(lines) == 1 or _turns(whole[1]) <= sum(_turns(y) for _, y in lines):
+        if len(lines) < 2 or _turns(whole[1]) <= sum(_turns(y) for _, y in lines):
             return [Series(*whole, "bound", "dashed", color="#000000")]
         found = [Series(*line, "", "dashed", color=COLORS[n % len(COLORS)]) for n, line in enumerate(lines)]
         return [*found, Series([], [], "bound, of each", "dashed", color="#000000")]

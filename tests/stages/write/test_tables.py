@@ -167,6 +167,9 @@ def test_a_bound_is_one_line_unless_the_groups_differ(monkeypatch, tmp_path):
     # of rows at one x the mean: draws whose bound varies a little
     (line,) = bound_lines([1, 1, 2, 2], [3.0, 5.0, 7.0, 9.0], "aabb", monkeypatch, tmp_path)
     assert (line.x.tolist(), line.y.tolist()) == ([1, 2], [4, 8])
+    # rows without a group have a bound as well
+    (line,) = bound_lines([2, 1], [3.0, 5.0], [None, None], monkeypatch, tmp_path)
+    assert (line.x.tolist(), line.y.tolist()) == ([1, 2], [5, 3])
     # another bound of each group, where a single line would go up and down
     lines = bound_lines([1, 2, 3, 4, 5, 6], [1.0, 9.0, 2.0, 8.0, 3.0, 7.0], "ababab", monkeypatch, tmp_path)
     assert [(list(one.x), list(one.y)) for one in lines[:2]] == [([1, 3, 5], [1, 2, 3]), ([2, 4, 6], [9, 8, 7])]
