@@ -29,9 +29,9 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 
 
-def new_stream(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """State (1,) of a stream whose start is drawn from `rng` (one 64-bit draw)."""
-    return rng.integers(0, 2**64, size=1, dtype=np.uint64)
+def new_stream(rng: np.random.Generator, number: int = 1) -> NDArray[np.uint64]:
+    """States (number,) of streams whose starts are drawn from `rng` (one 64-bit draw each)."""
+    return rng.integers(0, 2**64, size=number, dtype=np.uint64)
 
 
 @jit
