@@ -138,8 +138,9 @@ class PoreSet(Artifact):
 
     def face_pieces(self, axes: NDArray[np.integer], colors: NDArray[np.integer]) -> NDArray[np.int64]:
         """Piece numbers of many face patterns, (p,) int64."""
-        first: NDArray[np.int64] = self.interiors + np.cumsum([0, *self.colors[:2]])
-        return first[axes] + colors
+        first = self.interiors + np.cumsum([0, *self.colors[:2]])
+        pieces: NDArray[np.int64] = first[axes] + colors
+        return pieces
 
     def indices(self, piece: int) -> NDArray[np.int64]:
         """Indices of the pores of one piece."""

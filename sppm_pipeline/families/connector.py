@@ -238,9 +238,7 @@ class Connector(Stage):
                 context.progress(piece + 1, pieces, "pieces joined")
         return np.concatenate(edges), np.concatenate(shifts)
 
-    def join_piece(
-        self, context: Context, pores: PoreSet, piece: int
-    ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+    def join_piece(self, context: Context, pores: PoreSet, piece: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """What `join` makes of one piece, as indices into ``pores.centers``."""
         index, region = pores.indices(piece), "interior" if piece < pores.interiors else "face"
         edges, shifts = self.join(

@@ -78,15 +78,18 @@ def greedy_pieces(
         Edges of each piece; -1 for one that is left to `greedy_subgraph`.
     """
 
-    def joined(rows: slice) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
-        own, bounds = pieces[rows], degrees[rows]
-        sizes = first[own + 1] - first[own]
-        room = np.empty((int((sizes * bounds[:, 1]).sum()) // 2, 2), np.int32)
-        counts = np.empty(len(own), np.int64)
-        used = _join(points, order, first, own, bounds, k, room, counts)
-        return own, room[:used].copy(), counts
+    # in one array, as thousands of small ones would leave the memory in shreds; what is not written takes none
+    bound = np.concatenate([[0], np.cumsum((first[pieces + 1] - first[pieces]) * degrees[:, 1] // 2)])
+    room = np.empty((int(bound[-1]), 2), np.int32)
 
-    runs = [slice(start, start + _RUN) for start in range(0, len(pieces), _RUN)]
+    def joined(start: int) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
+        own = pieces[start : start + _RUN]
+        counts = np.empty(len(own), np.int64)
+        rows = room[bound[start] : bound[start + len(own)]]
+        used = _join(points, order, first, own, degrees[start : start + _RUN], k, rows, counts)
+        return own, rows[:used], counts
+
+    runs = range(0, len(pieces), _RUN)
     return ordered_map(joined, runs, min(threads, max(len(runs), 1)))
 
 

@@ -102,21 +102,23 @@ def throw_many(
     everywhere = obstacles_around(obstacles, low, side, spacing, wraps, obstacle_images)
     naive, all_that_fit = int(min(wanted, NAIVE_SHARE * capacity)), share == 1.0
 
-    def thrown(boxes: slice) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        own = streams[boxes].copy()
-        cells = empty_cell_list(rows + len(everywhere) + most, spacing, low, low + side, wraps)
-        centers, counts = np.empty((rows * len(own), 3)), np.empty(len(own), np.int64)
-        used = _throw(
-            cells, own, boxes.start, low, side, wanted, naive, all_that_fit, attempts, everywhere, around, centers,
-            counts,
-        )  # fmt: skip
-        return centers[:used].copy(), counts
-
     if wanted == 0:
         return iter([(np.empty((0, 3)), np.zeros(len(streams), np.int64))])
     sizes = np.concatenate([[0], np.cumsum(np.diff(around.first)[around.piece])])
     most = int(np.diff(sizes[around.rows]).max(initial=0))
-    runs = [slice(start, start + _RUN) for start in range(0, len(streams), _RUN)]
+    # in one array, as thousands of small ones would leave the memory in shreds; what is not written takes none
+    room = np.empty((rows * len(streams), 3))
+
+    def thrown(box: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        own = streams[box : box + _RUN].copy()
+        cells = empty_cell_list(rows + len(everywhere) + most, spacing, low, low + side, wraps)
+        centers, counts = room[rows * box : rows * (box + len(own))], np.empty(len(own), np.int64)
+        used = _throw(
+            cells, own, box, low, side, wanted, naive, all_that_fit, attempts, everywhere, around, centers, counts
+        )
+        return centers[:used], counts
+
+    runs = range(0, len(streams), _RUN)
     return ordered_map(thrown, runs, min(threads, max(len(runs), 1)))
 
 

@@ -122,8 +122,8 @@ class BoundedDegreeSubgraph(Connector):
         order, first = pores.by_piece
         sizes = np.diff(first)
         plain = self.mode == "greedy" and not self.two_edge_connected and self.clearance is None
-        own = type(self).join is BoundedDegreeSubgraph.join
-        if not (own and plain and pores.has_faces) or len(sizes) < MANY:
+        replaced = type(self).join is not BoundedDegreeSubgraph.join
+        if replaced or not (plain and pores.has_faces) or len(sizes) < MANY:
             return super().join_pieces(context, pores)
         pieces = np.flatnonzero(sizes > 1)
         degrees = piece_degrees(sizes, pores.interiors, self.degree)[pieces]

@@ -93,8 +93,8 @@ class DartThrowing(Sampler):
         return with_darts(context, base, blocks, count, spacing, obstacles=self.clear_faces)
 
     def throw_all(self, context: Context, interiors: Interiors) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        own = type(self).throw is DartThrowing.throw
-        if not (own and interiors.alike and interiors.pores.has_faces and len(interiors) >= MANY):
+        replaced = type(self).throw is not DartThrowing.throw
+        if replaced or not (interiors.alike and interiors.pores.has_faces and len(interiors) >= MANY):
             return super().throw_all(context, interiors)
         from sppm_pipeline.numerics.sampling.cell_list import new_stream
         from sppm_pipeline.numerics.sampling.many import nothing_around, throw_many
