@@ -7,7 +7,7 @@ import hashlib
 import html
 import importlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, ClassVar
 
@@ -70,17 +70,26 @@ def twin_rows(*columns: NDArray[Any]) -> tuple[int, int] | None:
     Rows are sorted by a hash of theirs, which takes a tenth of the time of sorting rows, and only if two hashes are
     equal the rows are compared.
     """
-    mixed = np.zeros(len(columns[0]), np.uint64)
-    for column in columns:
-        mixed ^= np.ascontiguousarray(column).view(np.uint64)
-        mixed *= np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio, as Fibonacci hashing has it
-        mixed ^= mixed >> np.uint64(29)
-    order = np.sort(mixed)
-    if not (order[1:] == order[:-1]).any():
+    return twin_rows_of(len(columns[0]), lambda some: [column[some] for column in columns], max(len(columns[0]), 1))
+
+
+def twin_rows_of(number: int, columns: Callable[[slice], Sequence[NDArray[Any]]], some: int) -> tuple[int, int] | None:
+    """`twin_rows` of columns that are worked out for `some` rows at a time; their hashes alone are kept."""
+    mixed = np.zeros(number, np.uint64)
+    for start in range(0, number, some):
+        rows = slice(start, start + some)
+        part = mixed[rows]
+        for column in columns(rows):
+            part ^= np.ascontiguousarray(column).view(np.uint64)
+            part *= np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio, as Fibonacci hashing has it
+            part ^= part >> np.uint64(29)
+    mixed.sort()
+    if not (mixed[1:] == mixed[:-1]).any():
         return None
-    by_row = np.lexsort(columns)
+    every = columns(slice(0, number))
+    by_row = np.lexsort(every)
     same = np.ones(max(len(by_row) - 1, 0), bool)
-    for column in columns:
+    for column in every:
         same &= column[by_row][1:] == column[by_row][:-1]
     if not same.any():
         return None

@@ -136,9 +136,15 @@ class PoreSet(Artifact):
         """Piece number of a face pattern."""
         return self.interiors + sum(self.colors[:axis]) + color
 
+    def face_pieces(self, axes: NDArray[np.integer], colors: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Piece numbers of many face patterns, (p,) int64."""
+        first = self.interiors + np.cumsum([0, *self.colors[:2]])
+        pieces: NDArray[np.int64] = first[axes] + colors
+        return pieces
+
     def indices(self, piece: int) -> NDArray[np.int64]:
         """Indices of the pores of one piece."""
-        order, start = self._by_piece
+        order, start = self.by_piece
         return order[start[piece] : start[piece + 1]]
 
     def of_piece(self, piece: int) -> NDArray[np.float64]:
@@ -146,8 +152,8 @@ class PoreSet(Artifact):
         return self.centers[self.indices(piece)]
 
     @cached_property
-    def _by_piece(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Pores in the order of their pieces, and where each piece begins; there may be ten thousands of pieces."""
+    def by_piece(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Pores in the order of their pieces, (n,) int64, and where each piece begins there, (pieces + 1,) int64."""
         count = np.bincount(self.piece, minlength=self.interiors + sum(self.colors))
         return np.argsort(self.piece, kind="stable"), np.concatenate([[0], np.cumsum(count)])
 

@@ -8,12 +8,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.data.artifact import Artifact, frozen, in_rows, twin_rows, whole_numbers
+from sppm_pipeline.data.artifact import Artifact, frozen, in_rows, twin_rows_of, whole_numbers
 from sppm_pipeline.data.pores import PoreSet
 
-NARROW = 1 << 20
+NARROW = 1 << 18
 """Number of tunnels from which they are kept in few bytes: eleven each instead of forty. A choice; like the content it
 belongs to the graph, so that digests are the same on every machine."""
+
+_SOME = 1 << 16
+"""Tunnels that are looked at in one go, so that what is worked out takes little memory beside them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +32,9 @@ class TunnelGraph(Artifact):
     ----------
     pores : PoreSet
     edges : (m, 2) int64
-        int32 from a million tunnels on (`NARROW`).
+        int32 from a quarter of a million tunnels on (`NARROW`).
     shift : (m, 3) int64
-        Whole cells; int8 from a million tunnels on, if that holds them.
+        Whole cells; int8 from as many tunnels on, if that holds them.
     """
 
     reported: ClassVar[tuple[str, ...]] = ("tunnels", "connectors", "mean_tunnel_length")
@@ -45,8 +48,10 @@ class TunnelGraph(Artifact):
         edges = whole_numbers(self.edges, np.int32 if many else np.int64, "the ends of tunnels")
         small = many and -128 <= np.min(self.shift) <= np.max(self.shift) <= 127
         shift = whole_numbers(self.shift, np.int8 if small else np.int64, "the shifts of tunnels")
-        object.__setattr__(self, "edges", frozen(in_rows(edges, 2, "the ends of tunnels").reshape(-1, 2)))
-        object.__setattr__(self, "shift", frozen(in_rows(shift, 3, "the shifts of tunnels").reshape(-1, 3)))
+        for name, array, width in (("edges", edges, 2), ("shift", shift, 3)):
+            rows = in_rows(array, width, f"the {'ends' if name == 'edges' else 'shifts'} of tunnels")
+            # of a view a copy is made: what was converted is nobody else's, but what was not may be
+            object.__setattr__(self, name, frozen(rows.view() if rows is getattr(self, name) else rows))
 
     @classmethod
     def from_arrays(cls, pores: PoreSet, edges: ArrayLike, shift: ArrayLike | None = None) -> TunnelGraph:
@@ -92,18 +97,22 @@ class TunnelGraph(Artifact):
         """No tunnel without length, and none given twice, be it from the other end."""
         if self._ascending():
             return
-        a, b = self.edges.astype(np.int64).T
-        s = self.shift.astype(np.int64)
+        twins = twin_rows_of(len(self.edges), self._directed, _SOME)
+        if twins is not None:
+            first, second = twins
+            a, b = self.edges[first]
+            raise ValueError(f"tunnels {first} and {second} are one: both join the pores {a} and {b}")
+
+    def _directed(self, some: slice) -> list[NDArray[np.int64]]:
+        """Columns of some tunnels: their ends and shifts, seen from the end that makes both senses the same."""
+        (a, b), s = self.edges[some].astype(np.int64).T, self.shift[some].astype(np.int64)
         loops = np.flatnonzero((a == b) & ~s.any(1))
         if len(loops):
-            raise ValueError(f"tunnel {loops[0]} leads from pore {a[loops[0]]} to itself")
+            raise ValueError(f"tunnel {some.start + loops[0]} leads from pore {a[loops[0]]} to itself")
         leading = np.where(s[:, 0] != 0, s[:, 0], np.where(s[:, 1] != 0, s[:, 1], s[:, 2]))
         backward = (a > b) | ((a == b) & (leading < 0))
         sign = np.where(backward, -1, 1)
-        twins = twin_rows(np.where(backward, b, a), np.where(backward, a, b), *(s * sign[:, None]).T)
-        if twins is not None:
-            first, second = twins
-            raise ValueError(f"tunnels {first} and {second} are one: both join the pores {a[first]} and {b[first]}")
+        return [np.where(backward, b, a), np.where(backward, a, b), *(s * sign[:, None]).T]
 
     def _ascending(self) -> bool:
         """Whether all tunnels lead from lower to higher pores and are sorted by pores and shift, none like the next."""
@@ -115,17 +124,27 @@ class TunnelGraph(Artifact):
             equal &= column[:-1] == column[1:]
         return bool(less.all())
 
-    def segments(self, some: slice = slice(None)) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def segments(
+        self, some: slice | NDArray[np.integer] = slice(None)
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Start and end points of all tunnels, or of some, each (m, 3), cell sizes."""
         start, end = (self.pores.centers[self.edges[some, k]] for k in range(2))
         end += self.shift[some]
         return start, end
 
+    def sorted_segments(self, order: NDArray[np.int64] | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """`segments` in another order, None for their own, with little memory beside them."""
+        start, end = np.empty((len(self.edges), 3)), np.empty((len(self.edges), 3))
+        for first in range(0, len(self.edges), _SOME):
+            some = slice(first, first + _SOME)
+            start[some], end[some] = self.segments(some if order is None else order[some])
+        return start, end
+
     def lengths(self) -> NDArray[np.float64]:
         """Lengths of all tunnels, (m,), cell sizes."""
         length = np.empty(len(self.edges))
-        for first in range(0, len(length), NARROW):
-            some = slice(first, first + NARROW)
+        for first in range(0, len(length), _SOME):
+            some = slice(first, first + _SOME)
             start, end = self.segments(some)
             end -= start
             length[some] = np.sqrt(np.einsum("ij,ij->i", end, end))

@@ -33,8 +33,9 @@ from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
 from sppm_pipeline.families.file_writer import MeshWriter
 from sppm_pipeline.families.grader import Grader
 from sppm_pipeline.families.homogenizer import Homogenizer
+from sppm_pipeline.families.interiors import InteriorBox
 from sppm_pipeline.families.layer_writer import LayerWriter
-from sppm_pipeline.families.sampler import InteriorBox, Sampler, design_of, start_of
+from sppm_pipeline.families.sampler import Sampler, design_of, start_of
 from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for, tiling_size
 from sppm_pipeline.families.tileset_maker import TileSetMaker
 

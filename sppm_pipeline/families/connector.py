@@ -14,6 +14,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.tunnels import TunnelGraph
+from sppm_pipeline.families.interiors import MANY
 from sppm_pipeline.families.scattered import joined
 from sppm_pipeline.stage import Context, Stage
 
@@ -213,26 +214,58 @@ class Connector(Stage):
         """Join all pieces, then connect faces and interiors; or all blocks of a lattice without faces."""
         if context.palette.blocks is not None:
             return joined(context, self, pores)
+        inner, turns = self.join_pieces(context, pores)
+        across, sides = self.connect_pieces(context, pores)
+        return TunnelGraph(pores, np.concatenate([inner, across]), np.concatenate([turns, sides]))
+
+    def join_pieces(self, context: Context, pores: PoreSet) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+        """Join the pores of every piece by `join`; for connectors with a faster way for many pieces.
+
+        Returns
+        -------
+        edges : (m, 2) int64 or int32
+            Indices into ``pores.centers``, piece after piece.
+        shifts : (m, 3) int64 or int8
+        """
         edges, shifts = [np.zeros((0, 2), np.int64)], [np.zeros((0, 3), np.int64)]
-        axis_of_piece = pores.axis_of_piece()
-        members = [pores.indices(piece) for piece in range(len(axis_of_piece))]
-        for piece, index in enumerate(members):
-            if len(index) > 1:
-                region = "face" if axis_of_piece[piece] >= 0 else "interior"
-                e, s = self.join(
-                    context.rng(piece), Piece(pores.centers[index], not pores.has_faces, region, pores.cell)
-                )
-                edges.append(index[e])
-                shifts.append(s)
-            if len(members) > 4:
-                context.progress(piece + 1, len(members), "pieces joined")
-        for t, axis, side, color in context.palette.all_meetings() if pores.has_faces else ():
-            inside = members[t]
-            outside = members[pores.face_piece(axis, color)]
+        pieces = pores.interiors + sum(pores.colors)
+        for piece in range(pieces):
+            if len(pores.indices(piece)) > 1:
+                found, turns = self.join_piece(context, pores, piece)
+                edges.append(found)
+                shifts.append(turns)
+            if pieces > 4:
+                context.progress(piece + 1, pieces, "pieces joined")
+        return np.concatenate(edges), np.concatenate(shifts)
+
+    def join_piece(self, context: Context, pores: PoreSet, piece: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """What `join` makes of one piece, as indices into ``pores.centers``."""
+        index, region = pores.indices(piece), "interior" if piece < pores.interiors else "face"
+        edges, shifts = self.join(
+            context.rng(piece), Piece(pores.centers[index], not pores.has_faces, region, pores.cell)
+        )
+        return index[edges], shifts
+
+    @property
+    def connects_to_the_nearest(self) -> bool:
+        """Whether `connect` leads to the nearest pores, which for many faces is found in one go."""
+        return type(self).connect is Connector.connect
+
+    def connect_pieces(self, context: Context, pores: PoreSet) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+        """The connectors of all interiors with the faces that they may meet, in the form of `join_pieces`."""
+        edges, shifts = [np.zeros((0, 2), np.int64)], [np.zeros((0, 3), np.int64)]
+        meetings = context.palette.all_meetings() if pores.has_faces else np.zeros((0, 4), np.int64)
+        faces = pores.face_pieces(meetings[:, 1], meetings[:, 3])
+        if self.connects_to_the_nearest and len(meetings) >= MANY:
+            from sppm_pipeline.numerics.connecting.pieces import nearest_in_interiors
+
+            return nearest_in_interiors(pores.centers, *pores.by_piece, meetings, faces)
+        for (t, axis, side, _), face in zip(meetings.tolist(), faces.tolist(), strict=True):
+            inside, outside = pores.indices(t), pores.indices(face)
             if len(inside) and len(outside):
                 shift = np.zeros(3, np.int64)
                 shift[axis] = side
                 nearest = self.connect(pores.centers[outside] + shift, pores.centers[inside], pores.cell)
                 edges.append(np.stack([inside[nearest], outside], 1))
                 shifts.append(np.tile(shift, (len(outside), 1)))
-        return TunnelGraph(pores, np.concatenate(edges), np.concatenate(shifts))
+        return np.concatenate(edges), np.concatenate(shifts)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,43 +15,12 @@ from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import CellDesign, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.interiors import InteriorBox, Interiors
 from sppm_pipeline.families.scattered import block_by_block
 from sppm_pipeline.stage import Context, Stage, option
 
 FEWEST = 4
 """Pores of the interior of a graded cell at the least: fewer have no three neighbors each."""
-
-
-class InteriorBox(NamedTuple):
-    """Where a sampler puts the pores of one interior.
-
-    Attributes
-    ----------
-    lower, upper : (3,) float64, cell sizes
-    periodic : bool
-        Whether the box is the whole cell and repeats; then pores near opposite faces are neighbors.
-    obstacles : (k, 3) float64
-        Pores that are there already: those of this interior and of every face it may meet, on the side it meets it, or
-        of neighboring blocks.
-    cell : Cell
-        Turns the user's lengths into cell sizes.
-    spacing : float or None
-        Spacing of the pores thrown before, cell sizes.
-    face_pores : int
-        Pores on the faces of one cell, opposite faces counted once; the mean where colors differ.
-    folded : (m, 4) float64
-        The pores that are there already, images and opposite faces left out: positions in cell sizes, and in which
-        share of the cells of this interior they stand.
-    """
-
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    periodic: bool
-    obstacles: NDArray[np.float64]
-    cell: Cell
-    spacing: float | None
-    face_pores: int
-    folded: NDArray[np.float64] = np.zeros((0, 4))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,32 +106,31 @@ class Sampler(Stage):
                 f"the gap of {gap:g} cell sizes leaves no interior; it must be below 0.5",
                 hint="give a smaller `gap` or a smaller spacing",
             )
-        meetings, palette = Meetings(base, context.palette), context.palette
-        on_axis = np.bincount(base.axis_of_piece()[base.piece] + 1, minlength=4)[1:]
-        face_pores = round(sum(n / c for n, c in zip(on_axis, base.colors, strict=True) if c))
-        centers, piece = [], []
-        for t in range(base.interiors):
-            own = base.of_piece(t)
-            box = InteriorBox(
-                lower=np.full(3, gap),
-                upper=np.full(3, 1 - gap),
-                periodic=not base.has_faces,
-                obstacles=np.concatenate([own, meetings.pores_around(t)]),
-                cell=cell,
-                spacing=spacing,
-                face_pores=face_pores,
-                folded=meetings.folded(t),
-            )
-            stage, box = self._graded(palette, t, box, len(own))
-            thrown = stage.thrown(context, t, box)
-            centers.append(thrown)
-            piece.append(np.full(len(thrown), t, np.int32))
-            if base.interiors > 1:
-                context.progress(t + 1, base.interiors, "interiors")
+        interiors = Interiors(base, context.palette, gap, spacing)
+        centers, counts = self.throw_all(context, interiors)
+        piece = np.repeat(np.arange(base.interiors, dtype=np.int32), counts)
         kept = self.kept_spacing(cell, base)
-        if kept is not None and palette.spacings is not None:
-            kept *= min(1.0, float(palette.spacings.min()))
-        return base.extended(np.concatenate(centers), np.concatenate(piece), spacing=kept)
+        if kept is not None and context.palette.spacings is not None:
+            kept *= min(1.0, float(context.palette.spacings.min()))
+        return base.extended(centers, piece, spacing=kept)
+
+    def throw_all(self, context: Context, interiors: Interiors) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Throw the pores of all interiors by `throw`; for samplers with a faster way for many of them.
+
+        Returns
+        -------
+        centers : (n, 3) float64
+            Interior after interior.
+        counts : (interiors,) int64
+            Pores of each.
+        """
+        thrown = []
+        for t in range(len(interiors)):
+            stage, box = self._graded(context.palette, t, interiors.box(t), len(interiors.pores.indices(t)))
+            thrown.append(stage.thrown(context, t, box))
+            if len(interiors) > 1:
+                context.progress(t + 1, len(interiors), "interiors")
+        return np.concatenate(thrown), np.array([len(own) for own in thrown])
 
     def with_pores(self, count: int, face_pores: int = 0) -> Sampler:
         """The same stage for an interior of so many pores, by its options `total` or `count`.
@@ -223,57 +190,3 @@ def start_of(edge: Length | None, pores: PoreSet | None, interiors: int) -> tupl
             hint="give `edge` once, on the first sampling stage of the recipe",
         )
     return pores.cell, pores
-
-
-class Meetings:
-    """Pores that an interior may meet: on faces with an open palette all, else those of its own; on edges all."""
-
-    def __init__(self, pores: PoreSet, palette: Palette) -> None:
-        self._pores = pores
-        self._edges = pores.around_edges()
-        self._rows = palette.meetings if pores.has_faces else None
-        if self._rows is not None:
-            self._rows = self._rows[np.argsort(self._rows[:, 0], kind="stable")]
-            self._first = np.searchsorted(self._rows[:, 0], np.arange(pores.interiors + 1))
-            return
-        axis = pores.axis_of_piece()[pores.piece]
-        low, normal = pores.centers[axis >= 0], np.eye(3)[axis[axis >= 0]]
-        self._all = np.concatenate([low, low + normal, self._edges])
-        if max(pores.colors) == 1:
-            # patterns go on in their planes beside the cell; those of several colors keep a margin instead
-            shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))[:, None]
-            everywhere = np.where(normal > 0, shifts >= 0, True).all(-1)
-            self._all = (low + shifts)[everywhere]
-
-    def folded(self, interior: int) -> NDArray[np.float64]:
-        """Pores of one cell, each once, with the share of the interior's cells that they stand in, (m, 4).
-
-        Each side of an axis counts half, and all face patterns that an interior may meet there count alike.
-        """
-        pores = self._pores
-        own = pores.of_piece(interior)
-        parts = [np.column_stack([own, np.ones(len(own))])]
-        if self._rows is None:
-            axis = pores.axis_of_piece()[pores.piece]
-            share = 1 / np.maximum(pores.colors, 1)[axis[axis >= 0]]
-            parts.append(np.column_stack([pores.centers[axis >= 0], share]))
-        else:
-            rows = self._rows_of(interior)
-            met = np.bincount(rows[:, 1], minlength=3)
-            for _, axis, _, color in rows:
-                pattern = pores.of_piece(pores.face_piece(axis, color))
-                parts.append(np.column_stack([pattern, np.full(len(pattern), 1 / met[axis])]))
-        return np.concatenate(parts)
-
-    def _rows_of(self, interior: int) -> NDArray[np.int64]:
-        assert self._rows is not None
-        return self._rows[self._first[interior] : self._first[interior + 1]]
-
-    def pores_around(self, interior: int) -> NDArray[np.float64]:
-        """Face pores around one interior, in the coordinates of its cell, (k, 3)."""
-        if self._rows is None:
-            return self._all
-        around = [self._edges]
-        for _, axis, side, color in self._rows_of(interior):
-            around.append(self._pores.of_piece(self._pores.face_piece(axis, color)) + side * np.eye(3)[axis])
-        return np.concatenate(around)

@@ -87,7 +87,7 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
     DesignError
         If the lattice repeats and is one block wide along some axes, but not along all.
     """
-    from sppm_pipeline.families.sampler import InteriorBox
+    from sppm_pipeline.families.interiors import InteriorBox
     from sppm_pipeline.numerics.sampling.blocks import block_colors
 
     alone = blocks.periodic and blocks.shape == (1, 1, 1)

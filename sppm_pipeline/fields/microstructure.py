@@ -276,24 +276,23 @@ def pieces_from_graph(graph: TunnelGraph, omega: NDArray[np.float64], mu: NDArra
     crossing = np.flatnonzero(on_face[second] & ~on_face[first])
     face = second[crossing]
     axis, side = axis_of_piece[face], graph.shift[crossing].sum(1)
-    codes, which = np.unique(
-        connector_code(first[crossing], axis, side, face - first_of_axis[axis], colors=most), return_inverse=True
-    )
+    code = connector_code(first[crossing], axis, side, face - first_of_axis[axis], colors=most)
+    # those of one meeting follow each other, so that only the runs have to be sorted
+    runs = np.flatnonzero(np.diff(code, prepend=-1))
+    codes, which = np.unique(code[runs], return_inverse=True)
     of_tunnel = number[first]
-    of_tunnel[crossing] = pores.interiors + 3 * most + which.reshape(-1)
+    of_tunnel[crossing] = pores.interiors + 3 * most + np.repeat(which, np.diff(runs, append=len(code)))
     count = pores.interiors + 3 * most + len(codes)
-    own, first_pore = _sorted_by(number[pores.piece], count)
+    del first, second, face, axis, side, code, crossing  # there may be millions
     tunnels, first_tunnel = _sorted_by(of_tunnel, count)
-    del first, second, face  # there may be millions
-    starts, ends = graph.segments()
+    del of_tunnel
+    own, first_pore = _sorted_by(number[pores.piece], count)
+    starts, ends = (frozen(points) for points in graph.sorted_segments(tunnels))
 
     def taken(array: NDArray[np.float64], order: NDArray[np.int64] | None) -> NDArray[np.float64]:
         return frozen(array if order is None else array[order])
 
-    kernels = Kernels(
-        taken(pores.centers, own), taken(omega, own),
-        taken(starts, tunnels), taken(ends, tunnels), taken(mu, tunnels), profile,
-    )  # fmt: skip
+    kernels = Kernels(taken(pores.centers, own), taken(omega, own), starts, ends, taken(mu, tunnels), profile)
     return Pieces(kernels, frozen(first_pore), frozen(first_tunnel), pores.interiors, most, frozen(codes))
 
 

@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.sampling.cell_list import CellList, add_point, is_free, next_uniform
+from sppm_pipeline.numerics.sampling.cell_list import (
+    CellList,
+    add_point,
+    axis_gap,
+    is_free,
+    next_uniform,
+)
+from sppm_pipeline.numerics.sampling.voxels import Voxels, all_voxels, halved
 
 _SPOT = (0.0, 0.0, 0.0)
 # Voxels below this fraction of the spacing are within round-off: what is left of them counts as covered.
@@ -22,24 +29,31 @@ _DARTS_PER_VOXEL = 1.0
 
 
 @jit
-def _throw_one(
-    cells: CellList,
-    stream: NDArray[np.uint64],
-    lower: tuple[float, float, float],
-    edge: tuple[float, float, float],
-    side: NDArray[np.float64],
-    corner: NDArray[np.float64],
-    family: int,
-    member: int,
-) -> bool:
-    """Throw one dart into the box at `lower` with edges `edge`; add it if its spot is free."""
-    x, y, z = lower
+def _dart(
+    stream: NDArray[np.uint64], x: float, y: float, z: float, edge: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """A spot in the box with the low corner (x, y, z) and the edges `edge`."""
     if edge[0] > 0.0:
         x += edge[0] * next_uniform(stream)
     if edge[1] > 0.0:
         y += edge[1] * next_uniform(stream)
     if edge[2] > 0.0:
         z += edge[2] * next_uniform(stream)
+    return x, y, z
+
+
+@jit
+def _add_dart(
+    cells: CellList,
+    x: float,
+    y: float,
+    z: float,
+    side: NDArray[np.float64],
+    corner: NDArray[np.float64],
+    family: int,
+    member: int,
+) -> bool:
+    """Add a point if its spot is free."""
     # The sum may round up to the open end of the box, which on a periodic axis is the other name of its start.
     for axis, value in ((0, x), (1, y), (2, z)):
         if side[axis] > 0.0 and value >= corner[axis] + side[axis]:
@@ -76,58 +90,15 @@ def throw_darts(
     family, member : int
         Labels of the new points.
     """
-    corner = (lower[0], lower[1], lower[2])
     edge = (side[0], side[1], side[2])
     placed = 0
     for _ in range(budget):
         if placed == wanted:
             break
-        if _throw_one(cells, stream, corner, edge, side, lower, family, member):
+        x, y, z = _dart(stream, lower[0], lower[1], lower[2], edge)
+        if _add_dart(cells, x, y, z, side, lower, family, member):
             placed += 1
     return placed
-
-
-@jit
-def _split(
-    cells: CellList,
-    voxels: NDArray[np.int64],
-    count: int,
-    lower: NDArray[np.float64],
-    edge: NDArray[np.float64],
-    parts: NDArray[np.int64],
-    family: int,
-    member: int,
-) -> tuple[NDArray[np.int64], int]:
-    """Split each of the first `count` voxels (n, 3) into `parts` along each axis; keep what no point covers.
-
-    `edge` (3,) is the edge of the new voxels. Returns the new voxels in an array that may be longer, and their number.
-    """
-    kept = np.empty((2 * count + 64, 3), dtype=np.int64)
-    n = 0
-    half = (edge[0] / 2, edge[1] / 2, edge[2] / 2)
-    for row in range(count):
-        for c in range(parts[2]):
-            k = voxels[row, 2] * parts[2] + c
-            for b in range(parts[1]):
-                j = voxels[row, 1] * parts[1] + b
-                for a in range(parts[0]):
-                    i = voxels[row, 0] * parts[0] + a
-                    x = lower[0] + i * edge[0] + half[0]
-                    y = lower[1] + j * edge[1] + half[1]
-                    z = lower[2] + k * edge[2] + half[2]
-                    if is_free(cells, (x, y, z), half, family, member):
-                        if n == kept.shape[0]:
-                            longer = np.empty((2 * n, 3), dtype=np.int64)
-                            # A slice assignment would compile Numba's broadcasting errors: two seconds more.
-                            for old in range(n):
-                                for axis in range(3):
-                                    longer[old, axis] = kept[old, axis]
-                            kept = longer
-                        kept[n, 0] = i
-                        kept[n, 1] = j
-                        kept[n, 2] = k
-                        n += 1
-    return kept, n
 
 
 @jit
@@ -160,28 +131,47 @@ def fill_active_voxels(
             parts[axis] = max(1, int(np.ceil(side[axis] / coarsest)))
             edge[axis] = side[axis] / parts[axis]
             finest = min(finest, edge[axis])
-    box = np.zeros((1, 3), dtype=np.int64)
-    voxels, count = _split(cells, box, box.shape[0], lower, edge, parts, family, member)
+    roots = (parts[0], parts[1], parts[2])
+    wide = (edge[0], edge[1], edge[2])
+    voxels = all_voxels(cells, lower, wide, roots, family, member)
     for axis in range(3):
         parts[axis] = 1
         if side[axis] > 0.0:
             parts[axis] = 2
     placed = 0
-    while placed < wanted and count > 0 and finest > _FINEST * cells.reach:
+    while placed < wanted and voxels.number > 0 and finest > _FINEST * cells.reach:
         step = (edge[0], edge[1], edge[2])
-        for _ in range(int(np.ceil(_DARTS_PER_VOXEL * count))):
-            row = min(int(next_uniform(stream) * count), count - 1)
-            corner = (
-                lower[0] + voxels[row, 0] * edge[0],
-                lower[1] + voxels[row, 1] * edge[1],
-                lower[2] + voxels[row, 2] * edge[2],
+        since = cells.used[0]
+        for _ in range(int(np.ceil(_DARTS_PER_VOXEL * voxels.number))):
+            row = min(int(next_uniform(stream) * voxels.number), voxels.number - 1)
+            x, y, z = _dart(
+                stream,
+                lower[0] + voxels.places[row, 0] * edge[0],
+                lower[1] + voxels.places[row, 1] * edge[1],
+                lower[2] + voxels.places[row, 2] * edge[2],
+                step,
             )
-            if _throw_one(cells, stream, corner, step, side, lower, family, member):
+            # most darts fail at a point that is known to reach into the voxel
+            if _is_free_in(cells, voxels, row, x, y, z) and _add_dart(cells, x, y, z, side, lower, family, member):
                 placed += 1
                 if placed == wanted:
                     return placed
         for axis in range(3):
             edge[axis] /= 2.0
         finest /= 2.0
-        voxels, count = _split(cells, voxels, count, lower, edge, parts, family, member)
+        voxels = halved(cells, voxels, lower, edge, parts, roots, wide, since)
     return placed
+
+
+@jit
+def _is_free_in(cells: CellList, voxels: Voxels, row: int, x: float, y: float, z: float) -> bool:
+    """Whether none of the points of a voxel covers a spot in it."""
+    points, period, reach2 = cells.points, cells.period, cells.reach * cells.reach
+    for s in range(voxels.first[row], voxels.first[row + 1]):
+        p = voxels.points[s]
+        dx = axis_gap(points[p, 0], x, period[0])
+        dy = axis_gap(points[p, 1], y, period[1])
+        dz = axis_gap(points[p, 2], z, period[2])
+        if dx * dx + dy * dy + dz * dz < reach2:
+            return False
+    return True

@@ -29,9 +29,9 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 
 
-def new_stream(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """State (1,) of a stream whose start is drawn from `rng` (one 64-bit draw)."""
-    return rng.integers(0, 2**64, size=1, dtype=np.uint64)
+def new_stream(rng: np.random.Generator, number: int = 1) -> NDArray[np.uint64]:
+    """States (number,) of streams whose starts are drawn from `rng` (one 64-bit draw each)."""
+    return rng.integers(0, 2**64, size=number, dtype=np.uint64)
 
 
 @jit
@@ -151,7 +151,7 @@ def add_points(cells: CellList, points: NDArray[np.float64], family: int, member
 
 
 @jit
-def _gap(a: float, b: float, period: float) -> float:
+def axis_gap(a: float, b: float, period: float) -> float:
     """Distance of two coordinates that differ by at most one period."""
     gap = abs(a - b)
     return min(gap, abs(period - gap))
@@ -169,9 +169,9 @@ def _free_of_bucket(
     points, period = cells.points, cells.period
     reach2 = cells.reach * cells.reach
     while row >= 0:
-        dx = _gap(points[row, 0], spot[0], period[0]) + half[0]
-        dy = _gap(points[row, 1], spot[1], period[1]) + half[1]
-        dz = _gap(points[row, 2], spot[2], period[2]) + half[2]
+        dx = axis_gap(points[row, 0], spot[0], period[0]) + half[0]
+        dy = axis_gap(points[row, 1], spot[1], period[1]) + half[1]
+        dz = axis_gap(points[row, 2], spot[2], period[2]) + half[2]
         if dx * dx + dy * dy + dz * dz < reach2 and (cells.family[row] != family or cells.member[row] == member):
             return False
         row = cells.following[row]

@@ -29,7 +29,7 @@ _PORE, _OBSTACLE = 0, -1
 
 
 def throw(
-    rng: np.random.Generator,
+    rng: np.random.Generator | NDArray[np.uint64],
     count: int | None,
     spacing: float,
     lower: ArrayLike,
@@ -45,8 +45,8 @@ def throw(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Source of randomness; one 64-bit number is drawn.
+    rng : numpy.random.Generator or (1,) uint64
+        Source of randomness, from which one 64-bit number is drawn; or that number, in an array that is written to.
     count : int or None
         Exact number of pores; None to fill up to `share`.
     spacing : float
@@ -85,15 +85,12 @@ def throw(
         raise ValueError(f"a box needs 0 <= upper - lower (<= 1 along periodic axes), got {side.tolist()}")
     if (count is None) == (share is None):
         raise ValueError("give either a count or a share")
-    if not 0.0 <= spacing < math.inf:
-        raise DesignError(f"the pore spacing must be a number >= 0, got {spacing}")
-    capacity = box_capacity(side.tolist(), spacing, wraps)
-    wanted, rows = _wanted(count, share, spacing, side, wraps, capacity)
+    wanted, rows, capacity = wanted_pores(count, share, spacing, side, wraps)
     if wanted == 0:
         return np.empty((0, 3))
-    around = _obstacles_around(obstacles, low, side, spacing, wraps, obstacle_images)
+    around = obstacles_around(obstacles, low, side, spacing, wraps, obstacle_images)
 
-    stream = new_stream(rng)
+    stream = new_stream(rng) if isinstance(rng, np.random.Generator) else rng
     naive = int(min(wanted, NAIVE_SHARE * capacity))
     best = throws = 0
     while throws < max(1, attempts):
@@ -118,15 +115,23 @@ def throw(
     )
 
 
-def _wanted(
+def wanted_pores(
     count: int | None,
     share: float | None,
     spacing: float,
     side: NDArray[np.float64],
     wraps: Sequence[bool],
-    capacity: float,
-) -> tuple[int, int]:
-    """Number of pores to throw and the number of rows that certainly holds them."""
+) -> tuple[int, int, float]:
+    """Number of pores to throw, the number of rows that certainly holds them, and the capacity of the box.
+
+    Raises
+    ------
+    DesignError
+        If the spacing or the share is out of range, or the count above the capacity.
+    """
+    if not 0.0 <= spacing < math.inf:
+        raise DesignError(f"the pore spacing must be a number >= 0, got {spacing}")
+    capacity = box_capacity(side.tolist(), spacing, wraps)
     # No packing of equal balls is denser than pi / sqrt(18), which bounds any set of centers with this spacing.
     bound = math.inf if spacing == 0.0 else 1 + math.sqrt(2.0) * math.prod((side / spacing + 1.0).tolist())
     if count is not None:
@@ -148,10 +153,10 @@ def _wanted(
             f"a spacing of {spacing:.6g} asks for up to {rows:.3g} pores; at most {_MAX_POINTS} are thrown at once",
             hint="choose a larger spacing or fewer pores",
         )
-    return wanted, int(rows)
+    return wanted, int(rows), capacity
 
 
-def _obstacles_around(
+def obstacles_around(
     obstacles: ArrayLike | None,
     lower: NDArray[np.float64],
     side: NDArray[np.float64],

@@ -30,6 +30,7 @@ from sppm_pipeline.numerics.sampling.capacity import box_capacity
 from sppm_pipeline.numerics.sampling.cell_list import add_points, empty_cell_list, new_stream
 from sppm_pipeline.numerics.sampling.darts import throw
 from sppm_pipeline.numerics.sampling.faces import FILLED, face_counts, throw_in_turn
+from sppm_pipeline.numerics.sampling.many import patterns_apart
 
 WIDEST = math.sqrt(3.0)
 """Widest distance of two sites, spacings: what keeps one spacing from both lies half a spacing away from the edge."""
@@ -198,6 +199,7 @@ def homogeneous_faces(
     face_count: int | None = None,
     met: int = 1,
     totals: Sequence[NDArray[np.integer]] | None = None,
+    threads: int = 1,
 ) -> list[list[NDArray[np.float64]]]:
     """Throw the pores of all face patterns, with those of the edges and corners that they own.
 
@@ -216,6 +218,8 @@ def homogeneous_faces(
         Patterns that an interior may meet on one side.
     totals : 3 arrays (colors,), optional
         Pores of a cell for each pattern, which gets as many as a face of such a cell. Sites stay those of `spacing`.
+    threads : int
+        Number of threads; the result does not depend on it.
 
     Returns
     -------
@@ -239,9 +243,11 @@ def homogeneous_faces(
     if face_count is not None:
         inside = face_count - sum(float(which.sum(1).mean()) for which in chosen)
     wanted = face_counts(max(0, round(inside)), max(colors))
-    thrown = (_together if max(colors) <= MAX_TOGETHER and len(set(colors)) == 1 else _apart)(
-        rng, wanted, spacing, colors, np.unique(np.concatenate(sites), axis=0)
-    )
+    everywhere = np.unique(np.concatenate(sites), axis=0)
+    if max(colors) <= MAX_TOGETHER and len(set(colors)) == 1:
+        thrown = _together(rng, wanted, spacing, colors, everywhere)
+    else:
+        thrown = _apart(rng, wanted, spacing, colors, everywhere, threads)
     return [
         [np.concatenate([sites[axis][which], pores]) for which, pores in zip(chosen[axis], thrown[axis], strict=True)]
         for axis in range(3)
@@ -315,6 +321,7 @@ def _apart(
     spacing: float,
     colors: tuple[int, int, int],
     sites: NDArray[np.float64],
+    threads: int,
 ) -> list[list[NDArray[np.float64]]]:
     """Patterns so far from the border of the face that those of perpendicular faces need not be looked at."""
     border = spacing / math.sqrt(2.0)
@@ -327,10 +334,10 @@ def _apart(
     for axis in range(3):
         low, high = np.full(3, border), np.full(3, 1.0 - border)
         low[axis] = high[axis] = 0.0
-        patterns.append(
-            [
-                throw(rng, int(wanted[axis, k]), spacing, low, high, obstacles=sites, obstacle_images=True)
-                for k in range(colors[axis])
-            ]
-        )
+        # a pattern without pores draws no number
+        streams = np.zeros(colors[axis], np.uint64)
+        thrown = wanted[axis, : colors[axis]] > 0
+        streams[thrown] = new_stream(rng, int(thrown.sum()))
+        counts = wanted[axis, : colors[axis]]
+        patterns.append(patterns_apart(streams, counts, spacing, low, high, obstacles=sites, threads=threads))
     return patterns

@@ -13,6 +13,7 @@ from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import Cloud, Connector, Piece
+from sppm_pipeline.families.interiors import MANY
 from sppm_pipeline.stage import Context, option
 
 
@@ -115,6 +116,37 @@ class BoundedDegreeSubgraph(Connector):
             progress=lambda done, total: context.progress(done, total, "passes over the regions"),
         )
 
+    def join_pieces(self, context: Context, pores: PoreSet) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+        from sppm_pipeline.numerics.connecting.pieces import greedy_pieces, piece_degrees
+
+        order, first = pores.by_piece
+        sizes = np.diff(first)
+        plain = self.mode == "greedy" and not self.two_edge_connected and self.clearance is None
+        replaced = type(self).join is not BoundedDegreeSubgraph.join
+        if replaced or not (plain and pores.has_faces) or len(sizes) < MANY:
+            return super().join_pieces(context, pores)
+        pieces = np.flatnonzero(sizes > 1)
+        degrees = piece_degrees(sizes, pores.interiors, self.degree)[pieces]
+        edges: list[NDArray[np.integer]] = [np.zeros((0, 2), np.int32)]
+        done = 0
+        runs = greedy_pieces(pores.centers, order, first, pieces, degrees, k=self.neighbors, threads=context.threads)
+        for own, found, counts in runs:
+            start = 0
+            for left in np.flatnonzero(counts < 0).tolist():
+                stop = int(np.maximum(counts[:left], 0).sum())
+                edges += [found[start:stop], self.join_piece(context, pores, int(own[left]))[0]]
+                start = stop
+            edges.append(found[start:])
+            done += len(own)
+            context.progress(done, len(pieces), "pieces joined")
+        together = np.concatenate(edges)
+        # tunnels of a piece that does not repeat lead to no image
+        return together, np.zeros((len(together), 3), np.int8)
+
+    @property
+    def connects_to_the_nearest(self) -> bool:
+        return self.connector_clearance is None and type(self).connect is BoundedDegreeSubgraph.connect
+
     def connect(
         self, face_points: NDArray[np.float64], interior_points: NDArray[np.float64], cell: Cell
     ) -> NDArray[np.int64]:
@@ -128,10 +160,8 @@ class BoundedDegreeSubgraph(Connector):
         """Join all pieces, then connect faces and interiors."""
         from sppm_pipeline.numerics.connecting.degrees import clamped_degrees
 
-        relaxed = 0
-        for piece in range(pores.interiors, pores.interiors + sum(pores.colors)):
-            on_face = len(pores.indices(piece))
-            relaxed += on_face > 1 and clamped_degrees(on_face, *self.degree)[2]
+        on_face, faces = np.unique(np.diff(pores.by_piece[1])[pores.interiors :], return_counts=True)
+        relaxed = [size > 1 and clamped_degrees(size, *self.degree)[2] for size in on_face.tolist()]
         graph = super().run(context, pores)
-        context.report(faces_with_relaxed_degree=int(relaxed))
+        context.report(faces_with_relaxed_degree=int(faces @ np.array(relaxed, np.int64)))
         return graph

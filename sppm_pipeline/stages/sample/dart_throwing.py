@@ -13,6 +13,7 @@ from sppm_pipeline.data.palette import Blocks
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import InteriorBox, Sampler, options
+from sppm_pipeline.families.interiors import MANY, Interiors
 from sppm_pipeline.families.scattered import with_darts
 from sppm_pipeline.stage import Context, option
 
@@ -91,22 +92,36 @@ class DartThrowing(Sampler):
             spacing = spacing_at_share(count, self.share or HALF_PACKED)
         return with_darts(context, base, blocks, count, spacing, obstacles=self.clear_faces)
 
+    def throw_all(self, context: Context, interiors: Interiors) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        replaced = type(self).throw is not DartThrowing.throw
+        if replaced or not (interiors.alike and interiors.pores.has_faces and len(interiors) >= MANY):
+            return super().throw_all(context, interiors)
+        from sppm_pipeline.numerics.sampling.cell_list import new_stream
+        from sppm_pipeline.numerics.sampling.many import nothing_around, throw_many
+
+        box = interiors.box(0)
+        count, spacing, share = self._packing(box)
+        around, obstacles = interiors.surrounding() if self.clear_faces else (nothing_around(len(interiors)), None)
+        streams = np.concatenate([new_stream(context.rng(t)) for t in range(len(interiors))])
+        centers, counts = [], np.zeros(len(interiors), np.int64)
+        done = 0
+        for thrown, found in throw_many(
+            streams, count, spacing, box.lower, box.upper,
+            around=around, obstacles=obstacles, share=share, threads=context.threads,
+        ):  # fmt: skip
+            for left in np.flatnonzero(found < 0).tolist():
+                # there is an error to be told
+                self.thrown(context, done + left, interiors.box(done + left))
+            counts[done : done + len(found)] = found
+            centers.append(thrown)
+            done += len(found)
+            context.progress(done, len(interiors), "interiors")
+        return np.concatenate(centers), counts
+
     def throw(self, rng: np.random.Generator, box: InteriorBox) -> NDArray[np.float64]:
-        from sppm_pipeline.numerics.sampling.capacity import largest_spacing
         from sppm_pipeline.numerics.sampling.darts import throw
 
-        count = self.count
-        if self.total is not None:
-            count = max(self.total - box.face_pores, 0)
-        spacing = box.spacing
-        share = self.share if count is None else None
-        if spacing is None:
-            if count is None:
-                raise ConfigError("the spacing is missing", hint="give `spacing`, or `total` with `share`")
-            # at share s of the packing limit a count n needs the spacing at which n / s pores are the limit
-            pores = max(round(count / (self.share or HALF_PACKED)), 1)
-            sides = tuple(float(v) for v in box.upper - box.lower)
-            spacing = min(largest_spacing(pores, sides, periodic=box.periodic), 1.0)
+        count, spacing, share = self._packing(box)
         return throw(
             rng,
             count,
@@ -118,3 +133,20 @@ class DartThrowing(Sampler):
             obstacle_images=box.periodic,
             share=share,
         )
+
+    def _packing(self, box: InteriorBox) -> tuple[int | None, float, float | None]:
+        """Number of pores of an interior, their spacing in cell sizes, and the share of the packing limit."""
+        from sppm_pipeline.numerics.sampling.capacity import largest_spacing
+
+        count = self.count
+        if self.total is not None:
+            count = max(self.total - box.face_pores, 0)
+        spacing = box.spacing
+        if spacing is None:
+            if count is None:
+                raise ConfigError("the spacing is missing", hint="give `spacing`, or `total` with `share`")
+            # at share s of the packing limit a count n needs the spacing at which n / s pores are the limit
+            pores = max(round(count / (self.share or HALF_PACKED)), 1)
+            sides = tuple(float(v) for v in box.upper - box.lower)
+            spacing = min(largest_spacing(pores, sides, periodic=box.periodic), 1.0)
+        return count, spacing, self.share if count is None else None

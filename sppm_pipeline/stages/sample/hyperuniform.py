@@ -12,7 +12,7 @@ from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import InteriorBox, Sampler, options
-from sppm_pipeline.families.sampler import Meetings
+from sppm_pipeline.families.interiors import Meetings
 from sppm_pipeline.stage import Context, option
 from sppm_pipeline.stages.sample.dart_throwing import HALF_PACKED
 

@@ -119,7 +119,14 @@ class MirroredFaces(Stage):
             total, spacing = self._homogeneous(None if self.spacing is None else cell.fraction(self.spacing), met)
             totals = context.palette.face_totals
             patterns = homogeneous_faces(
-                context.rng(), total, spacing, colors, face_count=self.count, met=met, totals=totals
+                context.rng(),
+                total,
+                spacing,
+                colors,
+                face_count=self.count,
+                met=met,
+                totals=totals,
+                threads=context.threads,
             )
         flat = [pattern for per_axis in patterns for pattern in per_axis]
         piece = np.repeat(np.arange(len(flat)) + base.interiors, [len(p) for p in flat]).astype(np.int32)
@@ -181,8 +188,9 @@ class MirroredFaces(Stage):
         self, context: Context, count: int, spacing: float, colors: tuple[int, int, int], margin: float | None
     ) -> list[list[NDArray[np.float64]]]:
         """Patterns so far from the border of the face that those of perpendicular faces need not be looked at."""
-        from sppm_pipeline.numerics.sampling.darts import throw
+        from sppm_pipeline.numerics.sampling.cell_list import new_stream
         from sppm_pipeline.numerics.sampling.faces import face_counts
+        from sppm_pipeline.numerics.sampling.many import patterns_apart
 
         free = spacing / np.sqrt(2)
         if margin is not None and margin < free:
@@ -200,9 +208,9 @@ class MirroredFaces(Stage):
         for axis, counts in enumerate(face_counts(count, max(colors))):
             low, high = lower.copy(), upper.copy()
             low[axis] = high[axis] = 0.0
-            patterns.append(
-                [throw(context.rng(axis, k), int(counts[k]), spacing, low, high) for k in range(colors[axis])]
-            )
+            streams = np.concatenate([new_stream(context.rng(axis, k)) for k in range(colors[axis])])
+            made = patterns_apart(streams, counts[: colors[axis]], spacing, low, high, threads=context.threads)
+            patterns.append(made)
         return patterns
 
 
