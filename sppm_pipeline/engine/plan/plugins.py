@@ -187,7 +187,7 @@ def load_plugins(
             seen.add(path.resolve())
             plugin = Plugin(str(path))
             result.append(plugin)
-            _attempt(manager, plugin, lambda path=path: _import_file(path))  # type: ignore[misc]
+            _attempt(manager, plugin, lambda path=path: import_file(path))  # type: ignore[misc]
     _refuse_duplicates(result)
     return Plugins(result, disabled=not distributions)
 
@@ -279,12 +279,12 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
 """Hooks that return a map of names: where the map goes in `Plugin`, what its values may be, and that in words."""
 
 
-def _import_file(path: Path) -> ModuleType:
+def import_file(path: Path) -> ModuleType:
     """Import a single file under a name of its own, once for each content; runs of a sweep may ask at the same time."""
     if not path.is_file():
         raise PluginError(f"there is no plugin file {str(path)!r}")
     digest = hashlib.sha256(str(path.resolve()).encode() + b"\0" + path.read_bytes()).hexdigest()[:16]
-    name = f"sppm_plugin_{path.stem}_{digest}"
+    name = f"{_SINGLE}{path.stem}_{digest}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise PluginError(f"a plugin file must end in .py, got {str(path)!r}")
@@ -308,6 +308,20 @@ def _import_file(path: Path) -> ModuleType:
 
 
 _IMPORTING = threading.Lock()
+
+
+def single_files(plugins: Plugins) -> tuple[str, ...]:
+    """The plugins that are single files, for `import_file` of another process."""
+    modules = [plugin.module for plugin in plugins.plugins if not plugin.builtin and plugin.distribution is None]
+    return tuple(
+        str(module.__file__)
+        for module in modules
+        if isinstance(module, ModuleType) and module.__name__.startswith(_SINGLE)
+    )
+
+
+_SINGLE = "sppm_plugin_"
+"""What the names of modules begin with that are single files."""
 
 
 def _line_in(error: Exception, path: Path) -> str:

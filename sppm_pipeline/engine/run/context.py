@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import operator
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from sppm_pipeline.engine.cache.identity import environment, program_digest
 from sppm_pipeline.engine.cache.keys import key_of, recipe_key
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.engine.run.crew import Crew
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.strict_json import jsonable
@@ -114,6 +115,8 @@ class RunContext(Context):
         None if there is nowhere to write.
     store : Store or None
         The cache, which keeps what stages have not finished; None if nothing is kept.
+    crew : Crew or None
+        The run's workers; None if all work is done in this process.
     """
 
     def __init__(
@@ -127,9 +130,13 @@ class RunContext(Context):
         log: StageLog,
         folder: RunFolder | Scratch | None,
         store: Store | None = None,
+        crew: Crew | None = None,
     ) -> None:
         self._seed = seed
         self._store = store
+        self._crew = crew
+        if crew is not None:
+            self.workers, self.worker_threads = crew.workers, crew.threads
         self.path = path
         self.address = address
         self.threads = threads
@@ -150,6 +157,7 @@ class RunContext(Context):
             log=self.log,
             folder=self.folder,
             store=self._store,
+            crew=self._crew,
         )
 
     def recipe_key(self, recipe: str, recipes: Mapping[str, Sequence[Step]], attempt: int) -> str | None:
@@ -181,6 +189,18 @@ class RunContext(Context):
         """See `Context.warn`."""
         check()
         self.log.warn(self.address, message)
+
+    def map(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any = None) -> Iterator[Any]:
+        """See `Context.map`."""
+        check()
+        if self._crew is None:
+            return super().map(function, items, common)
+        return self._crew.map(function, items, common)
+
+    def shared_folder(self) -> Path | None:
+        """See `Context.shared_folder`."""
+        check()
+        return None if self._crew is None else self._crew.folder()
 
     def remember(self, key: str, state: Any) -> None:
         """See `Context.remember`; stages call this on their way out of an interrupted run, too."""

@@ -66,9 +66,7 @@ class SlabUnion:
         self._layers += labels.layers
         self._below = labels._replace(component=labels.component[:0], first=labels.last, of_first=labels.of_last)
 
-    def finish(
-        self, keep: Literal["largest"] | float = "largest"
-    ) -> tuple[IslandStatistics, list[NDArray[np.bool_]]]:
+    def finish(self, keep: Literal["largest"] | float = "largest") -> tuple[IslandStatistics, list[NDArray[np.bool_]]]:
         """Decide what stays.
 
         Parameters

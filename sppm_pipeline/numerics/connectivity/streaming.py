@@ -115,9 +115,7 @@ class IslandFilter:
         self._first, self._ids_first = self._below, self._ids_below
 
     @classmethod
-    def decided(
-        cls, ny: int, nx: int, layers: int, verdict: NDArray[np.bool_], connectivity: int = 6
-    ) -> IslandFilter:
+    def decided(cls, ny: int, nx: int, layers: int, verdict: NDArray[np.bool_], connectivity: int = 6) -> IslandFilter:
         """The filter of a slab whose second pass begins; `verdict` says of each of its ids whether it stays."""
         islands = cls(ny, nx, connectivity)
         islands._layers, islands._verdict = layers, verdict
