@@ -117,18 +117,19 @@ class DividedLayers:
     def __iter__(self) -> Iterator[bytes]:
         context, stack = self._context, self._stack
         nx, ny, _ = stack.shape
-        keep = stack.islands == "keep"
+        keep, known = stack.islands == "keep", stack.survey is not None
         survey = None if keep else stack.survey or self._survey()
         tasks = survey.tasks if survey is not None else slab_tasks(stack, *self._means)
         wanted = [task._replace(shown=tuple(self._of(task))) for task in tasks]
         voxels, counts = 0, dict[str, int]()
-        for task, made in zip(tasks, context.map(encode_slab, wanted, self._common), strict=True):
+        before, total = (0, len(tasks)) if keep or known else (len(tasks), 2 * len(tasks))
+        for number, made in enumerate(context.map(encode_slab, wanted, self._common), 1):
             voxels += made.voxels
             add_counts(counts, made.counts)
-            for number, data in made.pictures.items():
-                self._show(number, np.frombuffer(zlib.decompress(data), np.uint8).reshape(ny, nx))
+            for layer, data in made.pictures.items():
+                self._show(layer, np.frombuffer(zlib.decompress(data), np.uint8).reshape(ny, nx))
             yield from made.layers
-            self._progress(task, "layers")
+            context.progress(before + number, total, "slabs, encoded")
         islands, told = ({}, stack.told(counts)) if survey is None else (survey.islands, survey.told)
         self.findings = stack.findings(islands, voxels, told)
 
@@ -147,8 +148,5 @@ class DividedLayers:
             self._stack,
             tasks,
             lambda tasks: context.map(survey_slab, tasks, self._common),
-            lambda ready: self._progress(tasks[ready - 1], "layers searched for islands"),
+            lambda ready: context.progress(ready, 2 * len(tasks), "slabs, searched for islands"),
         )
-
-    def _progress(self, task: SlabTask, what: str) -> None:
-        self._context.progress(task.stop // self._stack.sublayers, self._stack.shape[2], what)

@@ -130,6 +130,7 @@ class Crew:
         self._folder: Path | None = None
         self._kept: tuple[Any, Kept] | None = None
         self._folders = 0
+        self._announced = False
         self._said: set[str] = set()
 
     @staticmethod
@@ -207,7 +208,9 @@ class Crew:
             self._driver = self._ending.enter_context(driver)
         if self._pool is None:
             self._pool = make_executor(self._executor, self.workers, self._plugins)
-            self._monitor.crew_started(getattr(self._pool, "about", f"{self.workers} {self._executor}"))
+            if not self._announced:
+                self._announced = True
+                self._monitor.crew_started(getattr(self._pool, "about", f"{self.workers} {self._executor}"))
 
     def _stop(self) -> None:
         if self._pool is not None:
