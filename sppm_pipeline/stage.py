@@ -23,7 +23,6 @@ import numpy as np
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError, Position
-from sppm_pipeline.numerics.threads import ordered_map
 
 FAMILIES: Mapping[str, str] = {
     "read": "a file or a primitive becomes an artifact",
@@ -230,6 +229,8 @@ class Context(ABC):
         Exception
             What the function has raised.
         """
+        from sppm_pipeline.numerics.threads import ordered_map
+
         return ordered_map(functools.partial(function, common), items, self.threads)
 
     def shared_folder(self) -> Path | None:
@@ -392,6 +393,8 @@ class Stage(ABC):
     returns : type or None
         Of a stage annotated ``-> Any``: it makes the last result of this type among those of its recipe, which may
         then end in stages that measure; None for what the recipe makes.
+    maps : bool
+        Whether it hands work to the workers of a run (`Context.map`), each of which then takes as much memory.
     advice : str
         What makes the work smaller, said when a run is refused because it can't fit; empty for a default.
     """
@@ -402,6 +405,7 @@ class Stage(ABC):
     headline: ClassVar[tuple[Headline, ...]] = ()
     reported: ClassVar[tuple[str, ...] | None] = None
     returns: ClassVar[type | None] = None
+    maps: ClassVar[bool] = False
     advice: ClassVar[str] = ""
 
     @abstractmethod

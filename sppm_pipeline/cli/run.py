@@ -85,12 +85,14 @@ def _execute(args: Namespace) -> int:
     from sppm_pipeline.cli.kernels import compiling_ahead
     from sppm_pipeline.engine.cache.housekeeping import open_store
     from sppm_pipeline.engine.plan.session import checked, refuse_unfit
+    from sppm_pipeline.engine.run.executors import default_executor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
     session = open_from(args)
     plan, rows = checked(session, args.until)
     path = args.output or Path("runs") / plan.name
-    refuse_unfit(session, plan, rows, path, workers=args.jobs, until=args.until)
+    crew = args.jobs if (args.executor or default_executor(args.jobs)) == "processes" else 0
+    refuse_unfit(session, plan, rows, path, workers=args.jobs, crew=crew, until=args.until)
     threads = args.threads or available_threads()
     cache = cache_of(args)
     stack = contextlib.ExitStack()

@@ -92,6 +92,7 @@ class LayerWriter(Stage):
                         archive.writestr(f"{number}.png", data)
     """
 
+    maps: ClassVar[bool] = True
     advice: ClassVar[str] = "slice with a larger `pixel` or `layer`"
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("layers"), Headline("solid_volume_mm3", "solid volume", "mm^3"), Headline("bytes"),

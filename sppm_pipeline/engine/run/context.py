@@ -8,7 +8,7 @@ import operator
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from sppm_pipeline.engine.cache.identity import environment, program_digest
 from sppm_pipeline.engine.cache.keys import key_of, recipe_key
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.plan.wiring import Step
-from sppm_pipeline.engine.run.crew import Crew
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.strict_json import jsonable
@@ -27,6 +26,9 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.process.budget import planning_memory, requested_memory
 from sppm_pipeline.process.interruption import check
 from sppm_pipeline.stage import Context
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.run.crew import Crew
 
 
 def generator(seed: int, path: tuple[str, ...], key: tuple[int, ...]) -> np.random.Generator:
