@@ -11,8 +11,9 @@ makes, or the last of a type (`Stage.returns`), and a type variable on a port an
 from __future__ import annotations
 
 import dataclasses
+import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -171,12 +172,18 @@ class Context(ABC):
         Bytes that a stage which can choose should plan with; results must not depend on it.
     memory_limit : int or None
         Bytes that the whole process may take, if the user set a limit (``--memory``); see `process.budget`.
+    workers : int
+        Processes that `map` hands work to, here or on other machines; 0 if it is done in this one.
+    worker_threads : int
+        Threads that a function may use which `map` calls.
     """
 
     threads: int
     palette: Palette
     memory: int = 2 * 2**30
     memory_limit: int | None = None
+    workers: int = 0
+    worker_threads: int = 1
 
     @abstractmethod
     def rng(self, *key: int) -> np.random.Generator:
@@ -193,6 +200,42 @@ class Context(ABC):
     @abstractmethod
     def warn(self, message: str) -> None:
         """Tell the user something that does not stop the run; it is kept in the run record."""
+
+    def map(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any = None) -> Iterator[Any]:
+        """Call ``function(common, item)`` for each item, by the workers of the run, or by threads of this process.
+
+        Results must not depend on who calls the function, nor on how often: an item whose worker dies is done again.
+        Items are taken as workers get free, and a few results are kept at once. Leaving the iterator drops the rest.
+
+        Parameters
+        ----------
+        function : function of a module
+            Whatever it changes beside its result may be lost. It may use `worker_threads` threads.
+        items : iterable
+            Arrays and plain values; they travel to the workers, so they should be small.
+        common : object, optional
+            What all calls need: artifacts, frozen dataclasses, arrays and plain values. It is written once into a
+            folder that the workers share, and loaded once by each; its digests are checked.
+
+        Yields
+        ------
+        object
+            Arrays and plain values, in the order of the items.
+
+        Raises
+        ------
+        TypeError
+            If there are workers, and the function is not one of a module, or `common` holds what can't be written.
+        Exception
+            What the function has raised.
+        """
+        from sppm_pipeline.numerics.threads import ordered_map
+
+        return ordered_map(functools.partial(function, common), items, self.threads)
+
+    def shared_folder(self) -> Path | None:
+        """A new empty folder that this process and all workers see, gone after the run; None without workers."""
+        return None
 
     def remember(self, key: str, state: Any) -> None:  # noqa: B027 - not every context can
         """Keep the state of long work, so that a later run may go on from there; None forgets it.
@@ -355,6 +398,8 @@ class Stage(ABC):
     returns : type or None
         Of a stage annotated ``-> Any``: it makes the last result of this type among those of its recipe, which may
         then end in stages that measure; None for what the recipe makes.
+    maps : bool
+        Whether it hands work to the workers of a run (`Context.map`), each of which then takes as much memory.
     advice : str
         What makes the work smaller, said when a run is refused because it can't fit; empty for a default.
     """
@@ -365,6 +410,7 @@ class Stage(ABC):
     headline: ClassVar[tuple[Headline, ...]] = ()
     reported: ClassVar[tuple[str, ...] | None] = None
     returns: ClassVar[type | None] = None
+    maps: ClassVar[bool] = False
     advice: ClassVar[str] = ""
 
     @abstractmethod

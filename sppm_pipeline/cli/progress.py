@@ -124,6 +124,10 @@ class ProgressLines(Waiting):
             self.note(f"runs on {about}")
         self._begin(f"{total} runs")
 
+    def crew_started(self, about: str) -> None:
+        """See `Monitor`."""
+        self.note(f"works on {about}")
+
     def row_finished(self, done: int, total: int, row: Mapping[str, Any]) -> None:
         """See `Monitor`."""
         values = ", ".join(f"{name}={value}" for name, value in row["params"].items())

@@ -16,6 +16,8 @@ from sppm_pipeline.errors import SppmError
 
 if TYPE_CHECKING:
     from sppm_pipeline.cli.kernels import Waiting
+    from sppm_pipeline.engine.plan.session import Session
+    from sppm_pipeline.engine.run.crew import Crew
     from sppm_pipeline.stage import Headline
 
 
@@ -32,13 +34,15 @@ def configure(parser: ArgumentParser) -> None:
     )
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="run directory; runs/<name> if omitted")
     parser.add_argument("--until", metavar="ID", help="stop after this stage")
-    parser.add_argument("-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep at the same time")
+    parser.add_argument(
+        "-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep, or workers of a single run"
+    )
     parser.add_argument(
         "--threads", type=_count, metavar="N", help="threads in all; the number of processors if omitted"
     )
     parser.add_argument("--executor", metavar="NAME[:WHERE]", help="serial, threads, processes, or one from a plugin")
     parser.add_argument(
-        "--retries", type=_retries, metavar="N", default=2, help="runs again of a row whose worker died; 2 if omitted"
+        "--retries", type=_retries, metavar="N", default=2, help="runs again of work whose worker died; 2 if omitted"
     )
     parser.add_argument("--same-processor", action="store_true", help="refuse workers on another kind of processor")
     parser.add_argument("-k", "--keep-going", action="store_true", help="exit with 0 though runs of a sweep failed")
@@ -81,12 +85,14 @@ def _execute(args: Namespace) -> int:
     from sppm_pipeline.cli.kernels import compiling_ahead
     from sppm_pipeline.engine.cache.housekeeping import open_store
     from sppm_pipeline.engine.plan.session import checked, refuse_unfit
+    from sppm_pipeline.engine.run.executors import default_executor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
     session = open_from(args)
     plan, rows = checked(session, args.until)
     path = args.output or Path("runs") / plan.name
-    refuse_unfit(session, plan, rows, path, workers=args.jobs, until=args.until)
+    crew = args.jobs if (args.executor or default_executor(args.jobs)) == "processes" else 0
+    refuse_unfit(session, plan, rows, path, workers=args.jobs, crew=crew, until=args.until)
     threads = args.threads or available_threads()
     cache = cache_of(args)
     stack = contextlib.ExitStack()
@@ -102,6 +108,7 @@ def _execute(args: Namespace) -> int:
                 monitor=monitor,
                 store=open_store(cache) if cache is not None else None,
                 about=str(session.configuration.file.absolute()),
+                crew=_crew(args, session, path, threads, cache, monitor),
             )
         else:
             from sppm_pipeline.engine.run.sweep import run_sweep
@@ -157,6 +164,29 @@ def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
     stack.callback(monitor.close)
     on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
     return monitor
+
+
+def _crew(
+    args: Namespace, session: Session, path: Path, threads: int, cache: Path | None, monitor: Waiting
+) -> Crew | None:
+    """The workers of a single run, if it is to have any; started when a stage asks for them."""
+    from sppm_pipeline.engine.run.crew import Crew
+    from sppm_pipeline.engine.run.executors import require_executor
+
+    require_executor(args.executor, args.jobs, session.plugins)
+    if not Crew.wanted(args.executor, args.jobs):
+        return None
+    return Crew(
+        session.plugins,
+        path,
+        executor=args.executor,
+        workers=args.jobs,
+        threads=threads,
+        cache=cache,
+        retries=args.retries,
+        same_processor=args.same_processor,
+        monitor=monitor,
+    )
 
 
 def _write_report(args: Namespace, path: Path) -> None:

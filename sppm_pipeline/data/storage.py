@@ -186,6 +186,8 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
         return value
     if type(value) is float:
         return value if math.isfinite(value) else {"float": repr(value)}
+    if isinstance(value, Path):
+        return {"path": str(value)}
     if isinstance(value, np.ndarray):
         return {"array": arrays.number(value)}
     if isinstance(value, np.generic):
@@ -220,6 +222,8 @@ def _decode(tree: Any, arrays: list[NDArray[Any]]) -> Any:
     match kind:
         case "float":
             return float(content)
+        case "path":
+            return Path(content)
         case "array":
             return arrays[content]
         case "scalar":

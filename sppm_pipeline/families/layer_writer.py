@@ -14,13 +14,19 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
+from sppm_pipeline.families.slab_writer import DividedLayers, divides
+from sppm_pipeline.fields.sampled_slices import SampledSlices
 from sppm_pipeline.fields.slice_stack import Slabs, SliceStack
 from sppm_pipeline.numerics.threads import ordered_map
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
 
 class LayerObserver(Protocol):
-    """What looks at the layers as they pass, as a thumbnail does."""
+    """What looks at the layers as they pass, as a thumbnail does.
+
+    One that has an attribute `wanted`, a collection of numbers, may be shown these layers only; where workers make the
+    layers, others need not travel then.
+    """
 
     def add(self, number: int, image: NDArray[np.uint8]) -> None:
         """Take in a layer, as `LayerWriter.encode` takes it; called once for each, the lowest first, in one thread."""
@@ -41,7 +47,9 @@ class EncodedLayers:
         What `LayerWriter.observer` made; it has seen all layers when the last of them was taken.
     """
 
-    def __init__(self, layers: Iterator[bytes], slabs: Slabs, observer: LayerObserver | None = None) -> None:
+    def __init__(
+        self, layers: Iterator[bytes], slabs: Slabs | DividedLayers, observer: LayerObserver | None = None
+    ) -> None:
         self._layers, self._slabs, self.observer = layers, slabs, observer
         self.taken = self.bytes = 0
 
@@ -61,8 +69,10 @@ class LayerWriter(Stage):
     """Base of writers of layers: implement `encode`, and `store` for a container instead of a folder of files.
 
     Layers are evaluated slab by slab and encoded by threads beside the evaluation of the next slab; only a few of them
-    are in memory at once. `encode` runs in several threads at once, `store` in one. What must be refused before the
-    first layer is computed is checked in `check_options`, or in `run` before it calls this one.
+    are in memory at once. `encode` runs in several threads at once, `store` in one. In a run with workers (``-j``) they
+    evaluate and encode the layers, slab by slab; `encode` must not depend on more than the options and its arguments.
+    What must be refused before the first layer is computed is checked in `check_options`, or in `run` before it calls
+    this one.
 
     A container in a few lines::
 
@@ -82,6 +92,7 @@ class LayerWriter(Stage):
                         archive.writestr(f"{number}.png", data)
     """
 
+    maps: ClassVar[bool] = True
     advice: ClassVar[str] = "slice with a larger `pixel` or `layer`"
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("layers"), Headline("solid_volume_mm3", "solid volume", "mm^3"), Headline("bytes"),
@@ -162,22 +173,33 @@ class LayerWriter(Stage):
         nz, threads = stack.shape[2], context.threads
         shown = set(np.linspace(0, nz - 1, self.sheet + 2).round().astype(int)[1:-1].tolist()) if self.sheet else set()
         overview: list[NDArray[np.uint8]] = []
+        observer = self.observer(stack)
 
-        slabs, observer = stack.slabs(threads), self.observer(stack)
+        def show(number: int, image: NDArray[np.uint8]) -> None:
+            if observer is not None:
+                observer.add(number, image)
+            if number in shown:
+                overview.append(image)
 
         def images() -> Iterator[NDArray[np.uint8]]:
             for start, slab in slabs:
                 for number, layer in enumerate(slab, start):
                     image = layer[::-1].copy()  # the stack may reuse its slab
-                    if observer is not None:
-                        observer.add(number, image)
-                    if number in shown:
-                        overview.append(image)
+                    show(number, image)
                     yield image
                 context.progress(min(start + len(slab), nz), nz, "layers")
 
-        encoded = ordered_map(lambda image: self.encode(image, stack), images(), threads, ahead=4 * threads)
-        layers = EncodedLayers(encoded, slabs, observer)
+        encoded: Iterator[bytes]
+        source: Slabs | DividedLayers
+        if divides(context, stack, self):
+            assert isinstance(stack, SampledSlices)
+            seen = set() if observer is None else getattr(observer, "wanted", range(nz))
+            source = DividedLayers(context, stack, self, shown.union(seen), show)
+            encoded = iter(source)
+        else:
+            source = slabs = stack.slabs(threads)
+            encoded = ordered_map(lambda image: self.encode(image, stack), images(), threads, ahead=4 * threads)
+        layers = EncodedLayers(encoded, source, observer)
         target = context.output(self.path)
         self.store(target, stack, layers)
         if layers.taken != nz:

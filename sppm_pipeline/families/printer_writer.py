@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -171,6 +172,11 @@ class Preview:
         self._spacing = float(sides[0] / nx), float(sides[1] / ny), float(sides[2] / nz)
         self._at = {int((k + 0.5) * stack.shape[2] / nz): k for k in range(nz)}
         self._share = np.zeros((nz, ny, nx), np.float32)
+
+    @property
+    def wanted(self) -> Collection[int]:
+        """The layers that it looks at."""
+        return self._at.keys()
 
     def add(self, number: int, image: NDArray[np.uint8]) -> None:
         """Take in a layer, as `LayerWriter.encode` takes it."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.printer import Printer
@@ -17,6 +18,8 @@ from sppm_pipeline.fields.spool import Spool
 from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
+    from sppm_pipeline.fields.slab_passes import Survey
+    from sppm_pipeline.numerics.connectivity.streaming import IslandStatistics
     from sppm_pipeline.numerics.domain.inside import Method
 
 SLAB_PIXELS = 2**22
@@ -27,9 +30,10 @@ VOTED_PIXELS = 2**25
 
 
 class _Kept:
-    """What has been found out once: the layers without islands, and what was said of them."""
+    """What has been found out once: the layers without islands, or what workers have kept, and what was said."""
 
     layers: Spool | None = None
+    survey: Survey | None = None
     islands: dict[str, Any]
     told: dict[str, Any]
 
@@ -101,18 +105,37 @@ class SampledSlices(SliceStack):
         """Millimeters of the unit of the source."""
         return 1.0
 
-    @abstractmethod
-    def decided(self, threads: int, told: dict[str, Any]) -> Iterator[Slab]:
-        """Slabs of 1 where solid and 0 elsewhere at all samples, bottom first; findings of its own go to `told`.
+    def prepared(self) -> Any:
+        """What `decided` needs for any sheet, made once for all who ask for some of them."""
+        return None
 
-        A slab begins with the first sheet of samples of a layer, and ends with the last one of a layer.
+    @abstractmethod
+    def decided(
+        self, threads: int, counts: dict[str, int], start: int = 0, stop: int | None = None, prepared: Any = None
+    ) -> Iterator[Slab]:
+        """Slabs of 1 where solid and 0 elsewhere at all samples, bottom first; what it counts is added to `counts`.
+
+        A slab begins with the first sheet of samples of a layer, and ends with the last one of a layer. Only the sheets
+        start <= k < stop are decided, and are what they are among all.
         """
 
-    def spans(self, most: int) -> Iterator[tuple[int, int]]:
-        """First sheet of samples and the one after the last of slabs of at most so many samples, or of one layer."""
-        nx, ny, nz = self.samples.shape
-        step = max(1, most // (nx * ny * self.sublayers)) * self.sublayers
-        return ((start, min(start + step, nz)) for start in range(0, nz, step))
+    def told(self, counts: dict[str, int]) -> dict[str, Any]:
+        """Findings of its own, from what `decided` has counted."""
+        return {}
+
+    @property
+    def height(self) -> int:
+        """Sheets of samples that are decided at a time: some, or those of one layer."""
+        nx, ny, _ = self.samples.shape
+        return max(1, self._at_once() // (nx * ny * self.sublayers)) * self.sublayers
+
+    def _at_once(self) -> int:
+        return SLAB_PIXELS
+
+    def spans(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[int, int]]:
+        """First sheet of samples and the one after the last of slabs of some samples, or of one layer."""
+        last = self.samples.shape[2] if stop is None else stop
+        return ((first, min(first + self.height, last)) for first in range(start, last, self.height))
 
     def read(self, threads: int) -> Generator[Slab, None, dict[str, Any]]:
         count = 0
@@ -120,15 +143,20 @@ class SampledSlices(SliceStack):
         told: dict[str, Any] = {}
         for start, solid in self._cleaned(threads, islands, told):
             count += int(np.count_nonzero(solid))
-            if self.gray:
-                from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage
+            yield start // self.sublayers, self.shaded(solid)
+        return self.findings(islands, count, told)
 
-                factor, m = (self.subsamples, self.subsamples), self.sublayers
-                sheets = range(0, len(solid), m)
-                yield start // m, np.stack([gray_by_coverage(solid[k : k + m], factor) for k in sheets])
-            else:
-                np.multiply(solid, np.uint8(255), out=solid)
-                yield start, solid
+    def shaded(self, solid: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Layers as they are delivered from sheets of samples, which may be changed."""
+        if not self.gray:
+            return np.multiply(solid, np.uint8(255), out=solid)
+        from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage
+
+        factor, m = (self.subsamples, self.subsamples), self.sublayers
+        return np.stack([gray_by_coverage(solid[k : k + m], factor) for k in range(0, len(solid), m)])
+
+    def findings(self, islands: dict[str, Any], count: int, told: dict[str, Any]) -> dict[str, Any]:
+        """What was found out while the layers were read; `count` is that of solid samples."""
         _, (hx, hy, hz), (nx, ny, nz) = self.samples
         volume = {
             "solid_voxels": count,
@@ -137,39 +165,65 @@ class SampledSlices(SliceStack):
         }
         return islands | volume | told
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether its layers lie ready in this process, without islands, so that there is nothing left to evaluate."""
+        return self._kept.layers is not None
+
+    @property
+    def survey(self) -> Survey | None:
+        """What workers have found out in a first pass, if they have made one."""
+        return self._kept.survey
+
+    def keep(self, survey: Survey) -> None:
+        """Know what workers have found out in a first pass."""
+        self._kept.survey, self._kept.islands, self._kept.told = survey, survey.islands, survey.told
+
     def _cleaned(self, threads: int, found: dict[str, Any], told: dict[str, Any]) -> Iterator[Slab]:
         """The solid, without islands if they are to be removed; what was removed is added to `found`."""
+        counts: dict[str, int] = {}
         if self.islands == "keep":
-            yield from self.decided(threads, told)
+            yield from self.decided(threads, counts)
+            told |= self.told(counts)
             return
-        if self._kept.layers is not None:
-            found |= self._kept.islands
-            told |= self._kept.told
-            kept = self._kept.layers
-            yield from (kept.slab(number) for number in range(len(kept)))
+        kept = self._kept
+        if kept.layers is not None or kept.survey is not None:
+            found |= kept.islands
+            told |= kept.told
+            if kept.layers is not None:
+                yield from (kept.layers.slab(number) for number in range(len(kept.layers)))
+            elif kept.survey is not None:
+                yield from kept.survey.cleared(self, threads)
             return
         from sppm_pipeline.numerics.connectivity.streaming import IslandFilter
 
         nx, ny, _ = self.samples.shape
         spool = Spool()
         islands = IslandFilter(ny, nx)
-        for start, solid in self.decided(threads, told):
+        for start, solid in self.decided(threads, counts):
             islands.observe(solid)
             spool.append(start, solid)
-        statistics = islands.finish("largest")
-        found["components"] = statistics.components
-        found["removed_share"] = statistics.removed_share
-        found["spans"] = list(statistics.spans)
+        found |= said_of(islands.finish("largest"))
+        told |= self.told(counts)
         if not spool.whole:
-            for start, solid in self.decided(threads, told):
+            for start, solid in self.decided(threads, {}):
                 yield start, islands.clear(solid)
             return
         for number in range(len(spool)):
             start, solid = spool.slab(number)
             spool.replace(number, islands.clear(solid, out=solid))
             yield start, solid
-        self._kept.islands, self._kept.told = dict(found), dict(told)
-        self._kept.layers = spool
+        kept.islands, kept.told = dict(found), dict(told)
+        kept.layers = spool
+
+
+def said_of(statistics: IslandStatistics) -> dict[str, Any]:
+    """What findings say of islands."""
+    return {
+        "components": statistics.components,
+        "removed_share": statistics.removed_share,
+        "spans": list(statistics.spans),
+    }
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -188,9 +242,11 @@ class FieldSlices(SampledSlices):
     def unit_mm(self) -> float:
         return self.source.physical_edge()
 
-    def decided(self, threads: int, told: dict[str, Any]) -> Iterator[Slab]:
-        for start, stop in self.spans(SLAB_PIXELS):
-            yield start, self.source.solid_zyx(self.samples, start, stop, threads)
+    def decided(
+        self, threads: int, counts: dict[str, int], start: int = 0, stop: int | None = None, prepared: Any = None
+    ) -> Iterator[Slab]:
+        for first, last in self.spans(start, stop):
+            yield first, self.source.solid_zyx(self.samples, first, last, threads)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -208,15 +264,27 @@ class MeshSlices(SampledSlices):
     source: SurfaceMesh
     method: Method = "scanline"
 
-    def decided(self, threads: int, told: dict[str, Any]) -> Iterator[Slab]:
-        from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
+    def _at_once(self) -> int:
+        return VOTED_PIXELS if self.method == "vote" else SLAB_PIXELS
 
-        scan = prepare_inside(self.source.vertices, self.source.faces, self.samples, self.method)
-        count = undecided = 0
-        for start, stop in self.spans(VOTED_PIXELS if self.method == "vote" else SLAB_PIXELS):
-            found = inside_layers(scan, start, stop)
-            count += int(np.count_nonzero(found.mask))
-            undecided += found.undecided
-            yield start, found.mask
-        if self.method != "scanline":
-            told["undecided_share"] = undecided / max(1, count)
+    def prepared(self) -> Any:
+        from sppm_pipeline.numerics.domain.inside import prepare_inside
+
+        return prepare_inside(self.source.vertices, self.source.faces, self.samples, self.method)
+
+    def decided(
+        self, threads: int, counts: dict[str, int], start: int = 0, stop: int | None = None, prepared: Any = None
+    ) -> Iterator[Slab]:
+        from sppm_pipeline.numerics.domain.inside import inside_layers
+
+        scan = self.prepared() if prepared is None else prepared
+        for first, last in self.spans(start, stop):
+            found = inside_layers(scan, first, last)
+            counts["inside"] = counts.get("inside", 0) + int(np.count_nonzero(found.mask))
+            counts["undecided"] = counts.get("undecided", 0) + found.undecided
+            yield first, found.mask
+
+    def told(self, counts: dict[str, int]) -> dict[str, Any]:
+        if self.method == "scanline":
+            return {}
+        return {"undecided_share": counts.get("undecided", 0) / max(1, counts.get("inside", 0))}

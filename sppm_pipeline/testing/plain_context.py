@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import pickle
 import shutil
 import tempfile
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.storage import load_value, save_value
 from sppm_pipeline.engine.config.configuration import StageEntry
 from sppm_pipeline.engine.config.document import Node
 from sppm_pipeline.engine.config.names import output_parts
@@ -17,6 +19,7 @@ from sppm_pipeline.engine.config.problems import Problems
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.wiring import Draft, wire
 from sppm_pipeline.engine.run.context import RunContext, StageLog
+from sppm_pipeline.engine.run.crew import name_of
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.steps import StepRecipe
 from sppm_pipeline.errors import Position
@@ -44,6 +47,9 @@ class PlainContext(RunContext):
         Where outputs go, at once and without staging; a temporary folder, removed with the context, if omitted.
     stage : str
         The id that the stage is given.
+    workers : int
+        How many workers the stage finds. They are none, but what it has mapped is written, sent and received as if they
+        were, and the first item is done twice, as one whose worker has died.
 
     Attributes
     ----------
@@ -51,6 +57,8 @@ class PlainContext(RunContext):
     reported : dict
     warnings : list of str
     progress_calls : list of (done, total, what)
+    asked_for_workers : bool
+        Whether the stage has looked for workers.
     """
 
     def __init__(
@@ -61,8 +69,11 @@ class PlainContext(RunContext):
         palette: Palette | None = None,
         directory: Path | None = None,
         stage: str = "stage",
+        workers: int = 0,
     ) -> None:
         self._monitor = _Recorder()
+        self._workers = workers
+        self.asked_for_workers = False
         super().__init__(
             seed=seed,
             path=(stage,),
@@ -73,6 +84,42 @@ class PlainContext(RunContext):
             folder=None,
         )
         self._directory = directory
+
+    @property
+    def workers(self) -> int:
+        """See `Context.workers`."""
+        self.asked_for_workers = True
+        return self._workers
+
+    @workers.setter
+    def workers(self, workers: int) -> None:
+        self._workers = workers
+
+    def map(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any = None) -> Iterator[Any]:
+        """See `Context.map`; with `workers` all that is mapped travels to this process."""
+        if not self.workers:
+            return super().map(function, items, common)
+        name_of(function)
+        return self._traveling(function, items, common)
+
+    def _traveling(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any) -> Iterator[Any]:
+        if common is not None:
+            with tempfile.TemporaryDirectory(prefix="sppm-") as folder:
+                files = save_value(common, Path(folder))
+                common = load_value(Path(folder), {file.name: file for file in files})
+        for number, item in enumerate(items):
+            sent = pickle.dumps(item)
+            if not number:
+                function(common, pickle.loads(sent))
+            yield pickle.loads(pickle.dumps(function(common, pickle.loads(sent))))
+
+    def shared_folder(self) -> Path | None:
+        """See `Context.shared_folder`."""
+        if not self.workers:
+            return None
+        folder = Path(tempfile.mkdtemp(prefix="sppm-"))
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        return folder
 
     @property
     def directory(self) -> Path:

@@ -35,15 +35,18 @@ class StageContract:
         """How many interiors and colors are asked for."""
         return Palette()
 
-    def _run(self, stage: Stage, *, seed: int = 5, threads: int = 1) -> tuple[Any, PlainContext]:
-        context = PlainContext(seed, threads=threads, palette=self.palette())
+    def _run(self, stage: Stage, *, seed: int = 5, threads: int = 1, workers: int = 0) -> tuple[Any, PlainContext]:
+        context = PlainContext(seed, threads=threads, palette=self.palette(), workers=workers)
         open_ports = {port.name: None for port in signature_of(type(stage)).ports if port.optional}
         return stage.run(context, **{**open_ports, **self.inputs()}), context
 
     def _digest(self, stage: Stage, **how: Any) -> tuple[str | None, str, str]:
+        return self._digest_and_context(stage, **how)[0]
+
+    def _digest_and_context(self, stage: Stage, **how: Any) -> tuple[tuple[str | None, str, str], PlainContext]:
         made, context = self._run(stage, **how)
         own = made.digest() if isinstance(made, Artifact) else None
-        return own, digest_of(context.directory), json_text(jsonable(context.reported))
+        return (own, digest_of(context.directory), json_text(jsonable(context.reported))), context
 
     def test_has_a_name_of_family_and_word(self) -> None:
         """``family.name``, both in lower case."""
@@ -93,11 +96,13 @@ class StageContract:
                 json_text(jsonable(made.summary()))
 
     def test_same_seed_same_result(self) -> None:
-        """Whatever the number of threads."""
+        """Whatever the number of threads, and whether workers do what it maps (`Context.map`)."""
         for stage in self.stages():
-            first = self._digest(stage)
+            first, context = self._digest_and_context(stage)
             assert self._digest(stage) == first
             assert self._digest(stage, threads=3) == first
+            if context.asked_for_workers:
+                assert self._digest(stage, workers=2) == first
 
     def test_leaves_its_inputs_alone(self) -> None:
         """Artifacts are shared between stages."""

@@ -58,6 +58,14 @@ pipeline:
   - {stage: write.mesh, path: mesh.3mf}
 """
 
+PLATE = """sppm: 1
+name: plate
+pipeline:
+  - {stage: read.primitive, shape: box, size: [200 mm, 200 mm, 1 mm]}
+  - {stage: slice.mesh, pixel: 0.02 mm}
+  - {stage: write.png, path: slices}
+"""
+
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
@@ -156,6 +164,18 @@ def test_too_little_memory_is_refused_before_any_work(here, capsys, verb):
     assert "hint: lower `resolution`, or slice without a mesh" in err
     assert not (here / "runs").exists()
     assert "SPPM_MEMORY" not in os.environ
+
+
+def test_each_worker_of_a_single_run_takes_memory_of_its_own(here, capsys):
+    (here / "plate.yaml").write_text(PLATE)
+    assert sppm("run", "plate.yaml", "-n") == 0
+    assert sppm("run", "plate.yaml", "--memory", "700M", "-j", "4") == 5
+    err = capsys.readouterr().err
+    assert "stage 'write.png': about " in err
+    assert "(4 workers and the program itself)" in err
+    assert "hint: slice with a larger `pixel` or `layer`" in err
+    assert not (here / "runs").exists()
+    assert sppm("run", "plate.yaml", "--memory", "700M", "-j", "4", "--executor", "serial", "-n") == 0
 
 
 @pytest.mark.parametrize("verb", ["estimate", "run"])

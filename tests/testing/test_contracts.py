@@ -45,6 +45,64 @@ class TestUniform(SamplerContract):
         return [Uniform(), Uniform(count=1)]
 
 
+CALLS: list[float] = []
+
+
+def powers(number: Number, exponents: np.ndarray) -> np.ndarray:
+    """What a worker does with an item."""
+    return number.value**exponents
+
+
+def counted(number: Number, exponents: np.ndarray) -> np.ndarray:
+    """The same by one that remembers."""
+    CALLS.append(1.0)
+    return number.value**exponents + len(CALLS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Powers(Stage):
+    """Report powers of a number, each found by a worker."""
+
+    name: ClassVar[str] = "check.powers"
+    work: ClassVar[Any] = staticmethod(powers)
+
+    def run(self, context: Context, number: Number) -> None:
+        items = [np.arange(n) for n in range(1, 4)]
+        context.report(sums=[float(made.sum()) for made in context.map(self.work, items, number)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remembering(Powers):
+    """By workers that remember what they did."""
+
+    work: ClassVar[Any] = staticmethod(counted)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Handmade(Powers):
+    """By a function that workers can't find."""
+
+    work: ClassVar[Any] = staticmethod(lambda number, exponents: number.value**exponents)
+
+
+class TestPowers(StageContract):
+    def stages(self):
+        return [Powers()]
+
+    def inputs(self) -> Mapping[str, Any]:
+        return {"number": Number(2.0)}
+
+
+@pytest.mark.parametrize(("stage", "error"), [(Remembering(), AssertionError), (Handmade(), TypeError)])
+def test_what_workers_can_not_do_again_is_refused(stage, error):
+    class Suite(TestPowers):
+        def stages(self):
+            return [stage]
+
+    with pytest.raises(error):
+        Suite().test_same_seed_same_result()
+
+
 class TestRandomNumber(StageContract):
     def stages(self):
         return [RandomNumber(), RandomNumber(count=3)]

@@ -112,8 +112,10 @@ class DaskExecutor(Executor):
         # the arguments are the task's own, and none of them Dask's
         inner = self._tasks.submit(functools.partial(fn, *args, **kwargs))
         outer: Future[Any] = Future()
-        outer.add_done_callback(functools.partial(_cancel, inner))
-        inner.add_done_callback(functools.partial(_pass_on, outer))
+        # cut when there is an outcome: the workers keep a result until nobody here refers to its future
+        link = [inner]
+        outer.add_done_callback(functools.partial(_cancel, link))
+        inner.add_done_callback(functools.partial(_pass_on, outer, link))
         return outer
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -185,13 +187,15 @@ def _counted(workers: int, where: str, client: Any) -> str:
     return f"{there} worker{'' if there == 1 else 's'}"
 
 
-def _cancel(inner: Future[Any], outer: Future[Any]) -> None:
+def _cancel(link: list[Future[Any]], outer: Future[Any]) -> None:
     if outer.cancelled():
-        inner.cancel()
+        for inner in link:
+            inner.cancel()
 
 
-def _pass_on(outer: Future[Any], inner: Future[Any]) -> None:
+def _pass_on(outer: Future[Any], link: list[Future[Any]], inner: Future[Any]) -> None:
     """Give the outcome of Dask's future to ours, which somebody may cancel meanwhile."""
+    link.clear()
     with contextlib.suppress(InvalidStateError):
         if inner.cancelled():  # not by us
             outer.set_exception(ConnectionError("the Dask scheduler is gone"))

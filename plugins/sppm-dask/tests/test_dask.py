@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import sys
@@ -15,6 +16,8 @@ import sppm_dask.executor as places
 from sppm_dask.executor import DaskExecutor
 
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.run.crew import Crew
+from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.errors import ConfigError, NativeCrash, ResourceError
 from sppm_pipeline.testing.contracts import ExecutorContract
@@ -47,6 +50,39 @@ pipeline:
   - {stage: connect.mst}
   - {stage: write.graph, path: graph.json}
 sweep: {n: [1, 2, 3, 4, 5, 6, 7, 8]}
+"""
+
+
+WRITER = '''
+import os, signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+from sppm_pipeline import LayerWriter, option
+
+@dataclass(frozen=True, kw_only=True)
+class WriteRaw(LayerWriter):
+    """Raw layers; the first worker to encode one dies of it."""
+    name: ClassVar[str] = "write.raw"
+    suffix: ClassVar[str] = ".raw"
+    path: str = option("layers", help="folder to write", output=True)
+
+    def encode(self, image, stack):
+        once = Path(__file__).with_name("once")
+        if not once.exists():
+            once.write_text(str(os.getpid()))
+            os.kill(os.getpid(), signal.SIGKILL)
+        return image.tobytes()
+'''
+
+PART = """sppm: 1
+pipeline:
+  - {stage: sample.dart_throwing, total: 40}
+  - {stage: connect.mst}
+  - {stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.04}
+  - {stage: tile.periodic, cells: [2, 2, 2], cell: 2 mm}
+  - {stage: slice.field, pixel: 0.1 mm}
+  - {stage: write.raw}
 """
 
 
@@ -86,6 +122,22 @@ def test_a_task_that_kills_its_workers_says_so(cluster):
         error = executor.submit(os._exit, 3).exception(timeout=60)
         assert isinstance(error, NativeCrash)
         assert "died 2 times" in error.message
+
+
+def test_workers_forget_results_that_were_taken(cluster):
+    with DaskExecutor(2, cluster.scheduler_address) as executor:
+        gc.collect()
+        gc.disable()  # what is left to it may stay for minutes
+        try:
+            futures = [executor.submit(bytes, 1000) for _ in range(4)]
+            assert [len(future.result(timeout=30)) for future in futures] == [1000] * 4
+            futures.clear()
+            deadline = time.monotonic() + 10
+            while executor._client.futures and time.monotonic() < deadline:
+                time.sleep(0.01)
+            assert not executor._client.futures
+        finally:
+            gc.enable()
 
 
 def test_places_that_are_none(monkeypatch):
@@ -153,3 +205,19 @@ def test_a_sweep_survives_a_worker_that_is_killed_with_the_bytes_of_a_serial_one
         (tmp_path / "once").unlink()  # of the worker that has died
     assert found[0] == found[1]
     assert len(found[0]) == 8 + 2
+
+
+def test_a_part_is_sliced_by_workers_with_the_bytes_of_one_process(cluster, tmp_path):
+    (tmp_path / "raw.py").write_text(WRITER)
+    (tmp_path / "once").write_text("not in serial")
+    session = open_session(RunRequest("part.yaml", plugins=(str(tmp_path / "raw.py"),), text=PART))
+    found = []
+    for to, executor in (("serial", None), ("cluster", f"dask:{cluster.scheduler_address}")):
+        path, crew = tmp_path / to, None
+        if executor is not None:
+            crew = Crew(session.plugins, path, executor=executor, workers=2, threads=2)
+        record = run_plan(session.plan(), path, threads=2, crew=crew)
+        found.append((outputs(path), record["stages"][-1]["summary"]))
+        (tmp_path / "once").unlink()  # of the worker that has died
+    assert found[0] == found[1]
+    assert len(found[0][0]) == 40 + 2  # manifest.json and the overview

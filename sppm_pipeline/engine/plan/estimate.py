@@ -205,6 +205,7 @@ def refuse_what_cannot_fit(
     *,
     runs: int = 1,
     workers: int = 1,
+    crew: int = 0,
     memory: tuple[int | None, str] | None = None,
 ) -> None:
     """Raise `ResourceError` if memory or disk will not do, with what to change.
@@ -219,6 +220,8 @@ def refuse_what_cannot_fit(
         Runs that write into it.
     workers : int
         Runs at the same time.
+    crew : int
+        Worker processes of this machine beside each run, which take as much as a stage that hands them work.
     memory : (bytes or None, words), optional
         What may be taken, and what limits it; that of this machine if omitted.
     """
@@ -226,11 +229,13 @@ def refuse_what_cannot_fit(
     # the user's own limit is meant as it stands
     slack = 1.0 if MEMORY in words or "--memory" in words else TRUST
     for stage in estimate.stages:
-        needed = stage.resident * workers
+        helpers = crew if stage.step.stage.maps else 0
+        needed = stage.resident * (workers + helpers)
         if limit is not None and stage.cost is not None and needed > slack * limit:
             raise ResourceError(
                 f"about {format_bytes(needed)} of memory would be needed; {words} is {format_bytes(limit)}"
-                + (f" ({workers} runs at the same time)" if workers > 1 else ""),
+                + (f" ({workers} runs at the same time)" if workers > 1 else "")
+                + (f" ({helpers} workers and the program itself)" if helpers else ""),
                 hint=stage.advice or "use a coarser resolution or a smaller part",
                 where=stage.step.where,
                 stage=stage.step.address,

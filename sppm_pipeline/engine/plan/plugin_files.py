@@ -14,9 +14,13 @@ from typing import TYPE_CHECKING
 from sppm_pipeline.errors import PluginError
 
 if TYPE_CHECKING:
+    from sppm_pipeline.engine.plan.plugins import Plugins
     from sppm_pipeline.stage import Stage
 
 _IMPORTING = threading.Lock()
+
+_SINGLE = "sppm_plugin_"
+"""What the names of modules begin with that are single files."""
 
 
 def import_file(path: Path) -> ModuleType:
@@ -24,7 +28,7 @@ def import_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise PluginError(f"there is no plugin file {str(path)!r}")
     digest = hashlib.sha256(str(path.resolve()).encode() + b"\0" + path.read_bytes()).hexdigest()[:16]
-    name = f"sppm_plugin_{path.stem}_{digest}"
+    name = f"{_SINGLE}{path.stem}_{digest}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise PluginError(f"a plugin file must end in .py, got {str(path)!r}")
@@ -57,6 +61,16 @@ def _line_in(error: Exception, path: Path) -> str:
             line = f":{trace.tb_lineno}"
         trace = trace.tb_next
     return line
+
+
+def single_files(plugins: Plugins) -> tuple[str, ...]:
+    """The plugins that are single files, for `import_file` of another process."""
+    modules = [plugin.module for plugin in plugins.plugins if not plugin.builtin and plugin.distribution is None]
+    return tuple(
+        str(module.__file__)
+        for module in modules
+        if isinstance(module, ModuleType) and module.__name__.startswith(_SINGLE)
+    )
 
 
 def stage_classes(module: ModuleType) -> list[type[Stage]]:

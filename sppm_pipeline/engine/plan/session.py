@@ -202,13 +202,23 @@ def estimates(
 
 
 def refuse_unfit(
-    session: Session, plan: Plan, rows: Sequence[Row], folder: Path, *, workers: int = 1, until: str | None = None
+    session: Session,
+    plan: Plan,
+    rows: Sequence[Row],
+    folder: Path,
+    *,
+    workers: int = 1,
+    crew: int = 0,
+    until: str | None = None,
 ) -> None:
-    """Raise `ResourceError` if the run or any of a sweep's can't fit into memory or onto the disk."""
+    """Raise `ResourceError` if the run or any of a sweep's can't fit into memory or onto the disk.
+
+    Of a sweep `workers` runs go at the same time; a single run may have a `crew` of worker processes on this machine.
+    """
     found = estimates(session, plan, rows, until)
     runs = max(1, len(rows))
     for estimate in found:
-        refuse_what_cannot_fit(estimate, folder, workers=min(workers, runs))
+        refuse_what_cannot_fit(estimate, folder, workers=min(workers, runs), crew=0 if rows else crew)
     if runs > 1:
         total = sum(estimate.disk for estimate in found) / len(found) * runs
         largest = max(found, key=lambda estimate: estimate.disk)

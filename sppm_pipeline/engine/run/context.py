@@ -6,9 +6,9 @@ import contextlib
 import hashlib
 import operator
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.process.budget import planning_memory, requested_memory
 from sppm_pipeline.process.interruption import check, current_stop
 from sppm_pipeline.stage import Context
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.run.crew import Crew
 
 
 def generator(seed: int, path: tuple[str, ...], key: tuple[int, ...]) -> np.random.Generator:
@@ -114,6 +117,8 @@ class RunContext(Context):
         None if there is nowhere to write.
     store : Store or None
         The cache, which keeps what stages have not finished; None if nothing is kept.
+    crew : Crew or None
+        The run's workers; None if all work is done in this process.
     """
 
     def __init__(
@@ -127,9 +132,13 @@ class RunContext(Context):
         log: StageLog,
         folder: RunFolder | Scratch | None,
         store: Store | None = None,
+        crew: Crew | None = None,
     ) -> None:
         self._seed = seed
         self._store = store
+        self._crew = crew
+        if crew is not None:
+            self.workers, self.worker_threads = crew.workers, crew.threads
         self.path = path
         self.address = address
         self.threads = threads
@@ -151,6 +160,7 @@ class RunContext(Context):
             log=self.log,
             folder=self.folder,
             store=self._store,
+            crew=self._crew,
         )
 
     def recipe_key(self, recipe: str, recipes: Mapping[str, Sequence[Step]], attempt: int) -> str | None:
@@ -182,6 +192,18 @@ class RunContext(Context):
         """See `Context.warn`."""
         check(self._stop)
         self.log.warn(self.address, message)
+
+    def map(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any = None) -> Iterator[Any]:
+        """See `Context.map`."""
+        check()
+        if self._crew is None:
+            return super().map(function, items, common)
+        return self._crew.map(function, items, common)
+
+    def shared_folder(self) -> Path | None:
+        """See `Context.shared_folder`."""
+        check()
+        return None if self._crew is None else self._crew.folder()
 
     def remember(self, key: str, state: Any) -> None:
         """See `Context.remember`; stages call this on their way out of an interrupted run, too."""

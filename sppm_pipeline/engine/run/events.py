@@ -33,6 +33,9 @@ class Monitor:
     def sweep_started(self, about: str, total: int) -> None:
         """So many runs of a sweep begin, at the place that the executor describes, if it does."""
 
+    def crew_started(self, about: str) -> None:
+        """Workers begin to do parts of a stage's work, at the place that their executor describes."""
+
     def row_finished(self, done: int, total: int, row: Mapping[str, Any]) -> None:
         """One run of a sweep ended, well or not."""
 

@@ -14,7 +14,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from typing import Any
 
 from sppm_pipeline.engine.config.problems import did_you_mean
-from sppm_pipeline.engine.plan.plugins import Plugins
+from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.process.interruption import check
@@ -85,6 +85,24 @@ def default_executor(workers: int) -> str:
     return "processes" if workers > 1 else "serial"
 
 
+def require_executor(name: str | None, workers: int, plugins: Plugins) -> tuple[str, str, Callable[..., Any], Plugin]:
+    """Name, place, function and plugin of the executor `name`; see `make_executor`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such executor, or it is in one place only.
+    """
+    there = {key: (make, plugin) for plugin in plugins.plugins for key, make in plugin.executors.items()}
+    name, colon, where = (name or default_executor(workers)).partition(":")
+    if name not in there:
+        raise ConfigError(f"there is no executor {name!r}", hint=did_you_mean(name, there))
+    make, plugin = there[name]
+    if colon and not _takes_where(make):
+        raise ConfigError(f"the executor {name!r} takes no place, got {where!r} after the colon")
+    return name, where, make, plugin
+
+
 def make_executor(name: str | None, workers: int, plugins: Plugins) -> Executor:
     """The executor called `name`; without a name, processes if there is more than one worker.
 
@@ -102,16 +120,9 @@ def make_executor(name: str | None, workers: int, plugins: Plugins) -> Executor:
     PluginError
         If a plugin's function does not return an executor.
     """
-    there = {key: (make, plugin) for plugin in plugins.plugins for key, make in plugin.executors.items()}
-    name, colon, where = (name or default_executor(workers)).partition(":")
-    if name not in there:
-        raise ConfigError(f"there is no executor {name!r}", hint=did_you_mean(name, there))
-    make, plugin = there[name]
-    somewhere = _takes_where(make)
-    if colon and not somewhere:
-        raise ConfigError(f"the executor {name!r} takes no place, got {where!r} after the colon")
+    name, where, make, plugin = require_executor(name, workers, plugins)
     try:
-        executor = make(workers, where) if somewhere else make(workers)
+        executor = make(workers, where) if _takes_where(make) else make(workers)
     except SppmError:
         raise
     except Exception as error:
@@ -212,7 +223,7 @@ def serve(
             check()
             hear(LISTENING)  # not for ever, so that whoever is asked to stop hears of it
     except BaseException:
-        _stop_workers()
+        stop_workers()
         raise
     finally:
         for future in list(futures.values()):  # `shutdown` of a cluster's executor may not know how to
@@ -229,8 +240,8 @@ def _children() -> list[Any]:
     return sys.modules["multiprocessing"].active_children() if "multiprocessing" in sys.modules else []
 
 
-def _stop_workers() -> None:
-    """End the processes of this sweep, so that an interrupted one does not go on in the background.
+def stop_workers() -> None:
+    """End the worker processes, so that an interrupted one does not go on in the background.
 
     Runs in threads do not hear of the interruption; the native code that they wait for is ended for them.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -30,6 +31,7 @@ from sppm_pipeline.stage import Rejected
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.session import CacheSession
     from sppm_pipeline.engine.cache.store import Store
+    from sppm_pipeline.engine.run.crew import Crew
     from sppm_pipeline.engine.run.memory import MemoryRun
 
 
@@ -51,6 +53,7 @@ def run_plan(
     about: str = "",
     key: str | None = None,
     earlier: MemoryRun | None = None,
+    crew: Crew | None = None,
 ) -> dict[str, Any]:
     """Run the pipeline and write ``run.json``, also when a stage fails.
 
@@ -74,6 +77,8 @@ def run_plan(
         the byte is taken as it is.
     earlier : MemoryRun, optional
         A run of the same plan in memory; its stages that write nothing are not run again.
+    crew : Crew, optional
+        Workers that stages hand parts of their work to; ended with the run.
 
     Returns
     -------
@@ -92,19 +97,23 @@ def run_plan(
     with Recorder(plan, path, threads=threads, until=until, monitor=monitor) as recorder:
         if key is not None:
             recorder.extra["key"] = key
-        StepRunner(
-            plan.until(until),
-            plan.recipes,
-            seed=plan.seed,
-            threads=threads,
-            folder=recorder.folder,
-            monitor=monitor,
-            observers=recorder.observers(),
-            store=store,
-            about=about,
-            checkpoint=recorder.checkpoint,
-            earlier=earlier.runner if earlier is not None else None,
-        ).run()
+        if crew is not None:
+            crew.warn = recorder.warn
+        with contextlib.nullcontext() if crew is None else contextlib.closing(crew):
+            StepRunner(
+                plan.until(until),
+                plan.recipes,
+                seed=plan.seed,
+                threads=threads,
+                folder=recorder.folder,
+                monitor=monitor,
+                observers=recorder.observers(),
+                store=store,
+                about=about,
+                checkpoint=recorder.checkpoint,
+                earlier=earlier.runner if earlier is not None else None,
+                crew=crew,
+            ).run()
     return recorder.record
 
 
@@ -140,6 +149,7 @@ class StepRunner:
         Ids of results that are kept.
     earlier : StepRunner, optional
         A runner of the same steps; what it has run is not run again, unless it writes.
+    crew : Crew, optional
 
     Attributes
     ----------
@@ -163,6 +173,7 @@ class StepRunner:
         checkpoint: Callable[[], None] = lambda: None,
         keep: Collection[str] = (),
         earlier: StepRunner | None = None,
+        crew: Crew | None = None,
     ) -> None:
         self.entries: list[dict[str, Any]] = []
         self._steps = {step.id: step for step in steps}
@@ -175,6 +186,7 @@ class StepRunner:
         self._checkpoint = checkpoint
         self._keep = keep
         self._earlier = earlier
+        self._crew = crew
         self._facts: dict[str, dict[str, Any]] = {}
         self._results = dict(available)
         self._cache: CacheSession | None = None
@@ -367,6 +379,7 @@ class StepRunner:
             log=log,
             folder=folder,
             store=None if self._cache is None else self._cache.store,
+            crew=self._crew,
         )
         return run_step(step, step.stage, inputs, context, self._recipes)
 

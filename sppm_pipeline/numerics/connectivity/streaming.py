@@ -6,6 +6,9 @@ that it touches in the layer below, or a new one. Ids that turn out to be one co
 counted per id. The second pass meets the same layers, derives the same ids in the same way, without any union, and
 looks up whether they stay.
 
+Slabs may also be labeled apart from each other, each by a filter of its own: `IslandFilter.labels` ends the first pass
+of a slab, `slab_union` unites them, and `IslandFilter.decided` begins the second pass.
+
 Kept between layers are the runs of one layer and their ids; besides, some forty bytes per id until `finish`, and one
 byte afterwards. A new id is needed only where a two-dimensional component lies on nothing below: a few per cell.
 """
@@ -53,6 +56,38 @@ class IslandStatistics(NamedTuple):
     spans: tuple[bool, bool, bool]
 
 
+class SlabLabels(NamedTuple):
+    """What the first pass knows of a slab that was labeled by itself.
+
+    Components are numbered in the order of their first voxels (z slowest).
+
+    Attributes
+    ----------
+    layers : int
+        Number of layers.
+    component : (n_ids,) int32
+        The component that each id belongs to.
+    voxels : (n,) int64
+        Voxels of each component.
+    boxes : (n, 6) int32
+        x low, x high, y low, y high, z low, z high of each; the highs are inclusive, z counts from the slab's first
+        layer.
+    first, last : Runs
+        The runs of the first and of the last layer.
+    of_first, of_last : (n_runs,) int32
+        The components of these runs.
+    """
+
+    layers: int
+    component: NDArray[np.int32]
+    voxels: NDArray[np.int64]
+    boxes: NDArray[np.int32]
+    first: Runs
+    of_first: NDArray[np.int32]
+    last: Runs
+    of_last: NDArray[np.int32]
+
+
 class IslandFilter:
     """Remove floating islands in two passes over the same slabs.
 
@@ -77,6 +112,14 @@ class IslandFilter:
         self._boxes = np.zeros((1024, 6), dtype=np.int32)
         self._verdict: NDArray[np.bool_] | None = None
         self._rewind()
+        self._first, self._ids_first = self._below, self._ids_below
+
+    @classmethod
+    def decided(cls, ny: int, nx: int, layers: int, verdict: NDArray[np.bool_], connectivity: int = 6) -> IslandFilter:
+        """The filter of a slab whose second pass begins; `verdict` says of each of its ids whether it stays."""
+        islands = cls(ny, nx, connectivity)
+        islands._layers, islands._verdict = layers, verdict
+        return islands
 
     def _rewind(self) -> None:
         ny, nx = self._shape
@@ -129,6 +172,8 @@ class IslandFilter:
         for k in range(layers.shape[0]):
             known = self._n_ids
             runs = self._advance(layers[k : k + 1], joining=True)
+            if self._z == 1:
+                self._first, self._ids_first = runs, self._ids_below
             _count_runs(
                 runs.rows, runs.bounds, self._ids_below, known, self._n_ids, self._z - 1, self._voxels, self._boxes
             )
@@ -151,46 +196,53 @@ class IslandFilter:
         ValueError
             If the fraction is not in (0, 1].
         """
-        if keep != "largest" and not 0 < keep <= 1:
-            raise ValueError(f"the share of the phase that a kept component holds is in (0, 1], not {keep}")
         if self._verdict is not None:
             raise ValueError("finish comes once")
         root = self._parent[: self._n_ids]
         _resolve(root, self._voxels, self._boxes)
-        is_root = root == np.arange(root.size, dtype=np.int32)
-        sizes = np.where(is_root, self._voxels[: root.size], 0)
-        total = int(sizes.sum())
-        if total == 0:
-            self._verdict = np.zeros(0, dtype=np.bool_)
-            self._rewind()
-            return IslandStatistics(self._layers, 0, 0, 0, 0.0, 0.0, (False, False, False))
-        largest = int(np.argmax(sizes))
-        if keep == "largest":
-            kept = np.arange(root.size) == largest
-        else:
-            kept = is_root & (sizes >= keep * total)
+        kept, statistics = decide(root, self._voxels[: root.size], self._boxes[: root.size], self._layers, keep)
         self._verdict = kept[root]
-        boxes = self._boxes[: root.size][is_root]
-        own = self._boxes[largest]
-        x, y, z = (
-            bool(own[2 * a] == boxes[:, 2 * a].min() and own[2 * a + 1] == boxes[:, 2 * a + 1].max()) for a in range(3)
-        )
-        statistics = IslandStatistics(
+        self._forget()
+        return statistics
+
+    def labels(self) -> SlabLabels:
+        """End the first pass of a slab that is one of several; nothing else may follow.
+
+        Raises
+        ------
+        ValueError
+            If no layer was observed, or the first pass has ended already.
+        """
+        if self._verdict is not None or not self._layers:
+            raise ValueError("labels come once, after the layers of a slab")
+        root = self._parent[: self._n_ids]
+        _resolve(root, self._voxels, self._boxes)
+        is_root = root == np.arange(root.size, dtype=np.int32)
+        number = np.cumsum(is_root, dtype=np.int32) - np.int32(1)
+        component = number[root]
+        made = SlabLabels(
             layers=self._layers,
-            voxels=total,
-            components=int(np.count_nonzero(is_root)),
-            kept=int(np.count_nonzero(kept)),
-            largest_share=int(sizes[largest]) / total,
-            removed_share=int(sizes[~kept].sum()) / total,
-            spans=(x, y, z),
+            component=component,
+            voxels=self._voxels[: root.size][is_root],
+            boxes=self._boxes[: root.size][is_root],
+            first=self._first,
+            of_first=component[self._ids_first],
+            last=self._below,
+            of_last=component[self._ids_below],
         )
+        self._verdict = np.zeros(0, dtype=np.bool_)
+        self._forget()
+        return made
+
+    def _forget(self) -> None:
+        """What only the first pass needs."""
         self._parent, self._voxels, self._boxes = (
             np.zeros(0, dtype=np.int32),
             np.zeros(0, dtype=np.int64),
             np.zeros((0, 6), dtype=np.int32),
         )
         self._rewind()
-        return statistics
+        self._first, self._ids_first = self._below, self._ids_below
 
     def clear(
         self, slab: NDArray[np.bool_] | NDArray[np.uint8], out: NDArray[np.uint8] | None = None
@@ -232,6 +284,70 @@ class IslandFilter:
                 )
             clear_runs(runs.rows, runs.bounds, self._verdict[self._ids_below], out[k : k + 1].view(np.uint8))
         return out
+
+
+def decide(
+    root: NDArray[np.int32],
+    voxels: NDArray[np.int64],
+    boxes: NDArray[np.int32],
+    layers: int,
+    keep: Literal["largest"] | float,
+) -> tuple[NDArray[np.bool_], IslandStatistics]:
+    """Which roots stay, and the statistics of the components.
+
+    Parameters
+    ----------
+    root : (n,) int32
+        The root of each label, the smallest one of its component; smaller roots begin at earlier voxels.
+    voxels : (n,) int64
+    boxes : (n, 6) int32
+        Voxels and bounding boxes, gathered at the roots.
+    layers : int
+    keep : "largest" or float
+        See `IslandFilter.finish`.
+
+    Returns
+    -------
+    kept : (n,) bool
+        Whether a root stays.
+    statistics : IslandStatistics
+
+    Raises
+    ------
+    ValueError
+        If the fraction is not in (0, 1].
+    """
+    if keep != "largest" and not 0 < keep <= 1:
+        raise ValueError(f"the share of the phase that a kept component holds is in (0, 1], not {keep}")
+    is_root = root == np.arange(root.size, dtype=np.int32)
+    sizes = np.where(is_root, voxels, 0)
+    total = int(sizes.sum())
+    if total == 0:
+        return np.zeros(0, dtype=np.bool_), IslandStatistics(layers, 0, 0, 0, 0.0, 0.0, (False, False, False))
+    largest = int(np.argmax(sizes))
+    if keep == "largest":
+        kept = np.arange(root.size) == largest
+    else:
+        kept = is_root & (sizes >= keep * total)
+    every, own = boxes[is_root], boxes[largest]
+    x, y, z = (
+        bool(own[2 * a] == every[:, 2 * a].min() and own[2 * a + 1] == every[:, 2 * a + 1].max()) for a in range(3)
+    )
+    statistics = IslandStatistics(
+        layers=layers,
+        voxels=total,
+        components=int(np.count_nonzero(is_root)),
+        kept=int(np.count_nonzero(kept)),
+        largest_share=int(sizes[largest]) / total,
+        removed_share=int(sizes[~kept].sum()) / total,
+        spans=(x, y, z),
+    )
+    return kept, statistics
+
+
+def resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
+    """Point every label at its root and gather voxels and bounding boxes there; in place."""
+    _resolve(parent, voxels, boxes)
 
 
 @jit

@@ -1,0 +1,344 @@
+"""The workers of a single run: stages hand them parts of their work by `Context.map`."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib
+import os
+import socket
+import sys
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value, save_value
+from sppm_pipeline.engine.files import DISK, clear
+from sppm_pipeline.engine.plan.plugin_files import import_file, single_files
+from sppm_pipeline.engine.plan.plugins import Plugins
+from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.executors import LISTENING, default_executor, make_executor, stop_workers
+from sppm_pipeline.engine.run.outputs import staging_name
+from sppm_pipeline.engine.run.workers import Driver, announced, check_worker
+from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError
+from sppm_pipeline.process.interruption import check
+
+HERE = ("serial", "threads")
+"""Executors of this process, whose stages use its threads as they are."""
+
+AHEAD = 2
+"""Items in work or waiting for each worker, so that none waits for the next one; a choice."""
+
+
+class Kept(NamedTuple):
+    """Where a value lies that all workers load: its folder, and the digests of its files."""
+
+    folder: str
+    files: tuple[StoredFile, ...]
+
+
+@dataclass(frozen=True)
+class Task:
+    """An item on its way to a worker.
+
+    Attributes
+    ----------
+    function : str
+        ``module:name``.
+    common : Kept or None
+    item : object
+    driver : Driver
+    sender : int
+        The process that has made the task.
+    plugins : tuple of str
+        Plugins that are single files.
+    """
+
+    function: str
+    common: Kept | None
+    item: Any
+    driver: Driver
+    sender: int
+    plugins: tuple[str, ...]
+
+
+@dataclass
+class _Job:
+    task: Task
+    future: Future[tuple[Any, list[str]]] | None = None
+    deaths: int = 0
+
+
+class Crew:
+    """The workers of one run, started when a stage first asks for them.
+
+    Parameters
+    ----------
+    plugins : Plugins
+    path : Path
+        The run directory, which the workers share.
+    executor : str or None
+        See `make_executor`.
+    workers : int
+    threads : int
+        Threads of all workers together.
+    cache : Path or None
+        Folder of the cache.
+    retries : int
+        How often an item whose worker died is handed out again.
+    same_processor : bool
+        Refuse workers on another kind of processor.
+    monitor : Monitor, optional
+
+    Attributes
+    ----------
+    workers : int
+    threads : int
+        Threads of each worker.
+    warn : function
+        Told what a worker warns of, once each.
+    """
+
+    def __init__(
+        self,
+        plugins: Plugins,
+        path: Path,
+        *,
+        executor: str | None,
+        workers: int,
+        threads: int,
+        cache: Path | None = None,
+        retries: int = 2,
+        same_processor: bool = False,
+        monitor: Monitor | None = None,
+    ) -> None:
+        self.workers = workers
+        self.threads = max(1, threads // workers)
+        self.warn: Callable[[str], None] = lambda message: None
+        self._plugins = plugins
+        self._path = path.resolve()
+        self._cache = cache.resolve() if cache is not None else None
+        self._executor = executor or default_executor(workers)
+        self._retries = retries
+        self._same_processor = same_processor
+        self._monitor = monitor or Monitor()
+        self._ending = contextlib.ExitStack()
+        self._driver: Driver | None = None
+        self._pool: Executor | None = None
+        self._folder: Path | None = None
+        self._kept: tuple[Any, Kept] | None = None
+        self._folders = 0
+        self._announced = False
+        self._said: set[str] = set()
+
+    @staticmethod
+    def wanted(executor: str | None, workers: int) -> bool:
+        """Whether an executor has workers beside this process; makes no attempt to find it."""
+        return (executor or default_executor(workers)).partition(":")[0] not in HERE
+
+    def folder(self) -> Path:
+        """A new folder that all workers see, gone after the run.
+
+        Raises
+        ------
+        ResourceError
+            If it can't be made.
+        """
+        try:
+            if self._folder is None:
+                self._folder = self._path / staging_name()
+                self._ending.callback(clear, self._folder)
+            self._folders += 1
+            made = self._folder / str(self._folders)
+            made.mkdir(parents=True)
+        except OSError as error:
+            raise ResourceError(f"can't write into {str(self._path)!r}: {error.strerror}", hint=DISK) from error
+        return made
+
+    def map(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any) -> Iterator[Any]:
+        """See `Context.map`; an item whose worker dies is handed out again.
+
+        Raises
+        ------
+        NotStorable
+            If `common` can't be kept.
+        NativeCrash
+            If workers died of an item more often than `retries`.
+        """
+        name = name_of(function)
+        kept = self._keep(common) if common is not None else None
+        self._open()
+        assert self._driver is not None
+        files = single_files(self._plugins)
+        waiting: deque[_Job] = deque()
+        coming = iter(items)
+        try:
+            while True:
+                while len(waiting) < AHEAD * self.workers and (item := next(coming, _END)) is not _END:
+                    waiting.append(_Job(Task(name, kept, item, self._driver, os.getpid(), files)))
+                    self._submit(waiting[-1])
+                if not waiting:
+                    return
+                result = self._result(waiting)
+                waiting.popleft()
+                yield result
+        except KeyboardInterrupt:
+            stop_workers()
+            raise
+        finally:
+            for job in waiting:
+                if job.future is not None:
+                    job.future.cancel()
+
+    def close(self) -> None:
+        """End the workers, and remove what they shared."""
+        try:
+            self._stop()
+        finally:
+            self._ending.close()
+            self._driver = self._kept = self._folder = None
+
+    # --- workers ---
+
+    def _open(self) -> None:
+        if self._driver is None:
+            driver = announced(self._path, self._cache, self._plugins, same_processor=self._same_processor)
+            self._driver = self._ending.enter_context(driver)
+        if self._pool is None:
+            self._pool = make_executor(self._executor, self.workers, self._plugins)
+            if not self._announced:
+                self._announced = True
+                self._monitor.crew_started(getattr(self._pool, "about", f"{self.workers} {self._executor}"))
+
+    def _stop(self) -> None:
+        if self._pool is not None:
+            pool, self._pool = self._pool, None
+            pool.shutdown(wait=True)
+
+    def _submit(self, job: _Job) -> None:
+        """Hand an item out; that the executor is broken is found when its result is asked for."""
+        self._open()
+        assert self._pool is not None
+        try:
+            job.future = self._pool.submit(run_item, job.task)
+        except BrokenExecutor as error:
+            job.future = Future()
+            job.future.set_exception(error)
+
+    def _result(self, waiting: deque[_Job]) -> Any:
+        """The result of the first item."""
+        while True:
+            check()
+            job = waiting[0]
+            assert job.future is not None
+            try:
+                error = job.future.exception(timeout=LISTENING)
+            except TimeoutError:
+                continue
+            except CancelledError as canceled:
+                error = canceled
+            if error is None:
+                result, warnings = job.future.result()
+                for warning in warnings:
+                    if warning not in self._said:
+                        self._said.add(warning)
+                        self.warn(warning)
+                return result
+            if isinstance(error, BrokenExecutor):
+                self._begin_again(waiting, error)
+            elif isinstance(error, NativeCrash):
+                self._count([job], error)
+                self._submit(job)
+            elif isinstance(error, (CancelledError, ConnectionError)):
+                text = f"the executor {self._executor!r} lost work: {type(error).__name__}: {error}"
+                raise PluginError(text, hint="the same command goes on after the last stage that has ended") from error
+            else:
+                raise error
+
+    def _begin_again(self, waiting: deque[_Job], error: BrokenExecutor) -> None:
+        """New workers, and all that the old ones had not finished."""
+        self._stop()
+        left = [job for job in waiting if not _is_done(job)]
+        self._count(left, error)
+        for job in left:
+            self._submit(job)
+
+    def _count(self, jobs: Sequence[_Job], error: BaseException) -> None:
+        """Note that a worker has died while these were in its hands."""
+        for job in jobs:
+            job.deaths += 1
+        if (deaths := max(job.deaths for job in jobs)) > self._retries:
+            why = f": {error}" if isinstance(error, NativeCrash) else ""
+            times = "once" if deaths == 1 else f"{deaths} times"
+            raise NativeCrash(
+                f"a worker process died, {times} of the same work{why}",
+                hint="a native library crashed, or memory ran out; try fewer workers with -j, or --executor serial",
+            ) from error
+        self._monitor.warning(None, "a worker process died; its work is handed out again")
+
+    # --- what they share ---
+
+    def _keep(self, common: Any) -> Kept:
+        """Write a value where all workers load it; once, however often it is given in turn."""
+        if self._kept is None or self._kept[0] is not common:
+            folder = self.folder()
+            try:
+                files = save_value(common, folder)
+            except OSError as error:
+                raise ResourceError(f"can't write into {str(folder)!r}: {error.strerror}", hint=DISK) from error
+            self._kept = (common, Kept(str(folder), tuple(files)))
+        return self._kept[1]
+
+
+_END: Any = object()
+
+
+def _is_done(job: _Job) -> bool:
+    future = job.future
+    return future is not None and future.done() and not future.cancelled() and future.exception() is None
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """``module:name`` of a function of a module, by which another process finds it.
+
+    Raises
+    ------
+    TypeError
+        If it is none: a method, a lambda, a function inside of another one or of the main script.
+    """
+    module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
+    if module in (None, "__main__") or getattr(sys.modules.get(str(module)), name, None) is not function:
+        raise TypeError(f"what is mapped must be a function of a module that workers can import, not {function!r}")
+    return f"{module}:{name}"
+
+
+def run_item(task: Task) -> tuple[Any, list[str]]:
+    """Do one item in a worker; its result, and what the worker warns of.
+
+    Raises
+    ------
+    ConfigError, ResourceError
+        If this worker is unfit; see `check_worker`.
+    """
+    apart = (os.getpid(), socket.gethostname()) != (task.sender, task.driver.host)
+    warnings = check_worker(task.driver) if apart else []
+    for file in task.plugins:
+        import_file(Path(file))
+    module, _, name = task.function.partition(":")
+    function = getattr(importlib.import_module(module), name)
+    common = None if task.common is None else _loaded(task.common)
+    return function(common, task.item), warnings
+
+
+@functools.lru_cache(maxsize=1)
+def _loaded(kept: Kept) -> Any:
+    """The value that all items have in common; the last one stays, with all that it has found out about itself."""
+    try:
+        return load_value(Path(kept.folder), {file.name: file for file in kept.files})
+    except (DamagedError, OSError) as error:
+        raise ResourceError(
+            f"the worker on {socket.gethostname()} can't read what it was given: {error}", hint=DISK
+        ) from error
