@@ -294,17 +294,33 @@ class HexahedralCells(CurvedCells):
         return hexahedron_tree(self.corners)
 
     @cached_property
-    def _outer(self) -> OuterHexahedra:
+    def outer(self) -> OuterHexahedra:
+        """What continues the cells at the faces at which the mesh ends."""
         from sppm_pipeline.numerics.grading.hexahedral_mesh import outer_hexahedra
 
         return outer_hexahedra(self.corners, MARGIN)
+
+    def rim(self, per_axis: int = 5) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Points on the faces at which the mesh ends, (n, 3) mm, and the cells to which these faces belong, (n,)."""
+        t, outer = np.linspace(0, 1, per_axis), self.outer
+        u, v = (a.ravel() for a in np.meshgrid(t, t, indexing="ij"))
+        points, cells = [np.zeros((0, 3))], [np.zeros(0, np.int32)]
+        for axis in range(3):
+            for side in range(2):
+                own = outer.cell[(outer.size[:, axis] < 1) & ((outer.low[:, axis] > 0) == bool(side))]
+                within = np.empty((len(u), 3))
+                within[:, axis], within[:, (axis + 1) % 3], within[:, (axis + 2) % 3] = side, u, v
+                cell = np.repeat(own, len(u))
+                points.append(self.points(cell, np.tile(within, (len(own), 1))))
+                cells.append(cell)
+        return np.concatenate(points), np.concatenate(cells)
 
     @cached_property
     def _every(self) -> tuple[BoxTree, NDArray[np.float64]]:
         """The cells, and behind them those that continue them: of several that hold a point the first one counts."""
         from sppm_pipeline.numerics.grading.hexahedral_places import hexahedron_tree
 
-        every = np.concatenate([self.corners, self._outer.corners])
+        every = np.concatenate([self.corners, self.outer.corners])
         return hexahedron_tree(every), every
 
     def places(self, points: NDArray[np.float64]) -> Places:
@@ -317,7 +333,7 @@ class HexahedralCells(CurvedCells):
 
         cell, within = places_in(*self._every, points)
         beyond = np.flatnonzero(cell >= self.count)
-        number, outer = cell[beyond] - self.count, self._outer
+        number, outer = cell[beyond] - self.count, self.outer
         within[beyond] = outer.low[number] + within[beyond] * outer.size[number]
         cell[beyond] = outer.cell[number]
         if self.shape is not None:

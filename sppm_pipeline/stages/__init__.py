@@ -56,6 +56,7 @@ BUILT_IN = {
     "tile.graded": "GradedTiling",
     "tile.scattered": "ScatteredTiling",
     "tile.joined": "JoinedTiling",
+    "tile.hexahedra": "HexahedralTiling",
     "warp.cylinder": "WarpCylinder",
     "warp.sphere": "WarpSphere",
     "warp.hexahedra": "WarpHexahedra",
