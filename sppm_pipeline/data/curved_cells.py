@@ -82,13 +82,24 @@ class CurvedCells(ABC):
         columns = [(self.points(cell, within + e) - self.points(cell, within - e)) / (2 * _STEP) for e in steps]
         return np.stack(columns, axis=2)
 
-    def inner(self, per_axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points in all cells, (count, per_axis^3, 3) mm, and the volume that each stands for, (count, per_axis^3)."""
+    def mapped_with_volume(
+        self, cell: NDArray[np.integer], within: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points (n, 3) mm at places in cells, and the volume of a unit there, (n,) mm^3."""
+        return self.points(cell, within), np.abs(np.linalg.det(self.derivatives(cell, within)))
+
+    def inner(
+        self, per_axis: int, cells: NDArray[np.integer] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points in cells, all of them unless given, (cells, per_axis^3, 3) mm, and the volume that each stands for,
+        (cells, per_axis^3).
+        """
+        chosen = np.arange(self.count) if cells is None else cells
         t = (np.arange(per_axis) + 0.5) / per_axis
         within = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
-        cell, place = np.repeat(np.arange(self.count), len(within)), np.tile(within, (self.count, 1))
-        volume = np.abs(np.linalg.det(self.derivatives(cell, place))) / len(within)
-        return self.points(cell, place).reshape(self.count, -1, 3), volume.reshape(self.count, -1)
+        points, volume = self.mapped_with_volume(np.repeat(chosen, len(within)), np.tile(within, (len(chosen), 1)))
+        shape = (len(chosen), len(within))
+        return points.reshape(*shape, 3), volume.reshape(shape) / len(within)
 
     @cached_property
     def centers(self) -> NDArray[np.float64]:
@@ -162,6 +173,12 @@ class BentBox(CurvedCells):
 
     def points(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
         return self.mapped(np.stack(np.unravel_index(cell, self.shape), axis=1) + within)[0]
+
+    def mapped_with_volume(
+        self, cell: NDArray[np.integer], within: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        points, volume = self.mapped(np.stack(np.unravel_index(cell, self.shape), axis=1) + within)
+        return points, volume * self.edge**3
 
     def places(self, points: NDArray[np.float64]) -> Places:
         place = self.unmapped(points)
@@ -286,6 +303,13 @@ class HexahedralCells(CurvedCells):
         from sppm_pipeline.numerics.grading.hexahedral_places import points_in
 
         return points_in(self.corners, cell, within)[1]
+
+    def mapped_with_volume(
+        self, cell: NDArray[np.integer], within: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        from sppm_pipeline.numerics.grading.hexahedral_places import points_and_volumes
+
+        return points_and_volumes(self.corners, cell, within)
 
     @cached_property
     def _tree(self) -> BoxTree:

@@ -1,9 +1,9 @@
-"""The porosity of bent cells: measured on voxels of the part, and tuned by a level that varies from cell to cell."""
+"""The porosity of bent cells: sampled in their own coordinates, and tuned by a level that varies between them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -18,21 +18,24 @@ from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.warped import WarpedTiling
 from sppm_pipeline.fields.warped_field import WarpedField
 from sppm_pipeline.fields.wrapped import WrappedField
+from sppm_pipeline.numerics.grading.bricks import cubic_in_layers, linear_in_layers
 from sppm_pipeline.numerics.grading.cell_level import (
     CellLevelFit,
+    CellSamples,
     ControlLattice,
-    LocatedSamples,
     blending,
     fit_cells,
     means_over_cells,
     porosities_and_slopes,
 )
-from sppm_pipeline.numerics.grading.level_spline import LayerSpline
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.threads import ordered_map
 
 POINTS = 4
 """Points along each axis of a cell at which a map is asked for its mean."""
+
+FINER, FINEST = 0.75, 1.5
+"""Spacing of the samples between which values are interpolated, over that from which the field may be; and the most of
+them along the smallest cell, over the number of points there: kernels outside of the cells may be finer by far."""
 
 PER_CELL = 3.0
 """Control points of a level along the shortest edge of any cell: a choice."""
@@ -40,15 +43,13 @@ PER_CELL = 3.0
 MOST_CONTROL = 2**24
 """Control points at most; cells that differ more in size get fewer each."""
 
-SLAB = 1 << 22
-"""Samples that are taken together."""
-
-BYTES_OF_A_SAMPLE = 12
+SLAB, AT_ONCE = 1 << 23, 1 << 21
+"""Samples of the field, and points in cells, that are taken together."""
 
 
 def curved_cells_of(field: ScalarField) -> CurvedCells | None:
     """The bent cells of a field, of a part filled with it, or of a field made from it; None of others."""
-    while isinstance(field, WrappedField) and not isinstance(field, (WarpedTiling, WarpedField)):
+    while isinstance(field, WrappedField):
         field = field.base
     return field.curved if isinstance(field, (WarpedTiling, WarpedField)) else None
 
@@ -60,107 +61,136 @@ def curved_targets(grading: Grading, name: str, curved: CurvedCells) -> NDArray[
     return np.asarray((values * volume).sum(axis=1) / volume.sum(axis=1))
 
 
-class CellCounts(NamedTuple):
-    """Voxels of each bent cell, all (m,): how many there are, how many lie in the part, and the void among these."""
+class CellShares(NamedTuple):
+    """Shares of each bent cell, all (m,): of what lies in the part, and of void in that."""
 
-    number: NDArray[np.int64]
-    inside: NDArray[np.int64]
-    void: NDArray[np.int64]
-
-    @property
-    def porosity(self) -> NDArray[np.float64]:
-        """Share of void in what lies in the part."""
-        return self.void / np.maximum(self.inside, 1)
-
-    @property
-    def share(self) -> NDArray[np.float64]:
-        """Share that lies in the part."""
-        return self.inside / np.maximum(self.number, 1)
+    share: NDArray[np.float64]
+    porosity: NDArray[np.float64]
 
 
-def voxels_for(field: ScalarField, curved: CurvedCells, n: int) -> Grid:
-    """Voxels over the box of a field, so fine that a bent cell of mean size has n along an edge, a small one n / 2."""
-    sizes = np.cbrt(curved.volumes)
-    size = min(float(np.cbrt(curved.volumes.mean())), 2 * float(sizes.min()))
-    edge = field.physical_edge()
-    low, high = (curved.box - np.array(field.origin_mm)) / edge
-    h = size / n / edge
-    first = np.floor(low / h).astype(int)
-    nx, ny, nz = (np.ceil(high / h).astype(int) - first).tolist()
-    x, y, z = ((first + 0.5) * h).tolist()
-    return Grid((x, y, z), (h, h, h), (nx, ny, nz))
+class Found(NamedTuple):
+    """Values at some points in cells.
+
+    Attributes
+    ----------
+    points : (k, 3) float64, mm
+    cell : (k,) int32
+    volume : (k,) float64
+        What each stands for, mm^3.
+    value : (k,) float32
+        Of the field.
+    inside : (k,) bool
+        Whether the part holds them.
+    """
+
+    points: NDArray[np.float64]
+    cell: NDArray[np.int32]
+    volume: NDArray[np.float64]
+    value: NDArray[np.float32]
+    inside: NDArray[np.bool_]
 
 
-class CurvedVoxels:
-    """Voxels of a field and the bent cells in which they lie, layer after layer.
+class CurvedSamples:
+    """A field at n x n x n points in each of its bent cells, evenly in the cell's own coordinates.
+
+    Cells end where they end, not at voxels. The field is sampled on a fine grid, a slab after the other, and
+    interpolated by cubics; the distance from the domain of a part, linearly.
 
     Parameters
     ----------
     field : ScalarField
     curved : CurvedCells
     n : int
-        See `voxels_for`.
     threads : int
     """
 
     def __init__(self, field: ScalarField, curved: CurvedCells, n: int, threads: int = 1) -> None:
-        self.field, self.curved, self._threads = field, curved, threads
-        self.grid = voxels_for(field, curved, n)
-        edge, origin = field.physical_edge(), field.origin_mm
-        self._axes = [origin[axis] + edge * self.grid.axis(axis) for axis in range(3)]
-        nx, ny, _ = self.grid.shape
-        self._at_once = max(1, SLAB // (nx * ny))
+        self.field, self.curved, self.n, self._threads = field, curved, n, threads
+        self._edge, self._origin = field.physical_edge(), np.array(field.origin_mm)
+        inner = field.base if isinstance(field, Part) else field
+        h = float(np.cbrt(curved.volumes.min())) / (FINEST * n) / self._edge
+        pitch = inner.coarse_pitch if isinstance(inner, KernelSum) and inner.additive else None
+        if pitch is not None:
+            h = max(h, FINER * pitch)  # no finer than it is smooth
+        low, high = (curved.box - self._origin) / self._edge
+        # a few more, as curved faces bulge between the points by which the box was found
+        first = np.floor(low / h).astype(int) - 3 - n // 8
+        nx, ny, nz = (np.ceil(high / h).astype(int) - first + 4 + n // 8).tolist()
+        x, y, z = ((first + 0.5) * h).tolist()
+        self.grid = Grid((x, y, z), (h, h, h), (nx, ny, nz))
 
-    def cells_of_layer(self, k: int) -> NDArray[np.int32]:
-        """The cell of each voxel of a layer, (ny nx,); -1 for none."""
-        x, y, z = self._axes
-        points = np.empty((len(y), len(x), 3))
-        points[..., 0], points[..., 1], points[..., 2] = x, y[:, None], z[k]
-        return self.curved.places(points.reshape(-1, 3)).cell
+    def _slabs(self) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+        """First layer and the one after the last between which points lie, and the cells that reach there."""
+        corner = np.stack(np.meshgrid(*(np.linspace(0, 1, 9),) * 3, indexing="ij"), -1).reshape(-1, 3)
+        low, high = np.empty(self.curved.count), np.empty(self.curved.count)
+        for first in range(0, self.curved.count, 1000):
+            cells = np.arange(first, min(first + 1000, self.curved.count))
+            z = self.curved.points(np.repeat(cells, len(corner)), np.tile(corner, (len(cells), 1)))[:, 2]
+            z = self._place(z.reshape(len(cells), -1), 2)
+            low[cells], high[cells] = z.min(axis=1), z.max(axis=1)
+        slack = 0.05 * (high - low) + 1e-6
+        nx, ny, nz = self.grid.shape
+        layers = max(4, SLAB // (nx * ny))
+        for start in range(1, nz - 2, layers):
+            stop = min(start + layers, nz - 2)
+            yield start, stop, np.flatnonzero((low - slack < stop) & (high + slack >= start))
 
-    def slabs(self) -> list[tuple[int, int]]:
-        """First layers and those after the last of what is sampled together."""
-        nz = self.grid.shape[2]
-        return [(k, min(k + self._at_once, nz)) for k in range(0, nz, self._at_once)]
+    def _place(self, positions: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+        """Positions along an axis, mm, counted in samples from the first one."""
+        in_cells = (positions - self._origin[axis]) / self._edge
+        return np.asarray((in_cells - self.grid.origin[axis]) / self.grid.spacing[axis])
 
-    def counts(self, progress: Callable[[int, int], None] = lambda done, of: None) -> CellCounts:
-        """Voxels of each cell."""
-        field, m, slabs = self.field, self.curved.count, self.slabs()
-        totals = np.zeros((3, m), np.int64)
-        for done, (start, stop) in enumerate(slabs):
-            void = (field.solid_zyx(self.grid, start, stop, self._threads) == 0).reshape(stop - start, -1)
-            inside = field.inside_zyx(self.grid, start, stop) if isinstance(field, Part) else None
-            cells = ordered_map(self.cells_of_layer, list(range(start, stop)), self._threads)
-            for k, cell in enumerate(cells):
-                there = cell >= 0
-                totals[0] += np.bincount(cell[there], minlength=m)
-                if inside is not None:
-                    there &= inside[k].reshape(-1).view(np.bool_)
-                totals[1] += np.bincount(cell[there], minlength=m)
-                totals[2] += np.bincount(cell[there & void[k]], minlength=m)
-            progress(done + 1, len(slabs))
-        return CellCounts(totals[0], totals[1], totals[2])
+    def found(self, progress: Callable[[int, int], None] = lambda done, of: None) -> Iterator[Found]:
+        """All points, slab after slab."""
+        for start, stop, cells in self._slabs():
+            if len(cells):
+                yield from self._in_slab(start, stop, cells)
+            progress(stop, self.grid.shape[2])
 
-    def located(self, progress: Callable[[int, int], None] = lambda done, of: None) -> list[LocatedSamples]:
-        """Samples in cells, and in the part, of each layer; values are ln G of a sum G of kernels, or the field's."""
+    def _in_slab(self, start: int, stop: int, cells: NDArray[np.int64]) -> Iterator[Found]:
+        first, last = start - 1, stop + 2
+        distance = None
+        if isinstance(self.field, Part):
+            values, distance = self.field.apart_zyx(self.grid, self._threads, first, last)
+        else:
+            values = self.field.sample_zyx(self.grid, first, last, self._threads)
+        size = self.n**3
+        for begin in range(0, len(cells), max(1, AT_ONCE // size)):
+            some = cells[begin : begin + max(1, AT_ONCE // size)]
+            points, volume = self.curved.inner(self.n, some)
+            place = np.stack([self._place(points[..., axis], axis) for axis in range(3)], -1).reshape(-1, 3)
+            own = np.flatnonzero((place[:, 2] >= start) & (place[:, 2] < stop))
+            place = place[own] - np.array([0.0, 0.0, first])
+            inside = np.ones(len(own), bool) if distance is None else linear_in_layers(distance, place) < 0
+            yield Found(
+                points.reshape(-1, 3)[own], some[own // size].astype(np.int32), volume.reshape(-1)[own],
+                cubic_in_layers(values, place), inside,
+            )  # fmt: skip
+
+    def shares(self, progress: Callable[[int, int], None] = lambda done, of: None) -> CellShares:
+        """What of each cell lies in the part, and its porosity."""
+        whole, inside, void = np.zeros((3, self.curved.count))
+        for some in self.found(progress):
+            whole += np.bincount(some.cell, some.volume, self.curved.count)
+            there = some.volume * some.inside
+            inside += np.bincount(some.cell, there, self.curved.count)
+            void += np.bincount(some.cell, there * (some.value >= 0), self.curved.count)
+        return CellShares(inside / whole, void / np.maximum(inside, 1e-300))
+
+    def for_level(self, lattice: ControlLattice) -> list[CellSamples]:
+        """Samples in the part; values are ln G of a sum G of kernels, or those of the field."""
         inner = self.field.base if isinstance(self.field, Part) else self.field
         level = inner.solid_below if isinstance(inner, KernelSum) and inner.additive else None
-        found, slabs = [], self.slabs()
-        for done, (start, stop) in enumerate(slabs):
-            values = inner.sample_zyx(self.grid, start, stop, self._threads).reshape(stop - start, -1)
+        made = []
+        for some in self.found():
+            value = some.value
             if level is not None:
-                values = np.log(np.maximum(values + np.float32(level), np.float32(1e-9)))
-            part = self.field
-            inside = part.inside_zyx(self.grid, start, stop) if isinstance(part, Part) else None
-            cells = ordered_map(self.cells_of_layer, list(range(start, stop)), self._threads)
-            for k, cell in enumerate(cells):
-                there = cell >= 0
-                if inside is not None:
-                    there &= inside[k].reshape(-1).view(np.bool_)
-                place = np.flatnonzero(there).astype(np.int32)
-                found.append(LocatedSamples(place, cell[place], values[k][place]))
-            progress(done + 1, len(slabs))
-        return found
+                value = np.log(np.maximum(value + np.float32(level), np.float32(1e-9)))
+            place = (some.points - lattice.origin) / lattice.edge
+            parts = (place.astype(np.float32), some.cell, value, some.volume.astype(np.float32))
+            kept = slice(None) if some.inside.all() else some.inside
+            made.append(CellSamples(parts[0][kept], parts[1][kept], parts[2][kept], parts[3][kept]))
+        return made
 
 
 def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLattice, int]:
@@ -181,7 +211,7 @@ class CurvedFit(NamedTuple):
 
 
 def fit_curved_level(
-    voxels: CurvedVoxels,
+    samples: CurvedSamples,
     bare: ScalarField,
     targets: NDArray[np.float64],
     known: NDArray[np.bool_],
@@ -193,13 +223,11 @@ def fit_curved_level(
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> CurvedFit:
     """Choose values at the cells so that each has its porosity; see `numerics.grading.cell_level`."""
-    curved = voxels.curved
+    curved = samples.curved
     lattice, parts = control_lattice(bare, curved)
     blend = blending(lattice, curved.centers, curved.frames)
-    points, volumes = curved.inner(POINTS)
-    means = means_over_cells(lattice, blend, lambda first, stop: (points[first:stop], volumes[first:stop]))
-    samples = voxels.located()
-    x, y, z = (voxels.grid.axis(axis) * parts for axis in range(3))
+    means = means_over_cells(lattice, blend, lambda first, stop: curved.inner(POINTS, np.arange(first, stop)))
+    found = samples.for_level(lattice)
     done = 0
 
     def control(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -207,11 +235,9 @@ def fit_curved_level(
 
     def measure(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         nonlocal done
-        spline = LayerSpline(control(values), x, y, z)
-        void, slope, _ = porosities_and_slopes(iter(enumerate(samples)), spline, (len(y), len(x)), curved.count, near)
         done += 1
         progress(done, evaluations)
-        return void, slope
+        return porosities_and_slopes(found, control(values), curved.count, near)
 
     fit = fit_cells(measure, means, known, targets, np.full(curved.count, start), bounds, tolerance, evaluations)
     return CurvedFit(LevelField(bare, control(fit.values), parts), fit)

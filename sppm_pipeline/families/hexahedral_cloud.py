@@ -14,7 +14,7 @@ from sppm_pipeline.data.grading import Grading
 from sppm_pipeline.data.palette import Blocks, HexahedralBlocks, Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.curved_porosity import CurvedVoxels, curved_targets
+from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_targets
 from sppm_pipeline.families.graded import curve_of, recipe_total, trial
 from sppm_pipeline.families.graded_cloud import ROOM, without_faces
 from sppm_pipeline.families.local_porosity import error_summary
@@ -229,7 +229,7 @@ class HexahedralCloud:
             return made
         rms = []
         for number in range(rounds + 1):
-            errors = CurvedVoxels(made, self.curved, self.resolution, context.threads).counts().porosity - targets
+            errors = CurvedSamples(made, self.curved, self.resolution, context.threads).shares().porosity - targets
             summary = error_summary(errors)
             rms.append(summary["error_rms"])
             if number == rounds:

@@ -8,14 +8,13 @@ which is what is used in the end: it is once continuously differentiable and che
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.grading.level_spline import LayerSpline
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -244,50 +243,79 @@ def _worst(fit: CellLevelFit) -> float:
     return float(free.max()) if len(free) else 0.0
 
 
-class LocatedSamples(NamedTuple):
-    """Samples of one layer that lie in cells.
+class CellSamples(NamedTuple):
+    """Samples in cells, all (n,) but for the places.
 
     Attributes
     ----------
-    place : (n,) int32
-        Where in the layer, rows of x.
-    cell : (n,) int32
-    value : (n,) float32
+    place : (n, 3) float32
+        Counted in small cells of the control lattice from its low corner.
+    cell : int32
+    value : float32
         What the level is compared with.
+    volume : float32
+        What each stands for.
     """
 
-    place: NDArray[np.int32]
+    place: NDArray[np.float32]
     cell: NDArray[np.int32]
     value: NDArray[np.float32]
+    volume: NDArray[np.float32]
+
+
+BYTES_OF_A_SAMPLE = 24
 
 
 def porosities_and_slopes(
-    layers: Iterator[tuple[int, LocatedSamples]],
-    spline: LayerSpline,
-    shape: tuple[int, int],
-    cells: int,
-    half_width: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Share of the samples of each cell at or above the level, its change with the level, and their number.
+    samples: list[CellSamples], control: NDArray[np.float64], cells: int, half_width: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Share of each cell at or above the level, and its change with the level.
 
     Parameters
     ----------
-    layers : iterator of (layer, LocatedSamples)
-    spline : LayerSpline
-        The level at the rows of all layers.
-    shape : 2 ints
-        Rows and columns of a layer.
+    samples : list of CellSamples
+    control : (nx, ny, nz) float64
+        Control points of the spline.
     cells : int
     half_width : float
         Samples so near to the level tell the slope.
     """
-    above, beside, number = (np.zeros(cells, np.int64) for _ in range(3))
-    for layer, found in layers:
-        if len(found.place):
-            level = spline.less(0.0, layer, slice(0, shape[0]), slice(0, shape[1])).ravel()[found.place]
-            excess = found.value + level  # `level` is minus the spline
-            number += np.bincount(found.cell, minlength=cells)
-            above += np.bincount(found.cell[excess >= 0], minlength=cells)
-            beside += np.bincount(found.cell[np.abs(excess) < half_width], minlength=cells)
-    of = np.maximum(number, 1)
-    return above / of, beside / of / (2 * half_width), number
+    totals = np.zeros((3, cells))
+    padded = np.pad(control, 1, mode="edge")
+    for some in samples:
+        _compare(*some, padded, half_width, totals)
+    of = np.maximum(totals[0], 1e-300)
+    return totals[1] / of, totals[2] / of / (2 * half_width)
+
+
+@jit
+def _compare(
+    place: NDArray[np.float32],
+    cell: NDArray[np.int32],
+    value: NDArray[np.float32],
+    volume: NDArray[np.float32],
+    padded: NDArray[np.float64],
+    half_width: float,
+    totals: NDArray[np.float64],
+) -> None:
+    """Sums by cell of the volume, of that at or above the level, and of that near it."""
+    own = np.empty(3, np.int64)
+    w = np.empty((3, 3))
+    for n in range(len(cell)):
+        for axis in range(3):
+            t = np.float64(place[n, axis])
+            own[axis] = min(max(int(np.floor(t)), 0), padded.shape[axis] - 3)
+            t = min(max(t - own[axis], 0.0), 1.0)
+            w[axis, 0], w[axis, 1], w[axis, 2] = 0.5 * (1 - t) ** 2, 0.5 + t - t * t, 0.5 * t * t
+        level = 0.0
+        for i in range(3):
+            for j in range(3):
+                row = padded[own[0] + i, own[1] + j]
+                k = own[2]
+                level += w[0, i] * w[1, j] * (w[2, 0] * row[k] + w[2, 1] * row[k + 1] + w[2, 2] * row[k + 2])
+        excess = value[n] - level
+        totals[0, cell[n]] += volume[n]
+        if excess >= 0:
+            totals[1, cell[n]] += volume[n]
+        if abs(excess) < half_width:
+            totals[2, cell[n]] += volume[n]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.grading.hexahedral_places import point_and_volume
 from sppm_pipeline.numerics.sampling.blocks import ATTEMPTS
 from sppm_pipeline.numerics.sampling.cell_list import (
     CellList,
@@ -126,27 +127,6 @@ def _remove_last(cells: CellList) -> None:
 
 
 @jit
-def _point(nodes: NDArray[np.float64], x: float, y: float, z: float, p: NDArray[np.float64]) -> float:
-    """The point at a place in a hexahedron, and the determinant there."""
-    d = np.empty((3, 3))
-    for a in range(3):
-        x00, x01 = nodes[0, a] + x * (nodes[4, a] - nodes[0, a]), nodes[1, a] + x * (nodes[5, a] - nodes[1, a])
-        x10, x11 = nodes[2, a] + x * (nodes[6, a] - nodes[2, a]), nodes[3, a] + x * (nodes[7, a] - nodes[3, a])
-        low, high = x00 + y * (x10 - x00), x01 + y * (x11 - x01)
-        p[a] = low + z * (high - low)
-        d[2, a] = high - low
-        d[1, a] = (1 - z) * (x10 - x00) + z * (x11 - x01)
-        d[0, a] = (1 - y) * ((1 - z) * (nodes[4, a] - nodes[0, a]) + z * (nodes[5, a] - nodes[1, a])) + y * (
-            (1 - z) * (nodes[6, a] - nodes[2, a]) + z * (nodes[7, a] - nodes[3, a])
-        )
-    return float(
-        d[0, 0] * (d[1, 1] * d[2, 2] - d[1, 2] * d[2, 1])
-        - d[0, 1] * (d[1, 0] * d[2, 2] - d[1, 2] * d[2, 0])
-        + d[0, 2] * (d[1, 0] * d[2, 1] - d[1, 1] * d[2, 0])
-    )
-
-
-@jit
 def _throw(
     cells: CellList,
     kept: NDArray[np.float64],
@@ -162,13 +142,15 @@ def _throw(
         most = 0.0
         if by_volume:
             for i in range(27):
-                most = max(most, _ABOVE * _point(nodes[e], 0.5 * (i // 9), 0.5 * (i // 3 % 3), 0.5 * (i % 3), p))
+                most = max(
+                    most, _ABOVE * point_and_volume(nodes[e], 0.5 * (i // 9), 0.5 * (i // 3 % 3), 0.5 * (i % 3), p)
+                )
         wanted, placed = quotas[e], 0
         for attempt in range(ATTEMPTS):
             placed, darts = 0, 0
             while placed < wanted and darts < DARTS * wanted + 1000:
                 x, y, z = next_uniform(stream), next_uniform(stream), next_uniform(stream)
-                det = _point(nodes[e], x, y, z, p)
+                det = point_and_volume(nodes[e], x, y, z, p)
                 if by_volume and next_uniform(stream) * most > det:
                     continue
                 darts += 1

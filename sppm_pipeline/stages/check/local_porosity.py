@@ -17,7 +17,7 @@ from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.curved_porosity import CurvedVoxels, curved_cells_of, curved_targets
+from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_cells_of, curved_targets
 from sppm_pipeline.families.graded import trial
 from sppm_pipeline.families.local_porosity import LEAST_SHARE, error_summary, filled_cells
 from sppm_pipeline.fields.part import Part
@@ -136,10 +136,10 @@ class CheckLocalPorosity(Stage):
         """Porosities of bent cells, and these at blocks of the lattice: wanted, measured, and where cells are."""
         from sppm_pipeline.numerics.grading.local_means import BLOCKS
 
-        voxels = CurvedVoxels(field, curved, self.resolution, context.threads)
-        counts = voxels.counts(lambda done, of: context.progress(done, of, "slabs of layers"))
+        samples = CurvedSamples(field, curved, self.resolution, context.threads)
+        counts = samples.shares(lambda done, of: context.progress(done, of, "layers"))
         wanted = curved_targets(grading, "porosity", curved)
-        enough = (counts.share >= LEAST_SHARE) & (counts.inside > 0)
+        enough = counts.share >= LEAST_SHARE
         values = CellValues(
             curved.columns, curved.names[enough], curved.centers[enough], counts.share[enough], wanted[enough],
             counts.porosity[enough],

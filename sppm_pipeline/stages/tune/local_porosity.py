@@ -15,20 +15,14 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.curved_porosity import (
-    BYTES_OF_A_SAMPLE,
-    CurvedVoxels,
-    curved_cells_of,
-    curved_targets,
-    fit_curved_level,
-    voxels_for,
-)
+from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_cells_of, curved_targets, fit_curved_level
 from sppm_pipeline.families.local_porosity import LEAST_SHARE, Cells, LatticeCells, cell_means, error_summary
 from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.numerics.grading.cell_level import BYTES_OF_A_SAMPLE
 from sppm_pipeline.numerics.grading.local_level import CellCodes, LevelFit, fit_level
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
@@ -141,20 +135,20 @@ class TuneLocalPorosity(Stage):
         self, context: Context, field: ScalarField, bare: ScalarField, curved: CurvedCells, grading: Grading
     ) -> ScalarField:
         """Tune bent cells."""
-        n = self._fitting(context, bare, curved)
+        n = self._fitting(context, curved)
         part = replace(field, base=bare) if isinstance(field, Part) else bare
-        voxels = CurvedVoxels(part, curved, n, context.threads)
-        counts = voxels.counts()
-        known = (counts.share >= LEAST_SHARE) & (counts.inside > 0)
+        samples = CurvedSamples(part, curved, n, context.threads)
+        share = samples.shares().share if isinstance(part, Part) else np.ones(curved.count)
+        known = share >= LEAST_SHARE
         if not known.any():
             raise DesignError("no cell lies in the part", hint="give smaller cells")
         targets = curved_targets(grading, "porosity", curved)
         scale = 1.0
         if bare.sum_level is None:
-            scale = float(bare.sample_zyx(voxels.grid, voxels.grid.shape[2] // 2, voxels.grid.shape[2] // 2 + 1).std())
+            scale = float(next(samples.found()).value.std())
         start, _, near, bounds = self._range(bare.sum_level, scale)
         made, fit = fit_curved_level(
-            voxels, bare, targets, known, start, bounds, near, self.tolerance / 4, self.evaluations,
+            samples, bare, targets, known, start, bounds, near, self.tolerance / 4, self.evaluations,
             lambda done, of: context.progress(done, of, "comparisons of all cells"),
         )  # fmt: skip
         tuned = replace(field, base=made) if isinstance(field, Part) else made
@@ -167,7 +161,7 @@ class TuneLocalPorosity(Stage):
                 f"{targets[worst]:.4f} and needs {'fewer' if fit.errors[worst] > 0 else 'more'} pores"
             )
         finer = n + n // 2 + 1
-        errors = (CurvedVoxels(tuned, curved, finer, context.threads).counts().porosity - targets)[known]
+        errors = (CurvedSamples(tuned, curved, finer, context.threads).shares().porosity - targets)[known]
         context.report(checked_at=finer, **error_summary(errors))
         free = np.where(fit.at_bound[known], 0.0, np.abs(errors))
         if free.max() > self.tolerance:
@@ -183,15 +177,10 @@ class TuneLocalPorosity(Stage):
         )  # fmt: skip
         return tuned
 
-    def _fitting(self, context: Context, bare: ScalarField, curved: CurvedCells) -> int:
+    def _fitting(self, context: Context, curved: CurvedCells) -> int:
         """The resolution, or a lower one whose samples fit into memory."""
-
-        def needed(n: int) -> float:
-            h = voxels_for(bare, curved, n).spacing[0] * bare.physical_edge()
-            return BYTES_OF_A_SAMPLE * float(curved.volumes.sum()) / h**3
-
         n = self.resolution
-        while n > 8 and needed(n) > context.memory / 2:
+        while n > 8 and BYTES_OF_A_SAMPLE * float(n) ** 3 * curved.count > context.memory / 2:
             n -= max(1, n // 16)
         if n < self.resolution:
             context.warn(f"samples of all cells would not fit into memory; `resolution: {n}` is taken")
