@@ -22,6 +22,9 @@ KEPT_BYTES = 512 * 2**20
 VOID = 1.0
 """The value where no cell is."""
 
+BOUND = 4.0
+"""Values are cut off at so many times the largest difference of two samples with the surface between them."""
+
 POINTS = 1 << 16
 """Points of a layer that are looked at together."""
 
@@ -142,7 +145,7 @@ class WarpedField(ScalarField):
             x, y, z = (k - BEFORE * h for k in site)
             grid = Grid((x, y, z), (h,) * 3, (self.samples + 4,) * 3)
             inner = self.base.base if isinstance(self.base, RepeatedField) else self.base
-            return np.ascontiguousarray(inner.sample_zyx(grid, 0, self.samples + 4).T)
+            return bounded(np.ascontiguousarray(inner.sample_zyx(grid, 0, self.samples + 4).T))
 
         made: NDArray[np.float32] = self.kept.get(site, make)
         return made
@@ -150,6 +153,22 @@ class WarpedField(ScalarField):
     def summary(self) -> dict[str, Any]:
         """The summary of the field that was bent, and the number of cells."""
         return {**self.base.summary(), "curved_cells": self.curved.count}
+
+
+def bounded(brick: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Samples cut off a few spacings from the surface, in place, so that cubics swing over nothing far from it.
+
+    Distances estimated from a slope are very large where it vanishes. What lies within two samples of the surface is
+    left as it is.
+    """
+    steepest = 0.0
+    for axis in range(3):
+        ahead, behind = np.moveaxis(brick, axis, 0)[1:], np.moveaxis(brick, axis, 0)[:-1]
+        crossing = (ahead < 0) != (behind < 0)
+        steepest = max(steepest, float(np.abs(ahead - behind).max(where=crossing, initial=0.0)))
+    if steepest > 0:
+        np.clip(brick, -BOUND * steepest, BOUND * steepest, out=brick)
+    return brick
 
 
 def _own_cells(base: ScalarField) -> tuple[int, int, int]:

@@ -19,6 +19,7 @@ BUILT_IN = {
     "read.primitive": "ReadPrimitive",
     "read.voxels": "ReadVoxels",
     "read.volume_mesh": "ReadVolumeMesh",
+    "read.hexahedra": "ReadHexahedra",
     "grade.formula": "GradeFormula",
     "grade.table": "GradeTable",
     "grade.image": "GradeImage",
