@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.curved_cells import CurvedCells
 from sppm_pipeline.data.grading import Grading
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families.local_porosity import LEAST_SHARE
 from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
@@ -158,12 +160,15 @@ class CurvedSamples:
         for begin in range(0, len(cells), max(1, AT_ONCE // size)):
             some = cells[begin : begin + max(1, AT_ONCE // size)]
             points, volume = self.curved.inner(self.n, some)
-            place = np.stack([self._place(points[..., axis], axis) for axis in range(3)], -1).reshape(-1, 3)
-            own = np.flatnonzero((place[:, 2] >= start) & (place[:, 2] < stop))
-            place = place[own] - np.array([0.0, 0.0, first])
+            points = points.reshape(-1, 3)
+            layer = self._place(points[:, 2], 2)
+            own = np.flatnonzero((layer >= start) & (layer < stop))
+            points, place = points[own], np.empty((len(own), 3))
+            place[:, 0], place[:, 1] = self._place(points[:, 0], 0), self._place(points[:, 1], 1)
+            place[:, 2] = layer[own] - first
             inside = np.ones(len(own), bool) if distance is None else linear_in_layers(distance, place) < 0
             yield Found(
-                points.reshape(-1, 3)[own], some[own // size].astype(np.int32), volume.reshape(-1)[own],
+                points, some[own // size].astype(np.int32), volume.reshape(-1)[own],
                 cubic_in_layers(values, place), inside,
             )  # fmt: skip
 
@@ -177,12 +182,16 @@ class CurvedSamples:
             void += np.bincount(some.cell, there * (some.value >= 0), self.curved.count)
         return CellShares(inside / whole, void / np.maximum(inside, 1e-300))
 
-    def for_level(self, lattice: ControlLattice) -> list[CellSamples]:
-        """Samples in the part; values are ln G of a sum G of kernels, or those of the field."""
+    def for_level(self, lattice: ControlLattice) -> tuple[list[CellSamples], NDArray[np.float64]]:
+        """Samples in the part, and the share of each cell that lies in it; values are ln G of a sum G of kernels, or
+        those of the field.
+        """
         inner = self.field.base if isinstance(self.field, Part) else self.field
         level = inner.solid_below if isinstance(inner, KernelSum) and inner.additive else None
-        made = []
+        made, totals = [], np.zeros((2, self.curved.count))
         for some in self.found():
+            totals[0] += np.bincount(some.cell, some.volume, self.curved.count)
+            totals[1] += np.bincount(some.cell, some.volume * some.inside, self.curved.count)
             value = some.value
             if level is not None:
                 value = np.log(np.maximum(value + np.float32(level), np.float32(1e-9)))
@@ -190,7 +199,7 @@ class CurvedSamples:
             parts = (place.astype(np.float32), some.cell, value, some.volume.astype(np.float32))
             kept = slice(None) if some.inside.all() else some.inside
             made.append(CellSamples(parts[0][kept], parts[1][kept], parts[2][kept], parts[3][kept]))
-        return made
+        return made, totals[1] / totals[0]
 
 
 def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLattice, int]:
@@ -204,17 +213,17 @@ def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLat
 
 
 class CurvedFit(NamedTuple):
-    """A field with a level of its own in each bent cell, and how well it does."""
+    """A field with a level of its own in each bent cell, how well it does, and which cells had an equation."""
 
     field: LevelField
     fit: CellLevelFit
+    known: NDArray[np.bool_]
 
 
 def fit_curved_level(
     samples: CurvedSamples,
     bare: ScalarField,
     targets: NDArray[np.float64],
-    known: NDArray[np.bool_],
     start: float,
     bounds: tuple[float, float],
     near: float,
@@ -222,12 +231,21 @@ def fit_curved_level(
     evaluations: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> CurvedFit:
-    """Choose values at the cells so that each has its porosity; see `numerics.grading.cell_level`."""
+    """Choose values at the cells so that each has its porosity; see `numerics.grading.cell_level`.
+
+    Raises
+    ------
+    DesignError
+        If no cell lies in the part.
+    """
     curved = samples.curved
     lattice, parts = control_lattice(bare, curved)
     blend = blending(lattice, curved.centers, curved.frames)
     means = means_over_cells(lattice, blend, lambda first, stop: curved.inner(POINTS, np.arange(first, stop)))
-    found = samples.for_level(lattice)
+    found, share = samples.for_level(lattice)
+    known = share >= LEAST_SHARE
+    if not known.any():
+        raise DesignError("no cell lies in the part", hint="give smaller cells")
     done = 0
 
     def control(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -240,4 +258,4 @@ def fit_curved_level(
         return porosities_and_slopes(found, control(values), curved.count, near)
 
     fit = fit_cells(measure, means, known, targets, np.full(curved.count, start), bounds, tolerance, evaluations)
-    return CurvedFit(LevelField(bare, control(fit.values), parts), fit)
+    return CurvedFit(LevelField(bare, control(fit.values), parts), fit, known)

@@ -187,9 +187,12 @@ def _newton(nodes: NDArray[np.float64], p: NDArray[np.float64], place: NDArray[n
 
 
 @jit
-def point_and_volume(nodes: NDArray[np.float64], x: float, y: float, z: float, p: NDArray[np.float64]) -> float:
-    """Put the point at a place in a hexahedron (8, 3) into `p`, and return the determinant there."""
-    d = np.empty((3, 3))
+def point_and_volume(
+    nodes: NDArray[np.float64], x: float, y: float, z: float, p: NDArray[np.float64], d: NDArray[np.float64]
+) -> float:
+    """Put the point at a place in a hexahedron (8, 3) into `p`, the derivative into `d`, and return its
+    determinant.
+    """
     for a in range(3):
         x00, x01 = nodes[0, a] + x * (nodes[4, a] - nodes[0, a]), nodes[1, a] + x * (nodes[5, a] - nodes[1, a])
         x10, x11 = nodes[2, a] + x * (nodes[6, a] - nodes[2, a]), nodes[3, a] + x * (nodes[7, a] - nodes[3, a])
@@ -225,5 +228,6 @@ def _points_and_volumes(
     points: NDArray[np.float64],
     volumes: NDArray[np.float64],
 ) -> None:
+    d = np.empty((3, 3))
     for n in range(len(cell)):
-        volumes[n] = abs(point_and_volume(nodes[cell[n]], places[n, 0], places[n, 1], places[n, 2], points[n]))
+        volumes[n] = abs(point_and_volume(nodes[cell[n]], places[n, 0], places[n, 1], places[n, 2], points[n], d))

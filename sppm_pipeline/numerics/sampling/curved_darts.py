@@ -137,20 +137,20 @@ def _throw(
     by_volume: bool,
     missing: NDArray[np.int64],
 ) -> None:
-    p = np.empty(3)
+    p, d = np.empty(3), np.empty((3, 3))
     for e in range(len(quotas)):
         most = 0.0
         if by_volume:
             for i in range(27):
                 most = max(
-                    most, _ABOVE * point_and_volume(nodes[e], 0.5 * (i // 9), 0.5 * (i // 3 % 3), 0.5 * (i % 3), p)
+                    most, _ABOVE * point_and_volume(nodes[e], 0.5 * (i // 9), 0.5 * (i // 3 % 3), 0.5 * (i % 3), p, d)
                 )
         wanted, placed = quotas[e], 0
         for attempt in range(ATTEMPTS):
             placed, darts = 0, 0
             while placed < wanted and darts < DARTS * wanted + 1000:
                 x, y, z = next_uniform(stream), next_uniform(stream), next_uniform(stream)
-                det = point_and_volume(nodes[e], x, y, z, p)
+                det = point_and_volume(nodes[e], x, y, z, p, d)
                 if by_volume and next_uniform(stream) * most > det:
                     continue
                 darts += 1

@@ -16,7 +16,7 @@ from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_cells_of, curved_targets, fit_curved_level
-from sppm_pipeline.families.local_porosity import LEAST_SHARE, Cells, LatticeCells, cell_means, error_summary
+from sppm_pipeline.families.local_porosity import Cells, LatticeCells, cell_means, error_summary
 from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
@@ -138,17 +138,13 @@ class TuneLocalPorosity(Stage):
         n = self._fitting(context, curved)
         part = replace(field, base=bare) if isinstance(field, Part) else bare
         samples = CurvedSamples(part, curved, n, context.threads)
-        share = samples.shares().share if isinstance(part, Part) else np.ones(curved.count)
-        known = share >= LEAST_SHARE
-        if not known.any():
-            raise DesignError("no cell lies in the part", hint="give smaller cells")
         targets = curved_targets(grading, "porosity", curved)
         scale = 1.0
         if bare.sum_level is None:
             scale = float(next(samples.found()).value.std())
         start, _, near, bounds = self._range(bare.sum_level, scale)
-        made, fit = fit_curved_level(
-            samples, bare, targets, known, start, bounds, near, self.tolerance / 4, self.evaluations,
+        made, fit, known = fit_curved_level(
+            samples, bare, targets, start, bounds, near, self.tolerance / 4, self.evaluations,
             lambda done, of: context.progress(done, of, "comparisons of all cells"),
         )  # fmt: skip
         tuned = replace(field, base=made) if isinstance(field, Part) else made
