@@ -31,6 +31,7 @@ GALLERY = {
         "skin": ("A closed skin, with a hole", "skin.png"),
         "plate_with_holes": ("Plate and screw holes", "plate.png"),
         "tube": ("Around a tube", "tube.png"),
+        "elbow": ("A mesh of hexahedra", "elbow.png"),
     },
     "Cells and tiles": {
         "walls_cell": ("Walls between pores", "walls.png"),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sppm_pipeline.data.curved_cells import HexahedralCells
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,32 @@ class StretchedBlocks(Blocks):
     """
 
     metric: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class HexahedralBlocks(Blocks):
+    """Blocks over a mesh of hexahedra, into whose cells pores are thrown by quota.
+
+    `kept` are centers and blocks of pores as in `Blocks`; `added` are pores by cell of the mesh.
+
+    Attributes
+    ----------
+    curved : HexahedralCells
+    edge : float
+        Of a block, mm.
+    origin : tuple of 3 floats
+        Low corner of the first block, mm.
+    quotas : (cells,) float64 or None
+        Pores of each cell of the mesh, which need not be whole; None for what the recipe's samplers state.
+    fixed : float or None
+        Edge of the cell, mm, in which lengths of the recipe hold everywhere; None if they follow the mesh.
+    """
+
+    curved: HexahedralCells = field(kw_only=True)
+    edge: float = field(kw_only=True)
+    origin: tuple[float, float, float] = field(kw_only=True)
+    quotas: NDArray[np.float64] | None = None
+    fixed: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

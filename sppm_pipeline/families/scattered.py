@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.palette import Blocks
+from sppm_pipeline.data.palette import Blocks, HexahedralBlocks
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError, DesignError
@@ -40,6 +40,10 @@ def with_darts(
     """
     from sppm_pipeline.numerics.sampling.blocks import block_quotas, check_block_spacing, throw_blocks
 
+    if isinstance(blocks, HexahedralBlocks):
+        from sppm_pipeline.families.hexahedral_cloud import with_darts_in_cells
+
+        return with_darts_in_cells(context, base, blocks, mean, spacing)
     if blocks.density is not None:
         return _with_graded_darts(context, base, blocks, mean, spacing)
     check_block_spacing(mean, spacing)
@@ -96,6 +100,10 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
             f"{sampler.name} throws block by block, and a box of {list(blocks.shape)} blocks that repeats has blocks "
             "that are their own neighbors",
             hint="give at least 2 cells along each axis",
+        )
+    if isinstance(blocks, HexahedralBlocks):
+        raise ConfigError(
+            f"{sampler.name} throws into cubes, and can't fill a mesh of hexahedra", hint="use `sample.dart_throwing`"
         )
     if blocks.metric is not None:
         raise ConfigError(

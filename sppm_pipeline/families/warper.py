@@ -9,12 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.curved_cells import CurvedCells
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.tiler import HALO
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.warped import LaidGraph, cloud, laid_graph
+from sppm_pipeline.fields.warped_field import WarpedField, warped_field
 from sppm_pipeline.stage import Context, Stage, option
 
 SEAMS = 17
@@ -39,7 +42,8 @@ class Mapped(NamedTuple):
 class Warper(Stage):
     """Common base of the family ``warp``: implement `mapped`, and `wraps` if the box bites its tail.
 
-    Pores go where the mapping puts them, tunnels stay straight between them.
+    Of stochastic cells the graph is mapped: pores go where the mapping puts them, tunnels stay straight between them.
+    Any other field is mapped itself, if the stage knows the way back (`curved`).
     """
 
     sizes: str = option(
@@ -48,36 +52,61 @@ class Warper(Stage):
         "they stay as they are in mm",
         choices=("cell", "fixed"),
     )
+    samples: int = option(
+        64,
+        help="samples along an edge of a cell from which fields other than stochastic cells are interpolated",
+        minimum=16,
+        maximum=256,
+    )
 
     @abstractmethod
-    def mapped(self, tiling: Tiling, places: NDArray[np.float64]) -> Mapped:
+    def mapped(self, tiling: ScalarField, places: NDArray[np.float64]) -> Mapped:
         """Where places (n, 3) of the box go, which are in cell sizes from its low corner."""
 
-    def wraps(self, tiling: Tiling) -> tuple[bool, bool, bool]:
+    def wraps(self, tiling: ScalarField) -> tuple[bool, bool, bool]:
         """Axes along which the end of the box meets its beginning."""
         return (False, False, False)
+
+    def curved(self, tiling: ScalarField) -> CurvedCells | None:
+        """The bent cells of a field, by which places in them are found; None if the stage knows no way back."""
+        return None
 
     def estimate(self, palette: Palette, field: Size) -> Size:
         return field
 
-    def run(self, context: Context, field: Tiling) -> Tiling:
-        """Map the graph, and lay it in blocks."""
-        if field.edge is None:
+    def run(self, context: Context, field: ScalarField) -> ScalarField:
+        """Map the graph, and lay it in blocks; or map the field."""
+        if field.edge_mm is None:
             raise ConfigError("the size of a cell is missing", hint="give the `tile` stage `cell: 5 mm`")
-        micro, edge = field.tileset.micro, field.edge
-        if not micro.additive:
-            raise ConfigError("walls can't be warped", hint="warp structures that end with `field.gaussian`")
-        if micro.stretched:
-            raise ConfigError(
-                "stretched pores can't be warped: the graph is mapped, and its kernels are made anew as round ones",
-                hint="leave out the map `stretch`, or scatter the pores in the warped part",
-            )
         wraps = self.wraps(field)
         if any(wraps) and not field.periodic:
             raise ConfigError(
                 "a full turn brings the last cell to the first one, and they do not fit",
                 hint="lay the cells with `periodic: true`, or turn less",
             )
+        if isinstance(field, Tiling) and field.additive and not field.tileset.micro.stretched:
+            return self._with_graph(context, field, wraps)
+        return self._with_field(context, field)
+
+    def _with_field(self, context: Context, field: ScalarField) -> WarpedField:
+        curved = self.curved(field)
+        if curved is None:
+            raise ConfigError(
+                f"{self.name} maps pores and tunnels alone, and can't bend a {type(field).__name__}",
+                hint="warp structures that end with `field.gaussian`",
+            )
+        if self.sizes == "fixed":
+            raise ConfigError(
+                f"a {type(field).__name__} is bent as it is, and has no sizes that could stay",
+                hint="leave out `sizes`",
+            )
+        made = warped_field(field, curved, self.samples)
+        of_cell = curved.volumes / field.physical_edge() ** 3
+        context.report(volume_min=float(of_cell.min()), volume_max=float(of_cell.max()))
+        return made
+
+    def _with_graph(self, context: Context, field: Tiling, wraps: tuple[bool, bool, bool]) -> Tiling:
+        micro, edge = field.tileset.micro, field.physical_edge()
         graph = laid_graph(field, wraps)
         there = self.mapped(field, graph.points)
         middles = self.mapped(field, _middles(graph, field.cells, wraps))
@@ -102,6 +131,7 @@ class Warper(Stage):
             micro.pieces.kernels.profile,
             micro.level,
             exact=field.exact,
+            curved=self.curved(field),
         )
         if made.tileset.micro.reach > HALO + 1e-9:
             raise DesignError(

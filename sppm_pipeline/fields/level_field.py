@@ -35,19 +35,24 @@ class LevelField(WrappedField, KernelSum):
         The field; not itself one with a level of its own.
     control : (nx, ny, nz) float64
         Control points in the middles of the cells: ln C, or values of the field.
+    per_cell : int
+        Control points along a cell edge, in the middles of as many parts, where cells of the structure are not those of
+        the lattice.
     """
 
     control: NDArray[np.float64]
+    per_cell: int = 1
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "control", frozen(np.asarray(self.control, np.float64)))
 
     def check(self) -> None:
-        """One finite control point for each cell."""
+        """One finite control point for each cell, or part of one."""
         self.base.check()
-        if self.control.shape != tuple(self.cells) or not np.isfinite(self.control).all():
+        wanted = tuple(self.per_cell * n for n in self.cells)
+        if self.control.shape != wanted or not np.isfinite(self.control).all():
             raise ValueError(
-                f"the level has one finite control point for each cell of {list(self.cells)}, not those of an array "
+                f"the level has one finite control point for each cell of {list(wanted)}, not those of an array "
                 f"{self.control.shape}"
             )
 
@@ -124,7 +129,8 @@ class LevelField(WrappedField, KernelSum):
         return values
 
     def _spline(self, grid: Grid, start: int, stop: int) -> LayerSpline:
-        return LayerSpline(self.control, grid.axis(0), grid.axis(1), grid.axis(2)[start:stop])
+        x, y, z = (self.per_cell * grid.axis(axis) for axis in range(3))
+        return LayerSpline(self.control, x, y, z[start:stop])
 
     def summary(self) -> dict[str, Any]:
         """The summary of the field, and the range of its level."""

@@ -5,12 +5,13 @@ Not the field is mapped but the graph, so that tunnels stay straight and kernels
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.curved_cells import CurvedCells
 from sppm_pipeline.data.length import Cell
 from sppm_pipeline.data.palette import Blocks
 from sppm_pipeline.data.pores import PoreSet
@@ -21,6 +22,24 @@ from sppm_pipeline.fields.microstructure import Microstructure, pieces_from_grap
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
+
+
+@dataclass(frozen=True, eq=False)
+class WarpedTiling(Tiling):
+    """A tiling whose blocks are no cells of the structure: those are bent.
+
+    Attributes
+    ----------
+    curved : CurvedCells
+        The cells of the structure.
+    """
+
+    curved: CurvedCells = field(kw_only=True)
+
+    def summary(self) -> dict[str, Any]:
+        """That of a tiling, and the number of cells of the structure."""
+        return {**super().summary(), "curved_cells": self.curved.count}
+
 
 HALO = 1
 """Cells around a box that are mapped, too, and blocks around the mapped part: kernels reach in from there."""
@@ -135,7 +154,14 @@ def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
 
 
 def cloud(
-    graph: LaidGraph, edge: float, box: NDArray[np.float64], profile: str, level: float, *, exact: bool = False
+    graph: LaidGraph,
+    edge: float,
+    box: NDArray[np.float64],
+    profile: str,
+    level: float,
+    *,
+    exact: bool = False,
+    curved: CurvedCells | None = None,
 ) -> Tiling:
     """Blocks without faces that hold a graph.
 
@@ -152,6 +178,8 @@ def cloud(
     level : float
     exact : bool
         See `Tiling`.
+    curved : CurvedCells, optional
+        The cells of the structure, if they are known.
 
     Raises
     ------
@@ -194,4 +222,7 @@ def cloud(
     x, y, z = (np.full(tuple(shape + np.eye(3, dtype=np.int64)[axis]), -1, np.int32) for axis in range(3))
     arrays = TilingArrays(blocks.numbers, (x, y, z), False, HALO)
     low = (float(origin[0]), float(origin[1]), float(origin[2]))
-    return Tiling(TileSet(micro, "scattered", 0), arrays, edge, low, exact)
+    tileset = TileSet(micro, "scattered", 0)
+    if curved is not None:
+        return WarpedTiling(tileset, arrays, edge, low, exact, curved=curved)
+    return Tiling(tileset, arrays, edge, low, exact)

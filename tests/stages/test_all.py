@@ -25,6 +25,8 @@ REQUIRED = {
     "warp.cylinder": {"inner_radius": Length(5.0)},
     "warp.sphere": {"inner_radius": Length(5.0)},
     "warp.hexahedra": {"path": "a.vtu"},
+    "tile.hexahedra": {"path": "a.vtu"},
+    "read.hexahedra": {"path": "a.vtu"},
     "sample.elimination": {"count": 3},
     "slice.mesh": {"pixel": Length(0.1)},
     "fill.combine": {"operation": "union"},

@@ -109,6 +109,8 @@ PLACES: dict[str, tuple[list[str], str, list[str]]] = {
     "warp.cylinder": (TILED, "inner_radius: 5 mm, around: 90", CHECKED),
     "warp.sphere": (TILED, "inner_radius: 5 mm, around: 90", CHECKED),
     "warp.hexahedra": (TILED, "path: part.vtu", []),
+    "tile.hexahedra": ([], "recipe: cell, path: part.vtu", []),
+    "read.hexahedra": ([], "path: part.vtu", []),
     "fill.implicit": ([BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}"], "", LAYERS),
     "tune.orientation": (
         [BOX, SET, "  - {stage: tile.wang_3color, cell: 2 mm}", "  - {stage: fill.implicit, skin: 0.3 mm}"],

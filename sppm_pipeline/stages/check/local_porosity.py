@@ -10,12 +10,14 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.curved_cells import CurvedCells
 from sppm_pipeline.data.grading import Grading
 from sppm_pipeline.data.grading_data import StiffnessLaw
 from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_cells_of, curved_targets
 from sppm_pipeline.families.graded import trial
 from sppm_pipeline.families.local_porosity import LEAST_SHARE, error_summary, filled_cells
 from sppm_pipeline.fields.part import Part
@@ -37,6 +39,17 @@ class BlockMap(NamedTuple):
     target: NDArray[np.float64]
 
 
+class CellValues(NamedTuple):
+    """What is known of each cell: what its numbers stand for, these (m, k), and middles (m, 3) mm; the rest is (m,)."""
+
+    columns: tuple[str, ...]
+    numbers: NDArray[np.int64]
+    middles: NDArray[np.float64]
+    share: NDArray[np.float64]
+    wanted: NDArray[np.float64]
+    found: NDArray[np.float64]
+
+
 @dataclass(frozen=True, kw_only=True)
 class CheckLocalPorosity(Stage):
     """Measure the porosity of every cell, and in a window that moves, and compare both with a map.
@@ -47,6 +60,10 @@ class CheckLocalPorosity(Stage):
     measured porosity and error, and `scatter.png`. Where the map came from target moduli by `grade.stiffness`, cells
     get a modulus, too, by its curve, and `stiffness.vti` and `stiffness.png` show it; there is none where the porosity
     lies beyond the curve.
+
+    Of what was bent by a `warp` stage, or laid by `tile.hexahedra`, the cells are those of the structure: there is no
+    window, and the pictures show the value of each cell. `cells.csv` names a cell by its place in the box, or by its
+    hexahedron and its part of that.
     """
 
     name: ClassVar[str] = "check.local_porosity"
@@ -76,23 +93,31 @@ class CheckLocalPorosity(Stage):
         """Count layer by layer, smooth, compare."""
         from sppm_pipeline.numerics.grading.local_means import smoothed_means
 
-        blocks = self._blocks(context, field, grading)
-        cells, shares, wanted, found = _of_cells(blocks)
-        if not len(cells):
+        curved = curved_cells_of(field)
+        if curved is not None:
+            cells, maps = self._curved(context, field, curved, grading)
+        else:
+            blocks = self._blocks(context, field, grading)
+            cells = _of_cells(blocks, field)
+            target, measured = (smoothed_means(values, blocks.inside) for values in (blocks.target, blocks.void))
+            maps = (target, measured, blocks.inside >= 0.5)
+        wanted, found = cells.wanted, cells.found
+        if not len(found):
             raise ConfigError("no cell lies in the part", hint="give smaller cells")
         context.report(
-            cells=len(cells), **{f"cell_{name}": value for name, value in error_summary(found - wanted).items()}
+            cells=len(found), **{f"cell_{name}": value for name, value in error_summary(found - wanted).items()}
         )
-        target, measured = (smoothed_means(values, blocks.inside) for values in (blocks.target, blocks.void))
-        there = blocks.inside >= 0.5
+        target, measured, there = maps
         x, y = target[there], measured[there]
-        context.report(**error_summary(y - x))
+        if curved is None:
+            context.report(**error_summary(y - x))
         if x.std() > 1e-9:
             slope, intercept = np.polyfit(x, y, 1)
             context.report(slope=float(slope), intercept=float(intercept))
         noise = None
         if recipe is not None:
-            noise, at = self._noise(context, recipe, field.cells, _kind(field) == "scattered")
+            cells_along = field.cells if curved is None else (ROOM,) * 3
+            noise, at = self._noise(context, recipe, cells_along, _kind(field) == "scattered")
             context.report(noise=noise, noise_at=at)
         law = next((law for law in grading.laws[::-1] if isinstance(law, StiffnessLaw)), None)
         if law is not None:
@@ -103,7 +128,33 @@ class CheckLocalPorosity(Stage):
                     modulus_error_rms=float(np.sqrt((known**2).mean())), modulus_error_max=float(known.max())
                 )
         if self.path is not None:
-            self._write(context, field, (cells, shares, wanted, found), (target, measured, there), noise, law)
+            self._write(context, field, cells, maps, noise, law)
+
+    def _curved(
+        self, context: Context, field: ScalarField, curved: CurvedCells, grading: Grading
+    ) -> tuple[CellValues, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
+        """Porosities of bent cells, and these at blocks of the lattice: wanted, measured, and where cells are."""
+        from sppm_pipeline.numerics.grading.local_means import BLOCKS
+
+        samples = CurvedSamples(field, curved, self.resolution, context.threads)
+        counts = samples.shares(lambda done, of: context.progress(done, of, "layers"))
+        wanted = curved_targets(grading, "porosity", curved)
+        enough = counts.share >= LEAST_SHARE
+        values = CellValues(
+            curved.columns, curved.names[enough], curved.centers[enough], counts.share[enough], wanted[enough],
+            counts.porosity[enough],
+        )  # fmt: skip
+        grid = cell_centers(BLOCKS, field.cells)
+        edge, origin = field.physical_edge(), np.array(field.origin_mm)
+        shape = tuple(BLOCKS * n for n in field.cells)
+        target, measured, there = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
+        x, y = np.meshgrid(grid.axis(0), grid.axis(1), indexing="ij")
+        for k, z in enumerate(grid.axis(2)):
+            points = np.stack([x, y, np.full_like(x, z)], -1).reshape(-1, 3) * edge + origin
+            cell = curved.places(points).cell.reshape(x.shape)
+            there[..., k] = (cell >= 0) & enough[cell]
+            target[..., k], measured[..., k] = wanted[cell], counts.porosity[cell]
+        return values, (target, measured, there)
 
     def _blocks(self, context: Context, field: ScalarField, grading: Grading) -> BlockMap:
         """Shares of blocks, a layer of blocks at a time."""
@@ -159,7 +210,7 @@ class CheckLocalPorosity(Stage):
         self,
         context: Context,
         field: ScalarField,
-        cells: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+        cells: CellValues,
         maps: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]],
         noise: float | None,
         law: StiffnessLaw | None,
@@ -176,11 +227,10 @@ class CheckLocalPorosity(Stage):
         edge, origin = field.physical_edge(), np.array(field.origin_mm)
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
-        head = ["i", "j", "k", "x_mm", "y_mm", "z_mm", "share_inside", "target", "measured", "error"]
+        head = [*cells.columns, "x_mm", "y_mm", "z_mm", "share_inside", "target", "measured", "error"]
         rows.writerow(head if law is None else [*head, "modulus_target", "modulus"])
-        for cell, share, wanted, found in zip(*cells, strict=True):
+        for cell, middle, share, wanted, found in zip(*cells[1:], strict=True):
             moduli = () if law is None else law.curve.modulus(np.array([wanted, found])).tolist()
-            middle = (cell + 0.5) * edge + origin
             rows.writerow(
                 [*cell.tolist(), *(f"{v:.6g}" for v in (*middle, share)), f"{wanted:.6f}", f"{found:.6f}",
                  f"{found - wanted:.6f}", *(f"{v:.6g}" if np.isfinite(v) else "" for v in moduli)]
@@ -201,14 +251,12 @@ class CheckLocalPorosity(Stage):
         if law is not None:
             shown("stiffness", "stiffness.png", law.curve.modulus(target), law.curve.modulus(measured))
         (folder / "scatter.png").write_bytes(
-            porosity_scatter(cells[2], cells[3], target[there], measured[there], noise)
+            porosity_scatter(cells.wanted, cells.found, target[there], measured[there], noise)
         )
 
 
-def _of_cells(
-    blocks: BlockMap,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Cells of which enough lies in the part, (m, 3), the share inside, and the wanted and found porosity of it."""
+def _of_cells(blocks: BlockMap, field: ScalarField) -> CellValues:
+    """Cells of which enough lies in the part."""
     from sppm_pipeline.numerics.grading.local_means import BLOCKS
 
     nx, ny, nz = (n // BLOCKS for n in blocks.inside.shape)
@@ -219,7 +267,9 @@ def _of_cells(
     inside = summed(blocks.inside)
     enough = inside >= LEAST_SHARE * BLOCKS**3
     wanted, found = (summed(values * blocks.inside)[enough] / inside[enough] for values in (blocks.target, blocks.void))
-    return np.argwhere(enough), inside[enough] / BLOCKS**3, wanted, found
+    cells = np.argwhere(enough)
+    middles = (cells + 0.5) * field.physical_edge() + np.array(field.origin_mm)
+    return CellValues(("i", "j", "k"), cells, middles, inside[enough] / BLOCKS**3, wanted, found)
 
 
 def _kind(field: ScalarField) -> str:

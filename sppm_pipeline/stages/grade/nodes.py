@@ -15,11 +15,11 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.families import options
 from sppm_pipeline.families.grader import DataGrader
+from sppm_pipeline.formats.hexahedra_file import LARGEST_FILE, READERS
 from sppm_pipeline.formats.input_file import library, require_file, third_party_reader
 from sppm_pipeline.numerics.grading.expression import nearest
 from sppm_pipeline.numerics.grading.samples import CORNERS, as_tetrahedra, at_nodes, smoothed, tetrahedra_of, volumes
 from sppm_pipeline.stage import Context, option
-from sppm_pipeline.stages.read.volume_mesh import LARGEST_FILE, READERS
 
 _AXES = ("x", "y", "z")
 COMPONENTS = {

@@ -13,20 +13,14 @@ from sppm_pipeline.data.length import UNITS_IN_MM
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.families import options
+from sppm_pipeline.formats.hexahedra_file import IGNORED, LARGEST_FILE, READERS
 from sppm_pipeline.formats.input_file import library, require_file, third_party_reader
 from sppm_pipeline.stage import Context, Stage
-
-READERS = {".vtu": "vtu", ".vtk": "vtk", ".inp": "abaqus", ".msh": "gmsh"}
-LARGEST_FILE = 2 * 2**30
-"""Bytes; larger files are refused before they are read."""
 
 FLAT = 1e-12
 """Volume of a cell, over the cube of its size, up to which it counts as none."""
 
 NODES = {"tetra": 4, "tetra10": 10}
-IGNORED = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9"}
-"""Elements of lower dimension, which boundary conditions use."""
-
 MATERIAL_DATA = ("material", "gmsh:physical", "medit:ref", "MaterialIds")
 
 

@@ -9,17 +9,20 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.curved_cells import CurvedCells
 from sppm_pipeline.data.grading import Grading
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_cells_of, curved_targets, fit_curved_level
 from sppm_pipeline.families.local_porosity import Cells, LatticeCells, cell_means, error_summary
 from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.numerics.grading.cell_level import BYTES_OF_A_SAMPLE
 from sppm_pipeline.numerics.grading.local_level import CellCodes, LevelFit, fit_level
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
@@ -41,6 +44,9 @@ class TuneLocalPorosity(Stage):
     cell, found by Newton steps. Other fields are cut at a spline of values. The level stays between bounds, so that
     tunnels keep most of their radius; cells that would need more are named, with the number of pores they are off by.
     Between cells porosity keeps the noise of the structure.
+
+    Of what was bent by a `warp` stage, or laid by `tile.hexahedra`, the cells are those of the structure: each has a
+    value of its own, and values are blended by smooth weights around the middles of the cells.
     """
 
     name: ClassVar[str] = "tune.local_porosity"
@@ -74,6 +80,9 @@ class TuneLocalPorosity(Stage):
         bare = earlier.base if earlier is not None else inner
         if not isinstance(bare, KernelSum) and bare.periodic:
             raise DesignError("a level varies over the cells of a part", hint="lay the cell by `tile.periodic` first")
+        curved = curved_cells_of(bare)
+        if curved is not None:
+            return self._curved(context, field, bare, curved, grading)
         cells = LatticeCells(
             replace(field, base=bare) if isinstance(field, Part) else bare, self.resolution, context.threads
         )
@@ -82,16 +91,10 @@ class TuneLocalPorosity(Stage):
         edge = bare.physical_edge()
         where = np.array(cells.cells)
         targets = cell_means(grading, "porosity", edge, bare.origin_mm, where)
-        level = bare.sum_level
-        if level is not None:
-            start, half, near = math.log(level), HALF_RANGE, NEAR
-            bounds = (math.log(LOWEST), self.narrowest * math.log(level))
-            if not bounds[0] < start < bounds[1]:
-                raise DesignError(f"the level of {level:g} must lie above {LOWEST:g} and below 1")
-        else:
-            some = cells.values(cells.cells[len(cells.cells) // 2])
-            start, half = 0.0, 4 * float(some.std())
-            near, bounds = half / 80, (-half, half)
+        scale = 1.0
+        if bare.sum_level is None:
+            scale = float(cells.values(cells.cells[len(cells.cells) // 2]).std())
+        start, half, near, bounds = self._range(bare.sum_level, scale)
         control = np.full(bare.cells, start) if earlier is None else np.array(earlier.control)
         codes = CellCodes(lambda cell: (cells.values(cell), cells.inside(cell)), start, half, memory=context.memory / 2)
         fit = fit_level(
@@ -109,6 +112,75 @@ class TuneLocalPorosity(Stage):
             **{name: value for name, value in made.summary().items() if name in ("level_min", "level_max")},
         )
         return tuned
+
+    def _range(self, level: float | None, deviation: float) -> tuple[float, float, float, tuple[float, float]]:
+        """Where to begin, how far values are told apart, how near is near, and the bounds.
+
+        Parameters
+        ----------
+        level : float or None
+            Of a sum of kernels.
+        deviation : float
+            Of the values of any other field.
+        """
+        if level is None:
+            half = 4 * deviation
+            return 0.0, half, half / 80, (-half, half)
+        start, bounds = math.log(level), (math.log(LOWEST), self.narrowest * math.log(level))
+        if not bounds[0] < start < bounds[1]:
+            raise DesignError(f"the level of {level:g} must lie above {LOWEST:g} and below 1")
+        return start, HALF_RANGE, NEAR, bounds
+
+    def _curved(
+        self, context: Context, field: ScalarField, bare: ScalarField, curved: CurvedCells, grading: Grading
+    ) -> ScalarField:
+        """Tune bent cells."""
+        n = self._fitting(context, curved)
+        part = replace(field, base=bare) if isinstance(field, Part) else bare
+        samples = CurvedSamples(part, curved, n, context.threads)
+        targets = curved_targets(grading, "porosity", curved)
+        scale = 1.0
+        if bare.sum_level is None:
+            scale = float(next(samples.found()).value.std())
+        start, _, near, bounds = self._range(bare.sum_level, scale)
+        made, fit, known = fit_curved_level(
+            samples, bare, targets, start, bounds, near, self.tolerance / 4, self.evaluations,
+            lambda done, of: context.progress(done, of, "comparisons of all cells"),
+        )  # fmt: skip
+        tuned = replace(field, base=made) if isinstance(field, Part) else made
+        names = [dict(zip(curved.columns, name, strict=True)) for name in curved.names.tolist()]
+        if fit.at_bound.any():
+            worst = int(np.argmax(np.where(fit.at_bound, np.abs(fit.errors), -1)))
+            context.warn(
+                f"the level reaches its bound in {int(fit.at_bound.sum())} of {int(known.sum())} cells; cell "
+                f"{names[worst]} has a porosity of {targets[worst] + fit.errors[worst]:.4f} instead of "
+                f"{targets[worst]:.4f} and needs {'fewer' if fit.errors[worst] > 0 else 'more'} pores"
+            )
+        finer = n + n // 2 + 1
+        errors = (CurvedSamples(tuned, curved, finer, context.threads).shares().porosity - targets)[known]
+        context.report(checked_at=finer, **error_summary(errors))
+        free = np.where(fit.at_bound[known], 0.0, np.abs(errors))
+        if free.max() > self.tolerance:
+            worst = int(np.flatnonzero(known)[free.argmax()])
+            context.warn(
+                f"on a grid of {finer} voxels along an edge {int((free > self.tolerance).sum())} of {len(free)} cells "
+                f"are off by more than {self.tolerance:g}; cell {names[worst]} by {errors[free.argmax()]:+.4f}; a "
+                f"larger `resolution`, such as {2 * n}, comes nearer"
+            )
+        context.report(
+            cells_tuned=int(known.sum()), cells_at_bound=int(fit.at_bound.sum()), steps=fit.steps,
+            **{name: value for name, value in made.summary().items() if name in ("level_min", "level_max")},
+        )  # fmt: skip
+        return tuned
+
+    def _fitting(self, context: Context, curved: CurvedCells) -> int:
+        """The resolution, or a lower one whose samples fit into memory."""
+        n = self.resolution
+        while n > 8 and BYTES_OF_A_SAMPLE * float(n) ** 3 * curved.count > context.memory / 2:
+            n -= max(1, n // 16)
+        if n < self.resolution:
+            context.warn(f"samples of all cells would not fit into memory; `resolution: {n}` is taken")
+        return n
 
     def _tell_bounds(
         self, context: Context, cells: Cells, targets: NDArray[np.float64], fit: LevelFit, field: ScalarField

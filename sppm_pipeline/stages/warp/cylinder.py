@@ -9,10 +9,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.curved_cells import CylinderCells
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.families import options
 from sppm_pipeline.families.warper import Mapped, Warper
-from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import option
 
 
@@ -30,13 +31,11 @@ class WarpCylinder(Warper):
     inner_radius: Length = options.inner_radius()
     around: float = option(360.0, help="angle that the box fills around the axis", unit="degrees", above=0, maximum=360)
 
-    def wraps(self, tiling: Tiling) -> tuple[bool, bool, bool]:
+    def wraps(self, tiling: ScalarField) -> tuple[bool, bool, bool]:
         return (self.around == 360, False, False)
 
-    def mapped(self, tiling: Tiling, places: NDArray[np.float64]) -> Mapped:
-        edge = tiling.physical_edge()
-        turn = math.radians(self.around) / tiling.cells[0]
-        angle, r = turn * places[:, 0], self.inner_radius.mm() + edge * places[:, 2]
-        points = np.stack([r * np.cos(angle), r * np.sin(angle), edge * places[:, 1]], axis=1)
-        # x, y, z of the box are around, upwards, outwards: a right-handed frame
-        return Mapped(points, turn * r / edge)
+    def curved(self, tiling: ScalarField) -> CylinderCells:
+        return CylinderCells(tiling.cells, tiling.physical_edge(), self.inner_radius.mm(), math.radians(self.around))
+
+    def mapped(self, tiling: ScalarField, places: NDArray[np.float64]) -> Mapped:
+        return Mapped(*self.curved(tiling).mapped(places))

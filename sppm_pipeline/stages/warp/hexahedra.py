@@ -10,15 +10,16 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.curved_cells import HexahedralCells
 from sppm_pipeline.data.length import UNITS_IN_MM
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.hexahedra import cells_of_mesh, check_path
 from sppm_pipeline.families.warper import Mapped, Warper
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
-from sppm_pipeline.formats.input_file import library, require_file, third_party_reader
-from sppm_pipeline.stages.read.volume_mesh import LARGEST_FILE, READERS
-
-MOST_ELEMENTS = 100_000
+from sppm_pipeline.fields.warped_field import looks_alike_from_all_sides
+from sppm_pipeline.formats.hexahedra_file import Hexahedra, read_hexahedra
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +27,9 @@ class WarpHexahedra(Warper):
     """Fill the elements of a mesh of hexahedra with the cells of a box, one in each, or a whole number along each axis.
 
     The mesh (VTU, VTK, INP or MSH, read by meshio) has to be a block: rows, columns and layers of elements, bent as you
-    like. Its first element says which way x, y and z go.
+    like. Its first element says which way x, y and z go. A field that repeats and looks alike from all sides of its
+    cell, such as a Schwarz P surface or struts along the axes, may fill a mesh of any shape, one cell in each element;
+    `tile.hexahedra` scatters pores in such a mesh.
     """
 
     name: ClassVar[str] = "warp.hexahedra"
@@ -36,35 +39,25 @@ class WarpHexahedra(Warper):
     unit: str = options.unit("mm", note="of the nodes")
 
     def check_options(self) -> None:
-        if self.path.suffix.lower() not in READERS:
-            raise ConfigError(f"`path` is {str(self.path)!r}; known are {', '.join(READERS)}")
+        check_path(self.path)
+
+    @cached_property
+    def _read(self) -> Hexahedra:
+        return read_hexahedra(self.path)
 
     @cached_property
     def _corners(self) -> NDArray[np.float64]:
         """Nodes of the block, (nx + 1, ny + 1, nz + 1, 3) mm."""
         from sppm_pipeline.numerics.grading.hexahedra import block_of, mapped_in_block
 
-        require_file(self.path, LARGEST_FILE)
-        reader = library(f"meshio.{READERS[self.path.suffix.lower()]}", "volume")
-        with third_party_reader("meshio", self.path.name, "write the mesh again, perhaps as VTU"):
-            read = reader.read(self.path)
-        blocks = [np.asarray(block.data, np.int64) for block in read.cells if block.type.startswith("hexahedron")]
-        points = np.asarray(read.points, np.float64)
-        if not blocks or points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise InputError(f"{self.path.name} holds no hexahedra in space")
-        elements = np.concatenate([block[:, :8] for block in blocks])
-        if len(elements) > MOST_ELEMENTS:
-            raise InputError(f"{self.path.name} has {len(elements)} elements; the limit is {MOST_ELEMENTS}")
-        if elements.min() < 0 or elements.max() >= len(points):
-            raise InputError(f"{self.path.name}: an element names a node that does not exist")
         try:
-            nodes = block_of(elements)
+            nodes = block_of(self._read.elements)
         except ValueError as error:
             raise InputError(
                 f"{self.path.name} is no block of hexahedra: {error}",
-                hint="cut it into blocks, or fill the part by `tile.scattered`",
+                hint="scatter pores in it by `tile.hexahedra`, or cut it into blocks",
             ) from None
-        corners = points[nodes] * UNITS_IN_MM[self.unit]
+        corners = self._read.points[nodes] * UNITS_IN_MM[self.unit]
         size = np.array(nodes.shape) - 1
         site = np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), -1).reshape(-1, 3)
         for corner in np.ndindex(2, 2, 2):
@@ -79,14 +72,48 @@ class WarpHexahedra(Warper):
                 )
         return corners
 
-    def mapped(self, tiling: Tiling, places: NDArray[np.float64]) -> Mapped:
+    def _cells(self, field: ScalarField) -> tuple[int, int, int]:
+        """Cells of the box; those of a lone cell that repeats are as many as the elements."""
+        nx, ny, nz = (n - 1 for n in self._corners.shape[:3])
+        return (nx, ny, nz) if field.periodic and tuple(field.cells) == (1, 1, 1) else field.cells
+
+    def curved(self, tiling: ScalarField) -> HexahedralCells:
+        from sppm_pipeline.numerics.grading.hexahedra import block_of, mapped_in_block
+
+        if not isinstance(tiling, Tiling) and tiling.periodic:
+            try:
+                block_of(self._read.elements)
+            except ValueError as error:
+                if not looks_alike_from_all_sides(tiling):
+                    raise InputError(
+                        f"{self.path.name} is no block of hexahedra ({error}), and the cell of the field looks "
+                        "different from its sides, so that cells would not fit each other",
+                        hint="take a block, or a field with the symmetry of a cube, such as a Schwarz P surface",
+                    ) from None
+                return cells_of_mesh(self._read, self.path, self.unit, 1)
+        shape = self._cells(tiling)
+        self._check_cells(shape)
+        size = np.array(self._corners.shape[:3]) - 1
+        axes = [np.arange(n + 1) * s / n for n, s in zip(shape, size.tolist(), strict=True)]
+        places = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+        nodes = mapped_in_block(self._corners, places.reshape(-1, 3))[0].reshape(places.shape)
+        corners = np.empty((*shape, 2, 2, 2, 3))
+        for i, j, k in np.ndindex(2, 2, 2):
+            corners[:, :, :, i, j, k] = nodes[i : i + shape[0], j : j + shape[1], k : k + shape[2]]
+        return HexahedralCells(corners.reshape(-1, 2, 2, 2, 3), 1, shape)
+
+    def _check_cells(self, cells: tuple[int, int, int]) -> None:
+        size = np.array(self._corners.shape[:3]) - 1
+        if (np.array(cells) % size).any():
+            raise ConfigError(
+                f"{list(cells)} cells do not fit into {size.tolist()} elements",
+                hint=f"lay as many cells as elements, `cells: {size.tolist()}`, or a multiple along each axis",
+            )
+
+    def mapped(self, tiling: ScalarField, places: NDArray[np.float64]) -> Mapped:
         from sppm_pipeline.numerics.grading.hexahedra import mapped_in_block
 
         size, cells = np.array(self._corners.shape[:3]) - 1, np.array(tiling.cells)
-        if (cells % size).any():
-            raise ConfigError(
-                f"{cells.tolist()} cells do not fit into {size.tolist()} elements",
-                hint=f"lay as many cells as elements, `cells: {size.tolist()}`, or a multiple along each axis",
-            )
+        self._check_cells(tiling.cells)
         points, det = mapped_in_block(self._corners, places * size / cells)
         return Mapped(points, det * float(np.prod(size / cells)) / tiling.physical_edge() ** 3)

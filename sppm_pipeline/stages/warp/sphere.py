@@ -9,11 +9,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.data.curved_cells import SphereCells
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
 from sppm_pipeline.families.warper import Mapped, Warper
-from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import option
 
 
@@ -37,16 +38,13 @@ class WarpSphere(Warper):
         if not self.latitudes[0] < self.latitudes[1]:
             raise ConfigError(f"`latitudes: {list(self.latitudes)}` are in the wrong order")
 
-    def wraps(self, tiling: Tiling) -> tuple[bool, bool, bool]:
+    def wraps(self, tiling: ScalarField) -> tuple[bool, bool, bool]:
         return (self.around == 360, False, False)
 
-    def mapped(self, tiling: Tiling, places: NDArray[np.float64]) -> Mapped:
-        edge = tiling.physical_edge()
-        turn = math.radians(self.around) / tiling.cells[0]
-        rise = math.radians(self.latitudes[1] - self.latitudes[0]) / tiling.cells[1]
-        longitude = turn * places[:, 0]
-        latitude = math.radians(self.latitudes[0]) + rise * places[:, 1]
-        r = self.inner_radius.mm() + edge * places[:, 2]
-        across = r * np.cos(latitude)
-        points = np.stack([across * np.cos(longitude), across * np.sin(longitude), r * np.sin(latitude)], axis=1)
-        return Mapped(points, turn * across * rise * r / edge**2)
+    def curved(self, tiling: ScalarField) -> SphereCells:
+        south, climb = math.radians(self.latitudes[0]), math.radians(self.latitudes[1] - self.latitudes[0])
+        around = math.radians(self.around)
+        return SphereCells(tiling.cells, tiling.physical_edge(), self.inner_radius.mm(), around, south, climb)
+
+    def mapped(self, tiling: ScalarField, places: NDArray[np.float64]) -> Mapped:
+        return Mapped(*self.curved(tiling).mapped(places))

@@ -1,0 +1,145 @@
+"""Bent cells: places are found again, volumes are those of the body, meshes that do not fit are refused by name."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.data.curved_cells import CylinderCells, HexahedralCells, SphereCells
+from sppm_pipeline.numerics.grading.hexahedral_mesh import boundary_triangles, checked_mesh, outer_hexahedra, split
+from sppm_pipeline.numerics.grading.hexahedral_places import points_in
+from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
+from sppm_pipeline.testing.hexahedral_meshes import o_grid, squares, star
+
+TURN = 2 * math.pi
+
+
+def bent_block(shape=(3, 2, 2), bend=0.22):
+    rng = np.random.default_rng(3)
+    nodes = np.stack(np.meshgrid(*(np.arange(n + 1.0) for n in shape), indexing="ij"), -1)
+    nodes += rng.uniform(-bend, bend, nodes.shape)
+    corners = np.empty((*shape, 2, 2, 2, 3))
+    nx, ny, nz = shape
+    for i, j, k in np.ndindex(2, 2, 2):
+        corners[:, :, :, i, j, k] = nodes[i : i + nx, j : j + ny, k : k + nz]
+    return HexahedralCells(corners.reshape(-1, 2, 2, 2, 3), 1, shape)
+
+
+ALL = {
+    "tube": CylinderCells((8, 2, 3), 2.0, 3.0, TURN),
+    "shell": CylinderCells((3, 2, 1), 2.0, 3.0, math.radians(200)),
+    "sphere": SphereCells((8, 3, 2), 2.0, 5.0, TURN, math.radians(-40), math.radians(90)),
+    "block": bent_block(),
+    "star": HexahedralCells(split(checked_mesh(*star(5, 2.0)).corners, (2, 2, 2)), 8),
+}
+
+
+@pytest.mark.parametrize("cells", ALL.values(), ids=ALL)
+def test_places_are_found_again(cells):
+    rng = np.random.default_rng(0)
+    cell, within = rng.integers(0, cells.count, 2000), rng.random((2000, 3))
+    points, of_unit = cells.mapped_with_volume(cell, within)
+    np.testing.assert_allclose(points, cells.points(cell, within), atol=1e-12)
+    found = cells.places(points)
+    np.testing.assert_array_equal(found.cell, cell)
+    np.testing.assert_allclose(found.within, within, atol=1e-9)
+    np.testing.assert_allclose(of_unit, np.abs(np.linalg.det(cells.derivatives(cell, within))), rtol=1e-6)
+    # the order of points, and what is asked beside them, do not matter
+    some = rng.permutation(2000)[:300]
+    again = cells.places(points[some])
+    np.testing.assert_array_equal(again.within, found.within[some])
+    assert (cells.places(cells.box[1] + rng.random((50, 3)) * 3 + 0.1).cell == -1).all()
+    low, high = cells.box
+    assert ((points > low - 0.2) & (points < high + 0.2)).all()
+    assert len(np.unique(cells.names, axis=0)) == cells.count
+    assert cells.names.shape[1] == len(cells.columns)
+
+
+def test_volumes_are_those_of_the_bodies():
+    assert ALL["tube"].volumes.sum() == pytest.approx(math.pi * (9**2 - 3**2) * 4, rel=1e-9)
+    r = 9.0**3 - 5.0**3
+    zone = TURN / 3 * r * (math.sin(math.radians(50)) - math.sin(math.radians(-40)))
+    assert ALL["sphere"].volumes.sum() == pytest.approx(zone, rel=2e-3)  # three points along each axis
+    assert ALL["star"].volumes.sum() == pytest.approx(5 * 4 * math.sin(TURN / 5) * 4, rel=1e-12)
+
+
+def test_parts_of_a_hexahedron_are_exact():
+    rng = np.random.default_rng(1)
+    whole = bent_block().corners
+    parts = split(whole, (2, 3, 1))
+    t = rng.random((200, 3))
+    cell = rng.integers(0, len(whole), 200)
+    site = rng.integers(0, [2, 3, 1], (200, 3))
+    own = cell * 6 + site[:, 0] * 3 + site[:, 1]
+    at, _ = points_in(parts, own, t)
+    np.testing.assert_allclose(at, points_in(whole, cell, (site + t) / [2, 3, 1])[0], atol=1e-13)
+
+
+def test_cells_are_continued_beyond_the_mesh():
+    cells = ALL["block"]
+    outer = outer_hexahedra(cells.corners, 0.5)
+    assert len(outer.cell) == 2 * (3 * 2 + 3 * 2 + 2 * 2)
+    rng = np.random.default_rng(2)
+    cell, places = cells.continued(cells.points(np.zeros(100, np.int32), rng.random((100, 3)) - [0.4, 0, 0]))
+    assert (cell >= 0).mean() > 0.9  # beyond corners there is nothing
+    inside = cells.points(np.arange(12).repeat(5), np.tile(rng.random((5, 3)), (12, 1)))
+    number, places = cells.continued(inside)
+    at = cells.places(inside)
+    np.testing.assert_array_equal(number, at.cell)
+    site = np.stack(np.unravel_index(at.cell, cells.shape), 1)
+    np.testing.assert_allclose(places, site + at.within, atol=1e-12)
+
+
+@pytest.mark.parametrize("parts", [1, 3])
+@pytest.mark.parametrize("mesh", [star(5, 2.0), o_grid(5, 2, 2, 1, 1, 3), squares([(0, 0), (1, 0), (0, 1)], 2.0)])
+def test_the_boundary_is_closed_and_holds_the_cells(mesh, parts):
+    made = checked_mesh(*mesh)
+    vertices, faces = boundary_triangles(made, parts)
+    counts = edge_counts(faces)
+    assert counts.bounds_solid
+    assert counts.non_manifold == 0
+    assert volume(vertices, faces) == pytest.approx(HexahedralCells(made.corners).volumes.sum(), rel=1e-9)
+
+
+def test_nodes_may_be_numbered_as_other_programs_do():
+    points, hexes = star(5, 2.0)
+    expected = np.sort(checked_mesh(points, hexes).corners.reshape(-1, 3), axis=0)
+    for order, words in (([4, 5, 6, 7, 0, 1, 2, 3], "upper"), ([0, 1, 3, 2, 4, 5, 7, 6], "row by row")):
+        made = checked_mesh(points, hexes[:, order])
+        assert words in made.turned
+        np.testing.assert_allclose(np.sort(made.corners.reshape(-1, 3), axis=0), expected)
+    # nodes listed once an element, as some programs write them
+    apart = checked_mesh(points[hexes].reshape(-1, 3), np.arange(hexes.size).reshape(-1, 8))
+    assert len(apart.nodes) == len(points)
+    assert len(apart.boundary) == len(checked_mesh(points, hexes).boundary)
+
+
+def test_what_does_not_fit_is_refused_by_name():
+    points, hexes = star(5, 2.0)
+    for where, cells, words in (
+        (points, np.concatenate([hexes, hexes[3:4, [1, 2, 3, 0, 5, 6, 7, 4]]]), "hexahedra 3 and 10 have the same"),
+        (
+            points,
+            np.concatenate([hexes[:4], hexes[4:5, [4, 5, 6, 7, 0, 1, 2, 3]], hexes[5:]]),
+            "hexahedron 4 is inside",
+        ),
+        (points * [1, 1, 0], hexes, "hexahedron 0 is inside out or flat"),
+        (points * 0, hexes, "in one place"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            checked_mesh(where, cells)
+    # a large cube beside four small ones
+    coarse, one = squares([(0, 0)], 2.0, layers=1)
+    fine, four = squares([(2, 0), (2, 1)], 1.0, layers=2)
+    with pytest.raises(ValueError, match=r"the node at \[2\.0, .*\] hangs"):
+        checked_mesh(np.concatenate([coarse, fine]), np.concatenate([one, four + len(coarse)]))
+    # a third one at the face between two
+    points, pair = squares([(0, 0), (1, 0)], 1.0, layers=1)
+    far = np.flatnonzero(points[:, 0] > 1.5)
+    third = pair[1].copy()
+    for new, node in enumerate(far):
+        third[third == node] = len(points) + new
+    with pytest.raises(ValueError, match="3 hexahedra share a face of hexahedron"):
+        checked_mesh(np.concatenate([points, points[far] + [0.5, 0.0, 0.0]]), np.concatenate([pair, third[None]]))
