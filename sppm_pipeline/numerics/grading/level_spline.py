@@ -117,18 +117,22 @@ def control_of_means(means: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Along each axis means are ``(1/6, 2/3, 1/6)`` of the control points, ``(5/6, 1/6)`` at the ends.
     """
-    from scipy.linalg import solve_banded
-
     values = means
     for axis in range(3):
         n = means.shape[axis]
         if n > 1:
-            bands = np.full((3, n), 1 / 6)
-            bands[1] = 2 / 3
-            bands[1, [0, -1]] += 1 / 6
-            lines = np.moveaxis(values, axis, 0)
-            solved = solve_banded((1, 1), bands, lines.reshape(n, -1), check_finite=False)
-            values = np.moveaxis(solved.reshape(lines.shape), 0, axis)
+            diagonal = np.full(n, 2 / 3)
+            diagonal[[0, -1]] += 1 / 6
+            lines = np.array(np.moveaxis(values, axis, 0), np.float64)
+            # elimination without pivoting: the diagonal outweighs the rest of its row
+            for k in range(1, n):
+                share = 1 / 6 / diagonal[k - 1]
+                diagonal[k] -= share / 6
+                lines[k] -= share * lines[k - 1]
+            lines[-1] /= diagonal[-1]
+            for k in range(n - 2, -1, -1):
+                lines[k] = (lines[k] - lines[k + 1] / 6) / diagonal[k]
+            values = np.moveaxis(lines, 0, axis)
     return values
 
 
