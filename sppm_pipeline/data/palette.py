@@ -20,7 +20,7 @@ class Blocks:
         Whether the lattice repeats.
     density : (m nx + 1, m ny + 1, m nz + 1) float64 or None
         Pores per volume over what the recipe's samplers state, at m nodes along the edge of a block; spacings go with
-        its power -1/3. None for 1 everywhere.
+        its power -1/3, which is linear between nodes. None for 1 everywhere.
     kept : ((n, 3) float64, (n,) int32) or None
         Centers and interiors of pores that are there already, sorted by interior: samplers then only add `added`.
     added : (interiors,) int64 or None

@@ -138,10 +138,10 @@ def _graded_by_block(
     sampler: Sampler, base: PoreSet, blocks: Blocks
 ) -> tuple[PoreSet, NDArray[np.int64], NDArray[np.float64]]:
     """The pores that are kept, and for each block how many more and the factor of their spacing."""
-    from sppm_pipeline.numerics.sampling.graded_blocks import block_means, graded_quotas
+    from sppm_pipeline.numerics.sampling.graded_blocks import density_means, graded_quotas
 
     assert blocks.density is not None
-    factors = block_means(blocks.density)[blocks.mask] ** (-1 / 3)
+    factors = density_means(blocks.density)[blocks.mask] ** (-1 / 3)
     if blocks.kept is not None:
         assert blocks.added is not None
         return base.extended(*blocks.kept), blocks.added, factors

@@ -8,6 +8,7 @@ slope zero and goes on as a constant. Its mean over a cell is ``(1/6, 2/3, 1/6)`
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -58,27 +59,12 @@ def spline_values(
     return values.transpose(2, 1, 0)
 
 
-def rows_of_cell(
-    control: NDArray[np.float64], t: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Control points along each row of samples of the middle one of 3 x 3 x 3 cells, and their weights.
-
-    Parameters
-    ----------
-    control : (3, 3, 3) float64
-    t : (n,) float64
-        Positions along all three axes, between 1 and 2.
-
-    Returns
-    -------
-    rows : (n, n, 3) float64
-        Indexed z, y.
-    weights : (n, 3) float64
-    """
-    along = _along(t, 3)
-    planes = _contracted(control.transpose(1, 2, 0), along)
-    rows = _contracted(planes, along)
-    return np.ascontiguousarray(rows.transpose(2, 1, 0)), along.weights
+@cache
+def weights_in_cell(n: int) -> NDArray[np.float64]:
+    """Weights (n, 3) of the control points before, in and after a cell, in the middles of n voxels along an axis."""
+    weights = _along(1 + (np.arange(n) + 0.5) / n, 3).weights
+    weights.flags.writeable = False
+    return weights
 
 
 class LayerSpline:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +15,9 @@ from sppm_pipeline.numerics.grading.level_spline import (
     control_of_means,
     control_with_some_held,
     extended,
-    rows_of_cell,
+    weights_in_cell,
 )
+from sppm_pipeline.numerics.threads import ordered_map
 
 _STEPS_OF_CODE = 32766
 # Choices: a Newton step is cut at this share of the range between the bounds, and over all of that range the porosity
@@ -64,7 +67,7 @@ class CellCodes:
 
     def __init__(self, sample: Sample, middle: float, half: float, memory: float) -> None:
         self._sample, self._middle, self._scale = sample, middle, _STEPS_OF_CODE / half
-        self._left = memory
+        self._left, self._lock = memory, threading.Lock()
         self._kept: dict[tuple[int, int, int], NDArray[np.int16]] = {}
 
     def code(self, values: NDArray[np.floating]) -> NDArray[np.int16]:
@@ -74,8 +77,8 @@ class CellCodes:
         return np.asarray(scaled.astype(np.int16))
 
     def width(self, length: float) -> int:
-        """A length of values in codes."""
-        return round(length * self._scale)
+        """A length of values in codes, a multiple of 4."""
+        return max(4, 4 * round(length * self._scale / 4))
 
     @property
     def scaling(self) -> tuple[float, float, float]:
@@ -90,26 +93,44 @@ class CellCodes:
         codes = self.code(np.asarray(values, np.float32))
         if inside is not None:
             codes[~inside] = np.iinfo(np.int16).min
-        if codes.nbytes <= self._left:
-            self._left -= codes.nbytes
+        with self._lock:
+            keep = codes.nbytes <= self._left
+            self._left -= codes.nbytes if keep else 0
+        if keep:
             self._kept[cell] = codes
         return codes
 
 
 def void_and_slope(
-    codes: CellCodes, control: NDArray[np.float64], cell: tuple[int, int, int], half_width: float
+    codes: CellCodes, control: NDArray[np.float64], cell: tuple[int, int, int], width: float
 ) -> tuple[float, float]:
-    """Share of the samples of a cell at or above the level, and the change of this share with the level."""
-    from sppm_pipeline.numerics.grading.level_rows import counts_at_level
+    """Share of a cell that is at or above the level, and the change of this share with the level.
+
+    A sample near the level counts in part, by a ramp from half a width below it to half a width above. The mean over
+    levels that far apart which this tells is off by the square of the width; ramps of one and of half the width tell by
+    how much (Richardson). What is left is a third of the noise of counting whole samples: with 48 samples along an edge
+    the share is good to 1 or 2 in 10 000.
+
+    Parameters
+    ----------
+    codes : CellCodes
+    control : (nx, ny, nz) float64
+        Control points of the level.
+    cell : 3 ints
+    width : float
+        Of the ramp, in values.
+    """
+    from sppm_pipeline.numerics.grading.level_rows import void_at_level
 
     found = codes.of(cell)
-    n = len(found)
-    t = 1 + (np.arange(n) + 0.5) / n
-    # the cells around, with the outermost ones repeated, as the spline of one cell in the middle of three
-    near = [np.clip(np.arange(c - 1, c + 2), 0, size - 1) for c, size in zip(cell, control.shape, strict=True)]
-    rows, weights = rows_of_cell(control[np.ix_(*near)], t)
-    inside, above, beside = counts_at_level(found, rows, weights, *codes.scaling, codes.width(half_width))
-    return (above / inside, beside / inside / (2 * half_width)) if inside else (0.0, 0.0)
+    # the cells around, with the outermost ones repeated
+    x, y, z = ([max(c - 1, 0), c, min(c + 1, n - 1)] for c, n in zip(cell, control.shape, strict=True))
+    near = np.ascontiguousarray(control[np.ix_(x, y, z)])
+    ramp = codes.width(width)
+    inside, wide, narrow, beside = void_at_level(found, near, weights_in_cell(len(found)), *codes.scaling, ramp)
+    if not inside:
+        return 0.0, 0.0
+    return (8 * narrow - wide) / (3 * ramp) / inside, beside / inside / width
 
 
 def fit_level(
@@ -118,9 +139,10 @@ def fit_level(
     targets: NDArray[np.float64],
     start: NDArray[np.float64],
     bounds: tuple[float, float],
-    half_width: float,
+    width: float,
     tolerance: float,
     steps: int,
+    threads: int = 1,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> LevelFit:
     """Newton steps on the porosity of all cells at once.
@@ -139,12 +161,14 @@ def fit_level(
         Control points to begin with.
     bounds : 2 floats
         Least and largest control point.
-    half_width : float
-        Samples so near to the level tell the slope.
+    width : float
+        Of the ramp by which samples near the level count, in values: see `void_and_slope`.
     tolerance : float
         Largest error of a cell.
     steps : int
         Comparisons at most.
+    threads : int
+        Number of threads; the result does not depend on it.
     progress : callable
         Told how many cells of all have been compared.
     """
@@ -156,11 +180,12 @@ def fit_level(
     longest, least = _LONGEST_STEP * span, _LEAST_CHANGE / span
     best: LevelFit | None = None
     for step in range(1, steps + 1):
-        found = []
-        for done, cell in enumerate(cells):
-            found.append(void_and_slope(codes, control, cell, half_width))
+        found = np.empty((len(cells), 2))
+        compared = ordered_map(partial(_compared, codes, control, width), cells, threads)
+        for done, pair in enumerate(compared):
+            found[done] = pair
             progress((step - 1) * len(cells) + done + 1, steps * len(cells))
-        void, slope = np.array(found).T
+        void, slope = found.T
         errors = void - targets
         stuck = (errors > tolerance) & (control[place] >= bounds[1] - 1e-9)
         stuck |= (errors < -tolerance) & (control[place] <= bounds[0] + 1e-9)
@@ -179,6 +204,12 @@ def fit_level(
         control = np.clip(control + moved, *bounds)
     assert best is not None
     return best._replace(steps=step)
+
+
+def _compared(
+    codes: CellCodes, control: NDArray[np.float64], width: float, cell: tuple[int, int, int]
+) -> tuple[float, float]:
+    return void_and_slope(codes, control, cell, width)
 
 
 def _worst(fit: LevelFit) -> float:

@@ -14,7 +14,14 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.local_porosity import Cells, LatticeCells, cell_means, error_summary
+from sppm_pipeline.families.local_porosity import (
+    HALF_RANGE,
+    RAMP,
+    Cells,
+    LatticeCells,
+    cell_means,
+    error_summary,
+)
 from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
@@ -23,13 +30,10 @@ from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.grading.local_level import CellCodes, LevelFit, fit_level
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
-LOWEST, HALF_RANGE = 0.05, 4.0
-"""The lowest level C, and how far ln G is told apart on either side of ln C at first: choices."""
+LOWEST = 0.05
+"""The lowest level C, a choice."""
 
-NEAR = 0.05
-"""Samples whose ln G is so near to ln C tell how the porosity changes with the level."""
-
-CHECKED = 32
+CHECKED = 16
 """Cells, spread over the part, that are measured again on a finer grid."""
 
 
@@ -44,6 +48,7 @@ class TuneLocalPorosity(Stage):
     """
 
     name: ClassVar[str] = "tune.local_porosity"
+    version: ClassVar[int] = 2
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("error_rms", "error of the cells, rms"), Headline("error_max", "largest"), Headline("cells_at_bound"),
     )  # fmt: skip
@@ -84,18 +89,18 @@ class TuneLocalPorosity(Stage):
         targets = cell_means(grading, "porosity", edge, bare.origin_mm, where)
         level = bare.sum_level
         if level is not None:
-            start, half, near = math.log(level), HALF_RANGE, NEAR
+            start, half, ramp = math.log(level), HALF_RANGE, RAMP
             bounds = (math.log(LOWEST), self.narrowest * math.log(level))
             if not bounds[0] < start < bounds[1]:
                 raise DesignError(f"the level of {level:g} must lie above {LOWEST:g} and below 1")
         else:
             some = cells.values(cells.cells[len(cells.cells) // 2])
             start, half = 0.0, 4 * float(some.std())
-            near, bounds = half / 80, (-half, half)
+            ramp, bounds = half / 40, (-half, half)  # a tenth of the deviation: the field may bend sharply
         control = np.full(bare.cells, start) if earlier is None else np.array(earlier.control)
         codes = CellCodes(lambda cell: (cells.values(cell), cells.inside(cell)), start, half, memory=context.memory / 2)
         fit = fit_level(
-            codes, cells.cells, targets, control, bounds, near, self.tolerance / 4, self.evaluations,
+            codes, cells.cells, targets, control, bounds, ramp, self.tolerance / 4, self.evaluations, cells.across,
             lambda done, of: context.progress(done, of, "cells compared"),
         )  # fmt: skip
         made = LevelField(bare, fit.control)
