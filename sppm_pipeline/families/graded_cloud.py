@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ STEEP = 1.0
 
 AT_A_TIME = 1 << 18
 """Nodes at which maps are asked for together."""
+
+TOLD = 64
+"""Cells, spread over the part, by which the errors that the last round leaves are told."""
 
 ROOM = 2
 """Blocks along an edge of the boxes that repeat, of which the curve is made."""
@@ -102,11 +106,12 @@ class GradedCloud:
             n = self.resolution if number >= rounds - 1 else max(8, self.resolution // 2)
             cells = self._cells_of(context, made, n, places.get(n))
             places[n] = cells.places
-            place = np.array(cells.cells)
-            targets, errors = self._targets(place), np.empty(len(place))
-            for done, porosity in enumerate(cells.porosities()):
-                errors[done] = porosity - targets[done]
-                context.progress(number * len(place) + done + 1, (rounds + 1) * len(place), "cells measured")
+            # nothing is put right in the end: some cells, spread over all, tell the errors that are left
+            some = slice(None, None, 1 if number < rounds else -(-len(cells.cells) // TOLD))
+            place, targets = np.array(cells.cells), self._targets(np.array(cells.cells))[some]
+            share = 1 / (rounds + 1) / len(targets)
+            tell = partial(self._progress, context, number / (rounds + 1), share)
+            errors = cells.porosities(cells.cells[some], tell) - targets
             summary = error_summary(errors)
             rms.append(summary["error_rms"])
             if number == rounds:
@@ -119,6 +124,9 @@ class GradedCloud:
             made = self._drawn(context, kept)
         context.report(**summary, error_rms_of_rounds=rms, cell_deviation=curve.deviation)
         return made
+
+    def _progress(self, context: Context, before: float, share: float, done: int) -> None:
+        context.progress(before + share * done, 1.0, "cells measured")
 
     def _cells_of(self, context: Context, made: Tiling, n: int, places: Places | None) -> LatticeCells:
         """The cells that are measured, as far as they lie in the part; whole ones if the part fills none by a share."""

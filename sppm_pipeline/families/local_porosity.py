@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -16,7 +16,7 @@ from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.wrapped import WrappedField
-from sppm_pipeline.numerics.grading.local_level import CellCodes, void_and_slope
+from sppm_pipeline.numerics.grading.local_level import RUN, CellCodes, Sampled, runs_along_x, void_and_slope
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.threads import ordered_map
 
@@ -67,7 +67,7 @@ CELLS_AT_A_TIME = 4096
 _MEANS: WeakKeyDictionary[Grading, tuple[tuple[object, ...], NDArray[np.float64]]] = WeakKeyDictionary()
 """The means that were asked for last: stages that follow each other ask for the same, and distances take their time."""
 
-ALONE = 2**18
+ALONE = 2**20
 """Samples up to which one thread is faster than two."""
 
 HALF_RANGE = 4.0
@@ -128,22 +128,35 @@ class LatticeCells:
             filled &= chosen
         share = filled.astype(np.float64)
         if isinstance(field, Part):
-            share *= self._shares_of(field, filled, inside)
+            self._see(field, share, inside, all_layers=only is None)
         cells = [(int(i), int(j), int(k)) for i, j, k in np.argwhere(share >= LEAST_SHARE)]
         return Places(cells, share[share >= LEAST_SHARE], {cell: inside[cell] for cell in cells if cell in inside})
 
-    def _shares_of(
-        self, part: Part, filled: NDArray[np.bool_], inside: dict[tuple[int, int, int], NDArray[np.uint8]]
-    ) -> NDArray[np.float64]:
-        """Share of each cell that lies in the part; bits of the samples inside are kept where it is not whole."""
+    def _see(
+        self,
+        part: Part,
+        share: NDArray[np.float64],
+        inside: dict[tuple[int, int, int], NDArray[np.uint8]],
+        *,
+        all_layers: bool,
+    ) -> None:
+        """Set the share of each cell, where it is not 0, to that in the part; keep bits of cells that are not whole.
+
+        Layer by layer of all cells, or cell by cell, which pays for a few.
+        """
         n, (nx, ny, _) = self.n, self.base.cells
-        grid, shares = cell_centers(n, self.base.cells), np.zeros(self.base.cells)
-        for k in np.flatnonzero(filled.any((0, 1))).tolist():
-            blocks = part.inside_zyx(grid, k * n, (k + 1) * n).reshape(n, ny, n, nx, n)
-            shares[:, :, k] = blocks.mean((0, 2, 4)).T
-            for i, j in np.argwhere(filled[:, :, k] & (shares[:, :, k] > 0) & (shares[:, :, k] < 1)):
-                inside[int(i), int(j), k] = np.packbits(blocks[:, j, :, i])
-        return shares
+        grid, k, layers = cell_centers(n, self.base.cells), -1, np.zeros((0, 0, 0, 0, 0), bool)
+        for cell in sorted(map(tuple, np.argwhere(share > 0).tolist()), key=lambda cell: cell[2]):
+            if not all_layers:
+                own = part.inside_zyx(self.grid(cell), 0, n).view(bool)
+            else:
+                if cell[2] != k:
+                    k = cell[2]
+                    layers = part.inside_zyx(grid, k * n, (k + 1) * n).view(bool).reshape(n, ny, n, nx, n)
+                own = np.ascontiguousarray(layers[:, cell[1], :, cell[0]])
+            share[cell] = np.count_nonzero(own) / n**3
+            if 0 < share[cell] < 1:
+                inside[cell] = np.packbits(own)
 
     def grid(self, cell: tuple[int, int, int], count: int = 1) -> Grid:
         """Centers of the voxels of one cell, or of several along x that begin with it."""
@@ -161,46 +174,80 @@ class LatticeCells:
             return None
         return np.unpackbits(bits, count=self.n**3).reshape((self.n,) * 3).view(np.bool_)
 
-    def _rows_inside(self, cell: tuple[int, int, int]) -> NDArray[np.int32] | None:
-        """For each row of a cell the first sample in the part and the one after the last, (n, n, 2); None for all."""
-        inside = self.inside(cell)
-        if inside is None:
+    def _rows_inside(self, run: Sequence[tuple[int, int, int]]) -> NDArray[np.int32] | None:
+        """For each row of a run the first sample in the part and the one after the last, (n, n, 2); None for all."""
+        parts = [self.inside(cell) for cell in run]
+        if all(part is None for part in parts):
             return None
-        first, last = inside.argmax(2), self.n - inside[:, :, ::-1].argmax(2)
-        some = inside[:, :, ::-1].any(2)
-        return np.stack([np.where(some, first, 0), np.where(some, last, 0)], -1).astype(np.int32)
+        low = np.full((self.n, self.n), len(run) * self.n, np.int32)
+        high = np.zeros((self.n, self.n), np.int32)
+        for number, part in enumerate(parts):
+            begin = number * self.n
+            if part is None:
+                np.minimum(low, begin, out=low)
+                high[:] = begin + self.n
+                continue
+            some = part.any(2)
+            low[some] = np.minimum(low, begin + part.argmax(2))[some]
+            high[some] = (begin + self.n - part[:, :, ::-1].argmax(2))[some]
+        return np.stack([np.minimum(low, high), high], -1)
 
-    def values(self, cell: tuple[int, int, int]) -> NDArray[np.float32]:
-        """What a level is compared with, (n, n, n) indexed z, y, x: ln G of a sum G of kernels, or the field.
+    def values(self, run: Sequence[tuple[int, int, int]]) -> NDArray[np.float32]:
+        """What a level is compared with, (n, n, n len(run)) indexed z, y, x: ln G of a sum G of kernels, or the field.
 
         In rows before the first and beyond the last sample in the part it may be anything.
+
+        Parameters
+        ----------
+        run : cells
+            They follow each other along x.
         """
-        grid = self.grid(cell)
+        grid = self.grid(run[0], len(run))
         if isinstance(self.base, KernelSum) and self.base.additive:
-            sums = self.base.sums(grid, self._threads_for(grid), self._rows_inside(cell)).T
+            sums = self.base.sums(grid, self._threads_for(grid), self._rows_inside(run)).T
             np.maximum(sums, np.float32(1e-9), out=sums)
             return np.log(sums, out=sums)
         return self.base.sample_zyx(grid, 0, self.n, self._threads_for(grid))
 
+    def sampled(self, run: Sequence[tuple[int, int, int]]) -> Iterator[Sampled]:
+        """`values` of each cell of a run, and which of them lie in the part."""
+        values = self.values(run)
+        for number, cell in enumerate(run):
+            yield values[:, :, number * self.n : (number + 1) * self.n], self.inside(cell)
+
     @property
     def across(self) -> int:
         """Threads that look at cells at once, where cells are too small for several threads each."""
-        return 1 if self.n**3 > ALONE else self.threads
+        return 1 if RUN * self.n**3 > ALONE else self.threads
 
-    def porosities(self) -> Iterator[float]:
-        """Porosity of each cell of a sum of kernels, or of that of it which lies in the part.
+    def porosities(self, cells: Cells, progress: Callable[[int], None]) -> NDArray[np.float64]:
+        """Porosities of some cells of a sum of kernels, or of that of them which lies in the part.
 
         Samples near the level count in part, which takes a third of the samples that counting them whole would.
+
+        Parameters
+        ----------
+        cells : list of m cells
+        progress : callable
+            Told how many of them have been measured.
+
+        Returns
+        -------
+        (m,) float64
         """
         level = self.base.sum_level
         assert level is not None
-        codes = CellCodes(lambda cell: (self.values(cell), self.inside(cell)), math.log(level), HALF_RANGE, 0)
-        control = np.full(self.base.cells, math.log(level))
+        codes = CellCodes(self.sampled, math.log(level), HALF_RANGE, 0)
+        control, runs = np.full(self.base.cells, math.log(level)), runs_along_x(cells, RUN)
+        found = dict[tuple[int, int, int], float]()
 
-        def share(cell: tuple[int, int, int]) -> float:
-            return void_and_slope(codes, control, cell, RAMP)[0]
+        def shares(run: Cells) -> list[tuple[float, float]]:
+            return void_and_slope(codes, control, run, RAMP)
 
-        return ordered_map(share, self.cells, self.across)
+        for run, pairs in zip(runs, ordered_map(shares, runs, self.across), strict=True):
+            found.update(zip(run, (share for share, _ in pairs), strict=True))
+            progress(len(found))
+        return np.array([found[cell] for cell in cells])
 
     def porosity(self, cell: tuple[int, int, int]) -> float:
         """Share of void in a cell, or in that of it which lies in the part.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -24,8 +24,14 @@ _STEPS_OF_CODE = 32766
 # is taken to change at least so much.
 _LONGEST_STEP, _LEAST_CHANGE = 0.25, 0.05
 
-Sample = Callable[[tuple[int, int, int]], tuple[NDArray[np.floating], NDArray[np.bool_] | None]]
-"""Gives of a cell the values that the level is compared with, (n, n, n) indexed z, y, x, and which of them count."""
+RUN = 4
+"""Cells along x that are sampled together: long rows cost less than short ones, and kernels are listed for all at once.
+"""
+
+Cell = tuple[int, int, int]
+Sampled = tuple[NDArray[np.floating], NDArray[np.bool_] | None]
+Sample = Callable[[Sequence[Cell]], Iterable[Sampled]]
+"""Gives of each cell of a run the values that the level is compared with, (n, n, n) indexed z, y, x, and which count."""
 
 
 class LevelFit(NamedTuple):
@@ -68,7 +74,7 @@ class CellCodes:
     def __init__(self, sample: Sample, middle: float, half: float, memory: float) -> None:
         self._sample, self._middle, self._scale = sample, middle, _STEPS_OF_CODE / half
         self._left, self._lock = memory, threading.Lock()
-        self._kept: dict[tuple[int, int, int], NDArray[np.int16]] = {}
+        self._kept: dict[Cell, NDArray[np.int16]] = {}
 
     def code(self, values: NDArray[np.floating]) -> NDArray[np.int16]:
         """Values as codes."""
@@ -85,26 +91,28 @@ class CellCodes:
         """What is taken off, the factor behind it, and the largest code."""
         return float(self._middle), float(self._scale), float(_STEPS_OF_CODE)
 
-    def of(self, cell: tuple[int, int, int]) -> NDArray[np.int16]:
-        """Codes of a cell's samples, those outside of the part left out by the least number there is."""
-        if cell in self._kept:
-            return self._kept[cell]
-        values, inside = self._sample(cell)
-        codes = self.code(np.asarray(values, np.float32))
-        if inside is not None:
-            codes[~inside] = np.iinfo(np.int16).min
-        with self._lock:
-            keep = codes.nbytes <= self._left
-            self._left -= codes.nbytes if keep else 0
-        if keep:
-            self._kept[cell] = codes
-        return codes
+    def of(self, run: Sequence[Cell]) -> list[NDArray[np.int16]]:
+        """Codes of the samples of some cells, those outside of the part left out by the least number there is."""
+        if all(cell in self._kept for cell in run):
+            return [self._kept[cell] for cell in run]
+        made = []
+        for cell, (values, inside) in zip(run, self._sample(run), strict=True):
+            codes = self.code(np.asarray(values, np.float32))
+            if inside is not None:
+                codes[~inside] = np.iinfo(np.int16).min
+            made.append(codes)
+            with self._lock:
+                keep = codes.nbytes <= self._left
+                self._left -= codes.nbytes if keep else 0
+            if keep:
+                self._kept[cell] = codes
+        return made
 
 
 def void_and_slope(
-    codes: CellCodes, control: NDArray[np.float64], cell: tuple[int, int, int], width: float
-) -> tuple[float, float]:
-    """Share of a cell that is at or above the level, and the change of this share with the level.
+    codes: CellCodes, control: NDArray[np.float64], run: Sequence[Cell], width: float
+) -> list[tuple[float, float]]:
+    """Share of each cell that is at or above the level, and the change of this share with the level.
 
     A sample near the level counts in part, by a ramp from half a width below it to half a width above. The mean over
     levels that far apart which this tells is off by the square of the width; ramps of one and of half the width tell by
@@ -116,26 +124,28 @@ def void_and_slope(
     codes : CellCodes
     control : (nx, ny, nz) float64
         Control points of the level.
-    cell : 3 ints
+    run : cells
+        Sampled together.
     width : float
         Of the ramp, in values.
     """
     from sppm_pipeline.numerics.grading.level_rows import void_at_level
 
-    found = codes.of(cell)
-    # the cells around, with the outermost ones repeated
-    x, y, z = ([max(c - 1, 0), c, min(c + 1, n - 1)] for c, n in zip(cell, control.shape, strict=True))
-    near = np.ascontiguousarray(control[np.ix_(x, y, z)])
-    ramp = codes.width(width)
-    inside, wide, narrow, beside = void_at_level(found, near, weights_in_cell(len(found)), *codes.scaling, ramp)
-    if not inside:
-        return 0.0, 0.0
-    return (8 * narrow - wide) / (3 * ramp) / inside, beside / inside / width
+    ramp, told = codes.width(width), []
+    for cell, found in zip(run, codes.of(run), strict=True):
+        # the cells around, with the outermost ones repeated
+        x, y, z = ([max(c - 1, 0), c, min(c + 1, n - 1)] for c, n in zip(cell, control.shape, strict=True))
+        near = np.ascontiguousarray(control[np.ix_(x, y, z)])
+        inside, wide, narrow, beside = void_at_level(found, near, weights_in_cell(len(found)), *codes.scaling, ramp)
+        told.append(
+            ((8 * narrow - wide) / (3 * ramp) / inside, beside / inside / width) if inside else (0.0, 0.0)
+        )
+    return told
 
 
 def fit_level(
     codes: CellCodes,
-    cells: list[tuple[int, int, int]],
+    cells: list[Cell],
     targets: NDArray[np.float64],
     start: NDArray[np.float64],
     bounds: tuple[float, float],
@@ -172,7 +182,7 @@ def fit_level(
     progress : callable
         Told how many cells of all have been compared.
     """
-    place = tuple(np.array(cells).T)
+    place, runs = tuple(np.array(cells).T), runs_along_x(cells, RUN)
     known = np.zeros(start.shape, bool)
     known[place] = True
     control = np.clip(start, *bounds)
@@ -180,12 +190,11 @@ def fit_level(
     longest, least = _LONGEST_STEP * span, _LEAST_CHANGE / span
     best: LevelFit | None = None
     for step in range(1, steps + 1):
-        found = np.empty((len(cells), 2))
-        compared = ordered_map(partial(_compared, codes, control, width), cells, threads)
-        for done, pair in enumerate(compared):
-            found[done] = pair
-            progress((step - 1) * len(cells) + done + 1, steps * len(cells))
-        void, slope = found.T
+        found = dict[Cell, tuple[float, float]]()
+        for run, pairs in zip(runs, ordered_map(partial(_compared, codes, control, width), runs, threads), strict=True):
+            found.update(zip(run, pairs, strict=True))
+            progress((step - 1) * len(cells) + len(found), steps * len(cells))
+        void, slope = np.array([found[cell] for cell in cells]).T
         errors = void - targets
         stuck = (errors > tolerance) & (control[place] >= bounds[1] - 1e-9)
         stuck |= (errors < -tolerance) & (control[place] <= bounds[0] + 1e-9)
@@ -207,9 +216,20 @@ def fit_level(
 
 
 def _compared(
-    codes: CellCodes, control: NDArray[np.float64], width: float, cell: tuple[int, int, int]
-) -> tuple[float, float]:
-    return void_and_slope(codes, control, cell, width)
+    codes: CellCodes, control: NDArray[np.float64], width: float, run: Sequence[Cell]
+) -> list[tuple[float, float]]:
+    return void_and_slope(codes, control, run, width)
+
+
+def runs_along_x(cells: Sequence[Cell], most: int) -> list[list[Cell]]:
+    """Cells that follow each other along x, at most so many at a time, sorted by z, y, x."""
+    runs: list[list[Cell]] = []
+    for i, j, k in sorted(cells, key=lambda cell: cell[::-1]):
+        if runs and runs[-1][-1] == (i - 1, j, k) and len(runs[-1]) < most:
+            runs[-1].append((i, j, k))
+        else:
+            runs.append([(i, j, k)])
+    return runs
 
 
 def _worst(fit: LevelFit) -> float:

@@ -94,11 +94,11 @@ class TuneLocalPorosity(Stage):
             if not bounds[0] < start < bounds[1]:
                 raise DesignError(f"the level of {level:g} must lie above {LOWEST:g} and below 1")
         else:
-            some = cells.values(cells.cells[len(cells.cells) // 2])
+            some = cells.values([cells.cells[len(cells.cells) // 2]])
             start, half = 0.0, 4 * float(some.std())
             ramp, bounds = half / 40, (-half, half)  # a tenth of the deviation: the field may bend sharply
         control = np.full(bare.cells, start) if earlier is None else np.array(earlier.control)
-        codes = CellCodes(lambda cell: (cells.values(cell), cells.inside(cell)), start, half, memory=context.memory / 2)
+        codes = CellCodes(cells.sampled, start, half, memory=context.memory / 2)
         fit = fit_level(
             codes, cells.cells, targets, control, bounds, ramp, self.tolerance / 4, self.evaluations, cells.across,
             lambda done, of: context.progress(done, of, "cells compared"),
