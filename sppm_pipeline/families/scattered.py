@@ -158,6 +158,8 @@ def _extended(
         centers, piece = np.concatenate([base.centers, centers]), np.concatenate([base.piece, piece])
         order = np.argsort(piece, kind="stable")
         centers, piece = centers[order], piece[order]
+    # those that were kept are among the pores, and need not be kept twice
+    blocks = replace(blocks, kept=None, added=None)
     return replace(base, centers=centers, piece=piece, spacing=spacing, colors=(0, 0, 0), blocks=blocks)
 
 
