@@ -57,7 +57,7 @@ class TuneLocalPorosity(Stage):
         "error_max", "checked_at",
     )  # fmt: skip
 
-    resolution: int = options.resolution(48, note="for measuring the porosity", minimum=8, maximum=256)
+    resolution: int = options.resolution(40, note="for measuring the porosity", minimum=8, maximum=256)
     tolerance: float = options.tolerance(0.001)
     narrowest: float = option(
         0.8, help="least radius of a tunnel over that at the field's own level", above=0, maximum=1
