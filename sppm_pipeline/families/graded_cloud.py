@@ -57,8 +57,10 @@ class GradedCloud:
     grading : Grading
     cover : SurfaceMesh or None
         The part; porosities are those of what lies in it.
+    filled : (nx, ny, nz) bool
+        Cells that the part touches, in the lattice of all blocks.
     mask : (nx, ny, nz) bool
-        Blocks, the halo included.
+        All blocks, the halo included.
     halo : int
     edge : float
         Block edge, mm.
@@ -73,6 +75,7 @@ class GradedCloud:
     recipe: Recipe
     grading: Grading
     cover: SurfaceMesh | None
+    filled: NDArray[np.bool_]
     mask: NDArray[np.bool_]
     halo: int
     edge: float
@@ -138,31 +141,34 @@ class GradedCloud:
         return LatticeCells(made, n, context.threads, places=places)
 
     def _on_nodes(self, values: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Values (n, ...) at places (n, 3) mm, at the nodes of the density: those of blocks that hold pores.
+        """Values (n, ...) at places (n, 3) mm, at the nodes of the density.
 
-        Nodes beyond the box have the values of its border. Those that no block with pores touches get the value of one
-        that is touched; nothing depends on them.
+        Maps are asked for at nodes of cells that the part touches. Beyond these they go on as in the nearest ones, node
+        by node; nodes far from all have the value of any.
         """
-        axes = [np.arange(NODES * n + 1) for n in self.mask.shape]
-        border = NODES * self.halo
-        inner = [np.clip(axis, border, axis[-1] - border) - border for axis in axes]
-        touched = np.zeros([int(place[-1]) + 1 for place in inner], bool)
-        for x, y, z in np.argwhere(self.mask).tolist():
-            own = (place[NODES * c : NODES * c + NODES + 1] for place, c in zip(inner, (x, y, z), strict=True))
-            i, j, k = ((int(span[0]), int(span[-1]) + 1) for span in own)
-            touched[i[0] : i[1], j[0] : j[1], k[0] : k[1]] = True
-        some = np.flatnonzero(touched)
-        found: NDArray[np.float64] | None = None
+        grid = tuple(NODES * n + 1 for n in self.mask.shape)
+        known = np.zeros(grid, bool)
+        for x, y, z in (NODES * np.argwhere(self.filled)).tolist():
+            known[x : x + NODES + 1, y : y + NODES + 1, z : z + NODES + 1] = True
+        some, found = np.flatnonzero(known), np.zeros(0)
         for begin in range(0, len(some), AT_A_TIME):  # there may be millions
             part = some[begin : begin + AT_A_TIME]
-            place = np.stack(np.unravel_index(part, touched.shape), -1) / NODES
+            place = np.stack(np.unravel_index(part, grid), -1) / NODES - self.halo
             here = values(place * self.edge + np.array(self.origin))
-            if found is None:
-                found = np.empty((touched.size, *here.shape[1:]))
+            if not begin:
+                found = np.empty((known.size, *here.shape[1:]))
                 found[:] = here[0]
             found[part] = here
-        assert found is not None
-        return found.reshape(*touched.shape, *found.shape[1:])[np.ix_(*inner)]
+        found = found.reshape(*grid, *found.shape[1:])
+        for _ in range(NODES * self.halo):
+            for axis in range(3):
+                before, at = np.moveaxis(known, axis, 0).copy(), np.moveaxis(found, axis, 0)
+                reached = np.moveaxis(known, axis, 0)
+                for to, of in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
+                    new = before[of] & ~reached[to]
+                    at[to][new] = at[of][new]
+                    reached[to] |= new
+        return found
 
     def _metric(self) -> NDArray[np.float64] | None:
         """Metrics at the nodes, (..., 6); None where nothing is stretched."""

@@ -100,8 +100,9 @@ class ScatteredTiling(Stage):
         if self.porosity is not None and "porosity" in grading:
             raise ConfigError("the porosity is given twice, by a map and by the option", hint="leave out `porosity`")
         edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
+        filled = np.pad(lattice.mask, HALO)
         cloud = GradedCloud(
-            recipe, grading, cover, mask, HALO, edge, lattice.origin, self.porosity, self.trials, self.resolution
+            recipe, grading, cover, filled, mask, HALO, edge, lattice.origin, self.porosity, self.trials, self.resolution
         )
         tiling = cloud.laid(context, self.rounds)
         check_reach(tiling.tileset.micro)
