@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.grading import Grading
 from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.palette import Blocks, Palette, StretchedBlocks
+from sppm_pipeline.data.palette import Blocks, KeptPores, Palette, StretchedBlocks
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.graded import curve_of, graded_radii, metric_at, recipe_total, trial
 from sppm_pipeline.families.local_porosity import LatticeCells, Places, cell_means, error_summary
@@ -122,9 +122,13 @@ class GradedCloud:
             at = tuple((place + self.halo).T)
             # a block of small pores holds so many times more of them for the same porosity
             change = -np.rint(errors * scale[at] / curve.slope(curve.pores(targets))).astype(np.int64)
-            kept = self._changed(context, number, made, blocks, place, change)
-            del made, cells  # millions of pores are not held twice
-            made = self._drawn(context, kept)
+            keep, added = self._changed(context, number, made, place, change)
+            # millions of pores are not held twice
+            pores = made.tileset.micro.graph.pores
+            del made, cells
+            kept = KeptPores(pores.centers[keep], pores.piece[keep])
+            del pores
+            made = self._drawn(context, replace(blocks, kept=kept, added=added))
         context.report(**summary, error_rms_of_rounds=rms, cell_deviation=curve.deviation)
         return made
 
@@ -271,11 +275,10 @@ class GradedCloud:
         context: Context,
         number: int,
         made: Tiling,
-        blocks: Blocks,
         cells: NDArray[np.int64],
         change: NDArray[np.int64],
-    ) -> Blocks:
-        """Blocks with pores taken away where there are too many, at random, and some to add where there are too few."""
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Which pores are kept where there are too many, at random, and how many each interior gets more."""
         pores = made.tileset.micro.graph.pores
         interiors = made.arrays.interior[tuple((cells + self.halo).T)]
         keep, added = np.ones(len(pores.centers), bool), np.zeros(pores.interiors, np.int64)
@@ -286,7 +289,7 @@ class GradedCloud:
                 fewer = min(-more, max(0, end - begin - FEWEST))
                 keep[begin + context.rng(number, interior).permutation(end - begin)[:fewer]] = False
             added[interior] = max(more, 0)
-        return replace(blocks, kept=(pores.centers[keep], pores.piece[keep]), added=added)
+        return keep, added
 
     def _warn_of_steepness(self, context: Context, density: NDArray[np.float64], total: int) -> None:
         steepest = 0.0

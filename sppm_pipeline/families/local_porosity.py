@@ -22,9 +22,11 @@ from sppm_pipeline.numerics.threads import ordered_map
 
 Cells = list[tuple[int, int, int]]
 
-POINTS = 4
-"""Points along a cell edge at which a map is asked for its mean over a cell: a choice; maps are smooth or steps between
-cells."""
+_PLACES, _WEIGHTS = (0.3399810435848563, 0.8611363115940526), (0.6521451548625461, 0.3478548451374538)
+PLACES = np.array([1 - _PLACES[1], 1 - _PLACES[0], 1 + _PLACES[0], 1 + _PLACES[1]]) / 2
+WEIGHTS = np.array([_WEIGHTS[1], _WEIGHTS[0], _WEIGHTS[0], _WEIGHTS[1]]) / 2
+"""Points along a cell edge at which a map is asked for its mean over a cell, and their weights: those of Gauss, by which
+smooth maps have their mean to 1 in 100 000, and steps between cells theirs."""
 
 LEAST_SHARE = 0.25
 """A cell of which less lies in the part gets no level of its own, but one that continues those around it."""
@@ -50,13 +52,13 @@ def cell_means(
     key = (name, edge, origin, cells.tobytes())
     kept = _MEANS.get(grading)
     if kept is None or kept[0] != key:
-        t = (np.arange(POINTS) + 0.5) / POINTS
-        inner = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
+        inner = np.stack(np.meshgrid(PLACES, PLACES, PLACES, indexing="ij"), -1).reshape(-1, 3)
+        weights = np.einsum("i,j,k->ijk", WEIGHTS, WEIGHTS, WEIGHTS).ravel()
         values, here = np.empty(len(cells)), grading.in_cells(edge, origin)[name]
         for begin in range(0, len(cells), CELLS_AT_A_TIME):  # there may be a hundred thousand
             some = slice(begin, begin + CELLS_AT_A_TIME)
             points = (cells[some, None] + inner).reshape(-1, 3) * edge + np.array(origin)
-            values[some] = here.at(points).reshape(-1, len(inner)).mean(1)
+            values[some] = here.at(points).reshape(-1, len(inner)) @ weights
         kept = _MEANS[grading] = key, values
     return kept[1].copy()
 
@@ -146,7 +148,8 @@ class LatticeCells:
         """
         n, (nx, ny, _) = self.n, self.base.cells
         grid, k, layers = cell_centers(n, self.base.cells), -1, np.zeros((0, 0, 0, 0, 0), bool)
-        for cell in sorted(map(tuple, np.argwhere(share > 0).tolist()), key=lambda cell: cell[2]):
+        some: Cells = [(i, j, k) for i, j, k in np.argwhere(share > 0).tolist()]
+        for cell in sorted(some, key=lambda cell: cell[2]):
             if not all_layers:
                 own = part.inside_zyx(self.grid(cell), 0, n).view(bool)
             else:

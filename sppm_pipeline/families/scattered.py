@@ -65,7 +65,7 @@ def _with_graded_darts(context: Context, base: PoreSet, blocks: Blocks, mean: fl
     before = None
     if blocks.kept is not None:
         assert blocks.added is not None
-        base = base.extended(*blocks.kept)
+        base = base.extended(*blocks.kept.handed_over())
         before = base.centers, _first_of_blocks(base.piece, blocks)
         quotas = np.zeros(blocks.shape, np.int64)
         quotas[blocks.mask] = blocks.added
@@ -144,7 +144,7 @@ def _graded_by_block(
     factors = density_means(blocks.density)[blocks.mask] ** (-1 / 3)
     if blocks.kept is not None:
         assert blocks.added is not None
-        return base.extended(*blocks.kept), blocks.added, factors
+        return base.extended(*blocks.kept.handed_over()), blocks.added, factors
     total = getattr(sampler, "total", None) or sampler.expected_count(0.0)
     return base, graded_quotas(blocks.mask, float(total), blocks.density)[blocks.mask], factors
 

@@ -1,4 +1,4 @@
-"""Monotone cubic interpolation (PCHIP), in NumPy alone: a short run needs no more of SciPy's interpolation than this."""
+"""Monotone cubic interpolation (PCHIP) in NumPy alone, as the import of SciPy's takes longer than many a stage."""
 
 from __future__ import annotations
 

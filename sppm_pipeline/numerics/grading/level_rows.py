@@ -86,7 +86,8 @@ def void_at_level(
     beside : int
         Those within half a width of the level.
     """
-    inside, beside, wide, narrow = 0, 0, 0, 0
+    inside, beside = int(np.int64(0)), int(np.int64(0))
+    wide, narrow = int(np.int64(0)), int(np.int64(0))
     n = codes.shape[2]
     level = np.empty(n, np.int32)
     plane, row = np.empty((3, 3)), np.empty(3)
@@ -107,8 +108,8 @@ def void_at_level(
                 code = np.int32(codes[z, y, x])
                 counted = np.int32(code != OUTSIDE)
                 more = code - level[x]
-                inside += counted
-                wide += counted * min(max(more + half, np.int32(0)), half + half)
-                narrow += counted * min(max(more + quarter, np.int32(0)), half)
-                beside += counted * np.int32(more >= -half and more < half)
+                inside += int(counted)
+                wide += int(counted * min(max(more + half, np.int32(0)), half + half))
+                narrow += int(counted * min(max(more + quarter, np.int32(0)), half))
+                beside += int(counted * np.int32(more >= -half and more < half))
     return inside, wide, narrow, beside

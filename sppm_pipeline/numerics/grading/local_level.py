@@ -31,7 +31,7 @@ RUN = 4
 Cell = tuple[int, int, int]
 Sampled = tuple[NDArray[np.floating], NDArray[np.bool_] | None]
 Sample = Callable[[Sequence[Cell]], Iterable[Sampled]]
-"""Gives of each cell of a run the values that the level is compared with, (n, n, n) indexed z, y, x, and which count."""
+"""Gives of each cell of a run the values that the level is compared with, (n, n, n) by z, y, x, and which count."""
 
 
 class LevelFit(NamedTuple):
@@ -137,9 +137,7 @@ def void_and_slope(
         x, y, z = ([max(c - 1, 0), c, min(c + 1, n - 1)] for c, n in zip(cell, control.shape, strict=True))
         near = np.ascontiguousarray(control[np.ix_(x, y, z)])
         inside, wide, narrow, beside = void_at_level(found, near, weights_in_cell(len(found)), *codes.scaling, ramp)
-        told.append(
-            ((8 * narrow - wide) / (3 * ramp) / inside, beside / inside / width) if inside else (0.0, 0.0)
-        )
+        told.append(((8 * narrow - wide) / (3 * ramp) / inside, beside / inside / width) if inside else (0.0, 0.0))
     return told
 
 

@@ -48,7 +48,8 @@ class GradedTiling(Stage):
 
     Every cell has an interior of its own. Its number of pores comes from a curve that trial cells of the recipe give,
     and is then corrected in rounds by what the laid cell is found to have; of all rounds each cell gets the one nearest
-    to its target. What whole numbers of pores leave is left to `tune.local_porosity`. The recipe's samplers need `total` or `count`.
+    to its target. What whole numbers of pores leave is left to `tune.local_porosity`. The recipe's samplers need
+    `total` or `count`.
     """
 
     name: ClassVar[str] = "tile.graded"
@@ -111,6 +112,7 @@ class GradedTiling(Stage):
         assert palette.totals is not None
         rms, best, least, last = [], palette.totals, np.full(len(targets), np.inf), False
         while True:
+            assert palette.totals is not None
             made = self._laid(context, recipe, grading, palette, arrays, lattice)
             cells = LatticeCells(made, self.resolution, context.threads)
             own = arrays.box[tuple(np.array(cells.cells).T)]

@@ -100,10 +100,8 @@ class ScatteredTiling(Stage):
         if self.porosity is not None and "porosity" in grading:
             raise ConfigError("the porosity is given twice, by a map and by the option", hint="leave out `porosity`")
         edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
-        filled = np.pad(lattice.mask, HALO)
-        cloud = GradedCloud(
-            recipe, grading, cover, filled, mask, HALO, edge, lattice.origin, self.porosity, self.trials, self.resolution
-        )
+        blocks = np.pad(lattice.mask, HALO), mask, HALO, edge, lattice.origin
+        cloud = GradedCloud(recipe, grading, cover, *blocks, self.porosity, self.trials, self.resolution)
         tiling = cloud.laid(context, self.rounds)
         check_reach(tiling.tileset.micro)
         return tiling
