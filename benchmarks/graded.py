@@ -1,11 +1,13 @@
 """The paper's graded bar, and steps from .2 to .8, over seeds: each cell's porosity counted again by code of its own.
 
     python -m benchmarks.graded [SEEDS] [VOXELS]     # 10 and 121 if omitted
+    python -m benchmarks.graded maps [SEEDS] [VOXELS]  # scattered pores by random smooth maps; 3 and 101 if omitted
     python -m benchmarks.graded part MESH            # whole processes, from a mesh to layers
 
 A row for each kind of bar: the largest error of a cell, rms, how far the level goes from the recipe's, the share of the
 void that is connected neither to the largest part of it nor to the outside, and the share of the solid that falls off;
-bars of one face pattern repeat across, and so does what is counted as falling off. With a mesh, the part of
+bars of one face pattern repeat across, and so does what is counted as falling off. The maps are sums of waves from .3
+to .7, drawn by the seed; all cells of a box of 4 x 3 x 3 are counted again. With a mesh, the part of
 configs/bunny.yaml is graded by the distance from its surface, and compared with itself ungraded.
 """
 
@@ -26,9 +28,11 @@ from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.field.gaussian import GaussianField
+from sppm_pipeline.stages.grade.formula import GradeFormula
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
 from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
 from sppm_pipeline.stages.tile.graded import GradedTiling
+from sppm_pipeline.stages.tile.scattered import ScatteredTiling
 from sppm_pipeline.stages.tune.local_porosity import TuneLocalPorosity
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 from sppm_pipeline.testing.recount import laid_kernels, recounted_porosity
@@ -71,6 +75,39 @@ def measured(values: tuple[float, ...], faces: str, seed: int, n: int) -> list[f
     return [*found, change, loose_void, loose_solid, seconds]
 
 
+def wavy(seed: int) -> str:
+    """A formula of a random smooth map of porosities from .3 to .7 for a box of 80 x 60 x 60 mm."""
+    rng = np.random.default_rng(seed)
+    waves = [
+        f"sin({a:.4f}*x + {b:.4f}*y + {c:.4f}*z + {phase:.4f})"
+        for a, b, c, phase in np.column_stack([rng.uniform(-0.06, 0.06, (3, 3)), rng.uniform(0, 6.3, 3)])
+    ]
+    return f"0.5 + 0.066*({' + '.join(waves)})"
+
+
+def maps(seeds: int, n: int) -> None:
+    """Scattered pores that follow random maps, each cell counted again, and its target found again."""
+    t = (np.arange(8) + 0.5) / 8
+    inner = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
+    rows = []
+    for seed in range(1, seeds + 1):
+        context, formula, begun = PlainContext(seed), wavy(seed), time.process_time()
+        grading = GradeFormula(of="porosity", formula=formula).run(context, None, None)
+        tiling = ScatteredTiling(cell=Length(20, "mm"), cells=(4, 3, 3)).run(context, RECIPE, None, grading)
+        tuned = TuneLocalPorosity().run(context, tiling, grading)
+        assert isinstance(tuned, LevelField)
+        seconds, kernels, errors = time.process_time() - begun, laid_kernels(tiling), []
+        for cell in np.ndindex(4, 3, 3):
+            x, y, z = ((np.array(cell) + inner) * 20).T
+            target = eval(formula, {"sin": np.sin, "x": x, "y": y, "z": z}).mean()
+            errors.append(recounted_porosity(kernels, tuned.control, cell, n) - target)
+        change = np.abs(np.exp(tuned.control) / tiling.solid_below - 1).max()
+        worst, rms = np.abs(errors).max(), np.sqrt(np.square(errors).mean())
+        rows.append([seed, f"{100 * worst:.3f}", f"{100 * rms:.3f}", f"{100 * change:.1f}", f"{seconds:.1f}"])
+    head = ["map", "largest error, %", "rms, %", "level, %", "CPU s"]
+    table(f"scattered, 36 cells each, counted on {n} voxels along an edge", head, rows)
+
+
 def part(mesh: str) -> None:
     """The bunny's configuration as it is, with a map, and with a level that follows it."""
     plain = CONFIG.read_text()
@@ -99,6 +136,9 @@ def main() -> None:
     """Print the table."""
     if sys.argv[1:2] == ["part"]:
         part(sys.argv[2])
+        return
+    if sys.argv[1:2] == ["maps"]:
+        maps(*(int(a) for a in (sys.argv[2:] + ["3", "101"][len(sys.argv) - 2 :])[:2]))
         return
     seeds, n = (int(a) for a in (sys.argv[1:] + ["10", "121"][len(sys.argv) - 1 :])[:2])
     rows = []

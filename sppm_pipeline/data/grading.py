@@ -255,9 +255,9 @@ class TableLaw(Law):
             return self.values[np.clip(np.searchsorted(self.places, t, side="right") - 1, 0, None)]
         if self.kind == "linear":
             return np.interp(t, self.places, self.values)
-        from scipy.interpolate import PchipInterpolator
+        from sppm_pipeline.numerics.monotone_cubic import monotone_cubic
 
-        curve = PchipInterpolator(self.places, self.values)
+        curve = monotone_cubic(self.places, self.values).at
         # the curve does not leave the values but for rounding
         found: NDArray[np.float64] = np.clip(curve(np.clip(t, self.places[0], self.places[-1])), *self.bounds)
         return found

@@ -10,6 +10,27 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.curved_cells import HexahedralCells
 
 
+class KeptPores:
+    """Pores of scattered blocks that are there already, handed over to the sampler that adds more to them.
+
+    There may be millions, which whoever asks for more pores does not hold any longer once they are handed over.
+
+    Parameters
+    ----------
+    centers : (n, 3) float64
+        In block edges, from the low corner of their block.
+    piece : (n,) int32
+        Interior of each, ascending.
+    """
+
+    def __init__(self, centers: NDArray[np.float64], piece: NDArray[np.int32]) -> None:
+        self._pores: list[tuple[NDArray[np.float64], NDArray[np.int32]]] = [(centers, piece)]
+
+    def handed_over(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Centers and interiors, once."""
+        return self._pores.pop()
+
+
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """A lattice of blocks without faces, whose pores are thrown and joined across them (`tile.scattered`).
@@ -22,9 +43,9 @@ class Blocks:
         Whether the lattice repeats.
     density : (m nx + 1, m ny + 1, m nz + 1) float64 or None
         Pores per volume over what the recipe's samplers state, at m nodes along the edge of a block; spacings go with
-        its power -1/3. None for 1 everywhere.
-    kept : ((n, 3) float64, (n,) int32) or None
-        Centers and interiors of pores that are there already, sorted by interior: samplers then only add `added`.
+        its power -1/3, which is linear between nodes. None for 1 everywhere.
+    kept : KeptPores or None
+        Pores that are there already: samplers then only add `added`.
     added : (interiors,) int64 or None
         Pores that are thrown beside those kept.
     """
@@ -32,7 +53,7 @@ class Blocks:
     mask: NDArray[np.bool_]
     periodic: bool
     density: NDArray[np.float64] | None = None
-    kept: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None
+    kept: KeptPores | None = None
     added: NDArray[np.int64] | None = None
 
     @property

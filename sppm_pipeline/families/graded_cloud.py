@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.data.grading import Grading
-from sppm_pipeline.data.palette import Blocks, Palette, StretchedBlocks
+from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Blocks, KeptPores, Palette, StretchedBlocks
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.graded import curve_of, graded_radii, metric_at, recipe_total, trial
-from sppm_pipeline.families.local_porosity import LatticeCells, cell_means, error_summary
+from sppm_pipeline.families.local_porosity import LatticeCells, Places, cell_means, error_summary
 from sppm_pipeline.families.sampler import FEWEST
 from sppm_pipeline.fields.microstructure import Microstructure
+from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.grading.curve import PorosityCurve
+from sppm_pipeline.numerics.sampling.graded_blocks import NODES
 from sppm_pipeline.stage import Context, Recipe
 
 STEEP = 1.0
 """Relative change of the density over one spacing from which a structure can't follow its map."""
+
+AT_A_TIME = 1 << 18
+"""Nodes at which maps are asked for together."""
+
+TOLD = 64
+"""Cells, spread over the part, by which the errors that the last round leaves are told."""
 
 ROOM = 2
 """Blocks along an edge of the boxes that repeat, of which the curve is made."""
@@ -44,8 +55,12 @@ class GradedCloud:
     ----------
     recipe : Recipe
     grading : Grading
+    cover : SurfaceMesh or None
+        The part; porosities are those of what lies in it.
+    filled : (nx, ny, nz) bool
+        Cells that the part touches, in the lattice of all blocks.
     mask : (nx, ny, nz) bool
-        Blocks, the halo included.
+        All blocks, the halo included.
     halo : int
     edge : float
         Block edge, mm.
@@ -59,6 +74,8 @@ class GradedCloud:
 
     recipe: Recipe
     grading: Grading
+    cover: SurfaceMesh | None
+    filled: NDArray[np.bool_]
     mask: NDArray[np.bool_]
     halo: int
     edge: float
@@ -69,27 +86,35 @@ class GradedCloud:
 
     def laid(self, context: Context, rounds: int) -> Tiling:
         """Scatter, measure, and add and take away pores."""
-        from sppm_pipeline.numerics.sampling.graded_blocks import block_means
+        from sppm_pipeline.numerics.sampling.graded_blocks import density_means
 
         total, curve = recipe_total(self.recipe), None
-        density, wanted = self._density(context, total)
+        density, wanted = self._density(context), self._wanted()
+        scale = density_means(density)
         if wanted is not None:
-            curve, density = self._by_curve(context, total, density, wanted)
+            curve = self._curve(context, total, wanted)
+            self._follow(density, curve, wanted, total)
         self._warn_of_steepness(context, density, total)
         metric = self._metric()
         blocks = Blocks(self.mask, False, density)
         if metric is not None:
             blocks = StretchedBlocks(self.mask, False, density, metric=metric)
         made = self._drawn(context, blocks)
-        if curve is None or wanted is None:
+        if curve is None:
             return made
-        rms = []
-        scale = block_means(density) / (curve.pores(block_means(wanted)) / total)
+        del wanted
+        rms, places = [], dict[int, Places]()
         for number in range(rounds + 1):
-            cells = LatticeCells(made, self.resolution, context.threads)
-            place = np.array(cells.cells)
-            targets = self._targets(place)
-            errors = np.array([cells.porosity(cell) for cell in cells.cells]) - targets
+            # what a coarse grid misses in early rounds the last one, which looks closely, puts right
+            n = self.resolution if number >= rounds - 1 else max(8, self.resolution // 2)
+            cells = self._cells_of(context, made, n, places.get(n))
+            places[n] = cells.places
+            # nothing is put right in the end: some cells, spread over all, tell the errors that are left
+            some = slice(None, None, 1 if number < rounds else -(-len(cells.cells) // TOLD))
+            place, targets = np.array(cells.cells), self._targets(np.array(cells.cells))[some]
+            share = 1 / (rounds + 1) / len(targets)
+            tell = partial(self._progress, context, number / (rounds + 1), share)
+            errors = cells.porosities(cells.cells[some], tell) - targets
             summary = error_summary(errors)
             rms.append(summary["error_rms"])
             if number == rounds:
@@ -97,61 +122,106 @@ class GradedCloud:
             at = tuple((place + self.halo).T)
             # a block of small pores holds so many times more of them for the same porosity
             change = -np.rint(errors * scale[at] / curve.slope(curve.pores(targets))).astype(np.int64)
-            made = self._changed(context, number, made, blocks, place, change)
+            keep, added = self._changed(context, number, made, place, change)
+            # millions of pores are not held twice
+            pores = made.tileset.micro.graph.pores
+            del made, cells
+            kept = KeptPores(pores.centers[keep], pores.piece[keep])
+            del pores
+            made = self._drawn(context, replace(blocks, kept=kept, added=added))
         context.report(**summary, error_rms_of_rounds=rms, cell_deviation=curve.deviation)
         return made
 
-    def _nodes(self) -> NDArray[np.float64]:
-        """Places of the nodes of the density, (n, 3) mm; those beyond the box are moved to its border."""
-        from sppm_pipeline.numerics.sampling.graded_blocks import NODES
+    def _progress(self, context: Context, before: float, share: float, done: int) -> None:
+        context.progress(before + share * done, 1.0, "cells measured")
 
-        low, high = np.zeros(3), np.array(self.mask.shape) - 2.0 * self.halo
-        axes = [np.arange(NODES * n + 1) / NODES - self.halo for n in self.mask.shape]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        return np.asarray(np.clip(grid, low, high) * self.edge + np.array(self.origin))
+    def _cells_of(self, context: Context, made: Tiling, n: int, places: Places | None) -> LatticeCells:
+        """The cells that are measured, as far as they lie in the part; whole ones if the part fills none by a share."""
+        if self.cover is not None:
+            part = Part(made, self.cover, islands="keep")
+            cells = LatticeCells(part, n, context.threads, places=places)
+            if cells.cells:
+                return cells
+        return LatticeCells(made, n, context.threads, places=places)
+
+    def _on_nodes(self, values: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Values (n, ...) at places (n, 3) mm, at the nodes of the density.
+
+        Maps are asked for at nodes of cells that the part touches. Beyond these they go on as in the nearest ones, node
+        by node; nodes far from all have the value of any.
+        """
+        grid = tuple(NODES * n + 1 for n in self.mask.shape)
+        known = np.zeros(grid, bool)
+        for x, y, z in (NODES * np.argwhere(self.filled)).tolist():
+            known[x : x + NODES + 1, y : y + NODES + 1, z : z + NODES + 1] = True
+        some, found = np.flatnonzero(known), np.zeros(0)
+        for begin in range(0, len(some), AT_A_TIME):  # there may be millions
+            part = some[begin : begin + AT_A_TIME]
+            place = np.stack(np.unravel_index(part, grid), -1) / NODES - self.halo
+            here = values(place * self.edge + np.array(self.origin))
+            if not begin:
+                found = np.empty((known.size, *here.shape[1:]))
+                found[:] = here[0]
+            found[part] = here
+        found = found.reshape(*grid, *found.shape[1:])
+        for _ in range(NODES * self.halo):
+            for axis in range(3):
+                before, at = np.moveaxis(known, axis, 0).copy(), np.moveaxis(found, axis, 0)
+                reached = np.moveaxis(known, axis, 0)
+                for to, of in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
+                    new = before[of] & ~reached[to]
+                    at[to][new] = at[of][new]
+                    reached[to] |= new
+        return found
 
     def _metric(self) -> NDArray[np.float64] | None:
         """Metrics at the nodes, (..., 6); None where nothing is stretched."""
         from sppm_pipeline.numerics.metric import PLAIN
-        from sppm_pipeline.numerics.sampling.graded_blocks import NODES
 
-        grading, nodes = self.grading.in_cells(self.edge, self.origin), self._nodes()
-        found = metric_at(grading, nodes)
-        if found is None:
+        grading = self.grading.in_cells(self.edge, self.origin)
+        if metric_at(grading, np.zeros((0, 3))) is None:
             return None
-        if (found == PLAIN).all() and (grading["stretch"].at(nodes) != 1).any():
+
+        def here(points: NDArray[np.float64]) -> NDArray[np.float64]:
+            metric = metric_at(grading, points)
+            assert metric is not None
+            return np.concatenate([metric, grading["stretch"].at(points)[:, None]], axis=1)
+
+        found = self._on_nodes(here)
+        if (found[..., :6] == PLAIN).all() and (found[..., 6] != 1).any():
             raise DesignError(
                 "the direction of the stretch is (0, 0, 0) everywhere", hint="give direction_z a value of 1"
             )
-        return found.reshape(*(NODES * n + 1 for n in self.mask.shape), 6)
+        return np.ascontiguousarray(found[..., :6])
 
-    def _density(self, context: Context, total: int) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-        """Density by the sizes of pores alone, and the wanted porosity, both at the nodes; None without a target."""
+    def _density(self, context: Context) -> NDArray[np.float64]:
+        """Density by the sizes of pores alone, at the nodes."""
         from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE
         from sppm_pipeline.numerics.metric import determinants
-        from sppm_pipeline.numerics.sampling.graded_blocks import NODES
 
-        grading, points = self.grading.in_cells(self.edge, self.origin), self._nodes()
-        shape = tuple(NODES * n + 1 for n in self.mask.shape)
-        size = np.ones(len(points))
-        if "scale" in grading:
-            size *= grading["scale"].at(points)
+        grading, name, usual = self.grading.in_cells(self.edge, self.origin), "scale", 1.0
         if "pore_radius" in grading:
             micro = trial(context, self.recipe, None, 1)
-            usual = PORE_PROFILE.radius(float(np.median(micro.pieces.kernels.omega)), micro.level)
-            size = grading["pore_radius"].at(points) / (usual * self.edge)
+            name = "pore_radius"
+            usual = PORE_PROFILE.radius(float(np.median(micro.pieces.kernels.omega)), micro.level) * self.edge
         if "spacing" in grading:
-            size = grading["spacing"].at(points) / (self._usual_spacing(context) * self.edge)
-        density = size**-3.0
-        metric = metric_at(grading, points)
-        if metric is not None:
-            density *= np.sqrt(determinants(metric))  # as many pores where they are s times longer: 1/s of them
-        wanted = None
+            name, usual = "spacing", self._usual_spacing(context) * self.edge
+
+        def here(points: NDArray[np.float64]) -> NDArray[np.float64]:
+            size = grading[name].at(points) / usual if name in grading else np.ones(len(points))
+            density, metric = size**-3.0, metric_at(grading, points)
+            if metric is not None:
+                density *= np.sqrt(determinants(metric))  # as many pores where they are s times longer: 1/s of them
+            return density
+
+        return self._on_nodes(here)
+
+    def _wanted(self) -> NDArray[np.float64] | None:
+        """The porosity that is wanted, at the nodes; None without a target."""
+        grading = self.grading.in_cells(self.edge, self.origin)
         if "porosity" in grading:
-            wanted = grading["porosity"].at(points).reshape(shape)
-        elif self.porosity is not None:
-            wanted = np.full(shape, self.porosity)
-        return density.reshape(shape), wanted
+            return self._on_nodes(grading["porosity"].at)
+        return None if self.porosity is None else np.full((1, 1, 1), self.porosity)
 
     def _usual_spacing(self, context: Context) -> float:
         """The spacing of the recipe's pores, cell sizes."""
@@ -168,10 +238,8 @@ class GradedCloud:
             )
         return float(pores.spacing)
 
-    def _by_curve(
-        self, context: Context, total: int, density: NDArray[np.float64], wanted: NDArray[np.float64]
-    ) -> tuple[PorosityCurve, NDArray[np.float64]]:
-        """The curve of boxes of scattered blocks that repeat, and the density by it."""
+    def _curve(self, context: Context, total: int, wanted: NDArray[np.float64]) -> PorosityCurve:
+        """The curve of boxes of scattered blocks that repeat."""
         blocks = Blocks(np.ones((ROOM,) * 3, bool), True)
 
         def porosity(n: int, attempt: int) -> float:
@@ -179,8 +247,15 @@ class GradedCloud:
             tiling = without_faces(micro, blocks, 0, None, (0.0, 0.0, 0.0))
             return float((tiling.solid(max(24, self.resolution // 2), context.threads) == 0).mean())
 
-        curve = curve_of(context, porosity, total, wanted, self.trials)
-        return curve, density * curve.pores(wanted) / total
+        return curve_of(context, porosity, total, wanted, self.trials)
+
+    def _follow(
+        self, density: NDArray[np.float64], curve: PorosityCurve, wanted: NDArray[np.float64], total: int
+    ) -> None:
+        """Multiply the density by that which gives pores of one size the wanted porosity."""
+        wanted = np.broadcast_to(wanted, density.shape)
+        for plane, here in zip(density, wanted, strict=True):
+            plane *= curve.pores(here) / total
 
     def _targets(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         if "porosity" in self.grading:
@@ -200,11 +275,10 @@ class GradedCloud:
         context: Context,
         number: int,
         made: Tiling,
-        blocks: Blocks,
         cells: NDArray[np.int64],
         change: NDArray[np.int64],
-    ) -> Tiling:
-        """Take away pores where there are too many, at random, and add some where there are too few."""
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Which pores are kept where there are too many, at random, and how many each interior gets more."""
         pores = made.tileset.micro.graph.pores
         interiors = made.arrays.interior[tuple((cells + self.halo).T)]
         keep, added = np.ones(len(pores.centers), bool), np.zeros(pores.interiors, np.int64)
@@ -215,14 +289,15 @@ class GradedCloud:
                 fewer = min(-more, max(0, end - begin - FEWEST))
                 keep[begin + context.rng(number, interior).permutation(end - begin)[:fewer]] = False
             added[interior] = max(more, 0)
-        kept = pores.centers[keep], pores.piece[keep]
-        return self._drawn(context, replace(blocks, kept=kept, added=added))
+        return keep, added
 
     def _warn_of_steepness(self, context: Context, density: NDArray[np.float64], total: int) -> None:
-        from sppm_pipeline.numerics.sampling.graded_blocks import NODES
-
-        steepest = max(float(np.abs(np.diff(np.log(density), axis=axis)).max(initial=0.0)) for axis in range(3)) * NODES
-        spacing = (0.5 / (total * float(density.min()))) ** (1 / 3)
+        steepest = 0.0
+        for axis in range(3):
+            for near, far in zip(np.moveaxis(density, axis, 0)[:-1], np.moveaxis(density, axis, 0)[1:], strict=True):
+                steepest = max(steepest, float(np.abs(np.log(far / near)).max()) * NODES)
+        least = float(density.min())
+        spacing = (0.5 / (total * least)) ** (1 / 3)
         if steepest * spacing > STEEP:
             context.warn(
                 f"the density of pores changes by a factor of {np.exp(steepest * spacing):.3g} over one spacing of "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.curved_cells import HexahedralCells
 from sppm_pipeline.data.grading import Grading
-from sppm_pipeline.data.palette import Blocks, HexahedralBlocks, Palette
+from sppm_pipeline.data.palette import Blocks, HexahedralBlocks, KeptPores, Palette
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_targets
@@ -109,7 +109,8 @@ def with_darts_in_cells(
     in_mm = closer * around.edges
     longest = float((closer * around.edges).max()) * (1.0 if by_volume else 2.0)
     if blocks.kept is not None and blocks.added is not None:
-        old = (blocks.kept[0] + blocks.sites[blocks.kept[1]]) * blocks.edge + origin
+        centers, piece = blocks.kept.handed_over()
+        old = (centers + blocks.sites[piece]) * blocks.edge + origin
         made = GrowingCloud(len(old) + int(blocks.added.sum()), longest, box)
         cell = curved.places(old).cell
         cell = np.where(cell >= 0, cell, around.nearest(old)[1])
@@ -311,5 +312,5 @@ class HexahedralCloud:
             begin, end = int(first[own]), int(first[own + 1])
             fewer = min(-int(change[own]), max(0, end - begin - FEWEST))
             keep[order[begin + context.rng(number, own).permutation(end - begin)[:fewer]]] = False
-        kept = pores.centers[keep], pores.piece[keep]
+        kept = KeptPores(pores.centers[keep], pores.piece[keep])
         return self._drawn(context, replace(blocks, kept=kept, added=np.maximum(change, 0)))

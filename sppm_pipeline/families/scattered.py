@@ -61,15 +61,11 @@ def _with_graded_darts(context: Context, base: PoreSet, blocks: Blocks, mean: fl
     from sppm_pipeline.numerics.sampling.graded_blocks import graded_quotas, throw_graded_blocks
 
     assert blocks.density is not None
-    if len(base.centers):
-        raise ConfigError(
-            "graded cells are scattered by one sampler",
-            hint="give `sample.mirrored_faces` a `total` instead of `count`",
-        )
+    _refuse_another_sampler(base)
     before = None
     if blocks.kept is not None:
         assert blocks.added is not None
-        base = base.extended(*blocks.kept)
+        base = base.extended(*blocks.kept.handed_over())
         before = base.centers, _first_of_blocks(base.piece, blocks)
         quotas = np.zeros(blocks.shape, np.int64)
         quotas[blocks.mask] = blocks.added
@@ -142,17 +138,26 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
     return _extended(base, blocks, np.concatenate(new), counts, sampler.kept_spacing(base.cell, base))
 
 
+def _refuse_another_sampler(base: PoreSet) -> None:
+    if len(base.centers):
+        raise ConfigError(
+            "graded cells are scattered by one sampler",
+            hint="give `sample.mirrored_faces` a `total` instead of `count`",
+        )
+
+
 def _graded_by_block(
     sampler: Sampler, base: PoreSet, blocks: Blocks
 ) -> tuple[PoreSet, NDArray[np.int64], NDArray[np.float64]]:
     """The pores that are kept, and for each block how many more and the factor of their spacing."""
-    from sppm_pipeline.numerics.sampling.graded_blocks import block_means, graded_quotas
+    from sppm_pipeline.numerics.sampling.graded_blocks import density_means, graded_quotas
 
     assert blocks.density is not None
-    factors = block_means(blocks.density)[blocks.mask] ** (-1 / 3)
+    _refuse_another_sampler(base)
+    factors = density_means(blocks.density)[blocks.mask] ** (-1 / 3)
     if blocks.kept is not None:
         assert blocks.added is not None
-        return base.extended(*blocks.kept), blocks.added, factors
+        return base.extended(*blocks.kept.handed_over()), blocks.added, factors
     total = getattr(sampler, "total", None) or sampler.expected_count(0.0)
     return base, graded_quotas(blocks.mask, float(total), blocks.density)[blocks.mask], factors
 
@@ -166,6 +171,8 @@ def _extended(
         centers, piece = np.concatenate([base.centers, centers]), np.concatenate([base.piece, piece])
         order = np.argsort(piece, kind="stable")
         centers, piece = centers[order], piece[order]
+    # those that were kept are among the pores, and need not be kept twice
+    blocks = replace(blocks, kept=None, added=None)
     return replace(base, centers=centers, piece=piece, spacing=spacing, colors=(0, 0, 0), blocks=blocks)
 
 

@@ -85,11 +85,14 @@ class KernelSum(ScalarField):
         """Whether patches are used so often that sampling them finely costs less than to interpolate everywhere."""
         return False
 
-    def sums(self, grid: Grid, threads: int = 1) -> NDArray[np.float32]:
-        """G at the points of a grid, (nx, ny, nz) float32; `sample` is this less the level, but may be interpolated."""
+    def sums(self, grid: Grid, threads: int = 1, wanted: NDArray[np.int32] | None = None) -> NDArray[np.float32]:
+        """G at the points of a grid, (nx, ny, nz) float32; `sample` is this less the level, but may be interpolated.
+
+        `wanted` as for `solid_layers`.
+        """
 
         def sums(grid: Grid, start: int, stop: int) -> NDArray[np.float32]:
-            return self._summed(grid, start, stop, threads, None)
+            return self._summed(grid, start, stop, threads, None if self.periodic else wanted)
 
         return self._each_once(grid, 0, grid.shape[2], sums).T
 

@@ -27,7 +27,10 @@ _SMALL = 2**20
 
 
 class Catalog(NamedTuple):
-    """All kernels of all pieces, where each piece begins, how far each piece reaches, and the cut-off that says so."""
+    """All kernels of all pieces, where each piece begins, how far each piece reaches, and the cut-off that says so.
+
+    `least` and `most` (3,) are how far any piece reaches; None if there are no kernels.
+    """
 
     numbers: PieceNumbers
     kernels: Kernels
@@ -36,6 +39,12 @@ class Catalog(NamedTuple):
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     cutoff: float
+    least: NDArray[np.float64] | None
+    most: NDArray[np.float64] | None
+
+
+PIECES_AT_A_TIME = 4096
+"""Pieces whose reach is found together: there may be a hundred thousand with millions of kernels."""
 
 
 def sample_exact(
@@ -116,21 +125,25 @@ def make_catalog(pieces: Pieces, cutoff: float) -> Catalog:
     """All kernels of a tile set with the boxes of reach of its pieces; worth keeping between calls."""
     every = pieces.kernels
     lower, upper = np.full((len(pieces), 3), np.inf), np.full((len(pieces), 3), -np.inf)
-    pores, tunnels = kernel_reaches(every, cutoff)
-    ends = (
-        (every.centers, every.centers, pores, pieces.first_pore),
-        (every.starts, every.ends, tunnels, pieces.first_tunnel),
-    )
-    for one, other, reach, first in ends:
-        filled = np.flatnonzero(np.diff(first))
-        if not len(filled):
-            continue
-        for axis in range(3):  # an axis at a time: there may be millions of kernels
-            a, b = one[:, axis], other[:, axis]
-            low, high = np.minimum(a, b) - reach, np.maximum(a, b) + reach
-            lower[filled, axis] = np.minimum(lower[filled, axis], np.minimum.reduceat(low, first[filled]))
-            upper[filled, axis] = np.maximum(upper[filled, axis], np.maximum.reduceat(high, first[filled]))
-    return Catalog(pieces.numbers, every, pieces.first_pore, pieces.first_tunnel, lower, upper, cutoff)
+    for begin in range(0, len(pieces), PIECES_AT_A_TIME):
+        stop = min(begin + PIECES_AT_A_TIME, len(pieces))
+        first_pore, first_tunnel = (first[begin : stop + 1] for first in (pieces.first_pore, pieces.first_tunnel))
+        some = every.taken(slice(first_pore[0], first_pore[-1]), slice(first_tunnel[0], first_tunnel[-1]))
+        pores, tunnels = kernel_reaches(some, cutoff)
+        for one, other, reach, first in (
+            (some.centers, some.centers, pores, first_pore),
+            (some.starts, some.ends, tunnels, first_tunnel),
+        ):
+            filled = np.flatnonzero(np.diff(first))
+            if not len(filled):
+                continue
+            low, high = np.minimum(one, other) - reach[:, None], np.maximum(one, other) + reach[:, None]
+            at, own = first[filled] - first[0], begin + filled
+            lower[own] = np.minimum(lower[own], np.minimum.reduceat(low, at, axis=0))
+            upper[own] = np.maximum(upper[own], np.maximum.reduceat(high, at, axis=0))
+    reaching = np.isfinite(lower).all(axis=1)
+    least, most = (lower[reaching].min(axis=0), upper[reaching].max(axis=0)) if reaching.any() else (None, None)
+    return Catalog(pieces.numbers, every, pieces.first_pore, pieces.first_tunnel, lower, upper, cutoff, least, most)
 
 
 def kernels_in_box(
@@ -153,12 +166,11 @@ def kernels_in_box(
         In a fixed order: by lattice site (z, y, x), interior, faces, connectors, place in the piece. The order of two
         kernels does not depend on the box.
     """
-    reaching = np.isfinite(catalog.lower).all(axis=1)
-    if not reaching.any():
+    if catalog.least is None or catalog.most is None:
         return empty_kernels()
     # Site s is near if the box of reach of a piece, moved by s, meets the box.
-    first = np.ceil(lower - catalog.upper[reaching].max(axis=0)).astype(np.int64)
-    stop = np.floor(upper - catalog.lower[reaching].min(axis=0)).astype(np.int64) + 1
+    first = np.ceil(lower - catalog.most).astype(np.int64)
+    stop = np.floor(upper - catalog.least).astype(np.int64) + 1
     sites = sites_between(tiling, first, stop)
     numbers = site_pieces(catalog.numbers, sites).reshape(-1, PIECES_A_SITE)
     site, slot = np.nonzero(numbers >= 0)

@@ -17,18 +17,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connecting.degrees import clamped_degrees, feasible_degrees
-from sppm_pipeline.numerics.connecting.exchange import (
-    CHOSEN,
-    CONFLICT_FROM,
-    DEGREE,
-    FROM,
-    LOWER,
-    SLOTS,
-    TO,
-    UPPER,
-    connect_and_fill,
-    improve,
-)
+from sppm_pipeline.numerics.connecting.exchange import connect_and_fill, improve
+from sppm_pipeline.numerics.connecting.moves import CHOSEN, CONFLICT_FROM, DEGREE, FROM, LOWER, SLOTS, TO, UPPER
 from sppm_pipeline.numerics.threads import ordered_map
 
 LARGEST = 400

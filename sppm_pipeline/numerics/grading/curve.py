@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.monotone_cubic import monotone_cubic
 
 GROUPS = 12
 """Groups of cells of nearly one porosity, through whose means a curve of moduli goes at the most: a choice."""
@@ -32,17 +33,12 @@ class PorosityCurve(NamedTuple):
 
     def pores(self, porosity: NDArray[np.float64]) -> NDArray[np.float64]:
         """Numbers of pores, not whole, at porosities within the range of the curve."""
-        from scipy.interpolate import PchipInterpolator
-
-        found: NDArray[np.float64] = PchipInterpolator(self.porosities, self.counts)(porosity)
-        return found
+        return monotone_cubic(self.porosities, self.counts).at(np.asarray(porosity, np.float64))
 
     def slope(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Porosity that one more pore adds; beyond the ends of the curve as at them."""
-        from scipy.interpolate import PchipInterpolator
-
         within = np.clip(counts, self.counts[0], self.counts[-1])
-        found: NDArray[np.float64] = PchipInterpolator(self.counts, self.porosities).derivative()(within)
+        found = monotone_cubic(self.counts, self.porosities).slope_at(within)
         # PCHIP is level at a turning point and may be nearly so at an end
         mean = (self.porosities[-1] - self.porosities[0]) / (self.counts[-1] - self.counts[0])
         return np.asarray(np.maximum(found, 0.2 * mean))
@@ -91,22 +87,18 @@ class StiffnessCurve(NamedTuple):
 
     def porosity(self, modulus: NDArray[np.float64]) -> NDArray[np.float64]:
         """Porosities of moduli within the range of the curve; not a number beyond it."""
-        from scipy.interpolate import PchipInterpolator
-
         log = np.log(self.moduli)
         # rounding may not put the ends of the range outside of it
         wanted = np.log(np.maximum(modulus, 1e-300))
         slack = 1e-9 * (1 + np.abs(log).max())
         inside = (wanted >= log[-1] - slack) & (wanted <= log[0] + slack)
-        found = PchipInterpolator(log[::-1], self.porosities[::-1])(np.clip(wanted, log[-1], log[0]))
+        found = monotone_cubic(log[::-1], self.porosities[::-1]).at(np.clip(wanted, log[-1], log[0]))
         return np.where(inside, found, np.nan)
 
     def modulus(self, porosity: NDArray[np.float64]) -> NDArray[np.float64]:
         """Moduli at porosities, the inverse of `porosity`; not a number beyond the range of the curve."""
-        from scipy.interpolate import PchipInterpolator
-
         log = np.log(self.moduli)
-        curve = PchipInterpolator(log[::-1], self.porosities[::-1])
+        curve = monotone_cubic(log[::-1], self.porosities[::-1]).at
         low, high = np.full(np.shape(porosity), log[-1]), np.full(np.shape(porosity), log[0])
         for _ in range(60):
             middle = (low + high) / 2

@@ -53,42 +53,63 @@ def less_level(
 
 
 @jit
-def counts_at_level(
+def void_at_level(
     codes: NDArray[np.int16],
-    rows: NDArray[np.float64],
+    control: NDArray[np.float64],
     weights: NDArray[np.float64],
     middle: float,
     scale: float,
     most: float,
     width: int,
-) -> tuple[int, int, int]:
-    """Samples of a cell that count, those at or above the level, and those within a width of it.
+) -> tuple[int, int, int, int]:
+    """Samples of a cell that count, and how far they lie above the level, each no more than a width tells apart.
 
     Parameters
     ----------
     codes : (n, n, n) int16
-        Values less `middle`, times `scale`, rounded; `OUTSIDE` for those that do not count.
-    rows : (n, n, 3) float64
-        Control points of the spline before, in and after the cell along every row, indexed z, y.
+        Values less `middle`, times `scale`, rounded, indexed z, y, x; `OUTSIDE` for those that do not count.
+    control : (3, 3, 3) float64
+        Control points of the spline in and around the cell, indexed x, y, z.
     weights : (n, 3) float64
+        Of the control points before, in and after the cell at the samples along an axis.
     middle, scale, most : float
         Levels are coded as values are, and no code is larger than `most`.
     width : int
+        A multiple of 4.
+
+    Returns
+    -------
+    inside : int
+        Samples that count.
+    wide, narrow : int
+        Sums over these of how far they lie above the level less half a width, at most a width; the same for half of it.
+    beside : int
+        Those within half a width of the level.
     """
-    inside, above, near = 0, 0, 0
+    inside, beside = int(np.int64(0)), int(np.int64(0))
+    wide, narrow = int(np.int64(0)), int(np.int64(0))
     n = codes.shape[2]
     level = np.empty(n, np.int32)
+    plane, row = np.empty((3, 3)), np.empty(3)
+    half, quarter = np.int32(width // 2), np.int32(width // 4)
     for z in range(codes.shape[0]):
+        for i in range(3):
+            for j in range(3):
+                c = control[i, j]
+                plane[i, j] = c[0] * weights[z, 0] + c[1] * weights[z, 1] + c[2] * weights[z, 2]
         for y in range(codes.shape[1]):
-            a, b, c = rows[z, y, 0], rows[z, y, 1], rows[z, y, 2]
+            for i in range(3):
+                p = plane[i]
+                row[i] = p[0] * weights[y, 0] + p[1] * weights[y, 1] + p[2] * weights[y, 2]
             for x in range(n):
-                value = a * weights[x, 0] + b * weights[x, 1] + c * weights[x, 2]
+                value = row[0] * weights[x, 0] + row[1] * weights[x, 1] + row[2] * weights[x, 2]
                 level[x] = np.int32(np.rint(min(max((value - middle) * scale, -most), most)))
             for x in range(n):
                 code = np.int32(codes[z, y, x])
-                counted = code != OUTSIDE
+                counted = np.int32(code != OUTSIDE)
                 more = code - level[x]
-                inside += counted
-                above += counted and more >= 0
-                near += counted and more >= -width and more < width
-    return inside, above, near
+                inside += int(counted)
+                wide += int(counted * min(max(more + half, np.int32(0)), half + half))
+                narrow += int(counted * min(max(more + quarter, np.int32(0)), half))
+                beside += int(counted * np.int32(more >= -half and more < half))
+    return inside, wide, narrow, beside

@@ -8,6 +8,7 @@ slope zero and goes on as a constant. Its mean over a cell is ``(1/6, 2/3, 1/6)`
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -34,27 +35,12 @@ def _contracted(values: NDArray[np.float64], along: _Along) -> NDArray[np.float6
     return np.moveaxis(taken[0] + taken[1] + taken[2], 0, -1)
 
 
-def rows_of_cell(
-    control: NDArray[np.float64], t: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Control points along each row of samples of the middle one of 3 x 3 x 3 cells, and their weights.
-
-    Parameters
-    ----------
-    control : (3, 3, 3) float64
-    t : (n,) float64
-        Positions along all three axes, between 1 and 2.
-
-    Returns
-    -------
-    rows : (n, n, 3) float64
-        Indexed z, y.
-    weights : (n, 3) float64
-    """
-    along = _along(t, 3)
-    planes = _contracted(control.transpose(1, 2, 0), along)
-    rows = _contracted(planes, along)
-    return np.ascontiguousarray(rows.transpose(2, 1, 0)), along.weights
+@cache
+def weights_in_cell(n: int) -> NDArray[np.float64]:
+    """Weights (n, 3) of the control points before, in and after a cell, in the middles of n voxels along an axis."""
+    weights = _along(1 + (np.arange(n) + 0.5) / n, 3).weights
+    weights.flags.writeable = False
+    return weights
 
 
 class LayerSpline:
@@ -93,18 +79,22 @@ def control_of_means(means: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Along each axis means are ``(1/6, 2/3, 1/6)`` of the control points, ``(5/6, 1/6)`` at the ends.
     """
-    from scipy.linalg import solve_banded
-
     values = means
     for axis in range(3):
         n = means.shape[axis]
         if n > 1:
-            bands = np.full((3, n), 1 / 6)
-            bands[1] = 2 / 3
-            bands[1, [0, -1]] += 1 / 6
-            lines = np.moveaxis(values, axis, 0)
-            solved = solve_banded((1, 1), bands, lines.reshape(n, -1), check_finite=False)
-            values = np.moveaxis(solved.reshape(lines.shape), 0, axis)
+            diagonal = np.full(n, 2 / 3)
+            diagonal[[0, -1]] += 1 / 6
+            lines = np.array(np.moveaxis(values, axis, 0), np.float64)
+            # elimination without pivoting: the diagonal outweighs the rest of its row
+            for k in range(1, n):
+                share = 1 / 6 / diagonal[k - 1]
+                diagonal[k] -= share / 6
+                lines[k] -= share * lines[k - 1]
+            lines[-1] /= diagonal[-1]
+            for k in range(n - 2, -1, -1):
+                lines[k] = (lines[k] - lines[k + 1] / 6) / diagonal[k]
+            values = np.moveaxis(lines, 0, axis)
     return values
 
 

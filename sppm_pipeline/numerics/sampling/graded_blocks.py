@@ -2,7 +2,9 @@
 
 Two pores at p and q keep the mean of the spacings there, ``(l(p) + l(q)) / 2``. A dart is uniform in its block and kept
 with a probability proportional to the density at its place; blocks, colors and random streams are those of
-`blocks.throw_blocks`. The density is given at nodes, `NODES` to an edge of a block, and linear in between.
+`blocks.throw_blocks`. The density is given at nodes, `NODES` to an edge of a block. In between the spacing, its power
+-1/3, is linear: where sizes change at a constant rate the density is exact, and does not rise above itself as the chord
+of so bent a curve would.
 
 Where pores are stretched, their distance is measured in the mean of the metrics at p and q, and the spacing is that of
 as many pores in the metric: the same as if round pores had been thrown and then been stretched.
@@ -50,19 +52,41 @@ def graded_quotas(mask: NDArray[np.bool_], mean: float, density: NDArray[np.floa
         At the nodes.
     """
     nx, ny, nz = mask.shape
-    wanted = mean * block_means(density)
+    wanted = mean * density_means(density)
     steps = np.floor(np.concatenate([[0.0], np.cumsum(np.where(mask, wanted, 0.0).transpose(2, 1, 0).ravel())]) + 0.5)
     return np.diff(steps).astype(np.int64).reshape(nz, ny, nx).transpose(2, 1, 0)
 
 
-def block_means(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Means over the blocks, (nx, ny, nz), of values at nodes, linear in between."""
-    cells = nodes
-    for axis in range(3):
-        n = cells.shape[axis]
-        cells = (np.take(cells, range(n - 1), axis) + np.take(cells, range(1, n), axis)) / 2
-    nx, ny, nz = (n // NODES for n in cells.shape)
-    return np.asarray(cells.reshape(nx, NODES, ny, NODES, nz, NODES).mean((1, 3, 5)))
+def density_means(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means over the blocks, (nx, ny, nz), of a density at nodes, whose power -1/3 is linear in between."""
+    return _density_means(np.ascontiguousarray(nodes, np.float64) ** (-1 / 3))
+
+
+@jit
+def _density_means(spacings: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means of the power -3 of trilinear functions: three points of Gauss along each axis between nodes."""
+    nx, ny, nz = spacings.shape[0] // NODES, spacings.shape[1] // NODES, spacings.shape[2] // NODES
+    out = np.zeros((nx, ny, nz))
+    off = 0.5 * np.sqrt(0.6)
+    places, weights = np.array([0.5 - off, 0.5, 0.5 + off]), np.array([5.0, 8.0, 5.0]) / 18
+    plane, row = np.empty((2, 2)), np.empty(2)
+    for i in range(nx * NODES):
+        for j in range(ny * NODES):
+            for k in range(nz * NODES):
+                total = 0.0
+                for a in range(3):
+                    for m in range(2):
+                        for n in range(2):
+                            low, high = spacings[i, j + m, k + n], spacings[i + 1, j + m, k + n]
+                            plane[m, n] = low + places[a] * (high - low)
+                    for b in range(3):
+                        for n in range(2):
+                            row[n] = plane[0, n] + places[b] * (plane[1, n] - plane[0, n])
+                        for c in range(3):
+                            value = row[0] + places[c] * (row[1] - row[0])
+                            total += weights[a] * weights[b] * weights[c] / (value * value * value)
+                out[i // NODES, j // NODES, k // NODES] += total / NODES**3
+    return out
 
 
 def at_nodes(nodes: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -137,7 +161,9 @@ def throw_graded_blocks(
     # no packing of balls is denser than pi / sqrt(18); those around a block lie within the widest spacing
     rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * widest) ** 3 / closest**3 + 27)) + most
     missing = np.zeros(quotas.size, np.int64)
-    of_darts, of_spacings, of_metrics = (np.ascontiguousarray(v, np.float64) for v in (density, packing, metrics))
+    of_darts = np.ascontiguousarray(density, np.float64) ** (-1 / 3)
+    of_spacings = of_darts if packing is density else np.ascontiguousarray(packing, np.float64) ** (-1 / 3)
+    of_metrics = np.ascontiguousarray(metrics, np.float64)
 
     def throw(blocks: NDArray[np.int64]) -> None:
         cells = empty_cell_list(rows, widest, np.zeros(3), np.ones(3), (False, False, False))
@@ -163,8 +189,8 @@ def throw_graded_blocks(
 
 
 @jit
-def _density(nodes: NDArray[np.float64], x: float, y: float, z: float) -> float:
-    """The density at a place of the lattice, linear between nodes and constant beyond them."""
+def _at(nodes: NDArray[np.float64], x: float, y: float, z: float) -> float:
+    """A value at a place of the lattice, linear between nodes and constant beyond them."""
     px = min(max(x * NODES, 0.0), nodes.shape[0] - 1.0)
     py = min(max(y * NODES, 0.0), nodes.shape[1] - 1.0)
     pz = min(max(z * NODES, 0.0), nodes.shape[2] - 1.0)
@@ -236,8 +262,8 @@ def _throw_in_turn(
 ) -> None:
     """Throw the pores of blocks that are not neighbors; what can't be placed is noted in `missing`.
 
-    Darts follow the density at `nodes`, spacings that of `packing`. One node of metrics alone stands for plain
-    distances.
+    Both `nodes` and `packing` are powers -1/3 of densities: darts follow the one, spacings the other. One node of
+    metrics alone stands for plain distances.
     """
     rows = cells.points.shape[0]
     spacings = np.empty(rows)
@@ -249,32 +275,32 @@ def _throw_in_turn(
         stream = streams[block : block + 1].copy()
         wanted = first[block + 1] - first[block]
         x0, y0, z0 = block // (shape[1] * shape[2]), block // shape[2] % shape[1], block % shape[2]
-        largest = 0.0
+        least = np.inf
         for i in range(NODES + 1):
             for j in range(NODES + 1):
                 for k in range(NODES + 1):
-                    largest = max(largest, nodes[x0 * NODES + i, y0 * NODES + j, z0 * NODES + k])
+                    least = min(least, nodes[x0 * NODES + i, y0 * NODES + j, z0 * NODES + k])
         for _ in range(ATTEMPTS):
             list_neighbors(cells, block, shape, False, wraps, streams, first, centers, old_centers, old_first)
             start = cells.used[0]
             for row in range(start):
                 p = cells.points[row]
-                spacings[row] = spacing * _density(packing, x0 + p[0], y0 + p[1], z0 + p[2]) ** (-1.0 / 3.0)
+                spacings[row] = spacing * _at(packing, x0 + p[0], y0 + p[1], z0 + p[2])
                 if stretched:
                     for entry in range(6):
-                        metrics[row, entry] = _density(metric_nodes[..., entry], x0 + p[0], y0 + p[1], z0 + p[2])
+                        metrics[row, entry] = _at(metric_nodes[..., entry], x0 + p[0], y0 + p[1], z0 + p[2])
             placed, darts = 0, 0
             while placed < wanted and darts < DARTS * wanted + 1000:
                 x, y, z = next_uniform(stream), next_uniform(stream), next_uniform(stream)
-                here = _density(nodes, x0 + x, y0 + y, z0 + z)
-                if next_uniform(stream) * largest > here:
+                here = _at(nodes, x0 + x, y0 + y, z0 + z)
+                if next_uniform(stream) * here * here * here > least * least * least:
                     continue
                 darts += 1
                 if stretched:
-                    here = _density(packing, x0 + x, y0 + y, z0 + z)
+                    here = _at(packing, x0 + x, y0 + y, z0 + z)
                     for entry in range(6):
-                        own_metric[entry] = _density(metric_nodes[..., entry], x0 + x, y0 + y, z0 + z)
-                own = spacing * here ** (-1.0 / 3.0)
+                        own_metric[entry] = _at(metric_nodes[..., entry], x0 + x, y0 + y, z0 + z)
+                own = spacing * here
                 place[0], place[1], place[2] = x, y, z
                 if _free(cells, spacings, metrics, place, own, own_metric):
                     row = cells.used[0]

@@ -38,16 +38,22 @@ BESIDE = 0.25
 """Cell sizes on either side of a face at which the map is asked for its number of pores: a choice."""
 
 
+WORTH = 0.25
+"""Pores by which an earlier round must have been nearer to its target than the last one for cells to be laid anew."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class GradedTiling(Stage):
     """Lay cells whose numbers of pores follow a map of the porosity (paper, "graded").
 
     Every cell has an interior of its own. Its number of pores comes from a curve that trial cells of the recipe give,
-    and is then corrected in rounds by what the laid cell is found to have. What whole numbers of pores leave is left to
-    `tune.local_porosity`. The recipe's samplers need `total` or `count`.
+    and is then corrected in rounds by what the laid cell is found to have; of all rounds each cell gets the one nearest
+    to its target. What whole numbers of pores leave is left to `tune.local_porosity`. The recipe's samplers need
+    `total` or `count`.
     """
 
     name: ClassVar[str] = "tile.graded"
+    version: ClassVar[int] = 2
     advice: ClassVar[str] = "give larger cells"
     reported: ClassVar[tuple[str, ...]] = (
         "cell_deviation", "pores_min", "pores_max", "error_mean", "error_rms", "error_p95", "error_max",
@@ -103,20 +109,30 @@ class GradedTiling(Stage):
             spacings=(total / count) ** (1 / 3),
             face_totals=self._face_totals(grading, curve, arrays, lattice) if self.faces == "graded" else None,
         )
-        rms, made = [], None
-        for _ in range(self.rounds + 1):
+        assert palette.totals is not None
+        rms, best, least, last = [], palette.totals, np.full(len(targets), np.inf), False
+        while True:
+            assert palette.totals is not None
             made = self._laid(context, recipe, grading, palette, arrays, lattice)
             cells = LatticeCells(made, self.resolution, context.threads)
             own = arrays.box[tuple(np.array(cells.cells).T)]
             errors = np.array([cells.porosity(cell) for cell in cells.cells]) - targets[own]
             summary = error_summary(errors)
             rms.append(summary["error_rms"])
-            assert palette.totals is not None
-            totals = palette.totals.copy()
-            totals[own] -= np.rint(errors / curve.slope(totals[own].astype(np.float64))).astype(np.int64)
+            # an interior is drawn from its place and its number of pores, so that an earlier one can be had again
+            size, totals = np.full(len(targets), np.inf), palette.totals.copy()
+            size[own] = np.abs(errors)
+            best, least = np.where(size < least, totals, best), np.minimum(size, least)
+            if last or not self.rounds:
+                break
+            slope = curve.slope(totals[own].astype(np.float64))
             if len(rms) <= self.rounds:
+                totals[own] -= np.rint(errors / slope).astype(np.int64)
                 palette = replace(palette, totals=np.maximum(totals, FEWEST))
-        assert made is not None
+                continue
+            if (size[own] <= least[own] + WORTH * slope).all():
+                break
+            palette, last = replace(palette, totals=best), True
         assert palette.totals is not None
         context.report(
             **summary,

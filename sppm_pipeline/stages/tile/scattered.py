@@ -42,6 +42,7 @@ class ScatteredTiling(Stage):
     """
 
     name: ClassVar[str] = "tile.scattered"
+    version: ClassVar[int] = 2
     advice: ClassVar[str] = "give larger cells, or use `tileset.free_faces` with many interiors"
 
     cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
@@ -73,7 +74,7 @@ class ScatteredTiling(Stage):
         halo = 0 if self.periodic else HALO
         blocks = Blocks(with_halo(lattice.mask, halo), self.periodic)
         if grading is not None and any(name in grading for name in FOLLOWED):
-            return self._graded(context, recipe, grading, lattice, blocks.mask)
+            return self._graded(context, recipe, grading, cover, lattice, blocks.mask)
         micro = recipe.run(context, palette=Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks))
         if not isinstance(micro, Microstructure):
             raise ConfigError(
@@ -86,16 +87,21 @@ class ScatteredTiling(Stage):
         return tiling if self.porosity is None else at_porosity(context, tiling, cover, self.porosity, self.resolution)
 
     def _graded(
-        self, context: Context, recipe: Recipe, grading: Grading, lattice: Lattice, mask: NDArray[np.bool_]
+        self,
+        context: Context,
+        recipe: Recipe,
+        grading: Grading,
+        cover: SurfaceMesh | None,
+        lattice: Lattice,
+        mask: NDArray[np.bool_],
     ) -> Tiling:
         if self.periodic:
             raise ConfigError("graded cells do not repeat", hint="leave out `periodic`")
         if self.porosity is not None and "porosity" in grading:
             raise ConfigError("the porosity is given twice, by a map and by the option", hint="leave out `porosity`")
         edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
-        cloud = GradedCloud(
-            recipe, grading, mask, HALO, edge, lattice.origin, self.porosity, self.trials, self.resolution
-        )
+        blocks = np.pad(lattice.mask, HALO), mask, HALO, edge, lattice.origin
+        cloud = GradedCloud(recipe, grading, cover, *blocks, self.porosity, self.trials, self.resolution)
         tiling = cloud.laid(context, self.rounds)
         check_reach(tiling.tileset.micro)
         return tiling

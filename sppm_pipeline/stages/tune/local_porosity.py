@@ -16,7 +16,7 @@ from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_cells_of, curved_targets, fit_curved_level
-from sppm_pipeline.families.local_porosity import Cells, LatticeCells, cell_means, error_summary
+from sppm_pipeline.families.local_porosity import HALF_RANGE, RAMP, Cells, LatticeCells, cell_means, error_summary
 from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
@@ -26,13 +26,10 @@ from sppm_pipeline.numerics.grading.cell_level import BYTES_OF_A_SAMPLE
 from sppm_pipeline.numerics.grading.local_level import CellCodes, LevelFit, fit_level
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
-LOWEST, HALF_RANGE = 0.05, 4.0
-"""The lowest level C, and how far ln G is told apart on either side of ln C at first: choices."""
+LOWEST = 0.05
+"""The lowest level C, a choice."""
 
-NEAR = 0.05
-"""Samples whose ln G is so near to ln C tell how the porosity changes with the level."""
-
-CHECKED = 32
+CHECKED = 16
 """Cells, spread over the part, that are measured again on a finer grid."""
 
 
@@ -50,6 +47,7 @@ class TuneLocalPorosity(Stage):
     """
 
     name: ClassVar[str] = "tune.local_porosity"
+    version: ClassVar[int] = 2
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("error_rms", "error of the cells, rms"), Headline("error_max", "largest"), Headline("cells_at_bound"),
     )  # fmt: skip
@@ -58,7 +56,7 @@ class TuneLocalPorosity(Stage):
         "error_max", "checked_at",
     )  # fmt: skip
 
-    resolution: int = options.resolution(48, note="for measuring the porosity", minimum=8, maximum=256)
+    resolution: int = options.resolution(40, note="for measuring the porosity", minimum=8, maximum=256)
     tolerance: float = options.tolerance(0.001)
     narrowest: float = option(
         0.8, help="least radius of a tunnel over that at the field's own level", above=0, maximum=1
@@ -93,12 +91,12 @@ class TuneLocalPorosity(Stage):
         targets = cell_means(grading, "porosity", edge, bare.origin_mm, where)
         scale = 1.0
         if bare.sum_level is None:
-            scale = float(cells.values(cells.cells[len(cells.cells) // 2]).std())
-        start, half, near, bounds = self._range(bare.sum_level, scale)
+            scale = float(cells.values([cells.cells[len(cells.cells) // 2]]).std())
+        start, half, ramp, bounds = self._range(bare.sum_level, scale)
         control = np.full(bare.cells, start) if earlier is None else np.array(earlier.control)
-        codes = CellCodes(lambda cell: (cells.values(cell), cells.inside(cell)), start, half, memory=context.memory / 2)
+        codes = CellCodes(cells.sampled, start, half, memory=context.memory / 2)
         fit = fit_level(
-            codes, cells.cells, targets, control, bounds, near, self.tolerance / 4, self.evaluations,
+            codes, cells.cells, targets, control, bounds, ramp, self.tolerance / 4, self.evaluations, cells.across,
             lambda done, of: context.progress(done, of, "cells compared"),
         )  # fmt: skip
         made = LevelField(bare, fit.control)
@@ -114,7 +112,7 @@ class TuneLocalPorosity(Stage):
         return tuned
 
     def _range(self, level: float | None, deviation: float) -> tuple[float, float, float, tuple[float, float]]:
-        """Where to begin, how far values are told apart, how near is near, and the bounds.
+        """Where to begin, how far values are told apart, how wide a ramp is, and the bounds.
 
         Parameters
         ----------
@@ -125,11 +123,11 @@ class TuneLocalPorosity(Stage):
         """
         if level is None:
             half = 4 * deviation
-            return 0.0, half, half / 80, (-half, half)
+            return 0.0, half, half / 40, (-half, half)  # a tenth of the deviation: the field may bend sharply
         start, bounds = math.log(level), (math.log(LOWEST), self.narrowest * math.log(level))
         if not bounds[0] < start < bounds[1]:
             raise DesignError(f"the level of {level:g} must lie above {LOWEST:g} and below 1")
-        return start, HALF_RANGE, NEAR, bounds
+        return start, HALF_RANGE, RAMP, bounds
 
     def _curved(
         self, context: Context, field: ScalarField, bare: ScalarField, curved: CurvedCells, grading: Grading
@@ -142,9 +140,9 @@ class TuneLocalPorosity(Stage):
         scale = 1.0
         if bare.sum_level is None:
             scale = float(next(samples.found()).value.std())
-        start, _, near, bounds = self._range(bare.sum_level, scale)
+        start, half, _, bounds = self._range(bare.sum_level, scale)
         made, fit, known = fit_curved_level(
-            samples, bare, targets, start, bounds, near, self.tolerance / 4, self.evaluations,
+            samples, bare, targets, start, bounds, half / 80, self.tolerance / 4, self.evaluations,
             lambda done, of: context.progress(done, of, "comparisons of all cells"),
         )  # fmt: skip
         tuned = replace(field, base=made) if isinstance(field, Part) else made

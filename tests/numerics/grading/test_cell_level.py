@@ -15,7 +15,6 @@ from sppm_pipeline.numerics.grading.cell_level import (
     porosities_and_slopes,
 )
 from sppm_pipeline.numerics.grading.hexahedral_mesh import checked_mesh
-from sppm_pipeline.numerics.grading.level_spline import spline_values
 from sppm_pipeline.testing.hexahedral_meshes import star
 
 STAR = HexahedralCells(checked_mesh(*star(5, 2.0)).corners)
@@ -40,7 +39,7 @@ def test_weights_are_a_partition_of_unity_around_the_cells(cells):
     np.testing.assert_array_equal(np.asarray(blend[rows].todense()).argmax(axis=1), np.arange(cells.count))
 
 
-def test_means_are_those_of_the_spline_by_brute_force():
+def test_means_are_those_of_the_spline_by_brute_force(spline_values):
     cells = STAR
     lattice = lattice_over(cells)
     blend = blending(lattice, cells.centers, cells.frames)

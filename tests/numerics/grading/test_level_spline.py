@@ -74,16 +74,33 @@ def test_layers_are_those_of_the_whole_and_depend_on_their_position_alone(spline
     assert np.array_equal(some.less(0.5, 4, slice(0, 17), slice(0, 5)), found[3:, 4:9])
 
 
-def test_samples_of_a_cell_are_counted_as_by_their_values(spline_values):
+def test_samples_of_a_cell_count_by_how_far_they_are_from_the_level(spline_values):
     rng = np.random.default_rng(7)
     control = rng.normal(-1.4, 0.4, (3, 3, 3))
     values = rng.normal(-1.4, 0.6, (6, 6, 6))
-    codes = CellCodes(lambda cell: (values, None), -1.4, 4.0, 1e9)
+    codes = CellCodes(lambda run: [(values, None)], -1.4, 4.0, 1e9)
     t = 1 + (np.arange(6) + 0.5) / 6
     more = values - spline_values(control, t, t, t)
-    share, slope = void_and_slope(codes, control, (1, 1, 1), 0.2)
-    assert share == (more >= 0).mean()
+    share, slope = void_and_slope(codes, control, [(1, 1, 1)], 0.4)[0]
+    ramp, half = (np.clip(more / width + 0.5, 0, 1).mean() for width in (0.4, 0.2))
+    assert share == pytest.approx((4 * half - ramp) / 3, abs=5e-4)
     assert slope == pytest.approx((np.abs(more) < 0.2).mean() / 0.4, abs=1e-9)
+
+
+def test_ramps_tell_the_void_of_a_ball_better_than_whole_samples_do():
+    """A pore that lies anywhere in the cell, its Gaussian cut where it has a radius of .31."""
+    rng, width, errors = np.random.default_rng(3), 0.8, []
+    grid = (np.arange(24) + 0.5) / 24
+    for _ in range(40):
+        z, y, x = (grid - c for c in rng.uniform(0.4, 0.6, 3))
+        values = -14.4 * (z[:, None, None] ** 2 + y[:, None] ** 2 + x**2)
+        codes = CellCodes(lambda run, values=values: [(values, None)], -1.4, 4.0, 1e9)
+        control, true = np.full((1, 1, 1), -14.4 * 0.31**2), 4 / 3 * np.pi * 0.31**3
+        counted = (values >= control[0, 0, 0]).mean()
+        errors.append((void_and_slope(codes, control, [(0, 0, 0)], width)[0][0] - true, counted - true))
+    ramps, whole = np.sqrt((np.array(errors) ** 2).mean(0))
+    assert ramps < 1e-4
+    assert ramps < 0.2 * whole
 
 
 def test_what_is_not_known_follows_its_neighbors():
@@ -115,13 +132,13 @@ def test_every_cell_gets_its_porosity_also_where_only_a_part_of_it_counts(memory
     half[:, :, :9] = True
     asked = []
 
-    def sample(cell):
-        asked.append(cell)
-        return values(cell), half if cell == (3, 2, 0) else None
+    def sample(run):
+        asked.extend(run)
+        return [(values(cell), half if cell == (3, 2, 0) else None) for cell in run]
 
     targets = np.linspace(0.35, 0.6, len(cells))
     codes = CellCodes(sample, -1.4, 4.0, memory)
-    fit = fit_level(codes, cells, targets, np.full((4, 3, 1), -1.4), (-3.0, -0.2), 0.05, 5e-4, 20)
+    fit = fit_level(codes, cells, targets, np.full((4, 3, 1), -1.4), (-3.0, -0.2), 0.1, 5e-4, 20)
     assert np.abs(fit.errors).max() <= 5e-4
     assert fit.steps < 12
     assert not fit.at_bound.any()
@@ -136,8 +153,8 @@ def test_every_cell_gets_its_porosity_also_where_only_a_part_of_it_counts(memory
 def test_a_cell_that_would_leave_the_bounds_keeps_them_and_is_told():
     cells = [(0, 0, 0), (1, 0, 0), (2, 0, 0)]
     values = porous(np.random.default_rng(2), cells, 16)
-    codes = CellCodes(lambda cell: (values(cell), None), -1.4, 4.0, 1e9)
-    fit = fit_level(codes, cells, np.array([0.5, 0.5, 0.02]), np.full((3, 1, 1), -1.4), (-2.5, -1.0), 0.05, 1e-3, 15)
+    codes = CellCodes(lambda run: [(values(cell), None) for cell in run], -1.4, 4.0, 1e9)
+    fit = fit_level(codes, cells, np.array([0.5, 0.5, 0.02]), np.full((3, 1, 1), -1.4), (-2.5, -1.0), 0.1, 1e-3, 15)
     assert fit.at_bound.tolist() == [False, False, True]
     assert fit.control[2, 0, 0] == -1.0
     assert fit.errors[2] > 0.1
@@ -150,10 +167,10 @@ def test_cells_around_one_at_its_bound_converge_also_beside_cells_outside():
     values = porous(np.random.default_rng(2), cells, 16)
     part = np.zeros((16, 16, 16), bool)
     part[:, :, :8] = True
-    codes = CellCodes(lambda cell: (values(cell), part if cell[0] == 2 else None), -1.4, 4.0, 1e9)
+    codes = CellCodes(lambda run: [(values(c), part if c[0] == 2 else None) for c in run], -1.4, 4.0, 1e9)
     targets = np.array([(values(c) >= -1.5)[part if c[0] == 2 else ...].mean() for c in cells])
     targets[7] -= 0.2
-    fit = fit_level(codes, cells, targets, np.full((5, 3, 1), -1.4), (-3.0, -1.2), 0.05, 1e-3, 15)
+    fit = fit_level(codes, cells, targets, np.full((5, 3, 1), -1.4), (-3.0, -1.2), 0.1, 1e-3, 15)
     assert fit.at_bound.tolist() == [m == 7 for m in range(9)]
     assert np.abs(np.delete(fit.errors, 7)).max() <= 1e-3
     assert fit.steps < 15

@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.data.grading import FormulaLaw, Grading
+from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.storage import load_value, save_value
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.fields.formula import FormulaField
 from sppm_pipeline.numerics.grading.curve import stiffness_curve
 from sppm_pipeline.stages.check.local_porosity import CheckLocalPorosity
+from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.stages.grade.stiffness import GradeStiffness
-from sppm_pipeline.testing.plain_context import PlainContext
+from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
+from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 PAIRS = ((0.3, 0.5), (0.5, 0.2), (0.7, 0.04))
 
@@ -53,6 +58,48 @@ def test_a_modulus_beyond_the_curve_is_refused_with_its_place(tmp_path):
     assert again["porosity"].at([[1.0, 0, 0]]) == pytest.approx(made["porosity"].at([[1.0, 0, 0]]))
 
 
+CELL = (
+    DartThrowing(total=14, share=0.5),
+    BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
+    GaussianField(pore_radius=Length(0.17), tunnel_radius=Length(0.07)),
+)
+
+
+def by_recipe(context, **options):
+    stage = GradeStiffness(**({"porosities": (0.4, 0.6), "trials": 2, "resolution": 12, "young": 1000.0} | options))
+    stage.check_options()
+    return stage.run(context, wished("100 + x"), None, recipe_of(*CELL))
+
+
+def test_a_recipe_makes_the_curve_itself_from_cells_of_more_and_fewer_pores():
+    context = PlainContext(3)
+    made = by_recipe(context)
+    made.check()
+    curve = made.law("porosity").curve
+    assert curve.porosities[0] < 0.4 < 0.6 < curve.porosities[-1]
+    assert (np.diff(curve.moduli) < 0).all()
+    assert made.digest() == by_recipe(PlainContext(3)).digest() != by_recipe(PlainContext(4)).digest()
+    assert context.reported["cells"] >= 4
+    # another cell of it, as a user would homogenize it
+    cell = recipe_of(*CELL).run(PlainContext(8))
+    found = HomogenizeVoxel(resolution=12).stiffness_of(PlainContext(), cell).summary()
+    modulus = curve.modulus(np.array([found["porosity"]]))[0]
+    assert modulus == pytest.approx(1000 * found["isotropic"]["E"], rel=0.2)
+    # below the Hashin-Shtrikman bound of an isotropic porous material of nearly this Poisson's ratio
+    assert (curve.moduli < 1000 * (1 - curve.porosities) / (1 + curve.porosities)).all()
+
+
+def test_one_source_of_the_curve_is_asked_for():
+    with pytest.raises(ConfigError, match="there are 2"):
+        by_recipe(PlainContext(3), values=PAIRS)
+    with pytest.raises(ConfigError, match="there is none"):
+        GradeStiffness().run(PlainContext(), wished("1"), None)
+    with pytest.raises(ConfigError, match="should rise"):
+        by_recipe(PlainContext(), porosities=(0.6, 0.4))
+    with pytest.raises(ConfigError, match="no map 'stiff"):
+        by_recipe(PlainContext(), wanted="stiffnes")
+
+
 def test_cells_that_scatter_are_averaged_to_a_curve_that_falls():
     rng = np.random.default_rng(3)
     porosity = rng.uniform(0.3, 0.8, 300)
@@ -78,7 +125,7 @@ def test_a_sweep_is_read_and_what_cannot_be_used_is_told(tmp_path):
     assert reported["cells"] == 3
     assert made["porosity"].at([[0.0, 0, 0]]) == pytest.approx([0.5])
     for options, kind, words in (
-        ({"path": path}, ConfigError, "either a file"), ({"values": ()}, ConfigError, "either a file"),
+        ({"path": path}, ConfigError, "either a file"), ({"values": ()}, ConfigError, "there is none"),
         ({"values": (), "path": path, "columns": ("a",)}, ConfigError, "it takes two"),
         ({"values": ((1.2, 3.0), (0.3, 4.0))}, InputError, "porosity 1.2 has the modulus 3"),
         ({"values": ((0.3, 4.0),)}, InputError, "1 cells are no curve"),

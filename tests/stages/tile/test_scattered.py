@@ -350,7 +350,7 @@ def test_a_porosity_that_rises_is_followed_and_pores_keep_the_mean_of_their_spac
         assert cells.porosity(cell) == pytest.approx(0.4 + 0.1 * cell[0], abs=0.03)
     density = pores.blocks.density
     points, nodes = in_lattice(tiling), [np.arange(n) / 4 for n in density.shape]
-    spacing = spacing_at_share(30, 0.5) * RegularGridInterpolator(nodes, density)(points) ** (-1 / 3)
+    spacing = spacing_at_share(30, 0.5) * RegularGridInterpolator(nodes, density ** (-1 / 3))(points)
     i, j = cKDTree(points).query_pairs(1.0, output_type="ndarray").T
     apart = np.linalg.norm(points[i] - points[j], axis=1) / (spacing[i] + spacing[j]) * 2
     assert 1 - 1e-9 <= apart.min() < 1.05
