@@ -24,7 +24,8 @@ from sppm_pipeline.fields.sampled_slices import SampledSlices, said_of
 from sppm_pipeline.fields.slice_stack import Slab
 from sppm_pipeline.fields.spool import OF_THE_DISK
 from sppm_pipeline.numerics.connectivity.slab_union import SlabUnion
-from sppm_pipeline.numerics.connectivity.streaming import IslandFilter, SlabLabels
+from sppm_pipeline.numerics.connectivity.streaming import IslandFilter
+from sppm_pipeline.numerics.connectivity.verdicts import SlabLabels
 
 EACH = 6
 """Slabs for each worker at least, so that the last ones do not wait long for each other; a choice."""
