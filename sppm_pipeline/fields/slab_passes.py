@@ -31,7 +31,7 @@ EACH = 6
 """Slabs for each worker at least, so that the last ones do not wait long for each other; a choice."""
 
 RESULTS = 16
-"""The share of the memory that encoded slabs of one worker may take is one in so many; a choice."""
+"""One in so many bytes of the memory may be taken by an encoded slab of each worker, all together; a choice."""
 
 
 class SlabTask(NamedTuple):
