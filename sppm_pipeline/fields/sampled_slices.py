@@ -19,7 +19,7 @@ from sppm_pipeline.numerics.grid import Grid
 
 if TYPE_CHECKING:
     from sppm_pipeline.fields.slab_passes import Survey
-    from sppm_pipeline.numerics.connectivity.streaming import IslandStatistics
+    from sppm_pipeline.numerics.connectivity.verdicts import IslandStatistics
     from sppm_pipeline.numerics.domain.inside import Method
 
 SLAB_PIXELS = 2**22

@@ -14,7 +14,7 @@ import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,14 +23,15 @@ from numpy.typing import NDArray
 from sppm_pipeline.fields.sampled_slices import SampledSlices, said_of
 from sppm_pipeline.fields.slice_stack import Slab
 from sppm_pipeline.fields.spool import OF_THE_DISK
-from sppm_pipeline.numerics.connectivity.slab_union import SlabUnion
-from sppm_pipeline.numerics.connectivity.streaming import IslandFilter, SlabLabels
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.connectivity.verdicts import SlabLabels
 
 EACH = 6
 """Slabs for each worker at least, so that the last ones do not wait long for each other; a choice."""
 
 RESULTS = 16
-"""The share of the memory that encoded slabs of one worker may take is one in so many; a choice."""
+"""One in so many bytes of the memory may be taken by an encoded slab of each worker, all together; a choice."""
 
 
 class SlabTask(NamedTuple):
@@ -97,6 +98,8 @@ def slab_tasks(
 
 def survey_slab(common: tuple[SampledSlices, Any], task: SlabTask) -> Surveyed:
     """First pass: evaluate a slab, keep its bits, and label its components."""
+    from sppm_pipeline.numerics.connectivity.streaming import IslandFilter
+
     stack = common[0]
     nx, ny, _ = stack.samples.shape
     islands, counts = IslandFilter(ny, nx), dict[str, int]()
@@ -116,6 +119,8 @@ def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -
     if task.verdict is None or task.verdict.all():
         yield from sheets
         return
+    from sppm_pipeline.numerics.connectivity.streaming import IslandFilter
+
     islands = IslandFilter.decided(ny, nx, task.stop - task.start, task.verdict)
     for start, solid in sheets:
         yield start, islands.clear(solid, out=solid)
@@ -160,6 +165,8 @@ def surveyed(
     progress : function
         Told how many slabs are ready.
     """
+    from sppm_pipeline.numerics.connectivity.slab_union import SlabUnion
+
     union, counts = SlabUnion(), dict[str, int]()
     for number, found in enumerate(run(tasks), 1):
         union.add(found.labels)

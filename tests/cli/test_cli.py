@@ -157,6 +157,26 @@ def test_a_sweep_from_the_command_line(here, capsys):
     assert len((here / "runs" / "demo" / "sweep.csv").read_text().splitlines()) == 5
 
 
+def test_a_single_run_has_workers(here, capsys):
+    (here / "layers.yaml").write_text(
+        "sppm: 1\npipeline:\n  - {stage: read.primitive, shape: box, size: [3 mm, 2 mm, 2 mm]}\n"
+        "  - {stage: slice.mesh, pixel: 0.1 mm}\n  - {stage: write.png, path: slices}\n"
+    )
+    assert sppm("run", "layers.yaml", "-o", "one", "--no-cache") == 0
+    assert sppm("run", "layers.yaml", "-o", "crew", "--no-cache", "-j", "2") == 0
+    err = capsys.readouterr().err
+    assert err.count("sppm: works on 2 processes") == 1
+    one, crew = (
+        {file.name: file.read_bytes() for file in (here / to).rglob("*") if file.is_file() and file.name != "run.json"}
+        for to in ("one", "crew")
+    )
+    assert one == crew
+    assert len(one) == 20 + 3  # manifest.json, the overview, SHA256SUMS
+    assert sppm("run", "layers.yaml", "--executor", "proceses") == 2
+    assert "there is no executor 'proceses'" in capsys.readouterr().err
+    assert sppm("run", "layers.yaml", "--executor", "threads:there") == 2
+
+
 def test_a_sweep_with_failures(here, capsys):
     text = DESIGN.replace('factor: "${factor}"', "factor: 2").replace(
         "write.number", '{stage: check.limit, maximum: "${factor}"}'

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connectivity.runs import find_root, neighbor_reach
-from sppm_pipeline.numerics.connectivity.streaming import IslandStatistics, SlabLabels, decide, resolve
+from sppm_pipeline.numerics.connectivity.streaming import resolve
+from sppm_pipeline.numerics.connectivity.verdicts import IslandStatistics, SlabLabels, decide
 
 
 class SlabUnion:
