@@ -96,6 +96,7 @@ def _is_unit_row(row: Sequence[str]) -> bool:
 def chosen(
     table: Sequence[Column], columns: Sequence[str], units: Sequence[str], name: str
 ) -> tuple[Column, Column, tuple[str, str]]:
+    """The columns of load and way, by the names asked for or those that machines give them, and what they hold."""
     there = ", ".join(str(column) for column in table)
     hint = f"name them: columns: [force, displacement], by heading or number; there are {there}"
     if columns:
@@ -151,6 +152,7 @@ def _unit_of(unit: str, kind: str) -> float | None:
 
 
 def factor_of(unit: str, kind: str, column: Column, name: str) -> float:
+    """How many of our units one is; an error where the unit is unknown or missing."""
     factor = _unit_of(unit, kind)
     if factor is None:
         raise InputError(

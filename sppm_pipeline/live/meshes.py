@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.live.data import encode_view
-from sppm_pipeline.numerics.meshcheck.measures import balanced_edges
 
 TRIANGLES = 80_000
 """Most triangles that are handed to the browser; a choice."""
@@ -37,6 +36,8 @@ def mesh_view(
     most : int
         Of more triangles, vertices in small cubes are merged, and triangles that vanish are left out.
     """
+    from sppm_pipeline.numerics.meshcheck.measures import balanced_edges
+
     used, corners = np.unique(faces, return_inverse=True)
     points, triangles = np.asarray(vertices, float)[used], corners.reshape(-1, 3)
     low, size = points.min(0), np.ptp(points, axis=0)
