@@ -203,6 +203,14 @@ pipeline:
 """,
         {"n": (42, 42, 60, 72), "c": (1, 2, 3, 4), "r": (16, 24, 32, 40)},
     ),
+    "fresh cells": (
+        TILES + """
+  - {stage: tile.fresh, recipe: cell, cells: [$c, $c, $c], cell: 5 mm, periodic: true}
+  - {stage: tile.fresh, id: tuned, recipe: cell, cells: [$c, $c, $c], cell: 5 mm, periodic: true, porosity: 0.6,
+     resolution: 16}
+""",
+        {"n": (42, 42, 60, 72), "c": (2, 4, 8, 12)},
+    ),
     "maps": (
         TILES + """
   - {stage: read.primitive, shape: ball, size: [20, 20, 20], facets: $f}

@@ -256,7 +256,7 @@ class Connector(Stage):
         edges, shifts = [np.zeros((0, 2), np.int64)], [np.zeros((0, 3), np.int64)]
         meetings = context.palette.all_meetings() if pores.has_faces else np.zeros((0, 4), np.int64)
         faces = pores.face_pieces(meetings[:, 1], meetings[:, 3])
-        if self.connects_to_the_nearest and len(meetings) >= MANY:
+        if self.connects_to_the_nearest and pores.has_faces and pores.interiors + sum(pores.colors) >= MANY:
             from sppm_pipeline.numerics.connecting.pieces import nearest_in_interiors
 
             return nearest_in_interiors(pores.centers, *pores.by_piece, meetings, faces)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.numerics.sampling.many import Surrounding
 
 MANY = 64
-"""Interiors, pieces or meetings from which a kernel that does many of them is worth its loading: a choice."""
+"""Interiors or pieces from which a kernel that does many of them is worth its loading: a choice."""
 
 
 class InteriorBox(NamedTuple):

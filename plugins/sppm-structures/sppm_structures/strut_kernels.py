@@ -14,8 +14,8 @@ LEVELS = 4
 BUCKETS = 1 << LEVELS
 """Buckets of the cell along each axis; a sample looks only at the struts listed for its bucket."""
 
-RUN = 32
-"""Most samples of a row that are done together."""
+RUN, ROWS = 32, 8
+"""Most samples of a row, and most rows, that are done together."""
 
 REACH = 4.0
 """Struts further away than the nearest by this many blend lengths have no part in the blend."""
@@ -180,18 +180,24 @@ def _evaluate(
     The weight w(t) = (1 - t / 4)^4, 0 from t = 4 on, stands for exp(-t), with which this would be the usual smooth
     minimum; it keeps struts that are far apart from touching each other's value, and costs no power.
 
-    The samples of a row that share a bucket are done together, strut by strut.
+    The samples of some rows that share a bucket are done together, strut by strut: a loop over the few samples of one
+    row would take longer to begin than to run.
     """
     longest = 0
     for bucket in range(BUCKETS**3):
         longest = max(longest, end[bucket] - begin[bucket])
-    distances = np.empty((longest, RUN))
-    nearest, total = np.empty(RUN), np.empty(RUN)
+    distances = np.empty((longest, RUN * ROWS))
+    nearest, total = np.empty(RUN * ROWS), np.empty(RUN * ROWS)
+    at_x, at_y = np.empty(RUN * ROWS), np.empty(RUN * ROWS)
     fade = 1.0 / (REACH * blend) if blend > 0.0 else 0.0
     for k in range(len(z)):
         bz = int(z[k] * BUCKETS)
-        for j in range(len(y)):
+        j = 0
+        while j < len(y):
             by = int(y[j] * BUCKETS)
+            last = j + 1
+            while last < len(y) and last < j + ROWS and int(y[last] * BUCKETS) == by:
+                last += 1
             i = 0
             while i < len(x):
                 bx = int(x[i] * BUCKETS)
@@ -200,20 +206,27 @@ def _evaluate(
                     stop += 1
                 bucket = (bz * BUCKETS + by) * BUCKETS + bx
                 start, count = begin[bucket], end[bucket] - begin[bucket]
-                for n in range(stop - i):
-                    nearest[n] = np.inf
-                    total[n] = 0.0
+                number = 0
+                for row in range(j, last):
+                    for n in range(i, stop):
+                        at_x[number], at_y[number] = x[n], y[row]
+                        nearest[number], total[number] = np.inf, 0.0
+                        number += 1
                 for at in range(count):
-                    _distances(struts, listed[start + at], x, i, stop, y[j], z[k], distances, at, nearest)
+                    _distances(struts, listed[start + at], at_x, at_y, z[k], number, distances, at, nearest)
                 if blend > 0.0:
                     for at in range(count):
-                        _add_shares(distances, at, stop - i, nearest, fade, total)
-                for n in range(stop - i):
-                    value = nearest[n]
-                    if total[n] > 1.0:
-                        value -= blend * np.log(total[n])
-                    values[k, j, i + n] = np.float32(value)
+                        _add_shares(distances, at, number, nearest, fade, total)
+                number = 0
+                for row in range(j, last):
+                    for n in range(i, stop):
+                        value = nearest[number]
+                        if total[number] > 1.0:
+                            value -= blend * np.log(total[number])
+                        values[k, row, n] = np.float32(value)
+                        number += 1
                 i = stop
+            j = last
 
 
 @jit
@@ -221,23 +234,21 @@ def _distances(
     struts: NDArray[np.float64],
     s: int,
     x: NDArray[np.float64],
-    begin: int,
-    end: int,
-    y: float,
+    y: NDArray[np.float64],
     z: float,
+    number: int,
     distances: NDArray[np.float64],
     at: int,
     nearest: NDArray[np.float64],
 ) -> None:
-    """As `_distance`, for some samples of a row; `nearest` is lowered to what is less."""
-    sx, r, dr = struts[s, 0], struts[s, 6], struts[s, 7] - struts[s, 6]
-    dx, dy, dz = struts[s, 3] - sx, struts[s, 4] - struts[s, 1], struts[s, 5] - struts[s, 2]
-    py, pz = y - struts[s, 1], z - struts[s, 2]
+    """As `_distance`, for a number of samples of a layer; `nearest` is lowered to what is less."""
+    sx, sy, r, dr = struts[s, 0], struts[s, 1], struts[s, 6], struts[s, 7] - struts[s, 6]
+    dx, dy, dz = struts[s, 3] - sx, struts[s, 4] - sy, struts[s, 5] - struts[s, 2]
+    pz = z - struts[s, 2]
     inverse = 1.0 / (dx * dx + dy * dy + dz * dz)
-    across = py * dy + pz * dz
-    for n in range(end - begin):
-        px = x[begin + n] - sx
-        along = (px * dx + across) * inverse
+    for n in range(number):
+        px, py = x[n] - sx, y[n] - sy
+        along = (px * dx + (py * dy + pz * dz)) * inverse
         along = along if along > 0.0 else 0.0
         along = along if along < 1.0 else 1.0
         qx, qy, qz = px - along * dx, py - along * dy, pz - along * dz

@@ -16,6 +16,11 @@ from sppm_pipeline.families import Cloud, Connector, Piece
 from sppm_pipeline.families.interiors import MANY
 from sppm_pipeline.stage import Context, option
 
+MOST = (("exact", 500, "lp_fix"), ("lp_fix", 3000, "greedy"))
+"""Modes, the pores of a piece up to which each is used, and which comes after it: a choice. The time of a proof grows
+with a power of their number above two, and takes a minute and a half for 1000; that of the relaxation is a second for
+2000 and a quarter of a minute for 4000."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class BoundedDegreeSubgraph(Connector):
@@ -34,7 +39,8 @@ class BoundedDegreeSubgraph(Connector):
     )
     mode: str = option(
         "lp_fix",
-        help="exact: proven optimum; lp_fix: within about 0.15 % of it; greedy: within about 5 %, in milliseconds",
+        help="exact: proven optimum, for up to 500 pores in one piece, then lp_fix; lp_fix: within about 0.15 % of it, "
+        "for up to 3000 pores, then greedy; greedy: within about 5 %, in milliseconds",
         choices=("exact", "lp_fix", "greedy"),
     )
     neighbors: int = option(
@@ -63,6 +69,14 @@ class BoundedDegreeSubgraph(Connector):
     def rated_as(self) -> str:
         return f"{self.name}.{self.mode}"
 
+    def mode_for(self, pores: int) -> str:
+        """The mode by which so many pores are joined; where a clearance has to be proved impossible, always `mode`."""
+        mode = self.mode
+        for asked, most, then in MOST if self.clearance is None else ():
+            if mode == asked and pores > most:
+                mode = then
+        return mode
+
     def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         from sppm_pipeline.numerics.connecting.bounded import spanning_subgraph
         from sppm_pipeline.numerics.connecting.degrees import clamped_degrees
@@ -73,7 +87,7 @@ class BoundedDegreeSubgraph(Connector):
         return spanning_subgraph(
             piece.points,
             (minimum, maximum),
-            mode=self.mode,
+            mode=self.mode_for(len(piece.points)),
             periodic=piece.periodic,
             k=self.neighbors,
             two_edge_connected=self.two_edge_connected,
@@ -90,7 +104,7 @@ class BoundedDegreeSubgraph(Connector):
             return spanning_subgraph(
                 cloud.points,
                 self.degree,
-                mode=self.mode,
+                mode=self.mode_for(n),
                 periodic=cloud.period.tolist(),
                 k=self.neighbors,
                 two_edge_connected=self.two_edge_connected,
@@ -160,8 +174,24 @@ class BoundedDegreeSubgraph(Connector):
         """Join all pieces, then connect faces and interiors."""
         from sppm_pipeline.numerics.connecting.degrees import clamped_degrees
 
-        on_face, faces = np.unique(np.diff(pores.by_piece[1])[pores.interiors :], return_counts=True)
+        sizes = np.diff(pores.by_piece[1])
+        self._tell_mode(context, len(pores.centers) if pores.blocks is not None else int(sizes.max(initial=0)))
+        on_face, faces = np.unique(sizes[pores.interiors :], return_counts=True)
         relaxed = [size > 1 and clamped_degrees(size, *self.degree)[2] for size in on_face.tolist()]
         graph = super().run(context, pores)
         context.report(faces_with_relaxed_degree=int(faces @ np.array(relaxed, np.int64)))
         return graph
+
+    def _tell_mode(self, context: Context, largest: int) -> None:
+        """Warn if so many pores in one piece are joined by another mode than the one asked for."""
+        mode = self.mode_for(largest)
+        if mode == self.mode:
+            return
+        from sppm_pipeline.numerics.connecting.regional import WHOLE
+
+        # the regions of a larger cloud are joined by the mode that was asked for
+        if context.palette.blocks is None or largest <= WHOLE:
+            context.warn(
+                f"option 'mode': a piece of {largest} pores is joined by `mode: {mode}`, as `{self.mode}` would take "
+                "too long"
+            )

