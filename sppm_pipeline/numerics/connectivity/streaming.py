@@ -7,11 +7,13 @@ counted per id. The second pass meets the same layers, derives the same ids in t
 looks up whether they stay.
 
 Kept between layers are the runs of one layer and their ids; besides, some forty bytes per id until `finish`, and one
-byte afterwards. A new id is needed only where a two-dimensional component lies on nothing below: a few per cell.
+byte afterwards. A new id is needed only where a two-dimensional component lies on nothing below: a few per cell. The
+ids of the first layers, as many as fit into 64 MB, wait for the second pass, which then need not derive them.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -21,6 +23,9 @@ from sppm_pipeline.errors import InputError
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connectivity.islands import clear_runs
 from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_root, find_runs, join_rows, neighbor_reach
+
+_REMEMBERED = 1 << 24
+"""Runs whose ids are kept from the first pass for the second one."""
 
 
 class IslandStatistics(NamedTuple):
@@ -76,6 +81,9 @@ class IslandFilter:
         # x low, x high, y low, y high, z low, z high; the highs are inclusive
         self._boxes = np.zeros((1024, 6), dtype=np.int32)
         self._verdict: NDArray[np.bool_] | None = None
+        # of the first layers, the ids of their runs and how many ids there are so far; emptied by the second pass
+        self._remembered: deque[tuple[NDArray[np.int32], int]] = deque()
+        self._room = _REMEMBERED
         self._rewind()
 
     def _rewind(self) -> None:
@@ -98,19 +106,29 @@ class IslandFilter:
             self._parent = np.pad(self._parent, room)
             self._voxels = np.pad(self._voxels, room)
             self._boxes = np.pad(self._boxes, (*room, (0, 0)))
-        ids = np.empty(runs.n_runs, dtype=np.int32)
-        self._n_ids = _layer_ids(
-            runs.rows,
-            runs.bounds,
-            self._below.rows,
-            self._below.bounds,
-            self._ids_below,
-            ids,
-            self._parent,
-            self._n_ids,
-            self._reach,
-            joining,
-        )
+        if not joining and self._remembered:
+            ids, self._n_ids = self._remembered.popleft()
+            if ids.size != runs.n_runs:
+                raise _other_layer(self._z)
+        else:
+            ids = np.empty(runs.n_runs, dtype=np.int32)
+            self._n_ids = _layer_ids(
+                runs.rows,
+                runs.bounds,
+                self._below.rows,
+                self._below.bounds,
+                self._ids_below,
+                ids,
+                self._parent,
+                self._n_ids,
+                self._reach,
+                joining,
+            )
+            if joining and runs.n_runs <= self._room:
+                self._remembered.append((ids, self._n_ids))
+                self._room -= runs.n_runs
+            elif joining:
+                self._room = -1  # only the first layers, with none missing in between
         self._below, self._ids_below = runs, ids
         self._z += 1
         return runs
@@ -226,12 +244,16 @@ class IslandFilter:
         for k in range(layers.shape[0]):
             runs = self._advance(layers[k : k + 1], joining=False)
             if self._n_ids > self._verdict.size:
-                raise InputError(
-                    f"layer {self._z - 1} of the second pass is not that of the first",
-                    hint="both passes must make the same layers from the same input",
-                )
+                raise _other_layer(self._z - 1)
             clear_runs(runs.rows, runs.bounds, self._verdict[self._ids_below], out[k : k + 1].view(np.uint8))
         return out
+
+
+def _other_layer(z: int) -> InputError:
+    return InputError(
+        f"layer {z} of the second pass is not that of the first",
+        hint="both passes must make the same layers from the same input",
+    )
 
 
 @jit
