@@ -8,7 +8,7 @@ looks up whether they stay.
 
 Kept between layers are the runs of one layer and their ids; besides, some forty bytes per id until `finish`, and one
 byte afterwards. A new id is needed only where a two-dimensional component lies on nothing below: a few per cell. The
-ids of the first layers, as many as fit into 64 MB, wait for the second pass, which then need not derive them.
+ids of the first layers, as many as fit into 16 MB, wait for the second pass, which then need not derive them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connectivity.islands import clear_runs
 from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_root, find_runs, join_rows, neighbor_reach
 
-_REMEMBERED = 1 << 24
+_REMEMBERED = 1 << 22
 """Runs whose ids are kept from the first pass for the second one."""
 
 
