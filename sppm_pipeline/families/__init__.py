@@ -27,17 +27,21 @@ and a formula of a periodic cell::
 
 from __future__ import annotations
 
-from sppm_pipeline.families import options
-from sppm_pipeline.families.connector import Cloud, Connector, Piece
-from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
-from sppm_pipeline.families.file_writer import MeshWriter
-from sppm_pipeline.families.grader import Grader
-from sppm_pipeline.families.homogenizer import Homogenizer
-from sppm_pipeline.families.interiors import InteriorBox
-from sppm_pipeline.families.layer_writer import LayerWriter
-from sppm_pipeline.families.sampler import Sampler, design_of, start_of
-from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for, tiling_size
-from sppm_pipeline.families.tileset_maker import TileSetMaker
+TYPE_CHECKING = False  # as type checkers understand it
+if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
+    from typing import Any
+
+    from sppm_pipeline.families import options
+    from sppm_pipeline.families.connector import Cloud, Connector, Piece
+    from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
+    from sppm_pipeline.families.file_writer import MeshWriter
+    from sppm_pipeline.families.grader import Grader
+    from sppm_pipeline.families.homogenizer import Homogenizer
+    from sppm_pipeline.families.interiors import InteriorBox
+    from sppm_pipeline.families.layer_writer import LayerWriter
+    from sppm_pipeline.families.sampler import Sampler, design_of, start_of
+    from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for, tiling_size
+    from sppm_pipeline.families.tileset_maker import TileSetMaker
 
 __all__ = [
     "Cloud",
@@ -60,3 +64,31 @@ __all__ = [
     "start_of",
     "tiling_size",
 ]
+
+_PLACES = {
+    "connector": ("Cloud", "Connector", "Piece"),
+    "field_maker": ("FieldMaker", "PartFieldMaker"),
+    "file_writer": ("MeshWriter",),
+    "grader": ("Grader",),
+    "homogenizer": ("Homogenizer",),
+    "interiors": ("InteriorBox",),
+    "layer_writer": ("LayerWriter",),
+    "sampler": ("Sampler", "design_of", "start_of"),
+    "tiler": ("Lattice", "Tiler", "lattice_for", "tiling_size"),
+    "tileset_maker": ("TileSetMaker",),
+}
+"""Module -> what it supplies; a stage loads its own family only."""
+
+_PLACE_OF = {name: module for module, names in _PLACES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a base class when it is first used."""
+    from importlib import import_module
+
+    if name == "options":
+        return import_module(f"{__name__}.options")
+    if name not in _PLACE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_PLACE_OF[name]}"), name)
+    return value

@@ -16,7 +16,13 @@ from sppm_pipeline.numerics.assembly.contents import (
     sites_between,
 )
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels, empty_kernels, kernel_reaches, reach_boxes
+from sppm_pipeline.numerics.kernels.kernels import (
+    Kernels,
+    boxes_meet,
+    empty_kernels,
+    kernel_reaches,
+    reach_boxes,
+)
 from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF
 from sppm_pipeline.numerics.kernels.splat import add_kernels
 
@@ -177,21 +183,18 @@ def kernels_in_box(
     number = numbers[site, slot]
     z, y, x = np.unravel_index(site, sites.interior.shape)
     place = (sites.first + np.stack([x, y, z], axis=-1)).astype(np.float64)
-    near = ((catalog.lower[number] + place <= upper) & (catalog.upper[number] + place >= lower)).all(axis=1)
-    number, place = number[near], place[near]
+    near = np.flatnonzero(
+        boxes_meet(catalog.lower.take(number, axis=0) + place, catalog.upper.take(number, axis=0) + place, lower, upper)
+    )
+    number, place = number.take(near), place.take(near, axis=0)
     pore, shift = _expanded(catalog.first_pore, number, place)
     tunnel, tunnel_shift = _expanded(catalog.first_tunnel, number, place)
     found = catalog.kernels.taken(pore, tunnel)
     # taken by indices, all arrays are copies
-    found.centers[:] += shift
-    found.starts[:] += tunnel_shift
-    found.ends[:] += tunnel_shift
+    for array, by in ((found.centers, shift), (found.starts, tunnel_shift), (found.ends, tunnel_shift)):
+        array += by
     boxes = reach_boxes(found, catalog.cutoff)
-    pores, tunnels = (
-        np.asarray(((low <= upper) & (high >= lower)).all(axis=1))
-        for low, high in zip(boxes[::2], boxes[1::2], strict=True)
-    )
-    return found.taken(pores, tunnels)
+    return found.taken(boxes_meet(boxes[0], boxes[1], lower, upper), boxes_meet(boxes[2], boxes[3], lower, upper))
 
 
 def _expanded(
@@ -202,4 +205,4 @@ def _expanded(
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0
     index = np.arange(total) - np.repeat(ends - counts - begin[number], counts)
-    return index, np.repeat(place, counts, axis=0)
+    return index, place.take(np.repeat(np.arange(len(place)), counts), axis=0)

@@ -37,7 +37,8 @@ def spanning_subgraph(
     degree : (int, int)
         Bounds A and B. See `feasible_degrees`, and `clamped_degrees` for faces with few pores.
     mode : {"exact", "lp_fix", "greedy"}
-        ``exact``: no shorter graph exists among the candidate edges (an integer program, solved by HiGHS with gap 0).
+        ``exact``: no shorter graph exists among the candidate edges (an integer program, solved to its end: by linear
+        programs and branching, or by HiGHS where that takes too long).
         ``lp_fix``: what the linear relaxation leaves undecided is solved exactly; typically within 0.15 % of exact.
         ``greedy``: a tree filled up and improved by exchange, a few percent longer, in milliseconds, without scipy.
     periodic : bool, or 3 whole numbers

@@ -10,11 +10,13 @@ Slabs may also be labeled apart from each other, each by a filter of its own: `I
 of a slab, `slab_union` unites them, and `IslandFilter.decided` begins the second pass.
 
 Kept between layers are the runs of one layer and their ids; besides, some forty bytes per id until `finish`, and one
-byte afterwards. A new id is needed only where a two-dimensional component lies on nothing below: a few per cell.
+byte afterwards. A new id is needed only where a two-dimensional component lies on nothing below: a few per cell. The
+ids of the first layers, as many as fit into 16 MB, wait for the second pass, which then need not derive them.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Literal
 
 import numpy as np
@@ -25,6 +27,9 @@ from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connectivity.islands import clear_runs
 from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_root, find_runs, join_rows, neighbor_reach
 from sppm_pipeline.numerics.connectivity.verdicts import IslandStatistics, SlabLabels, decide
+
+_REMEMBERED = 1 << 22
+"""Runs whose ids are kept from the first pass for the second one."""
 
 
 class IslandFilter:
@@ -50,6 +55,9 @@ class IslandFilter:
         # x low, x high, y low, y high, z low, z high; the highs are inclusive
         self._boxes = np.zeros((1024, 6), dtype=np.int32)
         self._verdict: NDArray[np.bool_] | None = None
+        # of the first layers, the ids of their runs and how many ids there are so far; emptied by the second pass
+        self._remembered: deque[tuple[NDArray[np.int32], int]] = deque()
+        self._room = _REMEMBERED
         self._rewind()
         self._first, self._ids_first = self._below, self._ids_below
 
@@ -80,19 +88,29 @@ class IslandFilter:
             self._parent = np.pad(self._parent, room)
             self._voxels = np.pad(self._voxels, room)
             self._boxes = np.pad(self._boxes, (*room, (0, 0)))
-        ids = np.empty(runs.n_runs, dtype=np.int32)
-        self._n_ids = _layer_ids(
-            runs.rows,
-            runs.bounds,
-            self._below.rows,
-            self._below.bounds,
-            self._ids_below,
-            ids,
-            self._parent,
-            self._n_ids,
-            self._reach,
-            joining,
-        )
+        if not joining and self._remembered:
+            ids, self._n_ids = self._remembered.popleft()
+            if ids.size != runs.n_runs:
+                raise _other_layer(self._z)
+        else:
+            ids = np.empty(runs.n_runs, dtype=np.int32)
+            self._n_ids = _layer_ids(
+                runs.rows,
+                runs.bounds,
+                self._below.rows,
+                self._below.bounds,
+                self._ids_below,
+                ids,
+                self._parent,
+                self._n_ids,
+                self._reach,
+                joining,
+            )
+            if joining and runs.n_runs <= self._room:
+                self._remembered.append((ids, self._n_ids))
+                self._room -= runs.n_runs
+            elif joining:
+                self._room = -1  # only the first layers, with none missing in between
         self._below, self._ids_below = runs, ids
         self._z += 1
         return runs
@@ -170,6 +188,7 @@ class IslandFilter:
             of_last=component[self._ids_below],
         )
         self._verdict = np.zeros(0, dtype=np.bool_)
+        self._remembered.clear()  # the second pass may be another process
         self._forget()
         return made
 
@@ -217,10 +236,7 @@ class IslandFilter:
         for k in range(layers.shape[0]):
             runs = self._advance(layers[k : k + 1], joining=False)
             if self._n_ids > self._verdict.size:
-                raise InputError(
-                    f"layer {self._z - 1} of the second pass is not that of the first",
-                    hint="both passes must make the same layers from the same input",
-                )
+                raise _other_layer(self._z - 1)
             clear_runs(runs.rows, runs.bounds, self._verdict[self._ids_below], out[k : k + 1].view(np.uint8))
         return out
 
@@ -228,6 +244,13 @@ class IslandFilter:
 def resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
     """Point every label at its root and gather voxels and bounding boxes there; in place."""
     _resolve(parent, voxels, boxes)
+
+
+def _other_layer(z: int) -> InputError:
+    return InputError(
+        f"layer {z} of the second pass is not that of the first",
+        hint="both passes must make the same layers from the same input",
+    )
 
 
 @jit

@@ -46,21 +46,28 @@ class Kernels(NamedTuple):
     tunnel_metric: NDArray[np.float64] | None = None
 
     def taken(self, pores: slice | NDArray[Any], tunnels: slice | NDArray[Any]) -> Kernels:
-        """Some of the pores and some of the tunnels."""
+        """Some of the pores and some of the tunnels: by slices, by indices or by masks; the latter two make copies."""
         return Kernels(
-            self.centers[pores],
-            self.omega[pores],
-            self.starts[tunnels],
-            self.ends[tunnels],
-            self.mu[tunnels],
+            _rows(self.centers, pores),
+            _rows(self.omega, pores),
+            _rows(self.starts, tunnels),
+            _rows(self.ends, tunnels),
+            _rows(self.mu, tunnels),
             self.profile,
-            None if self.pore_metric is None else self.pore_metric[pores],
-            None if self.tunnel_metric is None else self.tunnel_metric[tunnels],
+            None if self.pore_metric is None else _rows(self.pore_metric, pores),
+            None if self.tunnel_metric is None else _rows(self.tunnel_metric, tunnels),
         )
 
     def shifted(self, offset: NDArray[np.float64]) -> Kernels:
         """The same kernels moved by `offset` (3,)."""
         return self._replace(centers=self.centers + offset, starts=self.starts + offset, ends=self.ends + offset)
+
+
+def _rows(array: NDArray[Any], chosen: slice | NDArray[Any]) -> NDArray[Any]:
+    """Some rows of an array; where they are short, `take` is four times as fast as an index or a mask."""
+    if isinstance(chosen, slice):
+        return array[chosen]
+    return array.take(np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen, axis=0)
 
 
 def empty_kernels() -> Kernels:
@@ -143,6 +150,17 @@ def reach_boxes(
         np.minimum(kernels.starts, kernels.ends) - tunnels,
         np.maximum(kernels.starts, kernels.ends) + tunnels,
     )
+
+
+def boxes_meet(
+    low: NDArray[np.float64], high: NDArray[np.float64], lower: NDArray[np.float64], upper: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which of the boxes from `low` to `high`, both (n, 3), meet the one from `lower` to `upper`, (n,) bool."""
+    meet = (low[:, 0] <= upper[0]) & (high[:, 0] >= lower[0])
+    for axis in (1, 2):  # the sum over rows of three takes longer than all else
+        meet &= low[:, axis] <= upper[axis]
+        meet &= high[:, axis] >= lower[axis]
+    return np.asarray(meet)
 
 
 def log_normal_factors(generator: Callable[[], np.random.Generator], spread: float, n: int) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels, reach_boxes
+from sppm_pipeline.numerics.kernels.kernels import Kernels, boxes_meet, reach_boxes
 from sppm_pipeline.numerics.kernels.profiles import (
     DEFAULT_CUTOFF,
     PORE_PROFILE,
@@ -169,8 +169,8 @@ def _reaching(
     upper = lower + np.array(grid.spacing) * (np.array(grid.shape) - 1)
     pore_lower, pore_upper, tunnel_lower, tunnel_upper = reach_boxes(kernels, cutoff)
     return (
-        points[((pore_lower <= upper) & (pore_upper >= lower)).all(axis=1)],
-        tunnels[((tunnel_lower <= upper) & (tunnel_upper >= lower)).all(axis=1)],
+        points.compress(boxes_meet(pore_lower, pore_upper, lower, upper), axis=0),
+        tunnels.compress(boxes_meet(tunnel_lower, tunnel_upper, lower, upper), axis=0),
     )
 
 

@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.numerics.connectivity import streaming
 from sppm_pipeline.numerics.connectivity.components import find_components
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
+from sppm_pipeline.numerics.connectivity.runs import find_runs
 from sppm_pipeline.numerics.connectivity.streaming import IslandFilter
 
 BOX = (False, False, False)
@@ -125,3 +127,25 @@ def test_the_order_of_calls_is_checked():
         islands.observe(layer)
     with pytest.raises(ValueError, match="once"):
         islands.finish()
+
+
+@pytest.mark.parametrize("room", [0, 7, 60, 10_000])
+def test_ids_that_are_remembered_change_nothing(monkeypatch, room):
+    monkeypatch.setattr(streaming, "_REMEMBERED", room)
+    mask = np.random.default_rng(4).random((9, 6, 7)) < 0.3
+    assert 60 < len(find_runs(mask).bounds) // 2 < 10_000
+    for connectivity in (6, 26):
+        cleared, _ = both_passes(mask.astype(np.uint8), [2, 1], connectivity, "largest")
+        assert np.array_equal(cleared != 0, keep_largest(mask, BOX, connectivity))
+
+
+def test_a_second_pass_over_fewer_runs_is_refused():
+    mask = np.zeros((2, 3, 4), np.uint8)
+    mask[:, 1, 1] = 1
+    mask[1, 2, 3] = 1
+    islands = IslandFilter(3, 4)
+    islands.observe(mask)
+    islands.finish()
+    mask[1, 2, 3] = 0
+    with pytest.raises(InputError, match="layer 1"):
+        islands.clear(mask)
