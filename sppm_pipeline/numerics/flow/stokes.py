@@ -33,7 +33,7 @@ from sppm_pipeline.numerics.homogenization.multigrid.vectors import dot
 
 _CONDUCTS = 0.35
 """Part of the torsion field that conducts pressure. Measured on cells of the paper, graphs and blobs of porosities from
-.15 to .7 at 32 and 48 voxels: up to a third fewer iterations than with all of it, and none more."""
+.15 to .7 at 32 and 48 voxels: up to two fifths fewer iterations than with all of it, and at most one more."""
 
 _TORSION = Stop(0.0, 1e-4, 100)
 """When the torsion field is good enough, for the preconditioner and the thermal permeability."""

@@ -169,6 +169,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.voxel"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
     headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
 
