@@ -32,6 +32,9 @@ SLOW, SLOW_TO, FULL_FROM = 0.25, 0.02, 0.06
 uniformly resists too much until waves have crossed it a few times; so slowly, that is over within a strain of .006 at
 the default rate (a gyroid of 32 voxels, beside a tenth of the rate), and .02 without."""
 
+_SHARES = 2
+"""Shares of the work for each thread: where one is held up, another takes over. More cost more than they gain."""
+
 POINTS = 600
 """Points of a curve to 60 % strain: one for each .1 %."""
 
@@ -170,11 +173,12 @@ class March:
     # -- the step
 
     def _share(self, many: int, work: Callable[[int, int], None]) -> None:
-        """Let the threads work on about equal shares."""
+        """Let the threads work on about equal shares, each on the next as soon as it is done."""
         if self._pool is None or many < 2:
             work(0, many)
             return
-        ends = [many * t // self._threads for t in range(self._threads + 1)]
+        shares = min(many, _SHARES * self._threads)
+        ends = [many * t // shares for t in range(shares + 1)]
         list(self._pool.map(work, ends[:-1], ends[1:]))
 
     def _height(self, step: int) -> float:

@@ -31,6 +31,10 @@ from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY, STRIDE
 from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved, Stop, solve
 from sppm_pipeline.numerics.homogenization.multigrid.vectors import dot
 
+_CONDUCTS = 0.35
+"""Part of the torsion field that conducts pressure. Measured on cells of the paper, graphs and blobs of porosities from
+.15 to .7 at 32 and 48 voxels: up to two fifths fewer iterations than with all of it, and at most one more."""
+
 _TORSION = Stop(0.0, 1e-4, 100)
 """When the torsion field is good enough, for the preconditioner and the thermal permeability."""
 
@@ -225,7 +229,9 @@ class _Problem:
         twice: bool,
     ) -> None:
         self.velocity = velocity
-        conductances = tuple(psi.reshape(shape) * np.float32(1 / h**2) for psi, h in zip(torsion, edges, strict=True))
+        conductances = tuple(
+            psi.reshape(shape) * np.float32(_CONDUCTS / h**2) for psi, h in zip(torsion, edges, strict=True)
+        )
         self.pressure = hierarchy_of(np.zeros(shape, np.float32), conductances, linear=False, twice=twice)
         self.weights = weights
         self.inverse_edges = 1 / np.array(edges)

@@ -106,7 +106,7 @@ def conductivity(
         return conduction_hierarchy(k, edges, precision, safe=safe)
 
     matrix, solved, reached = load_cases(
-        hierarchy, _energies, mean, Stop(residual, tolerance, iterations), _FLOOR, dtype, threads
+        hierarchy, _Potentials, mean, Stop(residual, tolerance, iterations), _FLOOR, dtype, threads
     )
     nothing = np.diag(matrix) < _NO_FLUX * mean
     matrix[nothing] = 0
@@ -114,25 +114,45 @@ def conductivity(
     return Conducted(matrix * scale, solved, reached)
 
 
-def _energies(hierarchy: Hierarchy, fields: NDArray[Any], threads: int) -> NDArray[np.float64]:
-    level = hierarchy.levels[0]
-    assert isinstance(level, ConductionLevel)
-    nz, ny, nx = level.shape
-    c = conduction_coefficients(level.edges, np.ones(3))
-    k, u = level.k.reshape(nz, ny, -1), fields.reshape(3, nz, ny, nx)
+class _Potentials:
+    """The solutions of all load cases, and their energies; see `solver.Measure`."""
 
-    def layers(first: int) -> NDArray[np.float64]:
-        out = np.zeros((3, 3))
-        flow_energies(u, k, c, level.size, first, min(first + _LAYERS, nz), out)
-        return out
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        level = hierarchy.levels[0]
+        assert isinstance(level, ConductionLevel)
+        self.level = level
+        self.fields = np.empty((3, level.weight.size), level.weight.dtype)
 
-    with ThreadPoolExecutor(threads) as pool:
-        parts = list(pool.map(layers, range(0, nz, _LAYERS)))
-    total = np.zeros((3, 3))
-    for part in parts:
-        total += part
-    total /= nz * ny * nx * float(np.prod(level.edges))
-    return total
+    def target(self, case: int) -> NDArray[Any]:
+        """The potential of a load case."""
+        field: NDArray[Any] = self.fields[case]
+        return field
+
+    def keep(self, case: int, u: NDArray[Any]) -> None:
+        """All potentials are kept anyway."""
+
+    def record(self, case: int, u: NDArray[Any], spare: NDArray[Any], work: Workspace) -> None:
+        """Energies are summed when all potentials are there."""
+
+    def energies(self, threads: int) -> NDArray[np.float64]:
+        """Mutual energies over the volume, (3, 3)."""
+        level = self.level
+        nz, ny, nx = level.shape
+        c = conduction_coefficients(level.edges, np.ones(3))
+        k, u = level.k.reshape(nz, ny, -1), self.fields.reshape(3, nz, ny, nx)
+
+        def layers(first: int) -> NDArray[np.float64]:
+            out = np.zeros((3, 3))
+            flow_energies(u, k, c, level.size, first, min(first + _LAYERS, nz), out)
+            return out
+
+        with ThreadPoolExecutor(threads) as pool:
+            parts = list(pool.map(layers, range(0, nz, _LAYERS)))
+        total = np.zeros((3, 3))
+        for part in parts:
+            total += part
+        total /= nz * ny * nx * float(np.prod(level.edges))
+        return total
 
 
 def tortuosity(effective: NDArray[np.float64], fraction: float, bulk: float = 1.0) -> list[float | None]:

@@ -1,4 +1,4 @@
-"""Mutual strain energies of several displacement fields, of which the effective stiffness is made."""
+"""The strain energy and the mean stress of a displacement field, of which the effective stiffness is made."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from sppm_pipeline.numerics.homogenization.multigrid.rows import BLOCK, HEAD, ST
 
 # weighted strains of a brick whose squares make its energy: 7 times lambda, 18 times mu
 _MODES = 25
-#: Rows of scratch: sums and differences along z of two lines, then the strains of six fields.
-ENERGY_ROWS = 12 + 6 * _MODES
+#: Rows of scratch: sums and differences along z of two lines, then the strains.
+ENERGY_ROWS = 12 + _MODES
 
 _0, _1, _2, _3 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 _HEAD, _BLOCK, _ROW = np.uint64(HEAD), np.uint64(BLOCK), np.uint64(STRIDE)
 _SECOND = np.uint64(6 * STRIDE)
-_STRAINS, _FIELD = np.uint64(12 * STRIDE), np.uint64(_MODES * STRIDE)
+_STRAINS = np.uint64(12 * STRIDE)
 
 _R = tuple(np.uint64(STRIDE * row) for row in range(_MODES))
 
@@ -92,101 +92,122 @@ def _strain_row(s: NDArray[Any], to: Any, c: NDArray[Any], strain: NDArray[Any],
 
 
 @inline_jit
-def _mutual(s: NDArray[Any], a: Any, b: Any, lam: NDArray[Any], mu: NDArray[Any], at: Any, width: Any) -> float:
-    """Mutual energy of two rows of strains."""
+def _energy_row(
+    s: NDArray[Any], a: Any, lam: NDArray[Any], mu: NDArray[Any], factor: Any, at: Any, width: Any
+) -> float:
+    """Energy of a row of strains."""
     total = 0.0
     for e in range(_HEAD, _HEAD + width):
-        i, j = a + e, b + e
+        i = a + e
         dilatation = (
-            s[i + _R[0]] * s[j + _R[0]]
-            + s[i + _R[1]] * s[j + _R[1]]
-            + s[i + _R[2]] * s[j + _R[2]]
-            + s[i + _R[3]] * s[j + _R[3]]
-            + s[i + _R[4]] * s[j + _R[4]]
-            + s[i + _R[5]] * s[j + _R[5]]
-            + s[i + _R[6]] * s[j + _R[6]]
+            s[i + _R[0]] * s[i + _R[0]]
+            + s[i + _R[1]] * s[i + _R[1]]
+            + s[i + _R[2]] * s[i + _R[2]]
+            + s[i + _R[3]] * s[i + _R[3]]
+            + s[i + _R[4]] * s[i + _R[4]]
+            + s[i + _R[5]] * s[i + _R[5]]
+            + s[i + _R[6]] * s[i + _R[6]]
         )
         rest = (
-            s[i + _R[7]] * s[j + _R[7]]
-            + s[i + _R[8]] * s[j + _R[8]]
-            + s[i + _R[9]] * s[j + _R[9]]
-            + s[i + _R[10]] * s[j + _R[10]]
-            + s[i + _R[11]] * s[j + _R[11]]
-            + s[i + _R[12]] * s[j + _R[12]]
-            + s[i + _R[13]] * s[j + _R[13]]
-            + s[i + _R[14]] * s[j + _R[14]]
-            + s[i + _R[15]] * s[j + _R[15]]
-            + s[i + _R[16]] * s[j + _R[16]]
-            + s[i + _R[17]] * s[j + _R[17]]
-            + s[i + _R[18]] * s[j + _R[18]]
-            + s[i + _R[19]] * s[j + _R[19]]
-            + s[i + _R[20]] * s[j + _R[20]]
-            + s[i + _R[21]] * s[j + _R[21]]
-            + s[i + _R[22]] * s[j + _R[22]]
-            + s[i + _R[23]] * s[j + _R[23]]
-            + s[i + _R[24]] * s[j + _R[24]]
+            s[i + _R[7]] * s[i + _R[7]]
+            + s[i + _R[8]] * s[i + _R[8]]
+            + s[i + _R[9]] * s[i + _R[9]]
+            + s[i + _R[10]] * s[i + _R[10]]
+            + s[i + _R[11]] * s[i + _R[11]]
+            + s[i + _R[12]] * s[i + _R[12]]
+            + s[i + _R[13]] * s[i + _R[13]]
+            + s[i + _R[14]] * s[i + _R[14]]
+            + s[i + _R[15]] * s[i + _R[15]]
+            + s[i + _R[16]] * s[i + _R[16]]
+            + s[i + _R[17]] * s[i + _R[17]]
+            + s[i + _R[18]] * s[i + _R[18]]
+            + s[i + _R[19]] * s[i + _R[19]]
+            + s[i + _R[20]] * s[i + _R[20]]
+            + s[i + _R[21]] * s[i + _R[21]]
+            + s[i + _R[22]] * s[i + _R[22]]
+            + s[i + _R[23]] * s[i + _R[23]]
+            + s[i + _R[24]] * s[i + _R[24]]
         )
-        total += np.float64(lam[at + e] * dilatation + mu[at + e] * rest)
+        total += np.float64(factor * lam[at + e] * dilatation + mu[at + e] * rest)
+    return total
+
+
+@inline_jit
+def _normal_row(
+    s: NDArray[Any], a: Any, mode: Any, root: Any, lam: NDArray[Any], mu: NDArray[Any], factor: Any, at: Any, width: Any
+) -> float:
+    """A normal stress of a row, of constant strains times the root of 2."""
+    total = 0.0
+    for e in range(_HEAD, _HEAD + width):
+        total += np.float64(factor * lam[at + e] * s[a + e] + mu[at + e] * (root * s[mode + e]))
+    return total
+
+
+@inline_jit
+def _shear_row(s: NDArray[Any], mode: Any, mu: NDArray[Any], at: Any, width: Any) -> float:
+    """A shear stress of a row."""
+    total = 0.0
+    for e in range(_HEAD, _HEAD + width):
+        total += np.float64(mu[at + e] * s[mode + e])
     return total
 
 
 @jit
-def energies(
+def energy_and_stress(
     u: NDArray[Any],
     lam: NDArray[Any],
     mu: NDArray[Any],
+    factor: Any,
     c: NDArray[Any],
-    strains: NDArray[Any],
+    strain: NDArray[Any],
     shape: NDArray[np.int64],
-    first: Any,
-    last: int,
     s: NDArray[Any],
     out: NDArray[np.float64],
 ) -> None:
-    """Add the mutual energies of six fields in the layers ``first <= z < last`` of voxels.
+    """Sum the energy and the stresses of a field over all voxels.
+
+    The energy is a sum of squares: where strains vanish, as in parts without a load path, so do rounding errors.
 
     Parameters
     ----------
-    u : (6, 3 nz ny nx)
-        Displacements of the fields.
+    u : (3 nz ny nx,)
+        Displacements.
     lam, mu : flat
-        Lamé constants as `apply_stiffness` takes them.
+        Lamé constants as `apply_stiffness` takes them, and the factor of the first one.
     c : (14,)
         From `energy_coefficients`.
-    strains : (6, 6)
-        Constant strain added to each field, times the root of a voxel's volume.
+    strain : (6,)
+        Constant strain that is added, times the root of a voxel's volume.
     shape : (3,) int64
         nx, ny, nz.
-    first, last : int
     s : (ENERGY_ROWS * STRIDE,)
         Scratch.
-    out : (6, 6) float64
-        Symmetric; receives the sum of each pair.
+    out : (7,) float64
+        Receives the energy, and the stresses xx, yy, zz, yz, xz, xy times the root of a voxel's volume.
     """
     n, lines, planes = np.uint64(shape[0]), np.uint64(shape[1]), np.uint64(shape[2])
     padded = np.uint64(len(lam)) // (lines * planes)
-    for z in range(np.uint64(first), np.uint64(last)):
+    root = c[10]
+    out[:] = 0
+    for z in range(planes):
         above = (z + _1) % planes
         for y in range(lines):
             behind = (y + _1) % lines
             bricks = (z * lines + y) * padded
             for start in range(_0, n, _BLOCK):
                 width = min(_BLOCK, n - start)
-                for field in range(np.uint64(6)):
-                    v = u[field]
-                    for i in range(_3):
-                        p, q = i * planes + z, i * planes + above
-                        gather_row(v, (p * lines + y) * n, (q * lines + y) * n, n, start, width, s, (i + i) * _ROW)
-                        to = _SECOND + (i + i) * _ROW
-                        gather_row(v, (p * lines + behind) * n, (q * lines + behind) * n, n, start, width, s, to)
-                    _strain_row(s, _STRAINS + field * _FIELD, c, strains[field], width)
-                for i in range(np.uint64(6)):
-                    for j in range(i + _1):
-                        a, b = _STRAINS + i * _FIELD, _STRAINS + j * _FIELD
-                        value = _mutual(s, a, b, lam, mu, bricks + start, width)
-                        out[i, j] += value
-                        if i != j:
-                            out[j, i] += value
+                for i in range(_3):
+                    p, q = i * planes + z, i * planes + above
+                    gather_row(u, (p * lines + y) * n, (q * lines + y) * n, n, start, width, s, (i + i) * _ROW)
+                    to = _SECOND + (i + i) * _ROW
+                    gather_row(u, (p * lines + behind) * n, (q * lines + behind) * n, n, start, width, s, to)
+                _strain_row(s, _STRAINS, c, strain, width)
+                at = bricks + start
+                out[0] += _energy_row(s, _STRAINS, lam, mu, factor, at, width)
+                for i in range(_3):
+                    mode = _STRAINS + _R[7] + i * _ROW
+                    out[_1 + i] += _normal_row(s, _STRAINS, mode, root, lam, mu, factor, at, width)
+                    out[_1 + _3 + i] += _shear_row(s, mode + _R[3], mu, at, width)
 
 
 def energy_coefficients(edges: tuple[float, float, float]) -> NDArray[np.float64]:

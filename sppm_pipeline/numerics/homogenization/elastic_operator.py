@@ -70,7 +70,7 @@ def _brick_row(
     lx, ly, lz = c[9], c[10], c[11]
     mx, my, mz = c[12], c[13], c[14]
     gx3, gy3, gz3 = c[15], c[16], c[17]
-    exx, eyy, ezz, eyz, exz, exy = c[18], c[19], c[20], c[21], c[22], c[23]
+    exx, eyy, ezz, eyz, exz, exy, factor = c[18], c[19], c[20], c[21], c[22], c[23], c[24]
     at -= _HEAD
     for e in range(first, first + (width + _LANES - _1) // _LANES * _LANES):
         # along x: sum and difference of the sums (ss, sd) and of the differences (ds, dd) along z
@@ -111,7 +111,7 @@ def _brick_row(
         s[e + _R[15]] = zsd
         s[e + _R[16]] = zds
         s[e + _R[17]] = zdd
-        k, m = lam[at + e], mu[at + e]
+        k, m = factor * lam[at + e], mu[at + e]
         # constant strain
         ax, ay, az = gx * x100 + exx, gy * y010 + eyy, gz * z001 + ezz
         p = k * (ax + ay + az)
@@ -235,13 +235,18 @@ def _scatter_rows(s: NDArray[Any], plane: NDArray[Any], at: Any, width: Any) -> 
 
 
 @inline_jit
-def _apply_rows(v: NDArray[Any], at: Any, comp: Any, s: NDArray[Any], out: NDArray[Any], width: Any) -> float:
+def _write_rows(s: NDArray[Any], out: NDArray[Any], at: Any, comp: Any, width: Any) -> None:
     c = comp + comp
     for i in range(width):
         o = at + i
         out[o] = s[i + _R[42]]
         out[o + comp] = s[i + _R[43]]
         out[o + c] = s[i + _R[44]]
+
+
+@inline_jit
+def _product_rows(v: NDArray[Any], at: Any, comp: Any, s: NDArray[Any], width: Any) -> float:
+    c = comp + comp
     total = 0.0
     for i in range(width):
         o = at + i
@@ -252,111 +257,105 @@ def _apply_rows(v: NDArray[Any], at: Any, comp: Any, s: NDArray[Any], out: NDArr
 
 
 @inline_jit
-def _residual_rows(r: NDArray[Any], at: Any, comp: Any, s: NDArray[Any], out: NDArray[Any], width: Any) -> None:
-    c = comp + comp
+def _residual_rows(
+    r: NDArray[Any], at: Any, comp: Any, s: NDArray[Any], out: NDArray[Any], oat: Any, ocomp: Any, width: Any
+) -> None:
+    c, oc = comp + comp, ocomp + ocomp
     for i in range(width):
-        o = at + i
-        out[o] = r[o] - s[i + _R[42]]
-        out[o + comp] = r[o + comp] - s[i + _R[43]]
-        out[o + c] = r[o + c] - s[i + _R[44]]
+        a, o = at + i, oat + i
+        out[o] = r[a] - s[i + _R[42]]
+        out[o + ocomp] = r[a + comp] - s[i + _R[43]]
+        out[o + oc] = r[a + c] - s[i + _R[44]]
 
 
 @inline_jit
 def _smooth_rows(
-    v: NDArray[Any], r: NDArray[Any], at: Any, comp: Any, weight: NDArray[Any], wat: Any, s: NDArray[Any],
-    out: NDArray[Any], width: Any,
-) -> float:  # fmt: skip
-    c = comp + comp
+    v: NDArray[Any], vat: Any, vcomp: Any, r: NDArray[Any], at: Any, comp: Any, weight: NDArray[Any], wat: Any,
+    s: NDArray[Any], width: Any,
+) -> None:  # fmt: skip
+    c, vc = comp + comp, vcomp + vcomp
     for i in range(width):
-        o, w = at + i, weight[wat + i]
-        s[i + _R[42]] = v[o] + w * (r[o] - s[i + _R[42]])
-        s[i + _R[43]] = v[o + comp] + w * (r[o + comp] - s[i + _R[43]])
-        s[i + _R[44]] = v[o + c] + w * (r[o + c] - s[i + _R[44]])
-    return _apply_rows(r, at, comp, s, out, width)
-
-
-@inline_jit
-def _finish_rows(
-    mode: int, v: NDArray[Any], r: NDArray[Any], at: Any, comp: Any, weight: NDArray[Any], wat: Any, s: NDArray[Any],
-    out: NDArray[Any], width: Any,
-) -> float:  # fmt: skip
-    """Write what the pass is asked for, `APPLY`, `RESIDUAL` or `SMOOTH`; returns the scalar product."""
-    if mode == APPLY:
-        return _apply_rows(v, at, comp, s, out, width)
-    if mode == SMOOTH:
-        return _smooth_rows(v, r, at, comp, weight, wat, s, out, width)
-    _residual_rows(r, at, comp, s, out, width)
-    return 0.0
+        o, e, w = at + i, vat + i, weight[wat + i]
+        s[i + _R[42]] = v[e] + w * (r[o] - s[i + _R[42]])
+        s[i + _R[43]] = v[e + vcomp] + w * (r[o + comp] - s[i + _R[43]])
+        s[i + _R[44]] = v[e + vc] + w * (r[o + c] - s[i + _R[44]])
 
 
 @jit
-def apply_stiffness(
+def sweep_plane(
     mode: int,
     v: NDArray[Any],
+    vlow: Any,
+    vhigh: Any,
+    vcomp: Any,
     r: NDArray[Any],
     weight: NDArray[Any],
     lam: NDArray[Any],
     mu: NDArray[Any],
     c: NDArray[Any],
     shape: NDArray[np.int64],
+    low: Any,
+    finish: Any,
     out: NDArray[Any],
+    oat: Any,
+    ocomp: Any,
     plane: NDArray[Any],
     s: NDArray[Any],
 ) -> float:
-    """Forces ``f = K v`` of displacements, or what a solver needs of them.
+    """The bricks between two planes of nodes, and what the pass makes of the forces on the lower one.
 
     Parameters
     ----------
-    mode : {APPLY, RESIDUAL, SMOOTH}
-        What `out` receives and what is returned: f and ``v . f``; or ``r - f`` and 0; or ``z = v + weight (r - f)``
-        and ``r . z``.
-    v : (3, nz, ny, nx)
-        Displacements.
-    r : (3, nz, ny, nx)
-        Right-hand side; not read by `APPLY`.
-    weight : (nz, ny, nx)
-        Damped inverse of the diagonal; read by `SMOOTH`.
-    lam, mu : (nz, ny, nx + 1)
-        Lamé constants of the voxels, the last voxel of a row first and last.
-    c : (24,)
-        Coefficients from `coefficients`.
-    out : (3, nz, ny, nx)
-        Must not be `v`.
-    plane : (blocks, ny, 3, STRIDE)
-        Scratch.
-    s : (SCRATCH_ROWS * STRIDE,)
-        Scratch. All arrays have the same precision; sums are in double precision.
+    mode, r, weight, lam, mu, c, shape, plane, s
+        As `elastic_passes.apply_stiffness`.
+    v : flat
+        Displacements; `vlow` and `vhigh` are where those of both planes begin, and `vcomp` is the distance of
+        components.
+    low : uint64
+        The lower plane.
+    finish : bool
+        Whether the bricks below that plane have been visited; else nothing is written.
+    out : flat
+        Receives the plane from `oat` on, components `ocomp` apart.
     """
     n, lines, planes = np.uint64(shape[0]), np.uint64(shape[1]), np.uint64(shape[2])
     padded = np.uint64(len(lam)) // (lines * planes)
     blocks = (n + _BLOCK - _1) // _BLOCK
     comp = planes * lines * n
     total = 0.0
-    for t in range(planes + _1):
-        low, high = (t + planes - _1) % planes, t % planes
-        for block in range(blocks):
-            start = block * _BLOCK
-            width = min(_BLOCK, n - start)
-            for line in range(lines + _1 + _1):
-                # the last line, to begin with; the bricks between it and the first one; then all others
-                y = (line + lines - _1) % lines
-                _gather_rows(v, (low * lines + y) * n, (high * lines + y) * n, comp, n, start, width, s)
-                if line == _ZERO:
-                    _first_line(s, width)
-                    continue
-                row = (y + lines - _1) % lines
-                bricks = (low * lines + row) * padded + start + _HEAD
-                if blocks == _1:
-                    # the last brick of the row lies before the first one, too
-                    _brick_row(s, lam, mu, bricks, c, _HEAD, width)
-                    for i in range(_LINE, _FORCE, _R[1]):
-                        s[i + _HEAD - _1] = s[i + _HEAD + width - _1]
-                else:
-                    _brick_row(s, lam, mu, bricks, c, _HEAD - _1, width + _1)
-                if line == _1:
-                    continue
-                _scatter_rows(s, plane, (block * lines + row) * _R[3], width)
-                if t > _ZERO:
-                    at = (low * lines + row) * n + start
-                    total += _finish_rows(mode, v, r, at, comp, weight, at, s, out, width)
+    for block in range(blocks):
+        start = block * _BLOCK
+        width = min(_BLOCK, n - start)
+        for line in range(lines + _1 + _1):
+            # the last line, to begin with; the bricks between it and the first one; then all others
+            y = (line + lines - _1) % lines
+            _gather_rows(v, vlow + y * n, vhigh + y * n, vcomp, n, start, width, s)
+            if line == _ZERO:
+                _first_line(s, width)
+                continue
+            row = (y + lines - _1) % lines
+            bricks = (low * lines + row) * padded + start + _HEAD
+            if blocks == _1:
+                # the last brick of the row lies before the first one, too
+                _brick_row(s, lam, mu, bricks, c, _HEAD, width)
+                for i in range(_LINE, _FORCE, _R[1]):
+                    s[i + _HEAD - _1] = s[i + _HEAD + width - _1]
+            else:
+                _brick_row(s, lam, mu, bricks, c, _HEAD - _1, width + _1)
+            if line == _1:
+                continue
+            _scatter_rows(s, plane, (block * lines + row) * _R[3], width)
+            if not finish:
+                continue
+            place = row * n + start
+            at, vat, to = low * lines * n + place, vlow + place, oat + place
+            if mode == APPLY:
+                _write_rows(s, out, to, ocomp, width)
+                total += _product_rows(v, vat, vcomp, s, width)
+            elif mode == SMOOTH:
+                _smooth_rows(v, vat, vcomp, r, at, comp, weight, at, s, width)
+                _write_rows(s, out, to, ocomp, width)
+                total += _product_rows(r, at, comp, s, width)
+            else:
+                _residual_rows(r, at, comp, s, out, to, ocomp, width)
     return total

@@ -40,6 +40,7 @@ class HomogenizeConductivity(Homogenizer):
     """
 
     name: ClassVar[str] = "homogenize.conductivity"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = ()
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("k.1.1", "k11"), Headline("k.2.2", "k22"), Headline("k.3.3", "k33"),

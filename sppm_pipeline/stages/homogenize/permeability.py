@@ -127,7 +127,7 @@ class HomogenizePermeability(FlowHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.permeability"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("k.1.1", "k11", "cell^2", "error.1.1"), Headline("k.2.2", "k22", "cell^2", "error.2.2"),

@@ -35,6 +35,7 @@ class HomogenizeTet(Stage):
     """
 
     name: ClassVar[str] = "homogenize.tet"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = ()
     headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
     advice: ClassVar[str] = "mesh with a lower `resolution`, or with `order: 1`"

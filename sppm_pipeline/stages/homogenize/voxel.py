@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Cell, Homogenizer, grids_below, per_phase, refined
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.homogenization.elasticity import ElasticBody
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,22 +64,24 @@ class ElasticHomogenizer(Homogenizer):
         return (self.ersatz * young[0], poisson[0]) if self.ersatz else (0.0, 0.0)
 
     def bytes_of_a_voxel(self, threads: int) -> int:
-        """Six fields, their work space for each load case in progress, Lamé constants."""
-        return 4 * (3 * 6 + 16 * min(threads, 6) + 12)
+        """Five fields of 16 bits, four whole ones for each case in progress, coarser grids, Lamé constants, weights."""
+        return 30 + 54 * min(threads, 6) + 16
 
     def stiffness_of(
         self, context: Context, source: ScalarField | Voxels, expansion: tuple[float, ...] = ()
     ) -> StiffnessReport:
         """Solve six load cases; `expansion` has coefficients of the void and of the phases from 1 on, or nothing."""
         from sppm_pipeline.numerics.connectivity.components import phase_report
-        from sppm_pipeline.numerics.homogenization.elasticity import stiffness
 
         cell = self.cell_of(context, source)
         cell.check_materials(context, len(self._materials()[0]), "`young` and `poisson`")
-        lam, mu = self._lame(cell)
-        expanding = self._expansion(cell, expansion, lam + 2 / 3 * mu) if expansion else None
-        found = stiffness(lam, mu, cell.edges, expansion=expanding, **self.solver_options(context.threads))
-        connected = phase_report(cell.occupied().T)
+        connected, phases, shape = phase_report(cell.occupied().T), self._phases(cell), cell.shape
+        whole = cell.fraction is None
+        body, expanding = self._body(cell, expansion)
+        del cell  # the solver needs the memory
+        options = self.solver_options(context.threads)
+        del options["precision"]  # which the body has
+        found = body.stiffness(expansion=expanding, **options)
         warnings = self.solver_warnings(found.solved, found.precision)
         without = [word for word, value in zip(_STRAINS, np.diag(found.stiffness), strict=True) if value == 0]
         if without:
@@ -90,12 +95,12 @@ class ElasticHomogenizer(Homogenizer):
             context.warn(warning)
         return StiffnessReport(
             found.stiffness,
-            self._phases(cell),
-            f"{' x '.join(map(str, cell.shape))} voxels, {'whole' if cell.fraction is None else 'solid fractions'}",
+            phases,
+            f"{' x '.join(map(str, shape))} voxels, {'whole' if whole else 'solid fractions'}",
             unit=None if self.stress_unit == "relative" else self.stress_unit,
             expansion=found.expansion,
             solver={
-                "grid": list(cell.shape),
+                "grid": list(shape),
                 "precision": found.precision,
                 "iterations": [case.iterations for case in found.solved],
                 "residuals": [float(case.residual) for case in found.solved],
@@ -133,11 +138,15 @@ class ElasticHomogenizer(Homogenizer):
         stress = cell.of_voxels(tuple(k * alpha for k, alpha in zip(moduli, expansion, strict=True)), np.float64)
         return np.asarray(np.divide(stress, bulk, out=np.zeros_like(stress), where=bulk > 0))
 
-    def _lame(self, cell: Cell) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Lamé constants of all voxels, (nz, ny, nx)."""
+    def _body(self, cell: Cell, expansion: tuple[float, ...]) -> tuple[ElasticBody, NDArray[Any] | None]:
+        """The cell as it is solved, and the coefficients of expansion of its voxels, if there are any."""
+        from sppm_pipeline.numerics.homogenization.elasticity import ElasticBody
+
         lam, mu = zip(*self._constants(), strict=True)
         dtype = np.float32 if self.precision == "single" else np.float64
-        return cell.of_voxels(lam, dtype), cell.of_voxels(mu, dtype)
+        firsts, seconds = cell.of_voxels(lam, dtype), cell.of_voxels(mu, dtype)
+        expanding = self._expansion(cell, expansion, firsts + 2 / 3 * seconds) if expansion else None
+        return ElasticBody.of(firsts, seconds, cell.edges, dtype), expanding
 
 
 _STRAINS = ("xx", "yy", "zz", "yz", "xz", "xy")
@@ -160,6 +169,7 @@ class HomogenizeVoxel(ElasticHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.voxel"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
     headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
 

@@ -31,6 +31,7 @@ class TuneStiffness(ElasticHomogenizer, Tuner):
     """
 
     name: ClassVar[str] = "tune.stiffness"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = (
         "value", "modulus", "modulus_error", "modulus_grid_error", "modulus_extrapolated", "homogenizations",
         "curve.#6.#2",

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sppm_pipeline.numerics.crushing.material import Material
+from sppm_pipeline.numerics.homogenization.elastic_level import ElasticLevel, Moduli
 from sppm_pipeline.numerics.homogenization.elastic_operator import SCRATCH_ROWS
-from sppm_pipeline.numerics.homogenization.elasticity import ElasticLevel
 from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Workspace
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY
 
@@ -25,7 +25,7 @@ def image():
 def test_tangent_at_rest_is_that_of_homogenization(elements, image):
     body = elements(image, MATERIALS)
     lam, mu = (np.array([0.0, *(m.lame[i] for m in MATERIALS)])[image] for i in (0, 1))
-    level = ElasticLevel(lam, mu, (1.0, 1.0, 1.0), np.float64)
+    level = ElasticLevel(Moduli.of(lam, mu), (1.0, 1.0, 1.0), np.float64)
     nodes = body.body.nodes
     at = nodes[:, 0] + 4 * (nodes[:, 1] + 4 * nodes[:, 2])
     u = np.random.default_rng(4).standard_normal(nodes.shape)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.homogenization.conduction import conduction_hierarchy
-from sppm_pipeline.numerics.homogenization.elasticity import elastic_hierarchy
+from sppm_pipeline.numerics.homogenization.elastic_level import elastic_hierarchy
 from sppm_pipeline.numerics.homogenization.multigrid.solver import Stop, solve
 from sppm_pipeline.numerics.homogenization.tetrahedral import conjugate_gradients, rigid_modes
 from sppm_pipeline.numerics.homogenization.tetrahedral_assembly import assemble

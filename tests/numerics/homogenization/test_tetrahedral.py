@@ -4,12 +4,12 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from scipy.sparse import bsr_matrix, coo_matrix, identity, kron
+from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix, identity, kron
 from scipy.sparse.linalg import splu
 
 from sppm_pipeline.numerics.homogenization.mortar import collocation, face_pairs, mortar
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import PAIRS, isotropic, lame, rotated
-from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra, rigid_modes
+from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra, rigid_modes, tied
 from sppm_pipeline.numerics.homogenization.tetrahedral_assembly import assemble
 from sppm_pipeline.numerics.homogenization.tetrahedral_multigrid import Blocks, aggregation, interpolation
 from sppm_pipeline.numerics.tetrahedra.periodic import matched_nodes
@@ -140,6 +140,26 @@ def test_the_mortar_on_matching_faces_is_matching_nodes():
     matched = homogenized(nodes, cells, young)
     joined = homogenized(nodes, cells, young, matched=False)
     assert joined.stiffness == pytest.approx(matched.stiffness, rel=1e-6)
+
+
+def test_springs_tie_what_is_joined_and_nothing_else():
+    constraints = csr_matrix(np.array([[1.0, -0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.0, 3.0, -3.0]]))
+    made = tied(identity(15, format="csr").tobsr((3, 3)), constraints)
+    fulfilled = np.kron([1.0, 3.0, -1.0, 2.0, 2.0], [1.0, -2.0, 0.5])
+    assert made @ fulfilled == pytest.approx(fulfilled)
+    apart = np.kron([0.0, 0.0, 0.0, 1.0, -1.0], [0.0, 1.0, 0.0])
+    assert made @ apart == pytest.approx(2 * apart)
+    assert (made - made.T).nnz == 0 or abs(made - made.T).max() < 1e-15
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_joined_faces_take_hardly_more_iterations_than_matching_ones(order):
+    """A preconditioner that takes them for free ones takes eight times as many."""
+    nodes, cells = quadratic(cube(4), order)
+    young = 1 + 0.8 * np.cos(2 * np.pi * middles(nodes, cells)).prod(axis=1)
+    matched = homogenized(nodes, cells, young)
+    joined = homogenized(nodes, cells, young, matched=False)
+    assert max(joined.iterations) < 2.5 * max(matched.iterations)
 
 
 @pytest.mark.parametrize("faces", ["mortar", "collocation"])

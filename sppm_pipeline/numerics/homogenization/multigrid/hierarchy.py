@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,19 +36,42 @@ class Level(Protocol):
     shape : (nz, ny, nx)
     components : int
         Unknowns of a node.
-    diagonal : (nz * ny * nx,) float64 or float32
-        Diagonal of the matrix, the mean of the components of a node; 0 in the void.
     weight : (nz * ny * nx,)
         Damped inverse of the diagonal; 0 in the void.
     """
 
     shape: tuple[int, int, int]
     components: int
-    diagonal: NDArray[Any]
     weight: NDArray[Any]
 
+    @property
+    def diagonal(self) -> NDArray[Any]:
+        """Diagonal of the matrix, the mean of the components of a node, (nz * ny * nx,); 0 in the void."""
+        ...
+
     def apply(self, mode: int, v: NDArray[Any], r: NDArray[Any], out: NDArray[Any], work: Workspace) -> float:
-        """Apply the operator in one of the modes of `rows`: APPLY, RESIDUAL, SMOOTH; vectors are flat."""
+        """Apply the operator in one of the modes of `rows`: APPLY, RESIDUAL, SMOOTH; vectors are flat.
+
+        The residual may take the place of the right-hand side.
+        """
+        ...
+
+
+class PlanarLevel(Level, Protocol):
+    """A grid whose passes keep what they need in planes, so that a cycle has one vector of it in place of two."""
+
+    def descend(self, r: NDArray[Any], coarse: NDArray[Any], transfer: Transfer, work: Workspace) -> None:
+        """Write the restricted residual after a smoothing step from zero to `coarse`."""
+        ...
+
+    def ascend(
+        self, r: NDArray[Any], coarse: NDArray[Any], transfer: Transfer, out: NDArray[Any], work: Workspace
+    ) -> float:
+        """Write the step from zero, corrected by `coarse` and smoothed, to `out`; returns ``r . out``."""
+        ...
+
+    def turn_apply(self, z: NDArray[Any], beta: float, p: NDArray[Any], work: Workspace) -> float:
+        """Update ``p = z + beta p``, write its forces over z, and return their product."""
         ...
 
 
@@ -115,9 +139,11 @@ class Workspace:
     levels : sequence of Level
     scratch_rows : int
         Rows of scratch of a pass.
+    planar : bool
+        Whether all levels but the last are of `PlanarLevel`.
     """
 
-    def __init__(self, levels: list[Level], scratch_rows: int) -> None:
+    def __init__(self, levels: list[Level], scratch_rows: int, planar: bool = False) -> None:
         dtype = levels[0].weight.dtype
         longest = max(level.shape[2] for level in levels)
         components = levels[0].components
@@ -125,13 +151,20 @@ class Workspace:
         self.line = np.zeros(longest + 2, dtype)
         # rows of the plane have the distance of rows of scratch, too
         self.plane = np.zeros(components * max(lv.shape[1] * -(-lv.shape[2] // BLOCK) for lv in levels) * STRIDE, dtype)
+        layer = components * levels[0].shape[1] * levels[0].shape[2] if planar else 0
+        self.ring, self.rest = np.zeros(2 * layer, dtype), np.zeros(layer, dtype)
         sizes = [components * int(np.prod(level.shape)) for level in levels]
         self.z = [np.zeros(size, dtype) for size in sizes]
-        self.q = [np.zeros(size, dtype) for size in sizes]
+        self.q = [np.zeros(0 if planar else size, dtype) for size in sizes]
         sizes[0] = 0
         self.r = [np.zeros(size, dtype) for size in sizes]
-        self.rest = [np.zeros(size, dtype) for size in sizes]
         self.sum = [np.zeros(size, dtype) for size in sizes]
+
+    def below(self) -> Workspace:
+        """The same arrays, for a cycle that begins on the next coarser grid."""
+        view = copy(self)
+        view.z, view.q, view.r, view.sum = self.z[1:], self.q[1:], self.r[1:], self.sum[1:]
+        return view
 
 
 @dataclass(frozen=True)
@@ -151,6 +184,10 @@ class Hierarchy:
         than it should be, the cycle is no longer positive definite; with single visits it always is.
     sweeps : int
         Steps of the smoother before and after.
+    planar : bool
+        Whether all levels are of `PlanarLevel`; then there is one step of the smoother.
+    stretch : float
+        Factor of corrections from coarse grids, for those that are stiffer than they should be.
     """
 
     levels: list[Level]
@@ -159,6 +196,8 @@ class Hierarchy:
     scratch_rows: int
     twice: bool
     sweeps: int = 1
+    planar: bool = False
+    stretch: float = 1.0
 
     @classmethod
     def of(
@@ -171,6 +210,8 @@ class Hierarchy:
         damping: float = 0.5,
         sweeps: int = 1,
         twice: bool | None = None,
+        planar: bool = False,
+        stretch: float = 1.0,
     ) -> Hierarchy:
         """Set the damping of all levels and invert the coarsest matrix.
 
@@ -185,13 +226,13 @@ class Hierarchy:
             Those between nodes if omitted.
         damping : float
             Of the smoother, if `largest` allows so much.
-        sweeps, twice
+        sweeps, twice, planar, stretch
             As the attributes; where `twice` is omitted, `largest` decides.
         """
-        work = Workspace(levels, scratch_rows)
+        work = Workspace(levels, scratch_rows, planar)
         for level in levels:
-            inverse = np.zeros_like(level.weight)
-            np.divide(1, level.diagonal, out=inverse, where=level.diagonal > 0)
+            inverse, diagonal = np.zeros_like(level.weight), level.diagonal
+            np.divide(1, diagonal, out=inverse, where=diagonal > 0)
             level.weight[:] = inverse
             # damped Jacobi converges below 2 / (largest eigenvalue), which power steps approach from below
             bound = 1.9 / (largest or _largest_eigenvalue(level, work))
@@ -199,11 +240,16 @@ class Hierarchy:
         if transfers is None:
             transfers = [NodalTransfer.between(fine.shape, coarse.shape) for fine, coarse in pairwise(levels)]
         inverse = _inverse(levels[-1], work)
-        return cls(levels, transfers, inverse, scratch_rows, largest == 0 if twice is None else twice, sweeps)
+        twice = largest == 0 if twice is None else twice
+        return cls(levels, transfers, inverse, scratch_rows, twice, sweeps, planar, stretch)
 
     def workspace(self) -> Workspace:
         """For one thread."""
-        return Workspace(self.levels, self.scratch_rows)
+        return Workspace(self.levels, self.scratch_rows, self.planar)
+
+    def below(self) -> Hierarchy:
+        """Without the finest grid."""
+        return replace(self, levels=self.levels[1:], transfers=self.transfers[1:])
 
     def cycle(self, r: NDArray[Any], work: Workspace, depth: int = 0) -> tuple[NDArray[Any], float]:
         """One V- or W-cycle with damped Jacobi steps before and after: an approximation of the solution for `r`.
@@ -220,6 +266,11 @@ class Hierarchy:
         if depth == len(self.levels) - 1:
             dense_product(self.inverse, r, z)
             return z, dot(r, z)
+        if self.planar:
+            thin = cast(PlanarLevel, level)
+            thin.descend(r, work.r[depth + 1], self.transfers[depth], work)
+            correction = self._correction(work, depth + 1)
+            return z, thin.ascend(r, correction, self.transfers[depth], z, work)
         weighted(r, level.weight, z)
         for _ in range(1, self.sweeps):
             level.apply(SMOOTH, z, r, q, work)
@@ -235,14 +286,16 @@ class Hierarchy:
 
     def _correction(self, work: Workspace, depth: int) -> NDArray[Any]:
         """The solution for ``work.r[depth]`` by one cycle, or two where they save more iterations than they cost."""
-        level, r, rest, total = self.levels[depth], work.r[depth], work.rest[depth], work.sum[depth]
+        level, r, total = self.levels[depth], work.r[depth], work.sum[depth]
         once, _ = self.cycle(r, work, depth)
         if not self.twice or max(level.shape) <= _TWICE:
+            once *= once.dtype.type(self.stretch)
             return once
         total[:] = once
-        level.apply(RESIDUAL, total, r, rest, work)
-        again, _ = self.cycle(rest, work, depth)
+        level.apply(RESIDUAL, total, r, r, work)
+        again, _ = self.cycle(r, work, depth)
         total += again
+        total *= total.dtype.type(self.stretch)
         return total
 
 

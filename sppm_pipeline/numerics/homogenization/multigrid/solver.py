@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, cast
+from threading import Event
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Body, Hierarchy, Workspace
+from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Body, Hierarchy, PlanarLevel, Workspace
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY
 from sppm_pipeline.numerics.homogenization.multigrid.vectors import dot, step, turn
 
@@ -73,6 +74,26 @@ class Solved(NamedTuple):
     definite: bool
 
 
+class Measure(Protocol):
+    """What becomes of the solutions of the load cases of one cell."""
+
+    def target(self, case: int) -> NDArray[Any] | None:
+        """Where the solution of a load case has to be written; None if nobody needs it after `record`."""
+        ...
+
+    def keep(self, case: int, u: NDArray[Any]) -> None:
+        """Keep what later load cases need of a solution."""
+        ...
+
+    def record(self, case: int, u: NDArray[Any], spare: NDArray[Any], work: Workspace) -> None:
+        """Measure a solution, after all cases before it have been kept; `spare` is scratch of its length."""
+        ...
+
+    def energies(self, threads: int) -> NDArray[np.float64]:
+        """Mutual energies of all load cases over the volume, (m, m)."""
+        ...
+
+
 def solve(
     hierarchy: Hierarchy,
     b: NDArray[Any],
@@ -82,8 +103,9 @@ def solve(
     stop: Stop,
     energy: float,
     floor: float,
+    nested: int = 0,
 ) -> Solved:
-    """Solve ``K u = b`` from zero.
+    """Solve ``K u = b`` from zero, or from the solution of a coarser grid.
 
     Each iteration lowers the energy ``energy - b . u`` by a known amount, and the sum of all amounts that are still to
     come is its error (Hestenes and Stiefel). What is to come is estimated from the last amounts and how they fell, so
@@ -105,6 +127,8 @@ def solve(
         Energy of ``u = 0``, from which `Stop.energy` is measured; 0 for a force alone, whose energy is negative.
     floor : float
         Energies below this count as this, so that an energy of zero is reached at all.
+    nested : int
+        Iterations on each coarser grid, for a start from its solution; 0 to start from zero.
     """
     level = hierarchy.levels[0]
     u[:] = 0
@@ -114,11 +138,14 @@ def solve(
     gains: list[float] = []
     rounding = 4 * float(np.finfo(b.dtype).eps)
     rr, error = start, math.inf
+    if nested and len(hierarchy.levels) > 2:
+        gain, rr = _nested_start(hierarchy, b, u, p, work, nested, rr)
+        energy -= gain
     z, rz = hierarchy.cycle(b, work)
     p[:] = z
+    pq = level.apply(APPLY, p, p, work.z[0], work)
     for iteration in range(1, stop.iterations + 1):
         q = work.z[0]
-        pq = level.apply(APPLY, p, p, q, work)
         if not (rz > 0 and pq > 0 and math.isfinite(rz) and math.isfinite(pq)):
             return Solved(iteration, math.sqrt(rr / start), energy, error, False, False)
         alpha = rz / pq
@@ -130,10 +157,56 @@ def solve(
         # what is left is rounding: the energy, of second order in it, is exact
         if reached or rr <= start * rounding**2:
             return Solved(iteration, math.sqrt(rr / start), energy, error, reached or stop.energy > 0, True)
+        if iteration == stop.iterations:
+            break
         z, after = hierarchy.cycle(b, work)
-        turn(z, after / rz, p)
+        pq = _turn_apply(hierarchy, z, after / rz, p, work)
         rz = after
     return Solved(stop.iterations, math.sqrt(rr / start), energy, error, False, True)
+
+
+def _turn_apply(hierarchy: Hierarchy, z: NDArray[Any], beta: float, p: NDArray[Any], work: Workspace) -> float:
+    """The next direction ``p = z + beta p``, and its forces, written to ``work.z[0]``; returns their product."""
+    level = hierarchy.levels[0]
+    if hierarchy.planar:
+        return cast(PlanarLevel, level).turn_apply(z, beta, p, work)
+    turn(z, beta, p)
+    return level.apply(APPLY, p, p, work.z[0], work)
+
+
+def _nested_start(
+    hierarchy: Hierarchy,
+    b: NDArray[Any],
+    u: NDArray[Any],
+    p: NDArray[Any],
+    work: Workspace,
+    iterations: int,
+    rr: float,
+) -> tuple[float, float]:
+    """Set `u` to the solution on the next coarser grid, as far as that lowers the energy.
+
+    Coarse grids are stiffer than they should be; the best multiple of their solution makes up for most of it.
+
+    Returns
+    -------
+    gain : float
+        Of energy.
+    rr : float
+        Square of the residual, which `b` becomes.
+    """
+    coarse, below = hierarchy.below(), work.below()
+    length = len(below.z[0])
+    hierarchy.transfers[0].restrict(b, work.r[1], work.line)
+    found = solve(coarse, work.r[1], work.sum[1], p[:length], below, Stop(0.0, 0.0, iterations), 0.0, 1.0, iterations)
+    if not found.definite:
+        return 0.0, rr
+    p[:] = 0
+    hierarchy.transfers[0].interpolate_add(work.sum[1], p, work.line)
+    q = work.z[0]
+    pq, pb = hierarchy.levels[0].apply(APPLY, p, p, q, work), dot(p, b)
+    if not (pb > 0 and pq > 0 and math.isfinite(pb) and math.isfinite(pq)):
+        return 0.0, rr
+    return pb**2 / pq, step(u, b, p, q, pb / pq)
 
 
 def remaining(gains: list[float]) -> float:
@@ -156,12 +229,13 @@ def remaining(gains: list[float]) -> float:
 
 def load_cases(
     hierarchy_of: Callable[[np.dtype[Any], bool], Hierarchy],
-    energies: Callable[[Hierarchy, NDArray[Any], int], NDArray[np.float64]],
+    measure_of: Callable[[Hierarchy], Measure],
     mean: NDArray[np.float64],
     stop: Stop,
     floor: float,
     dtype: np.dtype[Any],
     threads: int,
+    nested: int = 0,
 ) -> tuple[NDArray[np.float64], tuple[Solved, ...], str]:
     """Solve one load case for each constant load, and return the mutual energies of the solutions over the volume.
 
@@ -172,8 +246,8 @@ def load_cases(
     ----------
     hierarchy_of : callable
         From a precision, and whether the cycle has to be safe, to the grids.
-    energies : callable
-        From the grids, the solutions and a number of threads to the (m, m) matrix of energies.
+    measure_of : callable
+        From the grids to what measures the solutions.
     mean : (m,)
         Energies over the volume of the constant loads alone.
     stop : Stop
@@ -181,6 +255,8 @@ def load_cases(
         Part of `mean` below which no accuracy is requested.
     dtype : dtype
     threads : int
+    nested : int
+        As of `solve`.
 
     Returns
     -------
@@ -197,11 +273,11 @@ def load_cases(
         hierarchy = hierarchy_of(attempt, safe)
         level = cast(Body, hierarchy.levels[0])
         volume = float(np.prod(level.edges)) * level.weight.size
-        fields = np.empty((len(mean), level.components * level.weight.size), attempt)
-        solved = _solve_all(hierarchy, fields, volume * mean, stop, floor, threads)
+        measure = measure_of(hierarchy)
+        solved = _solve_all(hierarchy, measure, volume * mean, stop, floor, threads, nested)
         if not all(case.definite for case in solved):
             continue
-        matrix = energies(hierarchy, fields, threads)
+        matrix = measure.energies(threads)
         # energies as the iterations kept count of them: if rounding took over, they differ
         counted = np.array([case.energy for case in solved]) / volume
         slack = (_AGREEMENT + stop.energy) * np.abs(counted) + 100 * np.finfo(attempt).eps * mean
@@ -212,24 +288,47 @@ def load_cases(
 
 def _solve_all(
     hierarchy: Hierarchy,
-    fields: NDArray[Any],
+    measure: Measure,
     energy: NDArray[np.float64],
     stop: Stop,
     floor: float,
     threads: int,
+    nested: int,
 ) -> tuple[Solved, ...]:
     level = cast(Body, hierarchy.levels[0])
-    count, length = fields.shape
-    spare: list[tuple[Workspace, NDArray[Any], NDArray[Any]]] = []
+    count, length = len(energy), level.components * level.weight.size
+    spare: list[tuple[Workspace, list[NDArray[Any]]]] = []
+    # each case is measured against those before it, in whatever order they end
+    kept, failed = [Event() for _ in range(count)], Event()
 
     def load_case(case: int) -> Solved:
-        work, b, p = spare.pop() if spare else (hierarchy.workspace(), *np.empty((2, length), fields.dtype))
-        level.forces(np.eye(count)[case], b, work)
-        np.negative(b, out=b)
-        if dot(b, b) <= level.rounding() ** 2 * length:
-            b[:] = 0
-        solved = solve(hierarchy, b, fields[case], p, work, stop, float(energy[case]), floor * float(energy[case]))
-        spare.append((work, b, p))
+        solved = Solved(0, 1.0, float(energy[case]), math.inf, False, False)
+        if failed.is_set():
+            return solved
+        try:
+            work, vectors = spare.pop() if spare else (hierarchy.workspace(), [])
+            target = measure.target(case)
+            while len(vectors) < (2 if target is not None else 3):
+                vectors.append(np.empty(length, level.weight.dtype))
+            b, p = vectors[:2]
+            u = vectors[2] if target is None else target
+            level.forces(np.eye(count)[case], b, work)
+            np.negative(b, out=b)
+            if dot(b, b) <= level.rounding() ** 2 * length:
+                b[:] = 0
+            known = float(energy[case])
+            solved = solve(hierarchy, b, u, p, work, stop, known, floor * known, nested)
+            if solved.definite:
+                measure.keep(case, u)
+        finally:
+            if not solved.definite:
+                failed.set()
+            kept[case].set()
+        for earlier in kept[:case]:
+            earlier.wait()
+        if not failed.is_set():
+            measure.record(case, u, b, work)
+        spare.append((work, vectors))
         return solved
 
     if threads == 1:

@@ -47,9 +47,10 @@ def shortness(widths: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 @inline_jit
-def _add_scaled(a: NDArray[Any], at: Any, factor: Any, s: NDArray[Any], n: Any) -> None:
+def _mean_of_rows(coarse: NDArray[Any], a: Any, b: Any, c: Any, d: Any, s: NDArray[Any], n: Any) -> None:
+    quarter = s.dtype.type(0.25)
     for i in range(n):
-        s[i] += factor * a[at + i]
+        s[i] = quarter * ((coarse[a + i] + coarse[b + i]) + (coarse[c + i] + coarse[d + i]))
 
 
 @inline_jit
@@ -69,6 +70,36 @@ def _interpolate_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse
 
 
 @jit
+def interpolate_plane(
+    coarse: NDArray[Any], z: Any, shapes: NDArray[np.int64], out: NDArray[Any], at: Any, comp: Any, s: NDArray[Any]
+) -> None:
+    """Add the interpolated coarse vector to one plane of a fine one.
+
+    Parameters
+    ----------
+    coarse : flat, of (components, nz, ny, nx)
+    z : uint64
+        The plane.
+    shapes, s
+        As `interpolate_add`.
+    out : flat
+        Receives the plane from `at` on, components `comp` apart.
+    """
+    nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])
+    mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
+    # places on the ring; twice the same coarse row where there is nothing to interpolate
+    z = (z + nz - (nz & _1)) % nz
+    z0, z1 = z >> _1, ((z + _1) >> _1) % mz
+    for c in range(np.uint64(len(coarse)) // (mx * my * mz)):
+        low, high = (c * mz + z0) * my, (c * mz + z1) * my
+        for line in range(ny):
+            y = (line + ny - (ny & _1)) % ny
+            y0, y1 = y >> _1, ((y + _1) >> _1) % my
+            _mean_of_rows(coarse, (low + y0) * mx, (low + y1) * mx, (high + y0) * mx, (high + y1) * mx, s, mx)
+            _interpolate_row(s, out, at + c * comp + line * nx, nx, mx)
+
+
+@jit
 def interpolate_add(coarse: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s: NDArray[Any]) -> None:
     """Add the interpolated coarse vector to a fine one.
 
@@ -80,67 +111,81 @@ def interpolate_add(coarse: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.
     s : (> nx of the coarse grid,)
         Scratch.
     """
-    nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])
-    mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
-    quarter = s.dtype.type(0.25)
-    components = np.uint64(len(out)) // (nx * ny * nz)
-    for line in range(components * nz * ny):
-        y, z, c = line % ny, (line // ny) % nz, line // (ny * nz)
-        # places on the ring; twice the same coarse row where there is nothing to interpolate
-        y, z = (y + ny - (ny & _1)) % ny, (z + nz - (nz & _1)) % nz
-        y0, y1, z0, z1 = y >> _1, ((y + _1) >> _1) % my, z >> _1, ((z + _1) >> _1) % mz
-        for i in range(mx):
-            s[i] = s.dtype.type(0)
-        _add_scaled(coarse, ((c * mz + z0) * my + y0) * mx, quarter, s, mx)
-        _add_scaled(coarse, ((c * mz + z0) * my + y1) * mx, quarter, s, mx)
-        _add_scaled(coarse, ((c * mz + z1) * my + y0) * mx, quarter, s, mx)
-        _add_scaled(coarse, ((c * mz + z1) * my + y1) * mx, quarter, s, mx)
-        _interpolate_row(s, out, line * nx, nx, mx)
+    layer = np.uint64(shapes[0]) * np.uint64(shapes[1])
+    planes = np.uint64(shapes[2])
+    for z in range(planes):
+        interpolate_plane(coarse, z, shapes, out, z * layer, planes * layer, s)
 
 
 @inline_jit
-def _add_ring(a: NDArray[Any], at: Any, factor: Any, s: NDArray[Any], n: Any) -> None:
-    """Add a row as a ring, to ``s[1:]``."""
+def _ring_of_rows(
+    fine: NDArray[Any], low: Any, middle: Any, high: Any, before: Any, after: Any, s: NDArray[Any], n: Any
+) -> None:
+    """The sum of three rows, the outer ones weighted, as a ring, in ``s[1:]``."""
     odd = n & _1
     for i in range(n - odd):
-        s[i + _1] += factor * a[at + odd + i]
+        k = odd + i
+        s[i + _1] = fine[middle + k] + (before * fine[low + k] + after * fine[high + k])
     if odd != _0:
-        s[n] += factor * a[at]
+        s[n] = fine[middle] + (before * fine[low] + after * fine[high])
 
 
 @inline_jit
-def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse: Any) -> None:
+def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, factor: Any, coarse: Any) -> None:
     half = s.dtype.type(0.5)
-    # an even number of nodes closes the ring between its last node and the first
-    s[_0] = s[n] if n & _1 == _0 else s.dtype.type(0)
-    s[n + _1] = s.dtype.type(0)
     for i in range(coarse):
-        out[at + i] = s[i + i + _1] + half * (s[i + i] + s[i + i + _1 + _1])
+        out[at + i] += factor * (s[i + i + _1] + half * (s[i + i] + s[i + i + _1 + _1]))
+
+
+@jit
+def restrict_plane(
+    fine: NDArray[Any], at: Any, comp: Any, z: Any, shapes: NDArray[np.int64], out: NDArray[Any], s: NDArray[Any]
+) -> None:
+    """Add the part of one plane to a restricted vector: the transpose of `interpolate_plane`.
+
+    Parameters
+    ----------
+    fine : flat
+        The plane begins at `at`, components `comp` apart.
+    z : uint64
+        The plane.
+    shapes, s
+        As `restrict`.
+    out : flat, of (components, nz, ny, nx)
+    """
+    nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])
+    mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
+    zero, half, one = s.dtype.type(0), s.dtype.type(0.5), s.dtype.type(1)
+    odd = ny & _1
+    z = (z + nz - (nz & _1)) % nz
+    z0, z1 = z >> _1, ((z + _1) >> _1) % mz
+    for c in range(np.uint64(len(out)) // (mx * my * mz)):
+        rows = at + c * comp
+        for y in range(my):
+            # the line before, the line itself, the line after, unless the ring is open there
+            low, middle, high = (y + y + ny - _1 + odd) % ny, (y + y + odd) % ny, (y + y + _1 + odd) % ny
+            before = zero if odd != _0 and y == _0 else half
+            after = zero if odd != _0 and y + _1 == my else half
+            _ring_of_rows(fine, rows + low * nx, rows + middle * nx, rows + high * nx, before, after, s, nx)
+            # an even number of nodes closes the ring between its last node and the first
+            s[_0] = s[nx] if nx & _1 == _0 else zero
+            s[nx + _1] = zero
+            to = ((c * mz + z0) * my + y) * mx
+            if z0 == z1:
+                _restrict_row(s, out, to, one, mx)
+            else:
+                _restrict_row(s, out, to, half, mx)
+                _restrict_row(s, out, ((c * mz + z1) * my + y) * mx, half, mx)
 
 
 @jit
 def restrict(fine: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s: NDArray[Any]) -> None:
     """The transpose of the interpolation; arguments as `interpolate_add`, `s` longer than nx + 1 of the fine grid."""
-    nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])
-    mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
-    components = np.uint64(len(fine)) // (nx * ny * nz)
-    three = np.uint64(3)
-    for line in range(components * mz * my):
-        y, z, c = line % my, (line // my) % mz, line // (my * mz)
-        for i in range(nx + _1 + _1):
-            s[i] = s.dtype.type(0)
-        # the node before, the node itself, the node after, unless the ring is open there
-        for k in range(three):
-            if nz & _1 != _0 and ((k == _0 and z == _0) or (k > _1 and z + _1 == mz)):
-                continue
-            z1 = (z + z + k + nz - _1 + (nz & _1)) % nz
-            for j in range(three):
-                if ny & _1 != _0 and ((j == _0 and y == _0) or (j > _1 and y + _1 == my)):
-                    continue
-                y1 = (y + y + j + ny - _1 + (ny & _1)) % ny
-                factor = (1.0 if k == _1 else 0.5) * (1.0 if j == _1 else 0.5)
-                _add_ring(fine, ((c * nz + z1) * ny + y1) * nx, s.dtype.type(factor), s, nx)
-        _restrict_row(s, out, line * mx, nx, mx)
+    layer = np.uint64(shapes[0]) * np.uint64(shapes[1])
+    planes = np.uint64(shapes[2])
+    out[:] = 0
+    for z in range(planes):
+        restrict_plane(fine, z * layer, planes * layer, z, shapes, out, s)
 
 
 class NodalTransfer(NamedTuple):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.homogenization.conduction import conduction_hierarchy, conductivity
-from sppm_pipeline.numerics.homogenization.elasticity import elastic_hierarchy, stiffness
+from sppm_pipeline.numerics.homogenization.elastic_level import elastic_hierarchy
+from sppm_pipeline.numerics.homogenization.elasticity import stiffness
 from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import coarser
 from sppm_pipeline.numerics.homogenization.multigrid.rows import APPLY
 from sppm_pipeline.numerics.homogenization.multigrid.solver import Stop, solve
