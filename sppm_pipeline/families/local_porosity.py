@@ -25,8 +25,8 @@ Cells = list[tuple[int, int, int]]
 _PLACES, _WEIGHTS = (0.3399810435848563, 0.8611363115940526), (0.6521451548625461, 0.3478548451374538)
 PLACES = np.array([1 - _PLACES[1], 1 - _PLACES[0], 1 + _PLACES[0], 1 + _PLACES[1]]) / 2
 WEIGHTS = np.array([_WEIGHTS[1], _WEIGHTS[0], _WEIGHTS[0], _WEIGHTS[1]]) / 2
-"""Points along a cell edge at which a map is asked for its mean over a cell, and their weights: those of Gauss, by which
-smooth maps have their mean to 1 in 100 000, and steps between cells theirs."""
+"""Points along a cell edge at which a map is asked for its mean over a cell, and their weights: those of Gauss, by
+which smooth maps have their mean to 1 in 100 000, and steps between cells theirs."""
 
 LEAST_SHARE = 0.25
 """A cell of which less lies in the part gets no level of its own, but one that continues those around it."""
