@@ -76,8 +76,8 @@ HALF_RANGE = 4.0
 """How far ln G is told apart on either side of ln C where cells are measured: a choice."""
 
 RAMP = 1.0
-"""Width of the ramp of ln G by which samples near the level count: of those tried on cells of porosities from .25 to
-.75 the one with the least error at 32 to 48 samples along an edge."""
+"""Width of the ramp of ln G by which samples near the level count: of those tried on cells of porosities from .3 to .6
+the one with the least error at 32 to 48 samples along an edge."""
 
 
 class Places(NamedTuple):
