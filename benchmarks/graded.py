@@ -2,6 +2,7 @@
 
     python -m benchmarks.graded [SEEDS] [VOXELS]     # 10 and 121 if omitted
     python -m benchmarks.graded maps [SEEDS] [VOXELS]  # scattered pores by random smooth maps; 3 and 101 if omitted
+    python -m benchmarks.graded cells [ALONG_AN_EDGE]  # scattered pores by a map, time and memory; 46 if omitted
     python -m benchmarks.graded part MESH            # whole processes, from a mesh to layers
 
 A row for each kind of bar: the largest error of a cell, rms, how far the level goes from the recipe's, the share of the
@@ -13,6 +14,7 @@ configs/bunny.yaml is graded by the distance from its surface, and compared with
 
 from __future__ import annotations
 
+import resource
 import sys
 import tempfile
 import time
@@ -27,6 +29,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
 from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.stages.connect.relative_neighbors import RelativeNeighbors
 from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.stages.grade.formula import GradeFormula
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
@@ -108,6 +111,23 @@ def maps(seeds: int, n: int) -> None:
     table(f"scattered, 36 cells each, counted on {n} voxels along an edge", head, rows)
 
 
+def cells(along: int) -> None:
+    """A box of so many cells whose porosity goes up and down from .42 to .72, measured and put right once."""
+    recipe = recipe_of(
+        DartThrowing(total=70, share=0.55),
+        RelativeNeighbors(),
+        GaussianField(pore_radius=Length(0.11), tunnel_radius=Length(0.03)),
+    )
+    context, formula = PlainContext(1, threads=2), f"0.57 + 0.15*sin(4*pi*x/{along})*cos(2*pi*y/{along})"
+    grading, begun = GradeFormula(of="porosity", formula=formula).run(context, None, None), time.process_time()
+    stage = ScatteredTiling(cell=Length(1, "mm"), cells=(along,) * 3, rounds=1, resolution=16)
+    pores = len(stage.run(context, recipe, None, grading).tileset.micro.graph.pores.centers)
+    seconds, peak = time.process_time() - begun, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    errors = " ".join(f"{100 * rms:.2f}" for rms in context.reported["error_rms_of_rounds"])
+    rows: list[list[object]] = [[along**3, pores, seconds, peak, errors]]
+    table("scattered by a map", ["cells", "pores", "CPU s", "peak MB", "rms of the rounds, %"], rows)
+
+
 def part(mesh: str) -> None:
     """The bunny's configuration as it is, with a map, and with a level that follows it."""
     plain = CONFIG.read_text()
@@ -136,6 +156,9 @@ def main() -> None:
     """Print the table."""
     if sys.argv[1:2] == ["part"]:
         part(sys.argv[2])
+        return
+    if sys.argv[1:2] == ["cells"]:
+        cells(int(sys.argv[2]) if sys.argv[2:] else 46)
         return
     if sys.argv[1:2] == ["maps"]:
         maps(*(int(a) for a in (sys.argv[2:] + ["3", "101"][len(sys.argv) - 2 :])[:2]))

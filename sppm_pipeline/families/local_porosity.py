@@ -25,8 +25,8 @@ Cells = list[tuple[int, int, int]]
 _PLACES, _WEIGHTS = (0.3399810435848563, 0.8611363115940526), (0.6521451548625461, 0.3478548451374538)
 PLACES = np.array([1 - _PLACES[1], 1 - _PLACES[0], 1 + _PLACES[0], 1 + _PLACES[1]]) / 2
 WEIGHTS = np.array([_WEIGHTS[1], _WEIGHTS[0], _WEIGHTS[0], _WEIGHTS[1]]) / 2
-"""Points along a cell edge where a map is asked for its mean over a cell, and their weights: those of Gauss, by which
-smooth maps have their mean to 1 in 100 000, and steps between cells theirs."""
+"""Points along a cell edge at which a map is asked for its mean over a cell, and their weights: those of Gauss, by
+which smooth maps have their mean to 1 in 100 000, and steps between cells theirs."""
 
 LEAST_SHARE = 0.25
 """A cell of which less lies in the part gets no level of its own, but one that continues those around it."""
@@ -76,8 +76,8 @@ HALF_RANGE = 4.0
 """How far ln G is told apart on either side of ln C where cells are measured: a choice."""
 
 RAMP = 1.0
-"""Width of the ramp of ln G by which samples near the level count: of those tried on cells of porosities from .25 to
-.75 the one with the least error at 32 to 48 samples along an edge."""
+"""Width of the ramp of ln G by which samples near the level count: of those tried on cells of porosities from .3 to .6
+the one with the least error at 32 to 48 samples along an edge."""
 
 
 class Places(NamedTuple):

@@ -16,7 +16,7 @@ from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
 from sppm_pipeline.families.graded import DIRECTION, trial
-from sppm_pipeline.families.graded_cloud import GradedCloud, without_faces
+from sppm_pipeline.families.graded_cloud import ROOM, TOLD, GradedCloud, without_faces
 from sppm_pipeline.families.tiler import HALO, Lattice, at_porosity, check_repeats, laid_cells
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tiling import Tiling
@@ -56,8 +56,12 @@ class ScatteredTiling(Stage):
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None, grading: Size | None) -> Size:
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
         blocks = laid_cells(made, self.periodic)
-        recipe(palette, blocks)
         trial = min(made.cells, 64) * float(self.resolution) ** 3 if self.porosity is not None else 0.0
+        if grading is None:
+            recipe(palette, blocks)
+        else:  # drawn and measured in rounds, the last one but one closely, as are some cells in the end
+            recipe(palette, blocks * (1 + self.rounds) + 8 * ROOM**3 * self.trials)
+            trial = float(self.resolution) ** 3 * (made.cells * (1 + (self.rounds - 1) / 8) + min(made.cells, TOLD))
         counts = {"cells": blocks, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
         return made.at_porosity(self.porosity, **counts)
 

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from sppm_pipeline.data.grading import Grading, TableLaw
+from sppm_pipeline.data.grading import FormulaLaw, Grading, TableLaw
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.errors import ConfigError, DesignError
@@ -24,6 +24,7 @@ from sppm_pipeline.numerics.grid import Grid, cell_centers
 from sppm_pipeline.numerics.kernels.kernels import concatenated
 from sppm_pipeline.numerics.metric import matrices
 from sppm_pipeline.numerics.sampling.blocks import spacing_at_share
+from sppm_pipeline.numerics.sampling.graded_blocks import graded_quotas
 from sppm_pipeline.stage import option
 from sppm_pipeline.stages.check.residual_periodicity import CheckResidualPeriodicity
 from sppm_pipeline.stages.check.tiling import CheckTiling
@@ -517,3 +518,38 @@ def test_who_knows_nothing_of_stretched_pores_refuses_them(upwards):
     with pytest.raises(ConfigError, match="can't be warped"):
         WarpCylinder(inner_radius=Length(5, "mm")).run(PlainContext(1), upwards)
     assert _tiles(upwards.tileset) == []
+
+
+def test_a_steep_scale_keeps_the_porosity_without_a_map_of_it():
+    """From 1 to 1/3 within one cell: the density between nodes is that of the sizes there, not of a chord above it."""
+    found = {}
+    for name, slope in (("flat", 0.0), ("steep", 2 / 3)):
+        cells = []
+        for seed in range(2):
+            law = FormulaLaw("scale", "", f"1 - {slope:.6f}*clip(x/4 - 1, 0, 1)", (), (), None, None)
+            tiling, _ = laid(law, cells=(3, 2, 2), seed=seed)
+            cells.append(1 - tiling.solid(20).reshape(3, 20, -1).mean((1, 2)))
+        found[name] = np.mean(cells, axis=0)
+    assert found["steep"] == pytest.approx([found["flat"].mean()] * 3, abs=0.02)
+
+
+def test_quotas_are_the_integral_of_a_density_whose_sizes_are_linear():
+    size = 1 - np.arange(9) / 12  # two blocks, from 1 to 1/3
+    nodes = np.broadcast_to((size**-3.0)[:, None, None], (9, 5, 5))
+    exact = 3000 * (size[[4, 8]] ** -2.0 - size[[0, 4]] ** -2.0) / 2 / (1 / 3)
+    assert graded_quotas(np.ones((2, 1, 1), bool), 3000.0, nodes)[:, 0, 0] == pytest.approx(exact, abs=2)
+
+
+def test_cells_are_measured_as_far_as_they_lie_in_the_part_and_with_a_map_are_put_right_there(ball):
+    context = PlainContext(1)
+    stage = ScatteredTiling(cell=Length(4, "mm"), trials=1, resolution=24)
+    tiling = stage.run(context, recipe_of(*GRADED), ball, Grading((ramp("porosity", 0.5, 0.6, 4),)))
+    part = Part(tiling, ball)
+    cells = LatticeCells(part, 24)
+    assert (cells.shares < 1).any()
+    measured = cells.porosities(cells.cells, lambda done: None)
+    counted = [cells.porosity(cell) for cell in cells.cells]
+    assert measured == pytest.approx(counted, abs=0.012)
+    assert cells.porosities(cells.cells[::2], lambda done: None) == pytest.approx(measured[::2], abs=1e-4)
+    assert context.reported["error_rms"] < 0.03
+    assert tiling.tileset.micro.graph.pores.blocks.kept is None
