@@ -49,7 +49,7 @@ tunnel_spread = _shared("standard deviation of the logarithm of the tunnel radii
 level = _shared("level C at which the sum of the kernels is cut", minimum=0.001, maximum=0.999)
 
 # porosity, tile sets and tuning
-porosity = _shared("target porosity, reached by the level", above=0, below=1)
+porosity = _shared("target porosity", above=0, below=1)
 tolerance = _shared("largest error of the porosity, checked on a finer grid", above=0, below=0.5)
 colors = _shared("number of colors c", minimum=1)
 interiors = _shared("number of interiors K", minimum=1, maximum=1024)
@@ -110,6 +110,10 @@ printer = _shared("printer that the layers are cut for; `sppm printers` lists th
 cards = _shared("YAML file with printers and resins of your own")
 
 # mappings
+sizes = _shared(
+    "radii follow the cube root of the volume of a cell, which keeps the porosity, or are fixed in mm",
+    choices=("cell", "fixed"),
+)
 inner_radius = _shared("inner radius", unit="mm", above=0, maximum=1e6)
 
 # files, pictures and tables

@@ -13,12 +13,13 @@ from sppm_pipeline.data.curved_cells import CurvedCells
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families import options
 from sppm_pipeline.families.tiler import HALO
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.warped import LaidGraph, cloud, laid_graph
 from sppm_pipeline.fields.warped_field import WarpedField, warped_field
-from sppm_pipeline.stage import Context, Stage, option
+from sppm_pipeline.stage import Context, Stage
 
 SEAMS = 17
 """Places along an edge of the box at which it is mapped to find what box it fills: a choice."""
@@ -46,17 +47,9 @@ class Warper(Stage):
     Any other field is mapped itself, if the stage knows the way back (`curved`).
     """
 
-    sizes: str = option(
-        "cell",
-        help="cell: radii grow and shrink with the cube root of the volume of a cell, which keeps the porosity; fixed: "
-        "they stay as they are in mm",
-        choices=("cell", "fixed"),
-    )
-    samples: int = option(
-        64,
-        help="samples along an edge of a cell from which fields other than stochastic cells are interpolated",
-        minimum=16,
-        maximum=256,
+    sizes: str = options.sizes("cell")
+    resolution: int = options.resolution(
+        64, note="from which fields other than stochastic cells are interpolated", minimum=16, maximum=256
     )
 
     @abstractmethod
@@ -100,7 +93,7 @@ class Warper(Stage):
                 f"a {type(field).__name__} is bent as it is, and has no sizes that could stay",
                 hint="leave out `sizes`",
             )
-        made = warped_field(field, curved, self.samples)
+        made = warped_field(field, curved, self.resolution)
         of_cell = curved.volumes / field.physical_edge() ** 3
         context.report(volume_min=float(of_cell.min()), volume_max=float(of_cell.max()))
         return made

@@ -136,7 +136,8 @@ class CheckLocalPorosity(Stage):
         """Porosities of bent cells, and these at blocks of the lattice: wanted, measured, and where cells are."""
         from sppm_pipeline.numerics.grading.local_means import BLOCKS
 
-        samples = CurvedSamples(field, curved, self.resolution, context.threads)
+        # other points than those by which a level was tuned with the same resolution
+        samples = CurvedSamples(field, curved, self.resolution + 1, context.threads)
         counts = samples.shares(lambda done, of: context.progress(done, of, "layers"))
         wanted = curved_targets(grading, "porosity", curved)
         enough = counts.share >= LEAST_SHARE

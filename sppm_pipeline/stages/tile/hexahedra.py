@@ -50,18 +50,13 @@ class HexahedralTiling(Stage):
     parts: int = option(
         1, help="cells along each edge of a hexahedron, into which it is cut exactly", minimum=1, maximum=16
     )
-    sizes: str = option(
+    sizes: str = options.sizes(
         "cell",
-        help="cell: lengths of the recipe follow the cube root of the volume of a cell; fixed: they are those in a "
-        "cube of the edge `cell`, and a hexahedron has as many pores as its volume takes",
-        choices=("cell", "fixed"),
+        note="fixed ones are those in a cube of the edge `cell`, and numbers of pores go with volumes",
     )
     cell: Length | None = options.cell(None, note="with `sizes: fixed`; the recipe's `edge` if omitted")
-    porosity: float | None = option(
-        None,
-        help="target porosity of each cell, reached by its number of pores; that of the recipe if omitted",
-        above=0,
-        below=1,
+    porosity: float | None = options.porosity(
+        None, note="of each cell, reached by its number of pores; that of the recipe if omitted"
     )
     resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
     rounds: int = options.rounds(

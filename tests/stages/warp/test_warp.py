@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import meshio
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.families.curved_porosity import CurvedSamples
+from sppm_pipeline.fields.formula import FormulaField
 from sppm_pipeline.fields.warped import laid_graph
 from sppm_pipeline.numerics.grading.hexahedra import block_of, mapped_in_block
 from sppm_pipeline.numerics.grading.nearest import element_tree, locate
@@ -25,6 +30,7 @@ from sppm_pipeline.stages.tileset.free_faces import FreeFacesTileSet
 from sppm_pipeline.stages.warp.cylinder import WarpCylinder
 from sppm_pipeline.stages.warp.hexahedra import WarpHexahedra
 from sppm_pipeline.stages.warp.sphere import WarpSphere
+from sppm_pipeline.testing.hexahedral_meshes import star
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 EDGE = 5.0
@@ -223,3 +229,44 @@ def test_what_cannot_be_warped(tmp_path, tileset):
         WarpHexahedra(path=path).run(PlainContext(), laid(tileset, (3, 2, 2)))
     finer = WarpHexahedra(path=path).run(PlainContext(), laid(tileset, (4, 2, 2)))
     np.testing.assert_allclose(finer.tileset.micro.graph.pores.per_cell, 60, rtol=0.5)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Surface(FormulaField):
+    """A network: Schwarz P, or a gyroid, whose sides differ."""
+
+    gyroid: bool = False
+
+    def evaluate(self, x, y, z):
+        x, y, z = (2 * np.pi * v for v in (x, y, z))
+        if self.gyroid:
+            return np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)
+        return np.cos(x) + np.cos(y) + np.cos(z)
+
+
+def test_other_fields_are_bent_themselves(tmp_path):
+    """The porosity of each ring stays that of the cell, and both phases stay in one piece."""
+    base = Surface(edge=EDGE)
+    field = PeriodicTiling(cell=Length(EDGE, "mm"), cells=(8, 1, 2)).run(PlainContext(), base, None)
+    context = PlainContext()
+    radius = 8 * EDGE / (2 * np.pi) - EDGE
+    made = WarpCylinder(inner_radius=Length(radius, "mm"), resolution=32).run(context, field)
+    shares = CurvedSamples(made, made.curved, 20).shares()
+    np.testing.assert_allclose(shares.porosity, 0.5, atol=0.01)
+    assert context.reported["volume_min"] < 0.9 < 1.1 < context.reported["volume_max"]
+    grid, place = grid_over(made, np.array([-11.5, -11.5, 0]), np.array([11.5, 11.5, EDGE]), 12)
+    r = np.hypot(place[..., 0], place[..., 1])
+    inside, solid = (r > radius) & (r < radius + 2 * EDGE), made.sample(grid) < 0
+    for phase in (solid & inside, ~solid & inside):
+        labels, count = ndimage.label(phase)
+        assert np.bincount(labels[phase]).max() > 0.999 * phase.sum(), count
+    path = saved(tmp_path / "five.vtu", *star(5, EDGE, layers=1))
+    filled = WarpHexahedra(path=path, resolution=32).run(context, base)
+    assert filled.curved.count == 5
+    np.testing.assert_allclose(CurvedSamples(filled, filled.curved, 20).shares().porosity, 0.5, atol=0.01)
+    with pytest.raises(InputError, match="looks different from its sides"):
+        WarpHexahedra(path=path).run(context, Surface(edge=EDGE, gyroid=True))
+    block = saved(tmp_path / "block.vtu", nodes((2, 1, 1), bend=0.5), elements((2, 1, 1)))
+    assert WarpHexahedra(path=block).run(context, Surface(edge=EDGE, gyroid=True)).curved.shape == (2, 1, 1)
+    with pytest.raises(ConfigError, match="has no sizes that could stay"):
+        WarpHexahedra(path=block, sizes="fixed").run(context, base)
