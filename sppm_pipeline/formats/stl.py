@@ -25,6 +25,7 @@ from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
 _HEADER, _RECORD = 84, 50
+_MINUS_ZERO = np.uint32(1 << 31)
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -63,18 +64,21 @@ def decode_with_groups(data: bytes | memoryview | bytearray, name: str) -> tuple
         corners: NDArray[np.floating] = _ascii_corners(data, name, named)
     else:
         corners = _binary_corners(data, name)
-    # Adding 0 turns -0 into 0, which is the same place with other bits.
-    first, faces = merge_equal(corners.astype(np.float32) + np.float32(0))
-    faces = faces.reshape(-1, 3)
+    rounded = corners.astype(np.float32, copy=False)
+    if (rounded.view(np.uint32) == _MINUS_ZERO).any():
+        rounded = rounded + np.float32(0)  # turns -0 into 0, which is the same place with other bits
+    first, numbers = merge_equal(rounded)
+    del rounded
+    faces = numbers.reshape(-1, 3)
     require_faces(name, faces)
     if not edge_counts(faces).closed:
         # CAD programs leave noise of 1e-16 where they mean 0, and so boundary loops that are none.
         step = largest(corners.reshape(-1)) / 2**24 or 1.0
-        first_coarse, coarse = merge_equal(np.rint(corners.astype(np.float64) / step).astype(np.int32))
-        coarse = coarse.reshape(-1, 3)
+        first_coarse, numbers = merge_equal(np.rint(corners.astype(np.float64) / step).astype(np.int32))
+        coarse = numbers.reshape(-1, 3)
         if edge_counts(coarse).closed:
             first, faces = first_coarse, coarse
-    return (corners[first].astype(np.float64), faces), named.groups(len(faces))
+    return (corners[first].astype(np.float64), faces.astype(np.int64)), named.groups(len(faces))
 
 
 def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float32]:

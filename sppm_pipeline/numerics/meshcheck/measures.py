@@ -88,7 +88,7 @@ def balanced_edges(faces: NDArray[np.integer]) -> bool:
     Found in one pass and without memory: each edge is hashed to 64 bits, counted positive in one direction and negative
     in the other, and the sum must vanish. A mesh that is not balanced passes with a probability of 2^-64.
     """
-    return faces.size > 0 and int(_edge_balance(_view(np.ascontiguousarray(faces, np.int32)))) == 0
+    return faces.size > 0 and int(_edge_balance(read_only(np.ascontiguousarray(faces, np.int32)))) == 0
 
 
 def euler_number(faces: NDArray[np.integer]) -> int:
@@ -202,12 +202,12 @@ def _named(faces: NDArray[np.integer]) -> int:
 def _numbered(faces: NDArray[np.integer]) -> tuple[NDArray[np.int32], int]:
     """The triangles as compiled code needs them (it checks no index), and the number of vertices they may name."""
     if faces.size == 0:
-        return _view(np.empty((0, 3), np.int32)), 0
-    return _view(np.ascontiguousarray(faces, np.int32)), _named(faces)
+        return read_only(np.empty((0, 3), np.int32)), 0
+    return read_only(np.ascontiguousarray(faces, np.int32)), _named(faces)
 
 
-def _view(array: NDArray[T]) -> NDArray[T]:
-    """The array, not to be written to: Numba would compile once more for those that can be."""
+def read_only(array: NDArray[T]) -> NDArray[T]:
+    """A view that is not to be written to: Numba would compile once more for arrays that can be."""
     view = array.view()
     view.flags.writeable = False
     return view
@@ -225,7 +225,7 @@ def _used(faces: NDArray[np.integer]) -> NDArray[np.bool_]:
 def _volume_and_area(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> tuple[float, float, int]:
     if faces.size == 0:
         return 0.0, 0.0, 0
-    points = _view(np.ascontiguousarray(vertices, np.float64))
+    points = read_only(np.ascontiguousarray(vertices, np.float64))
     numbered, n = _numbered(faces)
     if n > points.shape[0]:
         raise ValueError(f"a triangle names vertex {n - 1}, but there are only {points.shape[0]}")
