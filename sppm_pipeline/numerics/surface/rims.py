@@ -87,7 +87,7 @@ class _Out(NamedTuple):
     keys: NDArray[np.int64]
 
 
-def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Samples, numbered: int) -> Split:
+def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Samples) -> Split:
     """Cut triangles where they pass from one surface to another.
 
     Parameters
@@ -100,8 +100,6 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
         All vertices of these faces.
     samples : Samples
         All planes at the cubes of these faces.
-    numbered : int
-        How many points there are already.
     """
     grid, crossings = samples.grid, samples.crossings
     mixed = np.zeros(len(faces), np.bool_)
@@ -134,7 +132,7 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
         np.empty((_MOST, 3), np.int64),
         np.empty(_MOST, np.uint8),
     )
-    m, n = _split(faces, mixed, first, numbered, placed, surfaces, polygon, out)
+    m, n = _split(faces, mixed, first, placed, surfaces, polygon, out)
     return Split(out.faces[:m], out.on[:m], out.points[:n].copy(), out.keys[:n].copy())
 
 
@@ -317,7 +315,6 @@ def _split(
     faces: NDArray[np.int32],
     mixed: NDArray[np.bool_],
     first: int,
-    numbered: int,
     placed: Placed,
     surfaces: Surfaces,
     polygon: _Polygon,
@@ -384,7 +381,7 @@ def _split(
                 size += 1
                 flat = meeting_point(here - first, following - first, cube, placed, surfaces, point)
                 if flat >= 0:
-                    ids[size], is_rim[size] = -1 - (numbered + n), True
+                    ids[size], is_rim[size] = -1 - n, True
                     polygon.masks[size] = 1 << (2 * flat + int(node[flat] > cube[flat]))
                     out.keys[n] = np.int64(min(here, following)) << 31 | np.int64(max(here, following))
                     for a in range(3):
@@ -425,7 +422,7 @@ def _split(
                 out.points[n, a] = point[a]
             # a cube has up to four polygons
             out.keys[n] = _CENTER + 4 * ((cube[2] * ny + cube[1]) * nx + cube[0]) + polygons - 1
-            center = -1 - (numbered + n)
+            center = -1 - n
             n += 1
             for s in range(size):
                 t = (s + 1) % size
