@@ -200,10 +200,10 @@ class FieldSurface:
 
         bulging = Bulging(self.grid)
         waiting: deque[MeshPiece] = deque()  # a face comes when its vertices are there
-        for vertices, faces, kinds in self._flat_pieces(slabs, rims, progress):
+        for (vertices, faces, kinds), losers, lost in self._flat_pieces(slabs, rims, progress):
             if len(vertices) or len(faces):
                 waiting.append(MeshPiece(vertices, faces, kinds))
-                for done in bulging.push(vertices, faces, kinds, rims.points):
+                for done in bulging.push(vertices, faces, kinds, rims.points, losers, lost):
                     yield waiting.popleft()._replace(vertices=done)
         for done in bulging.finish(rims.points):
             if waiting:
@@ -211,8 +211,8 @@ class FieldSurface:
 
     def _flat_pieces(
         self, slabs: SampledSlabs, rims: RimPoints, progress: Callable[[float, float], None] | None
-    ) -> Iterator[MeshPiece]:
-        """The pieces with their vertices on the surface."""
+    ) -> Iterator[tuple[MeshPiece, NDArray[np.int32], NDArray[np.float64]]]:
+        """The pieces with their vertices on the surface, and vertices beside rims with volumes that are lost there."""
         from sppm_pipeline.numerics.domain.crossings import NO_CROSSINGS
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes_slabs
         from sppm_pipeline.numerics.surface.placing import Placed, Samples, place_vertices
@@ -247,13 +247,13 @@ class FieldSurface:
         before: Placed | None = None
         first = 0
         caps = self.caps and part is None
-        no_kinds = np.empty(0, np.uint8)
+        no_kinds, no_vertices, no_volumes = np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0)
         for vertices, faces in capped_marching_cubes_slabs(values(), 0.0, origin, spacing, axes=(caps,) * 3):
             field, domain, skin = (*planes[0], nothing, nothing)[:3]
             samples = Samples(self.grid, start, field, domain, skin, crossings)
             placed = place_vertices(vertices, samples)
             if part is None or not self.cut:
-                yield MeshPiece(vertices, faces, no_kinds)
+                yield MeshPiece(vertices, faces, no_kinds), no_vertices, no_volumes
                 continue
             if before is not None:
                 joined = Placed(
@@ -265,7 +265,7 @@ class FieldSurface:
             else:
                 joined = placed
             split = split_rims(faces, first, joined, samples)
-            yield MeshPiece(vertices, rims.numbered(split), split.on)
+            yield MeshPiece(vertices, rims.numbered(split), split.on), split.losers, split.lost
             if len(vertices):
                 first += len(joined.vertices) - len(vertices)
                 before = placed

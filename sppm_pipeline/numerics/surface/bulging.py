@@ -5,7 +5,9 @@ concave, by a volume that falls with the square of the spacing only. Over an edg
 with the length s and the curvature k, which is the turn of the normals along the edge over its length; a parabolic
 patch rises over a triangle by a third of the sum of its three edges on average. Every vertex is moved by the
 mean rise of its triangles, so that the mesh encloses what the surface does: along its edge of the grid, not its normal,
-so that the surface in a cube stays in it and runs into no other sheet nearby.
+so that the surface in a cube stays in it and runs into no other sheet nearby. What a vertex may not be moved its
+neighbors are, so that the volume is kept; and the surroundings of a rim get what of the solid beyond it no edge of the
+grid has told of (`rim_points`).
 
 The mesh comes in pieces, whose triangles have corners in their own and in the piece before. So each step of the work
 runs a piece behind the step before it, and the result is the same to the bit as that of step after step over all.
@@ -13,7 +15,6 @@ runs a piece behind the step before it, and the result is the same to the bit as
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -21,24 +22,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
-from sppm_pipeline.numerics.surface.placing import DOMAIN
-
-MOST = 0.3
-"""Vertices are moved by at most this fraction of their shortest edge; a choice that keeps triangles in shape."""
+from sppm_pipeline.numerics.surface.bulging_steps import (
+    add_normals,
+    add_rises,
+    find_borders,
+    find_takers,
+    move,
+    pass_on,
+    to_unit_length,
+)
 
 PASSED_ON = 2
 """How often what vertices can't be moved is passed on to their neighbors; a choice."""
 
-LEAST_SLOPE = 0.3
-"""Least cosine between normal and grid edge that the way along the edge is reckoned with; a choice."""
-
-NEGLIGIBLE = 3e-4
-"""What is left to move is dropped below this fraction of the spacing; so little is not worth being passed on."""
-
-_LAG = 2 + PASSED_ON  # pieces that must have followed until the vertices of a piece are done
+_NONE, _NOTHING = np.empty(0, np.int32), np.empty(0)
+_LAG = 2 + 2 * PASSED_ON  # pieces that must have followed until the vertices of a piece are done
 _ROOM = 2  # the buffer holds so many times what is in use, so that it is seldom moved
 
 
@@ -51,6 +50,10 @@ class Window(NamedTuple):
     borders : (n,) uint8
         On which sides of the grid a vertex lies, as bits.
     normals : (n, 3) float32
+    lost : (n,) float32
+        Six times the volume lost beside a vertex.
+    taken : (n,) float32
+        Twice the area of the triangles of a vertex that have another corner which can be moved.
     rise, more, share, room : (n,) float32
         How far to move a vertex, what its neighbors leave to it, twice the area of its triangles, and how far it may
         be moved; before that, the square of its shortest edge.
@@ -63,6 +66,8 @@ class Window(NamedTuple):
     more: NDArray[np.float32]
     share: NDArray[np.float32]
     room: NDArray[np.float32]
+    lost: NDArray[np.float32]
+    taken: NDArray[np.float32]
 
 
 class _Piece(NamedTuple):
@@ -88,7 +93,6 @@ class Bulging:
         self._window = _window_of(0)
         self._base = self._stop = 0  # numbers of the vertices in the window
         self._pieces: deque[_Piece] = deque()  # the newest one first
-        self._left = [0] * PASSED_ON  # vertices of the piece moved last that could not be moved as far as wanted
 
     def push(
         self,
@@ -96,6 +100,8 @@ class Bulging:
         faces: NDArray[np.int32],
         kinds: NDArray[np.uint8],
         points: NDArray[np.float64],
+        losers: NDArray[np.int32] = _NONE,
+        lost: NDArray[np.float64] = _NOTHING,
     ) -> Iterator[NDArray[np.float64]]:
         """Take a piece; yields vertices of earlier ones that are done, to be used before the next piece comes.
 
@@ -109,9 +115,13 @@ class Bulging:
         kinds : (m,) uint8
             What faces lie on. Those of the domain stay, so that the part lies in it; without elements all may move.
         points : (k, 3) float64
+        losers, lost : (k,) int32, (k,) float64
+            Vertices of this piece or the one before with volumes that their surroundings shall gain besides, voxels.
         """
         if len(vertices) or len(faces):
             self._append(vertices, faces, kinds)
+            # six times the volume is twice the area times the rise
+            np.add.at(self._window.lost, losers - self._base, np.float32(6.0 * self._spacing.prod()) * lost)
             yield from self._work(points)
 
     def finish(self, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
@@ -134,282 +144,57 @@ class Bulging:
             used -= drop
         new = slice(used, used + more)
         self._window.vertices[new] = vertices
-        for values in (self._window.normals, self._window.rise, self._window.more, self._window.share):
+        _, _, normals, rise, more_rise, share, _, lost, taken = self._window
+        for values in (normals, rise, more_rise, share, lost, taken):
             values[new] = 0.0
         self._window.room[new] = np.inf
-        _find_borders(self._window.vertices[new], self._box, self._window.borders[new])
+        find_borders(self._window.vertices[new], self._box, self._window.borders[new])
         self._pieces.appendleft(_Piece(self._stop, self._stop + more, faces, kinds))
         self._stop += more
 
     def _work(self, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
         """Each step for the piece whose turn it is."""
         base, spacing, pieces = self._base, self._spacing, self._pieces
-        vertices, borders, normals, rise, more, share, room = self._window
-        _add_normals(vertices, borders, normals, points, pieces[0].faces, base, float(spacing.min()))
+        vertices, borders, normals, rise, more, share, room, lost, taken = self._window
+        add_normals(vertices, borders, normals, points, pieces[0].faces, base, float(spacing.min()))
         if len(pieces) > 1:
             first, stop, faces, kinds = pieces[1]
-            _to_unit_length(normals[first - base : stop - base])
-            _add_rises(vertices, borders, normals, rise, share, room, points, faces, kinds, base)
+            to_unit_length(normals[first - base : stop - base])
+            add_rises(vertices, borders, normals, rise, share, room, points, faces, kinds, base)
         for passing in range(1 + PASSED_ON):
-            if len(pieces) < 3 + passing:
+            turn = 2 + 2 * passing
+            if len(pieces) <= turn:
                 return
-            first, stop, faces, kinds = pieces[2 + passing]
+            first, stop, faces, kinds = pieces[turn]
             low, wholly = self._box[0], passing == 0
-            left = _move(
-                vertices, borders, normals, rise, more, share, room, first - base, stop - base, low, spacing, wholly
+            if wholly:
+                rise[first - base : stop - base] += lost[first - base : stop - base]
+            move(
+                vertices,
+                borders,
+                normals,
+                rise,
+                more,
+                share,
+                room,
+                taken,
+                first - base,
+                stop - base,
+                low,
+                spacing,
+                wholly,
             )
             if passing < PASSED_ON:
-                # triangles have corners in the piece before as well
-                if left or self._left[passing]:
-                    _pass_on(vertices, rise, more, share, room, points, faces, kinds, base)
-                self._left[passing] = left
+                # what there is to leave it to is known for a vertex when the piece that follows has been seen
+                find_takers(vertices, rise, room, taken, points, faces, kinds, base)
+                if len(pieces) > turn + 1:
+                    _, _, faces, kinds = pieces[turn + 1]
+                    pass_on(vertices, rise, more, share, room, taken, points, faces, kinds, base)
         done = pieces.pop()
         yield vertices[done.first - base : done.stop - base]
 
 
 def _window_of(room: int) -> Window:
     vertices, borders, normals = np.empty((room, 3)), np.empty(room, np.uint8), np.empty((room, 3), np.float32)
-    rise, more, share, space = (np.empty(room, np.float32) for _ in range(4))
-    return Window(vertices, borders, normals, rise, more, share, space)
-
-
-@jit
-def _find_borders(vertices: NDArray[np.float64], box: NDArray[np.float64], borders: NDArray[np.uint8]) -> None:
-    for v in range(vertices.shape[0]):
-        sides = 0
-        for axis in range(3):
-            for side in range(2):
-                if abs(vertices[v, axis] - box[side, axis]) < 1e-9:
-                    sides |= 1 << (2 * axis + side)
-        borders[v] = np.uint8(sides)
-
-
-# Arrays are handed over one by one, and hardly any functions called: Numba counts references to arrays in tuples and in
-# what it does not see through, which took most of the time.
-
-
-@jit
-def _corners(
-    faces: NDArray[np.int32],
-    f: int,
-    base: int,
-    vertices: NDArray[np.float64],
-    points: NDArray[np.float64],
-    corners: NDArray[np.float64],
-) -> bool:
-    """Where the corners of a triangle lie, into `corners` (3, 3); whether one of them is on a rim."""
-    on_rim = False
-    for c in range(3):
-        v = np.int64(faces[f, c])
-        if v >= 0:
-            for axis in range(3):
-                corners[c, axis] = vertices[v - base, axis]
-        else:
-            on_rim = True
-            for axis in range(3):
-                corners[c, axis] = points[-1 - v, axis]
-    return on_rim
-
-
-@jit
-def _add_normals(
-    vertices: NDArray[np.float64],
-    borders: NDArray[np.uint8],
-    normals: NDArray[np.float32],
-    points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    base: int,
-    scale: float,
-) -> None:
-    corners, weights = np.empty((3, 3)), np.empty(3)
-    for f in range(faces.shape[0]):
-        on_rim = _corners(faces, f, base, vertices, points, corners)
-        if not on_rim and borders[faces[f, 0] - base] & borders[faces[f, 1] - base] & borders[faces[f, 2] - base]:
-            continue  # a cap
-        ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-        vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
-        ww = uu + vv - 2.0 * (ux * vx + uy * vy + uz * vz)
-        if not min(uu, vv, ww) > 0.0:
-            continue
-        # these weights give the normals of a sphere however it is cut into triangles (Max 1999)
-        weight = scale / (uu * vv * ww)
-        weights[0], weights[1], weights[2] = weight * ww, weight * vv, weight * uu
-        for c in range(3):
-            v = np.int64(faces[f, c]) - base
-            if not on_rim or faces[f, c] >= 0:
-                normals[v, 0] += np.float32(x * weights[c])
-                normals[v, 1] += np.float32(y * weights[c])
-                normals[v, 2] += np.float32(z * weights[c])
-
-
-@jit
-def _to_unit_length(normals: NDArray[np.float32]) -> None:
-    for v in range(normals.shape[0]):
-        length2 = normals[v, 0] * normals[v, 0] + normals[v, 1] * normals[v, 1] + normals[v, 2] * normals[v, 2]
-        if length2 > np.float32(0.0):
-            share = np.float32(1.0) / np.sqrt(length2)
-            for axis in range(3):
-                normals[v, axis] *= share
-
-
-@jit
-def _add_rises(
-    vertices: NDArray[np.float64],
-    borders: NDArray[np.uint8],
-    normals: NDArray[np.float32],
-    rise: NDArray[np.float32],
-    share: NDArray[np.float32],
-    room: NDArray[np.float32],
-    points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    kinds: NDArray[np.uint8],
-    base: int,
-) -> None:
-    """Add up what triangles rise, and find the shortest edges."""
-    corners, turned, lengths2 = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    for f in range(faces.shape[0]):
-        if kinds.size > 0 and kinds[f] == DOMAIN:
-            for c in range(3):
-                if faces[f, c] >= 0:
-                    room[faces[f, c] - base] = np.float32(0.0)
-            continue
-        on_rim = _corners(faces, f, base, vertices, points, corners)
-        if not on_rim and borders[faces[f, 0] - base] & borders[faces[f, 1] - base] & borders[faces[f, 2] - base]:
-            continue
-        movable = 0
-        for c in range(3):
-            v = np.int64(faces[f, c])
-            if v >= 0:
-                movable += 1
-                for axis in range(3):
-                    turned[c, axis] = normals[v - base, axis]
-            else:
-                for axis in range(3):
-                    turned[c, axis] = 0.0
-        if movable == 0:
-            continue
-        total = 0.0
-        for c in range(3):
-            d = c + 1 if c < 2 else 0
-            ux, uy, uz = corners[d, 0] - corners[c, 0], corners[d, 1] - corners[c, 1], corners[d, 2] - corners[c, 2]
-            lengths2[c] = ux * ux + uy * uy + uz * uz
-            here = turned[c, 0] * ux + turned[c, 1] * uy + turned[c, 2] * uz
-            there = turned[d, 0] * ux + turned[d, 1] * uy + turned[d, 2] * uz
-            if on_rim:
-                # a normal on a rim says nothing: there the surface is continued with the curvature at the other end
-                if faces[f, d] < 0:
-                    here *= 2.0
-                if faces[f, c] < 0:
-                    there *= 2.0
-                # what is beside a rim stays within the domain
-                if faces[f, c] < 0 or faces[f, d] < 0:
-                    lengths2[c] = 0.0
-            total += there - here
-        ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-        vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        area = math.sqrt(x * x + y * y + z * z)
-        for c in range(3):
-            if on_rim and faces[f, c] < 0:
-                continue
-            v = np.int64(faces[f, c]) - base
-            rise[v] += np.float32(area * total / (8.0 * movable))
-            share[v] += np.float32(area)
-            room[v] = min(room[v], np.float32(min(lengths2[c], lengths2[c - 1 if c > 0 else 2])))
-
-
-@jit
-def _move(
-    vertices: NDArray[np.float64],
-    borders: NDArray[np.uint8],
-    normals: NDArray[np.float32],
-    rise: NDArray[np.float32],
-    more: NDArray[np.float32],
-    share: NDArray[np.float32],
-    room: NDArray[np.float32],
-    first: int,
-    stop: int,
-    low: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    wholly: bool,
-) -> int:
-    """Move vertices as far as they should, or else have to for their neighbors; how many can't go all the way.
-
-    They move along their edges of the grid, so that they come to lie higher by the wanted way. Those on the border of
-    the grid stay. How far a vertex was moved is taken from its `room`.
-    """
-    least = NEGLIGIBLE * min(spacing[0], spacing[1], spacing[2])
-    left = 0
-    for v in range(first, stop):
-        if wholly:
-            room[v] = np.float32(MOST) * np.sqrt(room[v])
-            if share[v] > 0.0:
-                rise[v] /= share[v]
-        wanted = np.float64(rise[v] if wholly else more[v])
-        rise[v], more[v] = np.float32(0.0), np.float32(0.0)
-        if wanted == 0.0 or not share[v] > 0.0:
-            continue
-        if room[v] > 0.0:
-            axis, inside = 0, 0
-            place = 0.0
-            for a in range(3):
-                along = (vertices[v, a] - low[a]) / spacing[a]
-                if abs(along - np.floor(along + 0.5)) > 0.75 * EDGE_MARGIN:
-                    axis, place = a, along
-                    inside += 1
-            if inside != 1 or borders[v] != 0:
-                room[v] = np.float32(0.0)
-            else:
-                slope, most = np.float64(normals[v, axis]), np.float64(room[v])
-                way = wanted * slope / max(slope * slope, LEAST_SLOPE**2)
-                way = min(max(way, -most), most) / spacing[axis]
-                start = place - np.floor(place)
-                way = min(max(start + way, EDGE_MARGIN), 1.0 - EDGE_MARGIN) - start
-                vertices[v, axis] += way * spacing[axis]
-                room[v] -= np.float32(abs(way) * spacing[axis])
-                wanted -= way * spacing[axis] * slope
-        if abs(wanted) > least:
-            rise[v] = np.float32(wanted)
-            left += 1
-    return left
-
-
-@jit
-def _pass_on(
-    vertices: NDArray[np.float64],
-    rise: NDArray[np.float32],
-    more: NDArray[np.float32],
-    share: NDArray[np.float32],
-    room: NDArray[np.float32],
-    points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    kinds: NDArray[np.uint8],
-    base: int,
-) -> None:
-    """Leave what vertices can't be moved to their neighbors, by the areas of the triangles between them."""
-    corners, left = np.empty((3, 3)), np.empty(3)
-    for f in range(faces.shape[0]):
-        some = False
-        for c in range(3):
-            v = np.int64(faces[f, c])
-            left[c] = rise[v - base] if v >= 0 else 0.0
-            some |= left[c] != 0.0
-        if not some or (kinds.size > 0 and kinds[f] == DOMAIN):
-            continue
-        _corners(faces, f, base, vertices, points, corners)
-        ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-        vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        area = math.sqrt(x * x + y * y + z * z)
-        for c in range(3):
-            if left[c] == 0.0:
-                continue
-            w, u = np.int64(faces[f, (c + 1) % 3]), np.int64(faces[f, (c + 2) % 3])
-            to_w, to_u = w >= 0 and room[w - base] > 0.0, u >= 0 and room[u - base] > 0.0
-            part = left[c] * area * (0.5 if to_w and to_u else 1.0)
-            if to_w:
-                more[w - base] += np.float32(part / share[w - base])
-            if to_u:
-                more[u - base] += np.float32(part / share[u - base])
+    rise, more, share, space, lost, taken = (np.empty(room, np.float32) for _ in range(6))
+    return Window(vertices, borders, normals, rise, more, share, space, lost, taken)
