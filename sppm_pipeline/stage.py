@@ -251,6 +251,15 @@ class Context(ABC):
         """What an earlier run has kept under a key by `remember` and not forgotten; None if nothing is kept."""
         return None
 
+    def scratch(self) -> Path:
+        """A folder for temporary files, which the stage removes: where its outputs go, as there must be room there."""
+        import tempfile
+
+        return Path(tempfile.gettempdir())
+
+    def hashed(self, name: str, sha256: str) -> None:  # noqa: B027 - not every context asks for it
+        """Tell the SHA-256 of an output file that has just been written, so that it is not read again for it."""
+
     @abstractmethod
     def output(self, name: str) -> Path:
         """A path for a final file or folder of this stage.

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.data.artifact import NOTEBOOK_SIZE, Artifact, frozen, in_rows, optional_module, png_of, whole_numbers
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.paging import blocks
 
 _MOST_VERTICES = 2**31 - 1
 
@@ -81,11 +82,13 @@ class SurfaceMesh(Artifact):
 
     def check(self) -> None:
         """Finite vertices, indices in range."""
-        if not np.isfinite(self.vertices).all():
-            raise ValueError("mesh vertices must be finite")
-        # a negative index is a large one when its sign is not looked at
-        if len(self.faces) and int(self.faces.view(np.uint32).max()) >= len(self.vertices):
-            raise ValueError("a triangle names a vertex that does not exist")
+        for rows in blocks(len(self.vertices), self.vertices):
+            if not np.isfinite(self.vertices[rows]).all():
+                raise ValueError("mesh vertices must be finite")
+        for rows in blocks(len(self.faces), self.faces):
+            # a negative index is a large one when its sign is not looked at
+            if len(self.faces) and int(self.faces[rows].view(np.uint32).max()) >= len(self.vertices):
+                raise ValueError("a triangle names a vertex that does not exist")
         if any(not 0 <= first < last <= len(self.faces) for _, first, last in self.groups):
             raise ValueError("a group holds triangles that do not exist")
 
@@ -97,20 +100,21 @@ class SurfaceMesh(Artifact):
         return edge_counts(self.faces).bounds_solid
 
     @cached_property
-    def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        from sppm_pipeline.numerics.meshcheck.measures import bounds
+    def _measured(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        """Low and high corner, and volume."""
+        from sppm_pipeline.numerics.meshcheck.measures import box_and_volume
 
-        return bounds(self.vertices, self.faces)
+        return box_and_volume(self.vertices, self.faces)
 
     @property
     def lower(self) -> NDArray[np.float64]:
         """Low corner of the bounding box of the triangles, (3,) mm."""
-        return self._bounds[0]
+        return self._measured[0]
 
     @property
     def upper(self) -> NDArray[np.float64]:
         """High corner of the bounding box of the triangles, (3,) mm."""
-        return self._bounds[1]
+        return self._measured[1]
 
     def _repr_png_(self) -> bytes | None:
         if not len(self.faces):
@@ -123,14 +127,12 @@ class SurfaceMesh(Artifact):
         """Counts, box and signed volume."""
         if not len(self.faces):
             return {"name": self.name, "vertices": len(self.vertices), "triangles": 0}
-        from sppm_pipeline.numerics.meshcheck.measures import volume
-
         return {
             "name": self.name,
             "vertices": len(self.vertices),
             "triangles": len(self.faces),
             "size_mm": [float(v) for v in self.upper - self.lower],
-            "volume_mm3": volume(self.vertices, self.faces),
+            "volume_mm3": self._measured[2],
         }
 
 

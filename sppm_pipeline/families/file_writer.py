@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from abc import abstractmethod
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
@@ -59,15 +60,17 @@ def require_triangles(mesh: SurfaceMesh, path: str) -> None:
 
 
 def write_pieces(context: Context, path: str, pieces: Iterable[bytes | memoryview]) -> int:
-    """Write an output file piece by piece; returns its size in bytes."""
-    size = 0
+    """Write an output file piece by piece, and hash it on the way; returns its size in bytes."""
+    size, digest = 0, hashlib.sha256()
     with context.output(path).open("wb", buffering=0) as file:
         for piece in pieces:
             rest = memoryview(piece)
+            digest.update(rest)
             while rest:  # without a buffer, one call may write less than it was given
                 written = file.write(rest)
                 size += written
                 rest = rest[written:]
+    context.hashed(path, digest.hexdigest())
     return size
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.fields.mesh_stream import MeshPiece, MeshStream, RimPoints, number_points
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
@@ -20,7 +21,6 @@ from sppm_pipeline.numerics.threads import computed_ahead
 
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.domain.crossings import Crossings
-    from sppm_pipeline.numerics.surface.rims import Split
 
 SLAB_SAMPLES = 2**20
 """Samples taken at a time; a slab holds at least two planes."""
@@ -33,6 +33,9 @@ MIN_VOXELS, MAX_VOXELS = 4, 2048
 
 PLANES_BACK = 4
 """Planes of samples that are kept when a slab is done."""
+
+PIECE_SAMPLES = 2**19
+"""Samples marched through at a time; with a piece so small what is known of its vertices stays in the cache."""
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 Item = TypeVar("Item")
@@ -166,27 +169,56 @@ class FieldSurface:
         self, threads: int = 1, progress: Callable[[float, float], None] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any], NDArray[np.uint8]]:
         """`mesh`, and of a part what each face lies on, (m,) uint8: FIELD, DOMAIN or SKIN; else without elements."""
-        from sppm_pipeline.numerics.surface.bulging import bulge
         from sppm_pipeline.numerics.surface.marching_cubes import joined_mesh
 
-        slabs, rims = self.slabs(threads), _Rims()
-        vertices, faces = joined_mesh(self._pieces(slabs, rims, progress), lambda: slabs.expected)
-        fixed = len(vertices)
-        vertices, faces = rims.joined(vertices, faces)
-        kinds = rims.joined_kinds()
-        bulge(vertices, faces, self.grid, fixed, kinds)
-        return vertices, faces, slabs.findings, kinds
+        stream = self.stream(threads, progress)
+        kinds = [np.empty(0, np.uint8)]
+
+        def meshes() -> Iterator[Mesh]:
+            for piece in stream:
+                kinds.append(piece.kinds)
+                yield piece.vertices, piece.faces
+
+        vertices, faces = joined_mesh(meshes(), lambda: stream.expected)
+        if len(stream.points):
+            number_points(faces, len(vertices))
+            count = len(vertices)
+            vertices.resize((count + len(stream.points), 3), refcheck=False)
+            vertices[count:] = stream.points
+        return vertices, faces, stream.findings, np.concatenate(kinds)
+
+    def stream(self, threads: int = 1, progress: Callable[[float, float], None] | None = None) -> MeshStream:
+        """The mesh in pieces; memory is that of some slabs, and of the points on rims."""
+        slabs, rims = self.slabs(threads), RimPoints()
+        return MeshStream(self._pieces(slabs, rims, progress), rims, slabs)
 
     def _pieces(
-        self, slabs: SampledSlabs, rims: _Rims, progress: Callable[[float, float], None] | None
-    ) -> Iterator[Mesh]:
+        self, slabs: SampledSlabs, rims: RimPoints, progress: Callable[[float, float], None] | None
+    ) -> Iterator[MeshPiece]:
         """The mesh piece by piece; vertices and faces follow upon those of the pieces before."""
+        from sppm_pipeline.numerics.surface.bulging import Bulging
+
+        bulging = Bulging(self.grid)
+        waiting: deque[MeshPiece] = deque()  # a face comes when its vertices are there
+        for (vertices, faces, kinds), losers, lost in self._flat_pieces(slabs, rims, progress):
+            if len(vertices) or len(faces):
+                waiting.append(MeshPiece(vertices, faces, kinds))
+                for done in bulging.push(vertices, faces, kinds, rims.points, losers, lost):
+                    yield waiting.popleft()._replace(vertices=done)
+        for done in bulging.finish(rims.points):
+            if waiting:
+                yield waiting.popleft()._replace(vertices=done)
+
+    def _flat_pieces(
+        self, slabs: SampledSlabs, rims: RimPoints, progress: Callable[[float, float], None] | None
+    ) -> Iterator[tuple[MeshPiece, NDArray[np.int32], NDArray[np.float64]]]:
+        """The pieces with their vertices on the surface, and vertices beside rims with volumes that are lost there."""
         from sppm_pipeline.numerics.domain.crossings import NO_CROSSINGS
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes_slabs
         from sppm_pipeline.numerics.surface.placing import Placed, Samples, place_vertices
         from sppm_pipeline.numerics.surface.rims import split_rims
 
-        origin, spacing, (_, _, nz) = self.grid
+        origin, spacing, (nx, ny, nz) = self.grid
         part = self.source if isinstance(self.source, Part) else None
         nothing = np.empty((0, 0, 0), np.float32)
         planes: list[tuple[NDArray[np.float32], ...]] = []
@@ -196,27 +228,32 @@ class FieldSurface:
         def values() -> Iterator[NDArray[np.float32]]:
             # a piece ends a plane before its slab, and what is done to it looks two planes back
             nonlocal start, crossings
-            for slab in _told(slabs, nz, progress):
-                slab = self._smooth(slab)
-                fields = (slab.values,) if slab.apart is None else slab.apart
-                kept = tuple(np.concatenate(pair) for pair in zip(planes[0], fields, strict=True)) if planes else fields
-                start = slab.start - (len(kept[0]) - len(fields[0]))
-                planes[:] = [kept]
-                crossings = _from_plane(crossings, start, self.grid, slab.crossings)
-                yield slab.values
-                drop = max(0, len(kept[0]) - PLANES_BACK)
-                planes[:] = [tuple(field[drop:].copy() for field in kept)]
-                start += drop
+            for sampled in _told(slabs, nz, progress):
+                for slab in _thinner(self._smooth(sampled), max(1, PIECE_SAMPLES // (nx * ny))):
+                    fields = (slab.values,) if slab.apart is None else slab.apart
+                    kept = (
+                        tuple(np.concatenate(pair) for pair in zip(planes[0], fields, strict=True))
+                        if planes
+                        else fields
+                    )
+                    start = slab.start - (len(kept[0]) - len(fields[0]))
+                    planes[:] = [kept]
+                    crossings = _from_plane(crossings, start, self.grid, slab.crossings)
+                    yield slab.values
+                    drop = max(0, len(kept[0]) - PLANES_BACK)
+                    planes[:] = [tuple(field[drop:].copy() for field in kept)]
+                    start += drop
 
         before: Placed | None = None
         first = 0
         caps = self.caps and part is None
+        no_kinds, no_vertices, no_volumes = np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0)
         for vertices, faces in capped_marching_cubes_slabs(values(), 0.0, origin, spacing, axes=(caps,) * 3):
             field, domain, skin = (*planes[0], nothing, nothing)[:3]
             samples = Samples(self.grid, start, field, domain, skin, crossings)
             placed = place_vertices(vertices, samples)
             if part is None or not self.cut:
-                yield vertices, faces
+                yield MeshPiece(vertices, faces, no_kinds), no_vertices, no_volumes
                 continue
             if before is not None:
                 joined = Placed(
@@ -227,7 +264,8 @@ class FieldSurface:
                 )
             else:
                 joined = placed
-            yield vertices, rims.add(split_rims(faces, first, joined, samples, rims.points))
+            split = split_rims(faces, first, joined, samples)
+            yield MeshPiece(vertices, rims.numbered(split), split.on), split.losers, split.lost
             if len(vertices):
                 first += len(joined.vertices) - len(vertices)
                 before = placed
@@ -317,36 +355,6 @@ class FieldSurface:
         return int(2 * vertices * (nz - 1) / len(looked))  # a closed surface has two triangles for each vertex
 
 
-class _Rims:
-    """Points on the rims of a mesh, which are numbered when all of them are known."""
-
-    def __init__(self) -> None:
-        self.points = 0
-        self._points: list[NDArray[np.float64]] = []
-        self._keys: list[NDArray[np.int64]] = []
-        self._kinds: list[NDArray[np.uint8]] = []
-
-    def add(self, split: Split) -> NDArray[np.int32]:
-        """Keep the points of a piece, and return its faces."""
-        self._points.append(split.points)
-        self._keys.append(split.keys)
-        self._kinds.append(split.on)
-        self.points += len(split.points)
-        return split.faces
-
-    def joined(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
-        """The mesh with its points behind the other vertices, in the order of their keys."""
-        if not self.points:
-            return vertices, faces
-        _, chosen, number = np.unique(np.concatenate(self._keys), return_index=True, return_inverse=True)
-        rim = faces < 0
-        faces[rim] = (len(vertices) + number.reshape(-1))[-1 - faces[rim]]
-        return np.concatenate([vertices, np.concatenate(self._points)[chosen]]), faces
-
-    def joined_kinds(self) -> NDArray[np.uint8]:
-        return np.concatenate([np.empty(0, np.uint8), *self._kinds])
-
-
 def _emptied(items: deque[Item]) -> Iterator[Item]:
     while items:
         yield items.popleft()
@@ -357,6 +365,17 @@ def _from_plane(old: Crossings, start: int, grid: Grid, new: Crossings) -> Cross
     first = int(np.searchsorted(old.edge, 3 * start * grid.shape[0] * grid.shape[1]))
     edge, share = np.concatenate([old.edge[first:], new.edge]), np.concatenate([old.share[first:], new.share])
     return new._replace(edge=edge, share=share, triangle=np.concatenate([old.triangle[first:], new.triangle]))
+
+
+def _thinner(slab: SampledSlab, planes: int) -> Iterator[SampledSlab]:
+    """The slab cut into some of at most so many planes; the crossings come with the first of them."""
+    edge, share, triangle, _ = crossings = slab.crossings
+    none = crossings._replace(edge=edge[:0], share=share[:0], triangle=triangle[:0])
+    for first in range(0, len(slab.values), planes):
+        rows = slice(first, first + planes)
+        apart = None if slab.apart is None else tuple(field[rows] for field in slab.apart)
+        crossings = none if first else slab.crossings
+        yield SampledSlab(slab.start + first, slab.values[rows], apart, crossings)
 
 
 def _told(

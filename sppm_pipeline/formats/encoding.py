@@ -14,12 +14,16 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.paging import blocks, release
 from sppm_pipeline.numerics.threads import ordered_map
 
 Bytes = NDArray[np.uint8]
 
 ROWS_AT_ONCE = 65536
 """Rows of a block: a few megabytes, which the allocator reuses and a cache partly holds."""
+
+RELEASED_AFTER = 16
+"""Blocks after which the pages of mapped files are given back."""
 
 T = TypeVar("T")
 
@@ -53,13 +57,17 @@ def as_written(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Wr
         points = points.astype(np.float64, copy=False)
     if points.ndim != 2 or points.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         raise ValueError(f"a mesh is (n, 3) vertices and (m, 3) faces, not {vertices.shape} and {faces.shape}")
-    extreme = largest(points.reshape(-1))
-    if not np.isfinite(extreme):
-        raise ValueError("the coordinates of a mesh must be finite")
+    extreme = 0.0
+    for rows in blocks(len(points), points):
+        found = largest(points[rows].reshape(-1))
+        if not np.isfinite(found):
+            raise ValueError("the coordinates of a mesh must be finite")
+        extreme = max(extreme, found)
     count = min(points.shape[0], 2**31)
     if faces.dtype == np.int32 and faces.flags.c_contiguous:
         # a negative number is a large one when its sign is not looked at
-        sound = not faces.size or int(faces.view(np.uint32).max()) < count
+        whole = faces.view(np.uint32)
+        sound = all(int(whole[rows].max()) < count for rows in blocks(len(whole), whole) if faces.size)
     else:
         sound = not faces.size or bool(faces.min() >= 0 and faces.max() < count)
     if not sound:
@@ -68,19 +76,18 @@ def as_written(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Wr
 
 
 def within_float32(mesh: Written, format_name: str) -> NDArray[np.float32]:
-    """The coordinates rounded to float32.
+    """The coordinates rounded to float32; see `require_float32`."""
+    require_float32(mesh, format_name)
+    return mesh.points.astype(np.float32, copy=False)
 
-    Raises
-    ------
-    DesignError
-        If one is beyond its range.
-    """
+
+def require_float32(mesh: Written, format_name: str) -> None:
+    """Raise DesignError if a coordinate is beyond the range of float32."""
     if mesh.largest > float(np.finfo(np.float32).max):
         raise DesignError(
             f"a coordinate of {mesh.largest:g} is beyond the range of {format_name} (float32)",
             hint="write the mesh as PLY or OBJ, or make the part smaller",
         )
-    return mesh.points.astype(np.float32, copy=False)
 
 
 def little_endian(rows: NDArray[Any]) -> memoryview:
@@ -88,10 +95,13 @@ def little_endian(rows: NDArray[Any]) -> memoryview:
     return rows.astype(rows.dtype.newbyteorder("<"), copy=False).reshape(-1).view(np.uint8).data
 
 
-def in_blocks(rows: int, encode: Callable[[slice], T], threads: int) -> Iterator[T]:
-    """Encode each block of rows by threads, in order."""
-    blocks = (slice(start, min(start + ROWS_AT_ONCE, rows)) for start in range(0, rows, ROWS_AT_ONCE))
-    return ordered_map(encode, blocks, threads if rows > ROWS_AT_ONCE else 1)
+def in_blocks(rows: int, encode: Callable[[slice], T], threads: int, *arrays: NDArray[Any]) -> Iterator[T]:
+    """Encode each block of rows by threads, in order; arrays in mapped files that it reads do not become resident."""
+    slices = (slice(start, min(start + ROWS_AT_ONCE, rows)) for start in range(0, rows, ROWS_AT_ONCE))
+    for number, made in enumerate(ordered_map(encode, slices, threads if rows > ROWS_AT_ONCE else 1)):
+        yield made
+        if number % RELEASED_AFTER == RELEASED_AFTER - 1:
+            release(*arrays)
 
 
 def largest(values: NDArray[np.floating]) -> float:

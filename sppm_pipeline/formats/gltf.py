@@ -182,7 +182,7 @@ def read_meshes(document: Entry, binary: memoryview, meshes: Sequence[Entry], na
         if len(triangles) and not edge_counts(triangles).closed:
             # Adding 0 turns -0 into 0, which is the same place with other bits.
             first, numbers = merge_equal(vertices.astype(np.float32) + np.float32(0))
-            vertices, triangles = vertices[first], numbers[triangles]
+            vertices, triangles = vertices[first], numbers[triangles].astype(np.int64)
         made.append((vertices, triangles))
     return made
 

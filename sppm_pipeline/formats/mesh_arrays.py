@@ -107,24 +107,24 @@ def require_sound(name: str, where: str, vertices: NDArray[np.floating], faces: 
     return points, triangles
 
 
-def require_faces(name: str, faces: NDArray[np.int64]) -> None:
+def require_faces(name: str, faces: NDArray[np.integer]) -> None:
     """Raise InputError for a mesh without a face."""
     if faces.shape[0] == 0:
         raise InputError(f"{name}: the file holds no faces", hint="a surface is needed, not points or lines alone")
 
 
-def merge_equal(rows: NDArray[np.float32] | NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def merge_equal(rows: NDArray[np.float32] | NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Find equal rows (n, 3), bit by bit: 0 and -0 differ.
 
     Returns
     -------
     first : (k,) int64
         The first row of each different one, in the order of appearance.
-    numbers : (n,) int64
+    numbers : (n,) int32
         Each row's number among the different ones.
     """
     bits = np.ascontiguousarray(rows).view(np.uint32)
-    numbers = np.empty(bits.shape[0], np.int64)
+    numbers = np.empty(bits.shape[0], np.int32)
     first = np.empty(1 << max(10, (len(bits) // 8).bit_length()), np.int64)
     recent = np.zeros((_RECENT, 4), np.uint32)
     row = count = 0
@@ -146,7 +146,7 @@ def _merge(
     slots: NDArray[np.int32],
     first: NDArray[np.int64],
     count: int,
-    numbers: NDArray[np.int64],
+    numbers: NDArray[np.int32],
 ) -> tuple[int, int]:
     """Number rows from `row` on until all are done, or `first` is full; returns the next row and the count."""
     mask = np.int64(slots.size - 1)

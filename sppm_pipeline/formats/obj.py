@@ -75,5 +75,6 @@ def encode(
     mesh = as_written(vertices, faces)
     scale = decimal_scale(mesh.largest)
     yield b"# OBJ written by sppm\n"
-    yield from in_blocks(len(mesh.points), lambda rows: vertex_rows(mesh.points[rows], scale, _VERTEX), threads)
-    yield from in_blocks(len(mesh.faces), lambda rows: face_rows(mesh.faces[rows], 1, _FACE), threads)
+    points, faces, _ = mesh
+    yield from in_blocks(len(points), lambda rows: vertex_rows(points[rows], scale, _VERTEX), threads, points)
+    yield from in_blocks(len(faces), lambda rows: face_rows(faces[rows], 1, _FACE), threads, faces)

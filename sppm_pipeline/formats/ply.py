@@ -369,8 +369,8 @@ def encode(
     lines += [f"property {kind} {axis}" for axis in "xyz"]
     lines += [f"element face {triangles.shape[0]}", "property list uchar int vertex_indices", "end_header"]
     yield ("\n".join(lines) + "\n").encode()
-    yield from in_blocks(len(points), lambda rows: little_endian(points[rows]), 1)
-    yield from in_blocks(len(triangles), lambda rows: _face_records(triangles[rows]), threads)
+    yield from in_blocks(len(points), lambda rows: little_endian(points[rows]), 1, points)
+    yield from in_blocks(len(triangles), lambda rows: _face_records(triangles[rows]), threads, triangles)
 
 
 def _face_records(faces: NDArray[np.int32]) -> memoryview:

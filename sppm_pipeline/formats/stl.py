@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError, InputError
-from sppm_pipeline.formats.encoding import Bytes, as_written, in_blocks, largest, store2, store4, within_float32
+from sppm_pipeline.formats.encoding import Bytes, as_written, in_blocks, largest, require_float32, store2, store4
 from sppm_pipeline.formats.mesh_arrays import (
     DecodedMesh,
     GroupLog,
@@ -25,6 +25,7 @@ from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts
 
 _HEADER, _RECORD = 84, 50
+_MINUS_ZERO = np.uint32(1 << 31)
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -63,18 +64,21 @@ def decode_with_groups(data: bytes | memoryview | bytearray, name: str) -> tuple
         corners: NDArray[np.floating] = _ascii_corners(data, name, named)
     else:
         corners = _binary_corners(data, name)
-    # Adding 0 turns -0 into 0, which is the same place with other bits.
-    first, faces = merge_equal(corners.astype(np.float32) + np.float32(0))
-    faces = faces.reshape(-1, 3)
+    rounded = corners.astype(np.float32, copy=False)
+    if (rounded.view(np.uint32) == _MINUS_ZERO).any():
+        rounded = rounded + np.float32(0)  # turns -0 into 0, which is the same place with other bits
+    first, numbers = merge_equal(rounded)
+    del rounded
+    faces = numbers.reshape(-1, 3)
     require_faces(name, faces)
     if not edge_counts(faces).closed:
         # CAD programs leave noise of 1e-16 where they mean 0, and so boundary loops that are none.
         step = largest(corners.reshape(-1)) / 2**24 or 1.0
-        first_coarse, coarse = merge_equal(np.rint(corners.astype(np.float64) / step).astype(np.int32))
-        coarse = coarse.reshape(-1, 3)
+        first_coarse, numbers = merge_equal(np.rint(corners.astype(np.float64) / step).astype(np.int32))
+        coarse = numbers.reshape(-1, 3)
         if edge_counts(coarse).closed:
             first, faces = first_coarse, coarse
-    return (corners[first].astype(np.float64), faces), named.groups(len(faces))
+    return (corners[first].astype(np.float64), faces.astype(np.int64)), named.groups(len(faces))
 
 
 def _binary_corners(data: bytes | memoryview | bytearray, name: str) -> NDArray[np.float32]:
@@ -158,41 +162,41 @@ def encode(
         If the mesh has 2^32 triangles or more, or a coordinate beyond float32.
     """
     mesh = as_written(vertices, faces)
-    points = within_float32(mesh, "STL")
+    require_float32(mesh, "STL")
     if len(mesh.faces) >= 2**32:
         raise DesignError("STL counts up to 2^32 - 1 triangles", hint="write the mesh as PLY")
     # A binary STL must not begin with "solid".
     yield b"binary STL written by sppm".ljust(80) + len(mesh.faces).to_bytes(4, "little")
-    yield from in_blocks(len(mesh.faces), lambda rows: _records(points, mesh.faces[rows]), threads)
+    yield from in_blocks(len(mesh.faces), lambda rows: _records(mesh.points, mesh.faces[rows]), threads, *mesh[:2])
 
 
-def _records(points: NDArray[np.float32], faces: NDArray[np.int32]) -> memoryview:
+def _records(points: NDArray[np.floating], faces: NDArray[np.int32]) -> memoryview:
     out = np.empty(_RECORD * faces.shape[0], np.uint8)
-    _put_triangles(out, points, points.view(np.uint32), faces)
+    _put_triangles(out, points, faces)
     return out.data
 
 
 @jit
-def _put_triangles(out: Bytes, points: NDArray[np.float32], bits: NDArray[np.uint32], faces: NDArray[np.int32]) -> None:
-    """Records of the normal, the corners and two bytes of nothing; `bits` are those of the points."""
-    normal = np.empty(3, np.float32)
-    normal_bits = normal.view(np.uint32)
+def _put_triangles(out: Bytes, points: NDArray[np.floating], faces: NDArray[np.int32]) -> None:
+    """Records of the normal, the corners and two bytes of nothing."""
+    rounded = np.empty((4, 3), np.float32)  # the normal and the corners
+    bits = rounded.view(np.uint32)
     for row in range(faces.shape[0]):
         i = 50 * row
-        a, b, c = faces[row, 0], faces[row, 1], faces[row, 2]
-        ux = np.float64(points[b, 0]) - np.float64(points[a, 0])
-        uy = np.float64(points[b, 1]) - np.float64(points[a, 1])
-        uz = np.float64(points[b, 2]) - np.float64(points[a, 2])
-        vx = np.float64(points[c, 0]) - np.float64(points[a, 0])
-        vy = np.float64(points[c, 1]) - np.float64(points[a, 1])
-        vz = np.float64(points[c, 2]) - np.float64(points[a, 2])
+        for corner in range(3):
+            for axis in range(3):
+                rounded[1 + corner, axis] = points[faces[row, corner], axis]
+        ux = np.float64(rounded[2, 0]) - np.float64(rounded[1, 0])
+        uy = np.float64(rounded[2, 1]) - np.float64(rounded[1, 1])
+        uz = np.float64(rounded[2, 2]) - np.float64(rounded[1, 2])
+        vx = np.float64(rounded[3, 0]) - np.float64(rounded[1, 0])
+        vy = np.float64(rounded[3, 1]) - np.float64(rounded[1, 1])
+        vz = np.float64(rounded[3, 2]) - np.float64(rounded[1, 2])
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         scale = 1.0 / length if length > 0.0 else 0.0
-        normal[0], normal[1], normal[2] = nx * scale, ny * scale, nz * scale
+        rounded[0, 0], rounded[0, 1], rounded[0, 2] = nx * scale, ny * scale, nz * scale
         for axis in range(3):
-            store4(out, i + 4 * axis, normal_bits[axis])
-            store4(out, i + 12 + 4 * axis, bits[a, axis])
-            store4(out, i + 24 + 4 * axis, bits[b, axis])
-            store4(out, i + 36 + 4 * axis, bits[c, axis])
+            for corner in range(4):
+                store4(out, i + 12 * corner + 4 * axis, bits[corner, axis])
         store2(out, i + 48, np.uint16(0))

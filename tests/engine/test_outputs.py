@@ -235,3 +235,22 @@ def test_files_of_a_run_are_synced(tmp_path, monkeypatch):
     (tmp_path / "a").write_bytes(b"a")
     sync(tmp_path / "a")
     assert synced == [(tmp_path / "a").stat().st_ino]
+
+
+@pytest.mark.parametrize("changed", [False, True])
+def test_a_digest_that_a_writer_tells_counts_until_the_file_changes(tmp_path, changed):
+    folder = folder_in(tmp_path)
+    path = folder.claim("s", "a/x.bin")
+    path.write_bytes(b"one")
+    folder.hashed("a/x.bin", "0" * 64)
+    if changed:
+        path.write_bytes(b"three")
+    (found,) = folder.commit()
+    assert found["sha256"] == (hashlib.sha256(b"three").hexdigest() if changed else "0" * 64)
+
+
+def test_temporary_files_go_with_the_run(tmp_path):
+    folder = folder_in(tmp_path)
+    (folder.temporary() / "x").write_bytes(b"x")
+    folder.discard()
+    assert [p.name for p in (tmp_path / "run").iterdir()] == []

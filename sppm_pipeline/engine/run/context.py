@@ -233,6 +233,15 @@ class RunContext(Context):
         except (DamagedError, OSError):
             return None
 
+    def hashed(self, name: str, sha256: str) -> None:
+        """See `Context.hashed`."""
+        if isinstance(self.folder, RunFolder):
+            self.folder.hashed(name, sha256)
+
+    def scratch(self) -> Path:
+        """See `Context.scratch`."""
+        return self.folder.temporary() if isinstance(self.folder, RunFolder) else super().scratch()
+
     def output(self, name: str) -> Path:
         """See `Context.output`."""
         check(self._stop)

@@ -12,7 +12,7 @@ from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, prepare_scan
 from sppm_pipeline.numerics.domain.spanned import SpannedScan, prepare_spanned, spanned_layers
 from sppm_pipeline.numerics.domain.three_axis import ThreeAxisScan, prepare_three_axis, vote_layers
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.meshcheck.measures import bounds, edge_counts
+from sppm_pipeline.numerics.meshcheck.measures import balanced_edges, bounds
 from sppm_pipeline.numerics.meshcheck.orientation import orient
 
 Method = Literal["scanline", "winding", "vote"]
@@ -64,7 +64,7 @@ def inside_test(vertices: NDArray[np.float64], faces: NDArray[np.int32], method:
         Instead of `way_for`.
     """
     wound = orient(vertices, faces)
-    closed = edge_counts(wound.faces).bounds_solid
+    closed = balanced_edges(wound.faces)
     chosen = method or way_for(closed)
     if closed:
         return InsideTest(wound.faces, wound.turned, chosen, True, 0.0, 0.0)

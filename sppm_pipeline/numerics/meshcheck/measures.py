@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.paging import blocks
 
 T = TypeVar("T", bound=np.generic)
 
@@ -88,7 +89,9 @@ def balanced_edges(faces: NDArray[np.integer]) -> bool:
     Found in one pass and without memory: each edge is hashed to 64 bits, counted positive in one direction and negative
     in the other, and the sum must vanish. A mesh that is not balanced passes with a probability of 2^-64.
     """
-    return faces.size > 0 and int(_edge_balance(_view(np.ascontiguousarray(faces, np.int32)))) == 0
+    numbered = read_only(np.ascontiguousarray(faces, np.int32))
+    parts = [int(_edge_balance(numbered[rows])) for rows in blocks(len(numbered), numbered)]
+    return faces.size > 0 and sum(parts) % 2**64 == 0
 
 
 def euler_number(faces: NDArray[np.integer]) -> int:
@@ -125,8 +128,7 @@ def genus(faces: NDArray[np.integer]) -> int:
 def volume(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> float:
     """Volume inside the mesh, (n, 3) and (m, 3); negative if it is inside out. Holes make it meaningless.
 
-    By the divergence theorem, with the middle of the bounding box as origin, so that a mesh far from the origin loses
-    no digits.
+    By the divergence theorem, with the first corner as origin, so that a mesh far from the origin loses no digits.
     """
     return _volume_and_area(vertices, faces)[0]
 
@@ -146,15 +148,23 @@ def bounds(
     ValueError
         If there is no triangle.
     """
+    return box_and_volume(vertices, faces)[:2]
+
+
+def box_and_volume(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """`bounds` and `volume` in one pass.
+
+    Raises
+    ------
+    ValueError
+        If there is no triangle.
+    """
     if faces.size == 0:
         raise ValueError("a mesh without triangles has no bounds")
-    points = np.asarray(vertices, np.float64)
-    used = _used(faces)
-    if len(points) != len(used) or not used.all():
-        points = points[np.flatnonzero(used)]
-    # a reduction over rows of three takes NumPy ten times as long as one over each column
-    columns = [points[:, axis] for axis in range(3)]
-    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
+    found = _sums_of(vertices, faces)
+    return found[3:6].copy(), found[6:].copy(), float(found[0])
 
 
 def measure_surface(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> SurfaceMeasures:
@@ -188,7 +198,8 @@ def measure_surface(vertices: NDArray[np.floating], faces: NDArray[np.integer]) 
 
 def _named(faces: NDArray[np.integer]) -> int:
     """The number of vertices that triangles, at least one, may name."""
-    low, high = int(faces.min()), int(faces.max())
+    ends = [(int(faces[rows].min()), int(faces[rows].max())) for rows in blocks(len(faces), faces)]
+    low, high = min(end[0] for end in ends), max(end[1] for end in ends)
     if low < 0 or high >= 2**31:
         raise ValueError(f"vertex numbers run from 0 to 2^31 - 1, not from {low} to {high}")
     return high + 1
@@ -197,12 +208,12 @@ def _named(faces: NDArray[np.integer]) -> int:
 def _numbered(faces: NDArray[np.integer]) -> tuple[NDArray[np.int32], int]:
     """The triangles as compiled code needs them (it checks no index), and the number of vertices they may name."""
     if faces.size == 0:
-        return _view(np.empty((0, 3), np.int32)), 0
-    return _view(np.ascontiguousarray(faces, np.int32)), _named(faces)
+        return read_only(np.empty((0, 3), np.int32)), 0
+    return read_only(np.ascontiguousarray(faces, np.int32)), _named(faces)
 
 
-def _view(array: NDArray[T]) -> NDArray[T]:
-    """The array, not to be written to: Numba would compile once more for those that can be."""
+def read_only(array: NDArray[T]) -> NDArray[T]:
+    """A view that is not to be written to: Numba would compile once more for arrays that can be."""
     view = array.view()
     view.flags.writeable = False
     return view
@@ -220,13 +231,22 @@ def _used(faces: NDArray[np.integer]) -> NDArray[np.bool_]:
 def _volume_and_area(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> tuple[float, float, int]:
     if faces.size == 0:
         return 0.0, 0.0, 0
-    points = _view(np.ascontiguousarray(vertices, np.float64))
+    found = _sums_of(vertices, faces)
+    return float(found[0]), float(found[1]), int(found[2])
+
+
+def _sums_of(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Volume, area, flat triangles, and low and high corner, (9,), of a mesh with at least one triangle."""
+    points = read_only(np.ascontiguousarray(vertices, np.float64))
     numbered, n = _numbered(faces)
     if n > points.shape[0]:
         raise ValueError(f"a triangle names vertex {n - 1}, but there are only {points.shape[0]}")
-    middle = np.array([(points[:, axis].min() + points[:, axis].max()) / 2 for axis in range(3)])
-    inside, area, flat = _sums(points, numbered, middle)
-    return float(inside), float(area), int(flat)
+    found = np.concatenate([np.zeros(3), np.full(3, np.inf), np.full(3, -np.inf)])
+    start = points[numbered[0, 0]].copy()
+    for rows in blocks(len(numbered), points, numbered):
+        _add_sums(points, numbered[rows], start, found)
+    found[:2] /= (6.0, 2.0)
+    return found
 
 
 @jit
@@ -331,20 +351,28 @@ def _components(faces: NDArray[np.int32], n: int) -> tuple[int, NDArray[np.int32
 
 
 @jit
-def _sums(
-    points: NDArray[np.float64], faces: NDArray[np.int32], middle: NDArray[np.float64]
-) -> tuple[float, float, int]:
-    inside, area = 0.0, 0.0
+def _add_sums(
+    points: NDArray[np.float64], faces: NDArray[np.int32], start: NDArray[np.float64], found: NDArray[np.float64]
+) -> None:
+    """Add six volumes, two areas and the flat triangles to what was found, and widen the box."""
+    inside, area = found[0], found[1]
     flat = 0
+    low_x, low_y, low_z, high_x, high_y, high_z = found[3], found[4], found[5], found[6], found[7], found[8]
     for i in range(faces.shape[0]):
         a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
-        ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-        vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+        ax, ay, az = points[a, 0], points[a, 1], points[a, 2]
+        bx, by, bz = points[b, 0], points[b, 1], points[b, 2]
+        cx, cy, cz = points[c, 0], points[c, 1], points[c, 2]
+        low_x, low_y, low_z = min(low_x, ax, bx, cx), min(low_y, ay, by, cy), min(low_z, az, bz, cz)
+        high_x, high_y, high_z = max(high_x, ax, bx, cx), max(high_y, ay, by, cy), max(high_z, az, bz, cz)
+        ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         twice = np.sqrt(nx * nx + ny * ny + nz * nz)
         wx, wy, wz = vx - ux, vy - uy, vz - uz
         longest2 = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
         flat += not twice > FLAT * longest2
         area += twice
-        inside += (points[a, 0] - middle[0]) * nx + (points[a, 1] - middle[1]) * ny + (points[a, 2] - middle[2]) * nz
-    return inside / 6.0, area / 2.0, flat
+        inside += (ax - start[0]) * nx + (ay - start[1]) * ny + (az - start[2]) * nz
+    found[0], found[1] = inside, area
+    found[2] += flat
+    found[3], found[4], found[5], found[6], found[7], found[8] = low_x, low_y, low_z, high_x, high_y, high_z

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.meshcheck.adjacency import adjacency
 from sppm_pipeline.numerics.meshcheck.box_tree import BoxTree, box_tree
-from sppm_pipeline.numerics.meshcheck.measures import components, edge_counts, volume
+from sppm_pipeline.numerics.meshcheck.measures import balanced_edges, components, read_only, volume
 from sppm_pipeline.numerics.meshcheck.rays import exits_along, layers_around
 
 RAYS = 256
@@ -90,14 +90,12 @@ def shells(vertices: NDArray[np.float64], faces: NDArray[np.int32], tree: BoxTre
         Of the triangles; built if omitted and needed.
     """
     count, labels = components(faces)
-    points = np.asarray(vertices, np.float64)
-    triangles = points[faces]
-    volumes = _volumes(triangles, labels, count)
+    points = np.ascontiguousarray(vertices, np.float64)
+    first, volumes = _volumes(read_only(points), read_only(np.ascontiguousarray(faces, np.int32)), labels, count)
     around = np.zeros(count, np.int64)
     if count > 1:
-        _, first = np.unique(labels, return_index=True)
         around = layers_around(
-            tree or box_tree(triangles), labels, points[faces[first, 0]], np.arange(count, dtype=np.int32)
+            tree or box_tree(points[faces]), labels, points[faces[first, 0]], np.arange(count, dtype=np.int32)
         )
     return Shells(labels, volumes, around)
 
@@ -114,11 +112,11 @@ def orient(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Orientati
     vertices : (n, 3) float64
     faces : (m, 3) int32
     """
-    points, given = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
+    points, given = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32)
     wound = given.copy()
     patches, one_sided = 0, 0
-    counts = edge_counts(given)
-    if not counts.bounds_solid:
+    balanced = balanced_edges(given)
+    if not balanced:
         opposite = adjacency(given).opposite
         flips, labels, patches, one_sided = _agree(np.ascontiguousarray(given, np.int64), opposite)
         areas = _areas(points[given])
@@ -126,13 +124,15 @@ def orient(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Orientati
         flips ^= against[labels]
         wound[flips] = wound[flips][:, ::-1]
         _turn_patches(points, wound, opposite, labels, patches)
-    if edge_counts(wound).bounds_solid:
+        balanced = balanced_edges(wound)
+    if balanced:
         if volume(points, wound) < 0:
             wound = np.ascontiguousarray(wound[:, ::-1])
         found = shells(points, wound)
         patches = patches or len(found.volumes)
-        wrong = found.inside_out[found.labels]
-        wound[wrong] = wound[wrong][:, ::-1]
+        if found.inside_out.any():
+            wrong = found.inside_out[found.labels]
+            wound[wrong] = wound[wrong][:, ::-1]
     # a triangle has kept its winding if its corners still stand in the old order
     turned = int(np.count_nonzero((wound != given).any(axis=1)))
     return Orientation(wound, turned, int(patches), int(one_sided))
@@ -143,12 +143,25 @@ def _areas(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
 
 
-def _volumes(triangles: NDArray[np.float64], labels: NDArray[np.int32], count: int) -> NDArray[np.float64]:
-    """Signed volume of each piece, from the first corner of it, so that a small piece far off loses no digits."""
-    _, first = np.unique(labels, return_index=True)
-    from_there = triangles - triangles[first, :1][labels]
-    a, b, c = from_there[:, 0], from_there[:, 1], from_there[:, 2]
-    return np.asarray(np.bincount(labels, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6, count), np.float64)
+@jit
+def _volumes(
+    points: NDArray[np.float64], faces: NDArray[np.int32], labels: NDArray[np.int32], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """First triangle and signed volume of each piece, from its first corner: a small piece far off loses no digits."""
+    first, volumes = np.full(count, -1, np.int64), np.zeros(count)
+    a, b, c = np.empty(3), np.empty(3), np.empty(3)
+    for f in range(faces.shape[0]):
+        piece = labels[f]
+        if first[piece] < 0:
+            first[piece] = f
+        corner = faces[first[piece], 0]
+        for axis in range(3):
+            a[axis] = points[faces[f, 0], axis] - points[corner, axis]
+            b[axis] = points[faces[f, 1], axis] - points[corner, axis]
+            c[axis] = points[faces[f, 2], axis] - points[corner, axis]
+        x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+        volumes[piece] += (a[0] * x + a[1] * y + a[2] * z) / 6.0
+    return first, volumes
 
 
 def _turn_patches(
@@ -173,10 +186,10 @@ def _turn_patches(
         wrong = (back - front) / sent > DECISIVE
         faces[wrong[labels]] = faces[wrong[labels]][:, ::-1]
     if not is_open.all():
-        triangles = points[faces]
-        inwards = np.flatnonzero(~is_open & (_volumes(triangles, labels, n) < 0))
+        first, volumes = _volumes(read_only(points), read_only(faces), labels, n)
+        inwards = np.flatnonzero(~is_open & (volumes < 0))
         if inwards.size:
-            _, first = np.unique(labels, return_index=True)
+            triangles = points[faces]
             corners = triangles[first[inwards], 0]
             around = layers_around(box_tree(triangles), labels, corners, inwards.astype(np.int32))
             wrong = np.zeros(n, np.bool_)

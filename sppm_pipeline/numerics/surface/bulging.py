@@ -5,214 +5,196 @@ concave, by a volume that falls with the square of the spacing only. Over an edg
 with the length s and the curvature k, which is the turn of the normals along the edge over its length; a parabolic
 patch rises over a triangle by a third of the sum of its three edges on average. Every vertex is moved by the
 mean rise of its triangles, so that the mesh encloses what the surface does: along its edge of the grid, not its normal,
-so that the surface in a cube stays in it and runs into no other sheet nearby.
+so that the surface in a cube stays in it and runs into no other sheet nearby. What a vertex may not be moved its
+neighbors are, so that the volume is kept; and the surroundings of a rim get what of the solid beyond it no edge of the
+grid has told of (`rim_points`).
+
+The mesh comes in pieces, whose triangles have corners in their own and in the piece before. So each step of the work
+runs a piece behind the step before it, and the result is the same to the bit as that of step after step over all.
 """
 
 from __future__ import annotations
 
-import math
+from collections import deque
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
-from sppm_pipeline.numerics.surface.placing import DOMAIN
-
-MOST = 0.3
-"""Vertices are moved by at most this fraction of their shortest edge; a choice that keeps triangles in shape."""
+from sppm_pipeline.numerics.surface.bulging_steps import (
+    add_normals,
+    add_rises,
+    find_borders,
+    find_takers,
+    move,
+    pass_on,
+    to_unit_length,
+)
 
 PASSED_ON = 2
 """How often what vertices can't be moved is passed on to their neighbors; a choice."""
 
-LEAST_SLOPE = 0.3
-"""Least cosine between normal and grid edge that the way along the edge is reckoned with; a choice."""
+_NONE, _NOTHING = np.empty(0, np.int32), np.empty(0)
+_LAG = 2 + 2 * PASSED_ON  # pieces that must have followed until the vertices of a piece are done
+_ROOM = 2  # the buffer holds so many times what is in use, so that it is seldom moved
 
 
-def bulge(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], grid: Grid, free: int, kinds: NDArray[np.uint8]
-) -> None:
-    """Move vertices, in place, so that the volume between triangles and curved surface is made up for.
+class Window(NamedTuple):
+    """Vertices that are worked on.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64
+    borders : (n,) uint8
+        On which sides of the grid a vertex lies, as bits.
+    normals : (n, 3) float32
+    lost : (n,) float32
+        Six times the volume lost beside a vertex.
+    taken : (n,) float32
+        Twice the area of the triangles of a vertex that have another corner which can be moved.
+    rise, more, share, room : (n,) float32
+        How far to move a vertex, what its neighbors leave to it, twice the area of its triangles, and how far it may
+        be moved; before that, the square of its shortest edge.
+    """
+
+    vertices: NDArray[np.float64]
+    borders: NDArray[np.uint8]
+    normals: NDArray[np.float32]
+    rise: NDArray[np.float32]
+    more: NDArray[np.float32]
+    share: NDArray[np.float32]
+    room: NDArray[np.float32]
+    lost: NDArray[np.float32]
+    taken: NDArray[np.float32]
+
+
+class _Piece(NamedTuple):
+    first: int  # number of its first vertex
+    stop: int
+    faces: NDArray[np.int32]
+    kinds: NDArray[np.uint8]
+
+
+class Bulging:
+    """Move vertices so that the volume between triangles and curved surface is made up for.
 
     Parameters
     ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
     grid : Grid
         Vertices on its border stay.
-    free : int
-        Vertices from this number on lie on rims and stay.
-    kinds : (m,) uint8
-        What faces lie on. Those of the domain stay, so that the part lies in it; without elements all may move.
     """
-    low = np.array(grid.origin)
-    high = low + (np.array(grid.shape) - 1) * grid.spacing
-    normals = np.zeros((len(vertices), 3), np.float32)
-    rise, share, room = np.zeros(free, np.float32), np.zeros(free, np.float32), np.full(free, np.inf, np.float32)
-    _bulge(vertices, faces, kinds, free, low, high, np.array(grid.spacing), normals, rise, share, room)
+
+    def __init__(self, grid: Grid) -> None:
+        low = np.array(grid.origin)
+        self._box = np.stack([low, low + (np.array(grid.shape) - 1) * grid.spacing])
+        self._spacing = np.array(grid.spacing)
+        self._window = _window_of(0)
+        self._base = self._stop = 0  # numbers of the vertices in the window
+        self._pieces: deque[_Piece] = deque()  # the newest one first
+
+    def push(
+        self,
+        vertices: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        kinds: NDArray[np.uint8],
+        points: NDArray[np.float64],
+        losers: NDArray[np.int32] = _NONE,
+        lost: NDArray[np.float64] = _NOTHING,
+    ) -> Iterator[NDArray[np.float64]]:
+        """Take a piece; yields vertices of earlier ones that are done, to be used before the next piece comes.
+
+        Parameters
+        ----------
+        vertices : (n, 3) float64
+            Those that follow upon those of the pieces before.
+        faces : (m, 3) int32
+            With corners in this piece and the one before; negative numbers -1 - p stand for points[p], which lie on
+            rims and stay.
+        kinds : (m,) uint8
+            What faces lie on. Those of the domain stay, so that the part lies in it; without elements all may move.
+        points : (k, 3) float64
+        losers, lost : (k,) int32, (k,) float64
+            Vertices of this piece or the one before with volumes that their surroundings shall gain besides, voxels.
+        """
+        if len(vertices) or len(faces):
+            self._append(vertices, faces, kinds)
+            # six times the volume is twice the area times the rise
+            np.add.at(self._window.lost, losers - self._base, np.float32(6.0 * self._spacing.prod()) * lost)
+            yield from self._work(points)
+
+    def finish(self, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+        """The vertices of the last pieces, once no more follow."""
+        for _ in range(_LAG):
+            self._append(np.empty((0, 3)), np.empty((0, 3), np.int32), np.empty(0, np.uint8))
+            yield from self._work(points)
+
+    def _append(self, vertices: NDArray[np.float64], faces: NDArray[np.int32], kinds: NDArray[np.uint8]) -> None:
+        used, more = self._stop - self._base, len(vertices)
+        if used + more > len(self._window.vertices):
+            first = self._pieces[-1].first if self._pieces else self._stop
+            drop, old = first - self._base, self._window
+            if _ROOM * (used - drop + more) > len(old.vertices):
+                self._window = _window_of(2 * _ROOM * (used - drop + more))
+            arrays: Iterator[tuple[NDArray[Any], NDArray[Any]]] = zip(self._window, old, strict=True)
+            for now, before in arrays:
+                now[: used - drop] = before[drop:used]  # NumPy sees to overlaps
+            self._base += drop
+            used -= drop
+        new = slice(used, used + more)
+        self._window.vertices[new] = vertices
+        _, _, normals, rise, more_rise, share, _, lost, taken = self._window
+        for values in (normals, rise, more_rise, share, lost, taken):
+            values[new] = 0.0
+        self._window.room[new] = np.inf
+        find_borders(self._window.vertices[new], self._box, self._window.borders[new])
+        self._pieces.appendleft(_Piece(self._stop, self._stop + more, faces, kinds))
+        self._stop += more
+
+    def _work(self, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+        """Each step for the piece whose turn it is."""
+        base, spacing, pieces = self._base, self._spacing, self._pieces
+        vertices, borders, normals, rise, more, share, room, lost, taken = self._window
+        add_normals(vertices, borders, normals, points, pieces[0].faces, base, float(spacing.min()))
+        if len(pieces) > 1:
+            first, stop, faces, kinds = pieces[1]
+            to_unit_length(normals[first - base : stop - base])
+            add_rises(vertices, borders, normals, rise, share, room, points, faces, kinds, base)
+        for passing in range(1 + PASSED_ON):
+            turn = 2 + 2 * passing
+            if len(pieces) <= turn:
+                return
+            first, stop, faces, kinds = pieces[turn]
+            low, wholly = self._box[0], passing == 0
+            if wholly:
+                rise[first - base : stop - base] += lost[first - base : stop - base]
+            move(
+                vertices,
+                borders,
+                normals,
+                rise,
+                more,
+                share,
+                room,
+                taken,
+                first - base,
+                stop - base,
+                low,
+                spacing,
+                wholly,
+            )
+            if passing < PASSED_ON:
+                # what there is to leave it to is known for a vertex when the piece that follows has been seen
+                find_takers(vertices, rise, room, taken, points, faces, kinds, base)
+                if len(pieces) > turn + 1:
+                    _, _, faces, kinds = pieces[turn + 1]
+                    pass_on(vertices, rise, more, share, room, taken, points, faces, kinds, base)
+        done = pieces.pop()
+        yield vertices[done.first - base : done.stop - base]
 
 
-@jit
-def _cap(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], f: int, low: NDArray[np.float64], high: NDArray[np.float64]
-) -> bool:
-    """Whether a triangle lies in the border."""
-    for axis in range(3):
-        for side in (low[axis], high[axis]):
-            if (
-                abs(vertices[faces[f, 0], axis] - side) < 1e-9
-                and abs(vertices[faces[f, 1], axis] - side) < 1e-9
-                and abs(vertices[faces[f, 2], axis] - side) < 1e-9
-            ):
-                return True
-    return False
-
-
-@jit
-def _double_area(vertices: NDArray[np.float64], a: int, b: int, c: int) -> float:
-    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return math.sqrt(x * x + y * y + z * z)
-
-
-@jit
-def _moved(
-    vertices: NDArray[np.float64],
-    v: int,
-    normals: NDArray[np.float32],
-    wanted: float,
-    room: NDArray[np.float32],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-) -> np.float32:
-    """Move a vertex along its edge of the grid, so that it comes to lie higher by a wanted way; returns by how much.
-
-    What it has moved is taken from its `room`; that of vertices on the border of the grid becomes 0.
-    """
-    axis, inside = 0, 0
-    for a in range(3):
-        place = (vertices[v, a] - low[a]) / spacing[a]
-        if abs(place - np.floor(place + 0.5)) > 0.75 * EDGE_MARGIN:
-            axis = a
-            inside += 1
-        if abs(vertices[v, a] - low[a]) < 1e-9 or abs(vertices[v, a] - high[a]) < 1e-9:
-            room[v] = 0.0
-    if inside != 1:
-        room[v] = 0.0
-    slope = np.float64(normals[v, axis])
-    way = wanted * slope / max(slope * slope, LEAST_SLOPE**2)
-    way = min(max(way, -room[v]), room[v]) / spacing[axis]
-    place = (vertices[v, axis] - low[axis]) / spacing[axis]
-    node = np.floor(place)
-    way = min(max(place + way - node, EDGE_MARGIN), 1.0 - EDGE_MARGIN) - (place - node)
-    if room[v] > 0.0:
-        vertices[v, axis] += way * spacing[axis]
-        room[v] -= np.float32(abs(way) * spacing[axis])
-        return np.float32(way * spacing[axis] * slope)
-    return np.float32(0.0)
-
-
-@jit
-def _bulge(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    kinds: NDArray[np.uint8],
-    free: int,
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    normals: NDArray[np.float32],
-    rise: NDArray[np.float32],
-    share: NDArray[np.float32],
-    room: NDArray[np.float32],
-) -> None:
-    scale = min(spacing[0], spacing[1], spacing[2])
-    for f in range(faces.shape[0]):
-        if _cap(vertices, faces, f, low, high):
-            continue
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
-        ww = uu + vv - 2.0 * (ux * vx + uy * vy + uz * vz)
-        if not min(uu, vv, ww) > 0.0:
-            continue
-        # these weights give the normals of a sphere however it is cut into triangles (Max 1999)
-        for v, weight in ((a, scale / (uu * vv)), (b, scale / (uu * ww)), (c, scale / (vv * ww))):
-            normals[v, 0] += np.float32(x * weight)
-            normals[v, 1] += np.float32(y * weight)
-            normals[v, 2] += np.float32(z * weight)
-    for v in range(normals.shape[0]):
-        length = math.sqrt(normals[v, 0] ** 2 + normals[v, 1] ** 2 + normals[v, 2] ** 2)
-        if length > 0.0:
-            for axis in range(3):
-                normals[v, axis] /= np.float32(length)
-    for f in range(faces.shape[0]):
-        if kinds.size > 0 and kinds[f] == DOMAIN:
-            for c in range(3):
-                if faces[f, c] < free:
-                    room[faces[f, c]] = 0.0
-            continue
-        movable = 0
-        for c in range(3):
-            movable += faces[f, c] < free
-        if movable == 0 or _cap(vertices, faces, f, low, high):
-            continue
-        total = 0.0
-        for c in range(3):
-            v, w = faces[f, c], faces[f, (c + 1) % 3]
-            turn, length = 0.0, 0.0
-            for axis in range(3):
-                step = vertices[w, axis] - vertices[v, axis]
-                length += step * step
-                # a normal on a rim says nothing: there the surface is continued with the curvature at the other end
-                if v < free and w < free:
-                    turn += (normals[w, axis] - normals[v, axis]) * step
-                elif v < free:
-                    turn -= 2.0 * normals[v, axis] * step
-                elif w < free:
-                    turn += 2.0 * normals[w, axis] * step
-            total += turn / 24.0
-            # what is beside a rim stays within the domain
-            length = math.sqrt(length) if v < free and w < free else 0.0
-            if v < free:
-                room[v] = min(room[v], np.float32(length))
-            if w < free:
-                room[w] = min(room[w], np.float32(length))
-        area = _double_area(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
-        for corner in range(3):
-            v = faces[f, corner]
-            if v < free:
-                rise[v] += np.float32(area * total * 3.0 / movable)
-                share[v] += np.float32(area)
-    for v in range(free):
-        room[v] *= np.float32(MOST)
-        if share[v] > 0.0:
-            rise[v] /= share[v]
-    # what a vertex can't be moved is left to its neighbors
-    more = np.zeros_like(rise)
-    for passing in range(1 + PASSED_ON):
-        for v in range(free):
-            wanted = rise[v] if passing == 0 else more[v]
-            if share[v] > 0.0 and room[v] > 0.0:
-                wanted -= _moved(vertices, v, normals, wanted, room, low, high, spacing)
-            rise[v], more[v] = wanted, 0.0
-        if passing == PASSED_ON:
-            break
-        for f in range(faces.shape[0]):
-            if kinds.size > 0 and kinds[f] == DOMAIN:
-                continue
-            for c in range(3):
-                v, w, u = faces[f, c], faces[f, (c + 1) % 3], faces[f, (c + 2) % 3]
-                if v >= free or rise[v] == 0.0:
-                    continue
-                to_w, to_u = w < free and room[w] > 0.0, u < free and room[u] > 0.0
-                part = rise[v] * _double_area(vertices, v, w, u) / np.float32(2.0 if to_w and to_u else 1.0)
-                if to_w:
-                    more[w] += np.float32(part / share[w])
-                if to_u:
-                    more[u] += np.float32(part / share[u])
+def _window_of(room: int) -> Window:
+    vertices, borders, normals = np.empty((room, 3)), np.empty(room, np.uint8), np.empty((room, 3), np.float32)
+    rise, more, share, space, lost, taken = (np.empty(room, np.float32) for _ in range(6))
+    return Window(vertices, borders, normals, rise, more, share, space, lost, taken)

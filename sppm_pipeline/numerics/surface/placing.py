@@ -150,26 +150,28 @@ def sample_line(values: NDArray[np.float32], k: int, j: int, i: int, axis: int, 
 
 
 @jit
-def _cubic_zero(line: NDArray[np.float64]) -> float:
-    """Where the cubic vanishes between its two middle values, which differ in sign (regula falsi, Illinois)."""
-    a, b, c, d = line[0], line[1], line[2], line[3]
+def _cubic_zero(a: float, b: float, c: float, d: float) -> float:
+    """Where the cubic that has the values a, b, c, d at -1, 0, 1, 2 vanishes between b and c, which differ in sign."""
     t: float = b / (b - c)
     if not (np.isfinite(a) and np.isfinite(d) and np.isfinite(t)):
         return t
-    low, high, at_low, at_high = 0.0, 1.0, b, c
-    for _ in range(30):
-        value = cubic(a, b, c, d, t)
+    third, second = (d - a) / 6.0 + (b - c) / 2.0, (a + c) / 2.0 - b
+    first = c - b / 2.0 - a / 3.0 - d / 6.0
+    low, high = 0.0, 1.0
+    for _ in range(40):  # Newton's method, kept between the signs
+        value = b + t * (first + t * (second + t * third))
         if value == 0.0:
             break
-        if (value < 0.0) == (at_low < 0.0):
-            low, at_low = t, value
-            at_high *= 0.5
+        if (value < 0.0) == (b < 0.0):
+            low = t
         else:
-            high, at_high = t, value
-            at_low *= 0.5
+            high = t
+        slope = first + t * (2.0 * second + t * (3.0 * third))
         last = t
-        t = low + (high - low) * at_low / (at_low - at_high)
-        if abs(t - last) < 1e-4:
+        t = t - value / slope if slope != 0.0 else low
+        if not low < t < high:
+            t = 0.5 * (low + high)
+        if abs(t - last) < 1e-5:
             break
     return t
 
@@ -190,12 +192,14 @@ def _place(
     shares: NDArray[np.float64],
     owners: NDArray[np.int32],
 ) -> None:
-    node, line = np.empty(3, np.int64), np.empty(4)
+    node, steps = np.empty(3, np.int64), np.array([1, field.shape[2], field.shape[2] * field.shape[1]])
+    flat = field.ravel()
     start = shape[3]
+    a_node = 1.0 / spacing
     for v in range(vertices.shape[0]):
         axis, inside = int(np.int64(0)), 0
         for a in range(3):
-            place = (vertices[v, a] - origin[a]) / spacing[a]
+            place = (vertices[v, a] - origin[a]) * a_node[a]
             whole = np.floor(place + 0.5)
             # vertices keep EDGE_MARGIN from the ends of their edge; the bevels of caps lie at half of it
             if abs(place - whole) > 0.75 * EDGE_MARGIN:
@@ -222,8 +226,16 @@ def _place(
         if at_solid < 0.0:
             share = 2.0
             if not at_void < 0.0:
-                sample_line(field, k, j, i, axis, line)
-                share = _cubic_zero(line)
+                # at the border a parabola is continued
+                at, step = (k * steps[1] * field.shape[1]) + j * steps[1] + i, steps[axis]
+                along, n = (i, j, k)[axis], field.shape[2 - axis]
+                before = np.float64(flat[at - step]) if along > 0 else f0
+                behind = np.float64(flat[at + 2 * step]) if along + 2 < n else f1
+                if along == 0:
+                    before = 3.0 * f0 - 3.0 * f1 + behind if n > 2 else 2.0 * f0 - f1
+                if along + 2 >= n:
+                    behind = 3.0 * f1 - 3.0 * f0 + before if n > 2 else 2.0 * f1 - f0
+                share = _cubic_zero(before, f0, f1, behind)
                 share = 1.0 - share if turned else share
         kind = FIELD
         if skin.size > 0:

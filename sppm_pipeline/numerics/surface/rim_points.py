@@ -137,6 +137,49 @@ def _passed_twice(corner: NDArray[np.int64], p: int, q: int, surfaces: Surfaces)
 
 
 @jit
+def _lost_beyond(
+    patch: NDArray[np.float64],
+    vertex: tuple[float, float],
+    start: tuple[float, float],
+    end: tuple[float, float],
+    at_end: float,
+) -> float:
+    """Area in a face between a surface and the rim it really reaches, which lies beyond the end of the face.
+
+    The solid goes on along the line from start to end: no edge of the grid tells that, as it is void at both of its
+    ends. The rim is looked for up to a voxel beyond, where the samples reach.
+    """
+    dp, dq = end[0] - start[0], end[1] - start[1]
+    length = math.sqrt(dp * dp + dq * dq)
+    dp, dq = dp / length, dq / length
+    reach, before = 1.0, at_end
+    for step in range(1, 5):
+        value = _bicubic(patch, end[0] + 0.25 * step * dp, end[1] + 0.25 * step * dq)
+        if not value < 0.0:
+            reach = 0.25 * (step - 1 + before / (before - value))
+            break
+        before = value
+    return float(0.5 * reach * abs((end[0] - vertex[0]) * dq - (end[1] - vertex[1]) * dp))
+
+
+@jit
+def _across(surfaces: Surfaces, corner: NDArray[np.int64], normal: NDArray[np.float64], flat: int) -> float:
+    """The square of the cosine between a face's normal and the rim on it, where a plane meets the field."""
+    i, j, k = corner[0], corner[1], corner[2] - surfaces.shape[3]
+    i, j = min(i, surfaces.field.shape[2] - 2), min(j, surfaces.field.shape[1] - 2)
+    k = min(k, surfaces.field.shape[0] - 2)
+    at = np.float64(surfaces.field[k, j, i])
+    x, y, z = surfaces.field[k, j, i + 1] - at, surfaces.field[k, j + 1, i] - at, surfaces.field[k + 1, j, i] - at
+    rim = (
+        normal[1] * z - normal[2] * y,
+        normal[2] * x - normal[0] * z,
+        normal[0] * y - normal[1] * x,
+    )
+    length2 = rim[0] * rim[0] + rim[1] * rim[1] + rim[2] * rim[2]
+    return float(rim[flat] * rim[flat] / length2) if length2 > 0.0 else 0.0
+
+
+@jit
 def meeting_point(
     a: int, b: int, cube: NDArray[np.int64], placed: Placed, surfaces: Surfaces, point: NDArray[np.float64]
 ) -> int:
@@ -144,8 +187,10 @@ def meeting_point(
 
     Nor do they where the surface passes through the face twice, or where polygons in one of both cubes at the face
     would not be apart with that point, by `Surfaces.planes`.
-    Faces are numbered 2 * axis + side within their cube; here the side is left out.
+    Faces are numbered 2 * axis + side within their cube; here the side is left out. The fourth element of `point` gets
+    the volume that belongs to the rim beyond the face, of which the mesh has none, in voxels.
     """
+    point[3] = 0.0
     vertices, edge, on, triangle = placed.vertices, placed.edge, placed.on, placed.triangle
     origin, spacing, shape, normals = surfaces.origin, surfaces.spacing, surfaces.shape, surfaces.normals
     crossed, owners = surfaces.crossed, surfaces.owners
@@ -250,6 +295,10 @@ def meeting_point(
                 if not found and abs(at_end) < best:
                     best = abs(at_end)
                     at_p, at_q = ep, eq
+                    if at_end < 0.0 and on[other] == DOMAIN and triangle[other] >= 0:
+                        vertex = (up, uq) if other == b else (vp, vq)
+                        lost = _lost_beyond(patch, vertex, (sp, sq), (ep, eq), at_end)
+                        point[3] = lost * _across(surfaces, corner, normals[triangle[other]], flat)
                 continue
             low, high, f_low, f_high = 0.0, 1.0, at_start, at_end
             t = 0.5
@@ -265,6 +314,7 @@ def meeting_point(
                     high, f_high = t, value
                     f_low *= 0.5
             found = True
+            point[3] = 0.0
             at_p, at_q = sp + t * (ep - sp), sq + t * (eq - sq)
             break
         if not found and not best < np.inf:

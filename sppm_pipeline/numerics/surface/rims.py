@@ -45,12 +45,18 @@ class Split(NamedTuple):
     points : (n, 3) float64
     keys : (n,) int64
         Points with equal keys are one: each cube at a face has its own.
+    losers : (k,) int32
+        Vertices beside rims beyond which a volume is lost, one for each point of a cube where that is so.
+    lost : (k,) float64
+        These volumes, voxels.
     """
 
     faces: NDArray[np.int32]
     on: NDArray[np.uint8]
     points: NDArray[np.float64]
     keys: NDArray[np.int64]
+    losers: NDArray[np.int32]
+    lost: NDArray[np.float64]
 
 
 class _Polygon(NamedTuple):
@@ -79,15 +85,17 @@ class _Polygon(NamedTuple):
 
 
 class _Out(NamedTuple):
-    """Where triangles, what they lie on, rim points and their keys are written."""
+    """Where triangles, what they lie on, rim points, their keys, and lost volumes with their vertices are written."""
 
     faces: NDArray[np.int32]
     on: NDArray[np.uint8]
     points: NDArray[np.float64]
     keys: NDArray[np.int64]
+    losers: NDArray[np.int32]
+    lost: NDArray[np.float64]
 
 
-def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Samples, numbered: int) -> Split:
+def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Samples) -> Split:
     """Cut triangles where they pass from one surface to another.
 
     Parameters
@@ -100,8 +108,6 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
         All vertices of these faces.
     samples : Samples
         All planes at the cubes of these faces.
-    numbered : int
-        How many points there are already.
     """
     grid, crossings = samples.grid, samples.crossings
     mixed = np.zeros(len(faces), np.bool_)
@@ -112,6 +118,8 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
         np.empty(room, np.uint8),
         np.empty((6 * n_mixed, 3)),
         np.empty(6 * n_mixed, np.int64),
+        np.empty(6 * n_mixed, np.int32),
+        np.empty(6 * n_mixed),
     )
     surfaces = Surfaces(
         samples.field,
@@ -134,8 +142,15 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
         np.empty((_MOST, 3), np.int64),
         np.empty(_MOST, np.uint8),
     )
-    m, n = _split(faces, mixed, first, numbered, placed, surfaces, polygon, out)
-    return Split(out.faces[:m], out.on[:m], out.points[:n].copy(), out.keys[:n].copy())
+    m, n, k = _split(faces, mixed, first, placed, surfaces, polygon, out)
+    return Split(
+        out.faces[:m],
+        out.on[:m],
+        out.points[:n].copy(),
+        out.keys[:n].copy(),
+        out.losers[:k].copy(),
+        out.lost[:k].copy(),
+    )
 
 
 @jit
@@ -317,19 +332,19 @@ def _split(
     faces: NDArray[np.int32],
     mixed: NDArray[np.bool_],
     first: int,
-    numbered: int,
     placed: Placed,
     surfaces: Surfaces,
     polygon: _Polygon,
     out: _Out,
-) -> tuple[int, int]:
-    """Write the triangles and rim points, and return their numbers."""
+) -> tuple[int, int, int]:
+    """Write the triangles, rim points and losses, and return their numbers."""
     edge, on = placed.edge, placed.on
     origin, spacing, nx, ny = surfaces.origin, surfaces.spacing, surfaces.shape[0], surfaces.shape[1]
     ids, places, is_rim = polygon.ids, polygon.places, polygon.is_rim
     m = int(np.int64(0))
     n = int(np.int64(0))
-    node, corner, cube, point = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3)
+    losses = int(np.int64(0))
+    node, corner, cube, point = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64), np.empty(4)
     starts, ends = np.empty(64, np.int32), np.empty(64, np.int32)
     f = int(np.int64(0))
     following_mixed = int(np.int64(0))
@@ -384,12 +399,16 @@ def _split(
                 size += 1
                 flat = meeting_point(here - first, following - first, cube, placed, surfaces, point)
                 if flat >= 0:
-                    ids[size], is_rim[size] = -1 - (numbered + n), True
+                    ids[size], is_rim[size] = -1 - n, True
                     polygon.masks[size] = 1 << (2 * flat + int(node[flat] > cube[flat]))
                     out.keys[n] = np.int64(min(here, following)) << 31 | np.int64(max(here, following))
                     for a in range(3):
                         places[size, a] = point[a]
                         out.points[n, a] = point[a]
+                    if point[3] > 0.0:
+                        out.losers[losses] = here if on[here - first] == FIELD else following
+                        out.lost[losses] = 0.5 * point[3]  # the cube at the other side of the face has the same
+                        losses += 1
                     size += 1
                     rims += 1
                     n += 1
@@ -425,7 +444,7 @@ def _split(
                 out.points[n, a] = point[a]
             # a cube has up to four polygons
             out.keys[n] = _CENTER + 4 * ((cube[2] * ny + cube[1]) * nx + cube[0]) + polygons - 1
-            center = -1 - (numbered + n)
+            center = -1 - n
             n += 1
             for s in range(size):
                 t = (s + 1) % size
@@ -433,4 +452,4 @@ def _split(
                 out.on[m] = on[(ids[t] if is_rim[s] else ids[s]) - first]
                 m += 1
         f = stop
-    return m, n
+    return m, n, losses

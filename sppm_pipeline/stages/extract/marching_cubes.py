@@ -23,9 +23,13 @@ from sppm_pipeline.fields.field_surface import (
     node_grid,
     voxels_along_edge,
 )
+from sppm_pipeline.fields.mesh_store import MeshStore
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
+
+MEMORY_SHARE = 4
+"""A mesh larger than this fraction of the memory to plan with goes into temporary files; a choice."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +43,7 @@ class MarchingCubes(Stage):
 
     name: ClassVar[str] = "extract.marching_cubes"
     advice: ClassVar[str] = "lower `resolution`, or slice without a mesh (`slice.field`)"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
 
     resolution: int | None = options.resolution(
         None, note="32 if `voxel` is not given either", minimum=MIN_VOXELS, maximum=MAX_VOXELS
@@ -77,10 +81,10 @@ class MarchingCubes(Stage):
         scale = field.edge_mm if field.edge_mm is not None else 1.0
         if self.backend == "reference":
             vertices, faces, findings = _by_reference(surface, context)
+            vertices *= scale
+            vertices += np.array(field.origin_mm)
         else:
-            vertices, faces, findings = surface.mesh(
-                context.threads, lambda done, of: context.progress(done, of, "planes")
-            )
+            vertices, faces, findings = _streamed(surface, context, scale, field.origin_mm)
         context.report(resolution=n, voxel=scale / n, **findings)
         if not len(faces):
             raise DesignError(
@@ -89,11 +93,28 @@ class MarchingCubes(Stage):
             )
         if self.caps and not balanced_edges(faces):
             raise ValueError("the mesh is not closed")
-        vertices *= scale
-        vertices += np.array(field.origin_mm)
         if field.edge_mm is None:
             context.warn("the cell has no physical size: one cell size is written as 1 mm")
         return SurfaceMesh(vertices, faces, name="surface")
+
+
+def _streamed(
+    surface: FieldSurface, context: Context, scale: float, origin: tuple[float, float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
+    """The mesh in mm; one that takes more than a share of the memory lies in files."""
+    stream = surface.stream(context.threads, lambda done, of: context.progress(done, of, "planes"))
+    store: MeshStore | None = None
+    for piece in stream:
+        if store is None:  # what to expect is known once the first piece is there
+            store = MeshStore(context.memory // MEMORY_SHARE, context.scratch(), stream.expected)
+        vertices = piece.vertices  # pieces that are done belong to whoever takes them
+        vertices *= scale
+        vertices += np.array(origin)
+        store.add(vertices, piece.faces)
+    if store is None:
+        return np.empty((0, 3)), np.empty((0, 3), np.int32), stream.findings
+    vertices, faces = store.finish(stream.points * scale + np.array(origin))
+    return vertices, faces, stream.findings
 
 
 def _by_reference(

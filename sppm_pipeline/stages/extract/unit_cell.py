@@ -35,7 +35,7 @@ class UnitCell(Stage):
     """
 
     name: ClassVar[str] = "extract.unit_cell"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     resolution: int = options.resolution(32, minimum=4)
     islands: str = options.islands("remove")

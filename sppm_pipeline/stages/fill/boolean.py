@@ -43,7 +43,7 @@ class BooleanFill(Stage):
 
     name: ClassVar[str] = "fill.boolean"
     advice: ClassVar[str] = "lower `resolution`, or use `fill.implicit`, which needs no mesh"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     resolution: int | None = options.resolution(
         None, note="32 if `voxel` is not given either", minimum=MIN_VOXELS, maximum=MAX_VOXELS

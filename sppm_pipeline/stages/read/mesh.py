@@ -107,7 +107,8 @@ class ReadMesh(Stage):
         from sppm_pipeline.numerics.surface.rotation import rotated, rotation, upright
 
         file = decode_mesh_file(content_of(self.path, LARGEST_FILE), self.path.name)
-        faces = file.faces
+        faces = file.faces.astype(np.int32)
+        file = file._replace(faces=np.empty((0, 3), np.int64))  # half of the memory is freed
         mm = UNITS_IN_MM[self.unit] if self.unit is not None else file.mm
         if file.unit is not None and mm != file.mm:
             context.warn(f"{self.path.name} states its unit as {file.unit}; `unit: {self.unit}` is taken instead")
@@ -160,7 +161,7 @@ class ReadMesh(Stage):
             )
         if file.groups:
             context.report(groups=list(dict.fromkeys(name for name, _, _ in file.groups))[:LISTED_GROUPS])
-        return SurfaceMesh(vertices, faces.astype(np.int32), self.path.name, file.groups)
+        return SurfaceMesh(vertices, faces, self.path.name, file.groups)
 
 
 def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:
@@ -184,7 +185,7 @@ def _sides(extent: NDArray[np.float64]) -> str:
 
 
 def _box(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], name: str
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Low and high corner of the triangles.
 

@@ -1,5 +1,8 @@
 """Meshes of cells, tilings and parts: closed, oriented, of the right volume."""
 
+import hashlib
+import importlib
+
 import numpy as np
 import pytest
 
@@ -9,7 +12,10 @@ from sppm_pipeline.fields import field_surface
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.numerics.meshcheck.measures import components, measure_surface
+from sppm_pipeline.numerics.paging import mapping_of
+from sppm_pipeline.stages.extract import marching_cubes
 from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
+from sppm_pipeline.stages.write.mesh import ENCODERS
 from sppm_pipeline.testing.plain_context import PlainContext
 
 
@@ -156,3 +162,24 @@ def test_progress_reaches_its_end(wang_tiling):
     done, total, what = context.progress_calls[-1]
     assert done == total == 3 * 24 + 1
     assert what == "planes"
+
+
+def test_a_mesh_in_files_is_the_mesh_in_memory(wang_tiling, ball, monkeypatch):
+    part = Part(wang_tiling, ball, 0.4)
+    in_memory, found, _ = mesh(part, resolution=12)
+    monkeypatch.setattr(marching_cubes, "MEMORY_SHARE", 2**40)
+    monkeypatch.setattr(field_surface, "SLAB_SAMPLES", 5000)
+    monkeypatch.setattr(field_surface, "PIECE_SAMPLES", 2000)
+    in_files, _, _ = mesh(part, resolution=12)
+    assert found.edges.closed
+    assert mapping_of(in_files.vertices) is not None
+    assert mapping_of(in_memory.vertices) is None
+    assert in_files.digest() == in_memory.digest()
+    assert in_files.summary() == in_memory.summary()
+    for module in ENCODERS.values():
+        encode = importlib.import_module(f"sppm_pipeline.formats.{module}").encode
+        one, other = (
+            hashlib.sha256(b"".join(bytes(piece) for piece in encode(made.vertices, made.faces))).hexdigest()
+            for made in (in_memory, in_files)
+        )
+        assert one == other

@@ -1,0 +1,148 @@
+"""A mesh that comes in pieces, as whoever extracts one yields it, and the points on its rims."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.numerics.compiled import jit
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.surface.rims import Split
+
+
+class MeshPiece(NamedTuple):
+    """Some vertices and triangles of a mesh.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64
+        Those that follow upon those of the pieces before; valid until the next piece is asked for.
+    faces : (m, 3) int32
+        With corners in this piece and those before, by their numbers in the whole mesh. Negative numbers -1 - p stand
+        for point p of those on rims, which come behind all other vertices.
+    kinds : (m,) uint8
+        What each face lies on, or without elements.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    kinds: NDArray[np.uint8]
+
+
+class Source(Protocol):
+    """What a mesh is extracted from."""
+
+    @property
+    def expected(self) -> tuple[int, int]:
+        """About how many vertices and triangles there will be; zeros if that is not known."""
+
+    @property
+    def findings(self) -> dict[str, Any]:
+        """What was removed."""
+
+
+class MeshStream:
+    """A mesh, to be read once.
+
+    Parameters
+    ----------
+    pieces : iterator of MeshPiece
+    rims : RimPoints
+        Gets the points of the pieces.
+    source : Source
+    """
+
+    def __init__(self, pieces: Iterator[MeshPiece], rims: RimPoints, source: Source) -> None:
+        self._pieces = pieces
+        self._rims = rims
+        self._source = source
+
+    def __iter__(self) -> Iterator[MeshPiece]:
+        return self._pieces
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """The points on rims that the pieces so far have, (k, 3)."""
+        return self._rims.points
+
+    @property
+    def expected(self) -> tuple[int, int]:
+        """About how many vertices and triangles there will be; zeros if that is not known."""
+        return self._source.expected
+
+    @property
+    def findings(self) -> dict[str, Any]:
+        """What was removed."""
+        return self._source.findings
+
+
+class RimPoints:
+    """Points on the rims of a mesh, numbered in the order of their first use.
+
+    A point in the face between two cubes is found from both; those of two pieces meet in the plane between them, so
+    the keys of the piece before are all that has to be remembered.
+    """
+
+    def __init__(self) -> None:
+        self._room = np.empty((0, 3))
+        self._count = 0
+        self._keys = np.empty(0, np.int64)  # of the piece before
+        self._numbers = np.empty(0, np.int64)
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """All points so far, (k, 3)."""
+        return self._room[: self._count]
+
+    def numbered(self, split: Split) -> NDArray[np.int32]:
+        """Keep the new points of a piece; its faces, with negative numbers -1 - p for points[p]."""
+        if not len(split.points):
+            self._keys, self._numbers = np.empty(0, np.int64), np.empty(0, np.int64)
+            return split.faces
+        known = len(self._keys)
+        keys, first, of_key = np.unique(
+            np.concatenate([self._keys, split.keys]), return_index=True, return_inverse=True
+        )
+        new = np.flatnonzero(first >= known)
+        new = new[np.argsort(first[new])]  # by their first use
+        numbers = np.empty(len(keys), np.int64)
+        old = first < known
+        numbers[old] = self._numbers[first[old]]
+        numbers[new] = self._count + np.arange(len(new))
+        self._append(split.points[first[new] - known])
+        used = of_key.reshape(-1)[known:]
+        renumber_points(split.faces, numbers[used])
+        here = np.unique(used)
+        self._keys, self._numbers = keys[here], numbers[here]
+        return split.faces
+
+    def _append(self, points: NDArray[np.float64]) -> None:
+        total = self._count + len(points)
+        if total > len(self._room):
+            grown = np.empty((2 * total, 3))
+            grown[: self._count] = self.points
+            self._room = grown
+        self._room[self._count : total] = points
+        self._count = total
+
+
+@jit
+def renumber_points(faces: NDArray[np.int32], numbers: NDArray[np.int64]) -> None:
+    """Put -1 - numbers[p] in place of each -1 - p, in place."""
+    for f in range(faces.shape[0]):
+        for c in range(3):
+            if faces[f, c] < 0:
+                faces[f, c] = -1 - numbers[-1 - faces[f, c]]
+
+
+@jit
+def number_points(faces: NDArray[np.int32], first: int) -> None:
+    """Put vertex number first + p in place of each -1 - p, in place."""
+    for f in range(faces.shape[0]):
+        for c in range(3):
+            if faces[f, c] < 0:
+                faces[f, c] = first + (-1 - faces[f, c])
