@@ -134,3 +134,18 @@ def nearest_to_all(
         ) / det
     for a in range(3):
         middle[a] += x[a]
+
+
+@jit
+def mean_slope(values: NDArray[np.float32], i: int, j: int, k: int, a: int) -> float:
+    """Mean difference of samples along an axis of a cube, times 4."""
+    slope = 0.0
+    for c in range(4):
+        e, g = c & 1, c >> 1
+        if a == 0:
+            slope += np.float64(values[k + g, j + e, i + 1]) - values[k + g, j + e, i]
+        elif a == 1:
+            slope += np.float64(values[k + g, j + 1, i + e]) - values[k + g, j, i + e]
+        else:
+            slope += np.float64(values[k + 1, j + g, i + e]) - values[k, j + g, i + e]
+    return slope

@@ -26,7 +26,7 @@ from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.surface.marching_cubes import EDGE_MARGIN
 from sppm_pipeline.numerics.surface.marching_tables import separations
 from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, SKIN, Placed, Samples
-from sppm_pipeline.numerics.surface.polygons import crossing, fans_from_ends, nearest_to_all
+from sppm_pipeline.numerics.surface.polygons import crossing, fans_from_ends, mean_slope, nearest_to_all
 from sppm_pipeline.numerics.surface.rim_points import SHARP, Surfaces, edge_node, meeting_point
 
 _CENTER = np.int64(1) << np.int64(62)
@@ -268,21 +268,6 @@ def _cut_in_two(polygon: _Polygon, size: int, rims: int, on: NDArray[np.uint8], 
 
 
 @jit
-def _slope(values: NDArray[np.float32], i: int, j: int, k: int, a: int) -> float:
-    """Mean difference of samples along an axis of a cube, times 4."""
-    slope = 0.0
-    for c in range(4):
-        e, g = c & 1, c >> 1
-        if a == 0:
-            slope += np.float64(values[k + g, j + e, i + 1]) - values[k + g, j + e, i]
-        elif a == 1:
-            slope += np.float64(values[k + g, j + 1, i + e]) - values[k + g, j, i + e]
-        else:
-            slope += np.float64(values[k + 1, j + g, i + e]) - values[k, j + g, i + e]
-    return slope
-
-
-@jit
 def _move_to_corner(
     polygon: _Polygon,
     size: int,
@@ -316,7 +301,7 @@ def _move_to_corner(
         else:
             values = surfaces.field if on[v] == FIELD else (surfaces.skin if on[v] == SKIN else surfaces.domain)
             for a in range(3):
-                plane_normals[planes, a] = _slope(values, i, j, k, a) / spacing[a]
+                plane_normals[planes, a] = mean_slope(values, i, j, k, a) / spacing[a]
                 length2 += plane_normals[planes, a] ** 2
         if length2 > 0.0:
             for a in range(3):
