@@ -17,9 +17,6 @@ from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.fields.warped import WarpedTiling
-from sppm_pipeline.fields.warped_field import WarpedField
-from sppm_pipeline.fields.wrapped import WrappedField
 from sppm_pipeline.numerics.grading.bricks import cubic_in_layers, linear_in_layers
 from sppm_pipeline.numerics.grading.cell_level import (
     CellLevelFit,
@@ -47,13 +44,6 @@ MOST_CONTROL = 2**24
 
 SLAB, AT_ONCE = 1 << 23, 1 << 21
 """Samples of the field, and points in cells, that are taken together."""
-
-
-def curved_cells_of(field: ScalarField) -> CurvedCells | None:
-    """The bent cells of a field, of a part filled with it, or of a field made from it; None of others."""
-    while isinstance(field, WrappedField):
-        field = field.base
-    return field.curved if isinstance(field, (WarpedTiling, WarpedField)) else None
 
 
 def curved_targets(grading: Grading, name: str, curved: CurvedCells) -> NDArray[np.float64]:

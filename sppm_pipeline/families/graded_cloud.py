@@ -22,7 +22,6 @@ from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.grading.curve import PorosityCurve
-from sppm_pipeline.numerics.sampling.graded_blocks import NODES
 from sppm_pipeline.stage import Context, Recipe
 
 STEEP = 1.0
@@ -150,6 +149,8 @@ class GradedCloud:
         Maps are asked for at nodes of cells that the part touches. Beyond these they go on as in the nearest ones, node
         by node; nodes far from all have the value of any.
         """
+        from sppm_pipeline.numerics.sampling.graded_blocks import NODES
+
         grid = tuple(NODES * n + 1 for n in self.mask.shape)
         known = np.zeros(grid, bool)
         for x, y, z in (NODES * np.argwhere(self.filled)).tolist():
@@ -292,6 +293,8 @@ class GradedCloud:
         return keep, added
 
     def _warn_of_steepness(self, context: Context, density: NDArray[np.float64], total: int) -> None:
+        from sppm_pipeline.numerics.sampling.graded_blocks import NODES
+
         steepest = 0.0
         for axis in range(3):
             for near, far in zip(np.moveaxis(density, axis, 0)[:-1], np.moveaxis(density, axis, 0)[1:], strict=True):

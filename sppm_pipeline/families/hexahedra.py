@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sppm_pipeline.data.curved_cells import HexahedralCells
 from sppm_pipeline.data.length import UNITS_IN_MM
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.formats.hexahedra_file import READERS, Hexahedra
-from sppm_pipeline.numerics.grading.hexahedral_mesh import HexahedralMesh, checked_mesh, split
 from sppm_pipeline.stage import Context
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.grading.hexahedral_mesh import HexahedralMesh
 
 
 def check_path(path: Path) -> None:
@@ -26,6 +29,8 @@ def mesh_of(read: Hexahedra, path: Path, unit: str, context: Context | None = No
     InputError
         If elements do not fit together, naming one.
     """
+    from sppm_pipeline.numerics.grading.hexahedral_mesh import checked_mesh
+
     try:
         mesh = checked_mesh(read.points * UNITS_IN_MM[unit], read.elements)
     except ValueError as error:
@@ -42,5 +47,7 @@ def cells_of_mesh(
     read: Hexahedra, path: Path, unit: str, parts: int, context: Context | None = None
 ) -> HexahedralCells:
     """The hexahedra of a mesh as cells, each cut into `parts` along each axis."""
+    from sppm_pipeline.numerics.grading.hexahedral_mesh import split
+
     corners = mesh_of(read, path, unit, context).corners
     return HexahedralCells(split(corners, (parts,) * 3) if parts > 1 else corners, parts**3)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.fields.mesh_stream import MeshPiece, MeshStream, RimPoints, number_points
+from sppm_pipeline.fields.mesh_stream import MeshPiece, MeshStream, RimPoints
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.numerics.grid import Grid
@@ -181,6 +181,8 @@ class FieldSurface:
 
         vertices, faces = joined_mesh(meshes(), lambda: stream.expected)
         if len(stream.points):
+            from sppm_pipeline.numerics.surface.rim_points import number_points
+
             number_points(faces, len(vertices))
             count = len(vertices)
             vertices.resize((count + len(stream.points), 3), refcheck=False)

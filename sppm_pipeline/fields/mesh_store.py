@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ResourceError
-from sppm_pipeline.fields.mesh_stream import number_points
 
 BYTES = 24
 """Of a triangle with its half vertex, in memory or on the disk."""
@@ -82,6 +81,8 @@ class MeshStore:
             self._vertices.resize((self._n, 3), refcheck=False)
             self._faces.resize((self._m, 3), refcheck=False)
             if len(points):
+                from sppm_pipeline.numerics.surface.rim_points import number_points
+
                 number_points(self._faces, first)
             return self._vertices, self._faces
         if len(points):
@@ -100,6 +101,8 @@ class MeshStore:
         self._vertices, self._faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
 
     def _number_in_file(self, first: int) -> None:
+        from sppm_pipeline.numerics.surface.rim_points import number_points
+
         assert self._files is not None
         file = self._files[1]
         for row in range(0, self._m, _ROWS):

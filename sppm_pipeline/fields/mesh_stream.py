@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import jit
-
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.surface.rims import Split
 
@@ -114,6 +112,8 @@ class RimPoints:
         numbers[old] = self._numbers[first[old]]
         numbers[new] = self._count + np.arange(len(new))
         self._append(split.points[first[new] - known])
+        from sppm_pipeline.numerics.surface.rim_points import renumber_points
+
         used = of_key.reshape(-1)[known:]
         renumber_points(split.faces, numbers[used])
         here = np.unique(used)
@@ -128,21 +128,3 @@ class RimPoints:
             self._room = grown
         self._room[self._count : total] = points
         self._count = total
-
-
-@jit
-def renumber_points(faces: NDArray[np.int32], numbers: NDArray[np.int64]) -> None:
-    """Put -1 - numbers[p] in place of each -1 - p, in place."""
-    for f in range(faces.shape[0]):
-        for c in range(3):
-            if faces[f, c] < 0:
-                faces[f, c] = -1 - numbers[-1 - faces[f, c]]
-
-
-@jit
-def number_points(faces: NDArray[np.int32], first: int) -> None:
-    """Put vertex number first + p in place of each -1 - p, in place."""
-    for f in range(faces.shape[0]):
-        for c in range(3):
-            if faces[f, c] < 0:
-                faces[f, c] = first + (-1 - faces[f, c])

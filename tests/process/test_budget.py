@@ -263,9 +263,9 @@ def test_stages_see_the_limit_of_the_run_and_homogenizers_keep_it(container, mon
     monkeypatch.setenv(budget.MEMORY, "500000000")
     context = PlainContext()
     assert context.memory_limit == context.memory == 500_000_000
-    voxels = Voxels(np.ones((110, 110, 110), np.uint8), (1.0,) * 3, True, (True,) * 3)
+    voxels = Voxels(np.ones((160, 160, 160), np.uint8), (1.0,) * 3, True, (True,) * 3)
     small = Voxels(np.ones((2, 2, 2), np.uint8), (1.0,) * 3, True, (True,) * 3)
-    with pytest.raises(ResourceError, match=r"homogenizing 110 x 110 x 110 voxels .*--memory allows 0\.5 GB"):
+    with pytest.raises(ResourceError, match=r"homogenizing 160 x 160 x 160 voxels .*--memory allows 0\.5 GB"):
         HomogenizeVoxel(precision="double").cell_of(context, voxels)
     assert HomogenizeVoxel().cell_of(context, small).shape == (2, 2, 2)
 

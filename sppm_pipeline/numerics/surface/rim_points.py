@@ -333,3 +333,21 @@ def meeting_point(
     point[p] = origin[p] + (corner[p] + at_p) * spacing[p]
     point[q] = origin[q] + (corner[q] + at_q) * spacing[q]
     return flat
+
+
+@jit
+def renumber_points(faces: NDArray[np.int32], numbers: NDArray[np.int64]) -> None:
+    """Put -1 - numbers[p] in place of each -1 - p, in place."""
+    for f in range(faces.shape[0]):
+        for c in range(3):
+            if faces[f, c] < 0:
+                faces[f, c] = -1 - numbers[-1 - faces[f, c]]
+
+
+@jit
+def number_points(faces: NDArray[np.int32], first: int) -> None:
+    """Put vertex number first + p in place of each -1 - p, in place."""
+    for f in range(faces.shape[0]):
+        for c in range(3):
+            if faces[f, c] < 0:
+                faces[f, c] = first + (-1 - faces[f, c])

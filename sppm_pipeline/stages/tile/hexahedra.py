@@ -14,7 +14,6 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
 from sppm_pipeline.families.graded import trial
 from sppm_pipeline.families.hexahedra import cells_of_mesh, check_path
-from sppm_pipeline.families.hexahedral_cloud import HexahedralCloud
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.formats.hexahedra_file import read_hexahedra
 from sppm_pipeline.stage import Context, Recipe, Stage, option
@@ -86,6 +85,8 @@ class HexahedralTiling(Stage):
                 raise ConfigError(
                     "the porosity is given twice, by a map and by the option", hint="leave out `porosity`"
                 )
+        from sppm_pipeline.families.hexahedral_cloud import HexahedralCloud
+
         read = read_hexahedra(self.path)
         curved = cells_of_mesh(read, self.path, self.unit, self.parts, context)
         context.report(

@@ -515,9 +515,24 @@ def test_who_knows_nothing_of_stretched_pores_refuses_them(upwards):
         GradedTiling(cells=(2, 1, 1), cell=Length(4, "mm")).run(
             PlainContext(1), recipe_of(*GRADED), Grading((ramp("porosity", 0.4, 0.5, 2), *maps)), None
         )
-    with pytest.raises(ConfigError, match="can't be warped"):
-        WarpCylinder(inner_radius=Length(5, "mm")).run(PlainContext(1), upwards)
     assert _tiles(upwards.tileset) == []
+
+
+def test_stretched_pores_are_bent_as_they_are(upwards):
+    """Not mapped and made anew as round ones: what was solid in the box is solid in the wall of the tube."""
+    bend = WarpCylinder(inner_radius=Length(50, "mm"), around=10.0)
+    with pytest.raises(ConfigError, match="has no sizes that could stay"):
+        replace(bend, sizes="fixed").run(PlainContext(1), upwards)
+    bent, edge = bend.run(PlainContext(1), upwards), upwards.physical_edge()
+
+    def solid(field, points):
+        return [field.solid(Grid(tuple(point), (1.0,) * 3, (1, 1, 1))).item() for point in points.tolist()]
+
+    places = np.random.default_rng(4).uniform(0.2, 0.8, (150, 3)) * upwards.cells
+    there = (bend.mapped(upwards, places).points - bent.origin_mm) / bent.physical_edge()
+    before = solid(upwards, places - np.array(upwards.origin_mm) / edge)
+    assert 30 < sum(before) < 120
+    assert np.mean(np.array(before) == solid(bent, there)) > 0.98
 
 
 def test_a_steep_scale_keeps_the_porosity_without_a_map_of_it():
