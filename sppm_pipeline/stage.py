@@ -233,6 +233,18 @@ class Context(ABC):
 
         return ordered_map(functools.partial(function, common), items, self.threads)
 
+    def worth_workers(self, samples: float) -> bool:
+        """Whether so many samples are worth handing to workers; False without workers.
+
+        Results must not depend on it. Ask once the work is certain to be done: the user is told if workers stay out.
+
+        Parameters
+        ----------
+        samples : float
+            Of a field or mesh, all that `map` would evaluate.
+        """
+        return self.workers > 0
+
     def shared_folder(self) -> Path | None:
         """A new empty folder that this process and all workers see, gone after the run; None without workers."""
         return None

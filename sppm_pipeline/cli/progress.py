@@ -128,6 +128,10 @@ class ProgressLines(Waiting):
         """See `Monitor`."""
         self.note(f"works on {about}")
 
+    def crew_left_out(self, why: str) -> None:
+        """See `Monitor`."""
+        self.note(f"this process goes on alone: {why}; --executor processes takes them all the same")
+
     def row_finished(self, done: int, total: int, row: Mapping[str, Any]) -> None:
         """See `Monitor`."""
         values = ", ".join(f"{name}={value}" for name, value in row["params"].items())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Mapping, Sequence
@@ -35,7 +36,7 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="run directory; runs/<name> if omitted")
     parser.add_argument("--until", metavar="ID", help="stop after this stage")
     parser.add_argument(
-        "-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep, or workers of a single run"
+        "-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep, or workers of a long single run"
     )
     parser.add_argument(
         "--threads", type=_count, metavar="N", help="threads in all; the number of processors if omitted"
@@ -84,14 +85,19 @@ def _execute(args: Namespace) -> int:
         return check.execute(args)
     from sppm_pipeline.cli.kernels import compiling_ahead
     from sppm_pipeline.engine.cache.housekeeping import open_store
+    from sppm_pipeline.engine.plan.estimate import estimate_plan
     from sppm_pipeline.engine.plan.session import checked, refuse_unfit
+    from sppm_pipeline.engine.run.crew import fewest_samples
     from sppm_pipeline.engine.run.executors import default_executor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
     session = open_from(args)
     plan, rows = checked(session, args.until)
     path = args.output or Path("runs") / plan.name
-    crew = args.jobs if (args.executor or default_executor(args.jobs)) == "processes" else 0
+    alone = args.jobs == 1 or rows
+    fewest = 0.0 if alone else fewest_samples(args.executor, estimate_plan(plan, until=args.until))
+    local = (args.executor or default_executor(args.jobs)) == "processes" and fewest < math.inf
+    crew = args.jobs if local else 0
     refuse_unfit(session, plan, rows, path, workers=args.jobs, crew=crew, until=args.until)
     threads = args.threads or available_threads()
     cache = cache_of(args)
@@ -108,7 +114,7 @@ def _execute(args: Namespace) -> int:
                 monitor=monitor,
                 store=open_store(cache) if cache is not None else None,
                 about=str(session.configuration.file.absolute()),
-                crew=_crew(args, session, path, threads, cache, monitor),
+                crew=_crew(args, session, path, threads, cache, monitor, fewest),
             )
         else:
             from sppm_pipeline.engine.run.sweep import run_sweep
@@ -167,7 +173,13 @@ def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
 
 
 def _crew(
-    args: Namespace, session: Session, path: Path, threads: int, cache: Path | None, monitor: Waiting
+    args: Namespace,
+    session: Session,
+    path: Path,
+    threads: int,
+    cache: Path | None,
+    monitor: Waiting,
+    fewest: float,
 ) -> Crew | None:
     """The workers of a single run, if it is to have any; started when a stage asks for them."""
     from sppm_pipeline.engine.run.crew import Crew
@@ -186,6 +198,7 @@ def _crew(
         retries=args.retries,
         same_processor=args.same_processor,
         monitor=monitor,
+        fewest=fewest,
     )
 
 

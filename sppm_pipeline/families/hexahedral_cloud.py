@@ -24,7 +24,6 @@ from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.warped import LaidGraph, WarpedTiling, cloud, laid_graph
 from sppm_pipeline.numerics.grading.curve import PorosityCurve
-from sppm_pipeline.numerics.sampling.curved_darts import GrowingCloud
 from sppm_pipeline.stage import Context, Recipe
 
 RIM = 0.75
@@ -91,6 +90,8 @@ def with_darts_in_cells(
     DesignError
         If the pores of a cell do not fit.
     """
+    from sppm_pipeline.numerics.sampling.curved_darts import GrowingCloud
+
     if len(base.centers):
         raise ConfigError(
             "cells of a mesh are filled by one sampler",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable, Collection, Iterator
 from typing import Any, NamedTuple, Protocol
@@ -80,7 +81,7 @@ def divides(context: Context, stack: SliceStack, writer: Encoder) -> bool:
     except NotStorable as error:
         context.warn(f"one process makes all layers, as workers can't be handed {error}")
         return False
-    return True
+    return context.worth_workers(math.prod(stack.samples.shape))
 
 
 class DividedLayers:

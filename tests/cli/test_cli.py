@@ -15,6 +15,7 @@ import pytest
 import sppm_pipeline
 from sppm_pipeline.cli.main import EXIT_CODES, VERBS, main
 from sppm_pipeline.engine.plan.session import find_configuration
+from sppm_pipeline.engine.run import crew
 from sppm_pipeline.errors import (
     ConfigError,
     DesignError,
@@ -25,6 +26,7 @@ from sppm_pipeline.errors import (
     SppmError,
     WiringError,
 )
+from sppm_pipeline.stage import Stage
 
 SYNTHETIC = str(Path(sppm_pipeline.__file__).parent / "testing" / "synthetic.py")
 
@@ -163,18 +165,51 @@ def test_a_single_run_has_workers(here, capsys):
         "  - {stage: slice.mesh, pixel: 0.1 mm}\n  - {stage: write.png, path: slices}\n"
     )
     assert sppm("run", "layers.yaml", "-o", "one", "--no-cache") == 0
-    assert sppm("run", "layers.yaml", "-o", "crew", "--no-cache", "-j", "2") == 0
+    assert "goes on alone" not in capsys.readouterr().err
+    assert sppm("run", "layers.yaml", "-o", "few", "--no-cache", "-j", "2") == 0  # not worth it
+    err = capsys.readouterr().err
+    assert "works on" not in err
+    assert err.count("sppm: this process goes on alone: its work is too little for processes of their own") == 1
+    assert sppm("run", "layers.yaml", "-o", "crew", "--no-cache", "-j", "2", "--executor", "processes") == 0
     err = capsys.readouterr().err
     assert err.count("sppm: works on 2 processes") == 1
-    one, crew = (
+    assert "goes on alone" not in err
+    one, few, workers = (
         {file.name: file.read_bytes() for file in (here / to).rglob("*") if file.is_file() and file.name != "run.json"}
-        for to in ("one", "crew")
+        for to in ("one", "few", "crew")
     )
-    assert one == crew
+    assert one == few == workers
     assert len(one) == 20 + 3  # manifest.json, the overview, SHA256SUMS
     assert sppm("run", "layers.yaml", "--executor", "proceses") == 2
     assert "there is no executor 'proceses'" in capsys.readouterr().err
     assert sppm("run", "layers.yaml", "--executor", "threads:there") == 2
+
+
+def test_processes_that_nobody_named_are_for_work_that_is_worth_it(here, capsys, monkeypatch):
+    """By predicted seconds, or by samples where these are unknown; stages without layers have no say."""
+    layers = (
+        "sppm: 1\npipeline:\n  - {stage: read.primitive, shape: box, size: [2 mm, 2 mm, 2 mm]}\n"
+        "  - {stage: slice.mesh, pixel: 0.1 mm}\n  - {stage: write.png, path: slices}\n"
+    )
+    (here / "layers.yaml").write_text(layers)
+    (here / "plain.yaml").write_text(DESIGN)
+    words, at_work = "this process goes on alone", "works on 2 processes"
+
+    def said(file="layers.yaml", **constants):
+        with monkeypatch.context() as patch:
+            for name, value in constants.items():
+                patch.setattr(crew, name, value)
+            assert sppm("run", file, "--no-cache", "-j", "2") == 0
+        err = capsys.readouterr().err
+        return words in err, at_work in err
+
+    assert said() == (True, False)
+    assert said(WORTH_SECONDS=1e-3) == (False, True)
+    monkeypatch.setattr("sppm_pipeline.stages.slice.mesh.SliceMesh.estimate", Stage.estimate)
+    assert said(WORTH_SECONDS=1e-3) == (True, False)  # seconds are unknown, and samples are 8000
+    assert said(WORTH_SAMPLES=8001) == (True, False)
+    assert said(WORTH_SAMPLES=8000) == (False, True)
+    assert said("plain.yaml", WORTH_SAMPLES=8001) == (False, False)
 
 
 def test_a_sweep_with_failures(here, capsys):

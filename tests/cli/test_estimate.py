@@ -169,7 +169,7 @@ def test_too_little_memory_is_refused_before_any_work(here, capsys, verb):
 def test_each_worker_of_a_single_run_takes_memory_of_its_own(here, capsys):
     (here / "plate.yaml").write_text(PLATE)
     assert sppm("run", "plate.yaml", "-n") == 0
-    assert sppm("run", "plate.yaml", "--memory", "700M", "-j", "4") == 5
+    assert sppm("run", "plate.yaml", "--memory", "700M", "-j", "4", "--executor", "processes") == 5
     err = capsys.readouterr().err
     assert "stage 'write.png': about " in err
     assert "(4 workers and the program itself)" in err

@@ -84,6 +84,14 @@ class PlanEstimate:
         """On one core."""
         return self.program.seconds + sum(stage.cost.seconds for stage in self.stages if stage.cost)
 
+    @property
+    def handed_out(self) -> float | None:
+        """Seconds, of those, of stages that hand work to the workers of a run; None if any is unknown."""
+        handing = [stage for stage in self.stages if stage.step.stage.maps]
+        if any(stage.cost is None or stage.unknown for stage in handing):
+            return None
+        return math.fsum(stage.cost.seconds for stage in handing if stage.cost)
+
 
 def estimate_plan(plan: Plan, *, until: str | None = None, speed: Speed | None = None) -> PlanEstimate:
     """Estimate a plan without running it.

@@ -200,6 +200,12 @@ class RunContext(Context):
             return super().map(function, items, common)
         return self._crew.map(function, items, common)
 
+    def worth_workers(self, samples: float) -> bool:
+        """See `Context.worth_workers`."""
+        if self._crew is None:
+            return super().worth_workers(samples)
+        return self._crew.takes(samples)
+
     def shared_folder(self) -> Path | None:
         """See `Context.shared_folder`."""
         check()

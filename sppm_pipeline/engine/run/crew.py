@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import math
 import os
 import socket
 import sys
@@ -17,6 +18,7 @@ from typing import Any, NamedTuple
 
 from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value, save_value
 from sppm_pipeline.engine.files import DISK, clear
+from sppm_pipeline.engine.plan.estimate import PlanEstimate
 from sppm_pipeline.engine.plan.plugin_files import import_file, single_files
 from sppm_pipeline.engine.plan.plugins import Plugins
 from sppm_pipeline.engine.run.events import Monitor
@@ -31,6 +33,13 @@ HERE = ("serial", "threads")
 
 AHEAD = 2
 """Items in work or waiting for each worker, so that none waits for the next one; a choice."""
+
+WORTH_SECONDS = 10.0
+"""Seconds of one core that work must take by the table of rates to be worth processes of this machine. Each starts in
+one to three seconds, of which it computes nothing, and the threads of this process would share the work, too."""
+
+WORTH_SAMPLES = 1e9
+"""Samples that stand for these seconds where their cost is unknown: 3 s of the cheapest fields, minutes of others."""
 
 
 class Kept(NamedTuple):
@@ -92,6 +101,8 @@ class Crew:
     same_processor : bool
         Refuse workers on another kind of processor.
     monitor : Monitor, optional
+    fewest : float
+        Samples that are worth workers; see `fewest_samples`.
 
     Attributes
     ----------
@@ -114,6 +125,7 @@ class Crew:
         retries: int = 2,
         same_processor: bool = False,
         monitor: Monitor | None = None,
+        fewest: float = 0.0,
     ) -> None:
         self.workers = workers
         self.threads = max(1, threads // workers)
@@ -125,19 +137,29 @@ class Crew:
         self._retries = retries
         self._same_processor = same_processor
         self._monitor = monitor or Monitor()
+        self._fewest = fewest
         self._ending = contextlib.ExitStack()
         self._driver: Driver | None = None
         self._pool: Executor | None = None
         self._folder: Path | None = None
         self._kept: tuple[Any, Kept] | None = None
         self._folders = 0
-        self._announced = False
+        self._announced = self._declined = False
         self._said: set[str] = set()
 
     @staticmethod
     def wanted(executor: str | None, workers: int) -> bool:
         """Whether an executor has workers beside this process; makes no attempt to find it."""
         return (executor or default_executor(workers)).partition(":")[0] not in HERE
+
+    def takes(self, samples: float) -> bool:
+        """Whether workers are given work of so many samples; if they are not, the monitor is told, once."""
+        if samples >= self._fewest:
+            return True
+        if not self._declined:
+            self._declined = True
+            self._monitor.crew_left_out("its work is too little for processes of their own")
+        return False
 
     def folder(self) -> Path:
         """A new folder that all workers see, gone after the run.
@@ -291,6 +313,32 @@ class Crew:
                 raise ResourceError(f"can't write into {str(folder)!r}: {error.strerror}", hint=DISK) from error
             self._kept = (common, Kept(str(folder), tuple(files)))
         return self._kept[1]
+
+
+def fewest_samples(executor: str | None, estimate: PlanEstimate) -> float:
+    """How many samples of a stage are worth the workers of a run: a function of the configuration alone.
+
+    An executor that was named is used for all. Processes of this machine, which nobody named, are used if the stages
+    that hand out work take `WORTH_SECONDS` of one core together, by the table of rates and not by what the machine has
+    learned; if that is unknown, for stages with `WORTH_SAMPLES`.
+
+    Parameters
+    ----------
+    executor : str or None
+        As the user gave it.
+    estimate : PlanEstimate
+        Of the run.
+
+    Returns
+    -------
+    float
+        0 for all work, infinite for none.
+    """
+    if executor is not None:
+        return 0.0
+    if (seconds := estimate.handed_out) is None:
+        return WORTH_SAMPLES
+    return 0.0 if seconds >= WORTH_SECONDS else math.inf
 
 
 _END: Any = object()

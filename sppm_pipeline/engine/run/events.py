@@ -36,6 +36,9 @@ class Monitor:
     def crew_started(self, about: str) -> None:
         """Workers begin to do parts of a stage's work, at the place that their executor describes."""
 
+    def crew_left_out(self, why: str) -> None:
+        """Workers were allowed for, and this process does a stage's work itself; said once."""
+
     def row_finished(self, done: int, total: int, row: Mapping[str, Any]) -> None:
         """One run of a sweep ended, well or not."""
 
