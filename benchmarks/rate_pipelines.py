@@ -264,6 +264,16 @@ pipeline:
         {"n": (42, 42, 60, 72), "k": (8, 8, 12, 18), "h": (6, 6, 20, 12),
          "pixel": ("0.2 mm", "0.2 mm", "0.15 mm", "0.1 mm")},
     ),
+    "hexahedra": (
+        TILES + """
+  - {stage: read.hexahedra, path: $hexahedra, squares: $f}
+  - {stage: tile.hexahedra, recipe: cell, path: $hexahedra}
+  - {stage: tile.hexahedra, id: tuned, recipe: cell, path: $hexahedra, porosity: 0.6, resolution: $r, rounds: $k,
+     trials: 1}
+""",
+        {"n": (42, 42, 60, 72), "hexahedra": ("mesh.vtu",) * 4, "f": (2, 2, 8, 4), "r": (16, 16, 24, 32),
+         "k": (1, 0, 1, 1)},
+    ),
     "booleans": (
         TILES + """
   - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}

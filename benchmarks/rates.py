@@ -64,6 +64,8 @@ def measure(name: str, folder: Path) -> tuple[list[dict[str, Any]], float]:
             filled = filled.replace(f"${key}", str(value))
         if "mesh.stl" in filled:
             write_mesh(folder / "mesh.stl", 64 * 2**number)
+        if "mesh.vtu" in filled:
+            write_hexahedra(folder / "mesh.vtu", 1 + number)
         if "test.csv" in filled:
             write_readings(folder / "test.csv", 1000 * 8**number)
         path = folder / "pipeline.yaml"
@@ -88,6 +90,16 @@ def write_mesh(path: Path, segments: int) -> None:
     from sppm_pipeline.numerics.domain.primitive_meshes import torus_mesh
 
     path.write_bytes(b"".join(stl.encode(*torus_mesh((0.0, 0.0, 0.0), 10.0, 4.0, segments, segments // 2))))
+
+
+def write_hexahedra(path: Path, around: int) -> None:
+    """A disk of hexahedra around a square core."""
+    import meshio
+
+    from sppm_pipeline.testing.hexahedral_meshes import o_grid
+
+    points, elements = o_grid(4.0 * around, 2.0 * around, around, around, around, 4.0 * around)
+    meshio.write(path, meshio.Mesh(points, [("hexahedron", elements)]))
 
 
 def write_readings(path: Path, count: int) -> None:

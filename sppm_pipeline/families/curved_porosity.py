@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +17,13 @@ from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.numerics.grading.bricks import cubic_in_layers, linear_in_layers
-from sppm_pipeline.numerics.grading.cell_level import (
-    CellLevelFit,
-    CellSamples,
-    ControlLattice,
-    blending,
-    fit_cells,
-    means_over_cells,
-    porosities_and_slopes,
-)
+from sppm_pipeline.fields.warped import WarpedTiling
+from sppm_pipeline.fields.warped_field import WarpedField
+from sppm_pipeline.fields.wrapped import WrappedField
 from sppm_pipeline.numerics.grid import Grid
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.grading.cell_level import CellLevelFit, CellSamples, ControlLattice
 
 POINTS = 4
 """Points along each axis of a cell at which a map is asked for its mean."""
@@ -44,6 +40,13 @@ MOST_CONTROL = 2**24
 
 SLAB, AT_ONCE = 1 << 23, 1 << 21
 """Samples of the field, and points in cells, that are taken together."""
+
+
+def curved_cells_of(field: ScalarField) -> CurvedCells | None:
+    """The bent cells of a field, of a part filled with it, or of a field made from it; None of others."""
+    while isinstance(field, WrappedField):
+        field = field.base
+    return field.curved if isinstance(field, (WarpedTiling, WarpedField)) else None
 
 
 def curved_targets(grading: Grading, name: str, curved: CurvedCells) -> NDArray[np.float64]:
@@ -140,6 +143,8 @@ class CurvedSamples:
             progress(stop, self.grid.shape[2])
 
     def _in_slab(self, start: int, stop: int, cells: NDArray[np.int64]) -> Iterator[Found]:
+        from sppm_pipeline.numerics.grading.bricks import cubic_in_layers, linear_in_layers
+
         first, last = start - 1, stop + 2
         distance = None
         if isinstance(self.field, Part):
@@ -176,6 +181,8 @@ class CurvedSamples:
         """Samples in the part, and the share of each cell that lies in it; values are ln G of a sum G of kernels, or
         those of the field.
         """
+        from sppm_pipeline.numerics.grading.cell_level import CellSamples
+
         inner = self.field.base if isinstance(self.field, Part) else self.field
         level = inner.solid_below if isinstance(inner, KernelSum) and inner.additive else None
         made, totals = [], np.zeros((2, self.curved.count))
@@ -194,6 +201,8 @@ class CurvedSamples:
 
 def control_lattice(field: ScalarField, curved: CurvedCells) -> tuple[ControlLattice, int]:
     """The lattice of a level over the cells of a field, and its control points along an edge of these."""
+    from sppm_pipeline.numerics.grading.cell_level import ControlLattice
+
     edge = field.physical_edge()
     smallest = float(np.linalg.svd(curved.frames, compute_uv=False).min())
     most = math.floor((MOST_CONTROL / math.prod(field.cells)) ** (1 / 3))
@@ -228,6 +237,13 @@ def fit_curved_level(
     DesignError
         If no cell lies in the part.
     """
+    from sppm_pipeline.numerics.grading.cell_level import (
+        blending,
+        fit_cells,
+        means_over_cells,
+        porosities_and_slopes,
+    )
+
     curved = samples.curved
     lattice, parts = control_lattice(bare, curved)
     blend = blending(lattice, curved.centers, curved.frames)

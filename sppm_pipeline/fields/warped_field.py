@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.curved_cells import CurvedCells
 from sppm_pipeline.fields.formula import CellCache
 from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.fields.warped import WarpedTiling
-from sppm_pipeline.fields.wrapped import RepeatedField, WrappedField
+from sppm_pipeline.fields.wrapped import RepeatedField
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.threads import ordered_map
 
@@ -204,10 +203,3 @@ def looks_alike_from_all_sides(base: ScalarField, n: int = 24) -> bool:
     slack = 1e-3 * float(np.abs(values).max())
     turned = (values.transpose(1, 2, 0), values.transpose(1, 0, 2), values[::-1])
     return all(float(np.abs(values - other).max()) <= slack for other in turned)
-
-
-def curved_cells_of(field: ScalarField) -> CurvedCells | None:
-    """The bent cells of a field, of a part filled with it, or of a field made from it; None of others."""
-    while isinstance(field, WrappedField):
-        field = field.base
-    return field.curved if isinstance(field, (WarpedTiling, WarpedField)) else None

@@ -17,13 +17,13 @@ from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_cells_of, curved_targets
 from sppm_pipeline.families.graded import trial
 from sppm_pipeline.families.local_porosity import LEAST_SHARE, error_summary, filled_cells
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
-from sppm_pipeline.fields.warped_field import curved_cells_of
 from sppm_pipeline.numerics.grid import cell_centers
 from sppm_pipeline.stage import Context, Headline, Recipe, Stage
 
@@ -134,7 +134,6 @@ class CheckLocalPorosity(Stage):
         self, context: Context, field: ScalarField, curved: CurvedCells, grading: Grading
     ) -> tuple[CellValues, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
         """Porosities of bent cells, and these at blocks of the lattice: wanted, measured, and where cells are."""
-        from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_targets
         from sppm_pipeline.numerics.grading.local_means import BLOCKS
 
         # other points than those by which a level was tuned with the same resolution

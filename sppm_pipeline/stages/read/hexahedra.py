@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import ClassVar
 
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.families import options
-from sppm_pipeline.families.hexahedra import check_path, mesh_of
+from sppm_pipeline.families.hexahedra import check_path, mesh_of, size_of_mesh
 from sppm_pipeline.formats.hexahedra_file import read_hexahedra
 from sppm_pipeline.stage import Context, Stage, option
 
@@ -34,6 +36,11 @@ class ReadHexahedra(Stage):
 
     def check_options(self) -> None:
         check_path(self.path)
+
+    def estimate(self, palette: Palette) -> Size:
+        mesh = size_of_mesh(self.path, self.unit)
+        part = Geometry(edge_mm=1.0, box=mesh.box, volume=mesh.volume, envelope=mesh.area)
+        return Size(cells=mesh.hexahedra, triangles=2.0 * self.squares**2 * mesh.faces, geometry=part)
 
     def run(self, context: Context) -> SurfaceMesh:
         """Read, check, and cut the faces into triangles."""

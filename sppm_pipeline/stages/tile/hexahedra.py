@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -12,8 +13,11 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.curved_porosity import FINER, FINEST, SLAB
 from sppm_pipeline.families.graded import trial
-from sppm_pipeline.families.hexahedra import cells_of_mesh, check_path
+from sppm_pipeline.families.graded_cloud import ROOM
+from sppm_pipeline.families.hexahedra import cells_of_mesh, check_path, size_of_mesh
+from sppm_pipeline.families.hexahedral_cloud import RIM, HexahedralCloud
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.formats.hexahedra_file import read_hexahedra
 from sppm_pipeline.stage import Context, Recipe, Stage, option
@@ -71,7 +75,32 @@ class HexahedralTiling(Stage):
             )
 
     def estimate(self, palette: Palette, recipe: RecipeSize, grading: Size | None) -> Size:
-        raise LookupError("the mesh is unknown before it is read")
+        """Cells of the mesh and as many as the rim around it holds; grids as fine as the smallest cell asks for."""
+        mesh, content = size_of_mesh(self.path, self.unit), recipe(palette, 0)
+        least, edge, most = (one / self.parts for one in mesh.cell)
+        cells = float(mesh.hexahedra * self.parts**3)
+        if self.sizes == "fixed":
+            fixed = self.cell.mm() if self.cell is not None else content.body.edge_mm
+            if fixed is None:
+                raise LookupError("the size of a cell is unknown")
+            edge = most = fixed
+        rim = RIM * most
+        around = [(side + 2 * rim) / edge for side in mesh.box]
+        # Steiner's formula for the box, with the area of the mesh
+        shell = mesh.area * rim + math.pi * sum(mesh.box) * rim**2 + 4 / 3 * math.pi * rim**3
+        filled = cells if self.sizes == "cell" else mesh.volume / edge**3
+        drawn = filled + min(shell / edge**3, math.prod(around))
+        box = (mesh.box[0] / edge, mesh.box[1] / edge, mesh.box[2] / edge)
+        made = content.in_box(box, mesh.volume / edge**3, edge_mm=edge)
+        counts = {"cells": drawn, "pores": drawn * content.cell.pores}
+        if self.porosity is None and grading is None:
+            recipe(palette, drawn)
+            return made.at_porosity(None, **counts)
+        times, n = 1 + self.rounds, self.resolution
+        recipe(palette, drawn * times + 8 * ROOM**3 * self.trials)
+        grid = math.prod(mesh.box) / max(least / (FINEST * n), FINER * edge / made.body.coarse) ** 3
+        counts |= {"samples": cells * float(n) ** 3 * times, "sums": grid * made.body.kernels * times}
+        return made.at_porosity(self.porosity, **counts, resident=min(grid, float(SLAB)))
 
     def run(self, context: Context, recipe: Recipe, grading: Grading | None = None) -> Tiling:
         """Read the mesh, throw the pores of its cells and around them, and join all."""
@@ -85,8 +114,6 @@ class HexahedralTiling(Stage):
                 raise ConfigError(
                     "the porosity is given twice, by a map and by the option", hint="leave out `porosity`"
                 )
-        from sppm_pipeline.families.hexahedral_cloud import HexahedralCloud
-
         read = read_hexahedra(self.path)
         curved = cells_of_mesh(read, self.path, self.unit, self.parts, context)
         context.report(

@@ -15,13 +15,13 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
+from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_cells_of, curved_targets, fit_curved_level
 from sppm_pipeline.families.local_porosity import HALF_RANGE, RAMP, Cells, LatticeCells, cell_means, error_summary
 from sppm_pipeline.fields.kernel_sum import KernelSum
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
-from sppm_pipeline.fields.warped_field import curved_cells_of
 from sppm_pipeline.numerics.grading.local_level import CellCodes, LevelFit, fit_level
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
@@ -132,8 +132,6 @@ class TuneLocalPorosity(Stage):
         self, context: Context, field: ScalarField, bare: ScalarField, curved: CurvedCells, grading: Grading
     ) -> ScalarField:
         """Tune bent cells."""
-        from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_targets, fit_curved_level
-
         n = self._fitting(context, curved)
         part = replace(field, base=bare) if isinstance(field, Part) else bare
         samples = CurvedSamples(part, curved, n, context.threads)
