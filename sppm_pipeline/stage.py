@@ -226,22 +226,15 @@ class Context(ABC):
         ------
         TypeError
             If there are workers, and the function is not one of a module, or `common` holds what can't be written.
-        Exception
-            What the function has raised.
         """
         from sppm_pipeline.numerics.threads import ordered_map
 
         return ordered_map(functools.partial(function, common), items, self.threads)
 
     def worth_workers(self, samples: float) -> bool:
-        """Whether so many samples are worth handing to workers; False without workers.
+        """Whether so many samples, all that `map` would evaluate, are worth handing to workers; False without any.
 
         Results must not depend on it. Ask once the work is certain to be done: the user is told if workers stay out.
-
-        Parameters
-        ----------
-        samples : float
-            Of a field or mesh, all that `map` would evaluate.
         """
         return self.workers > 0
 

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,10 +116,15 @@ class CurvedCells(ABC):
         """Volumes of the cells, (count,) mm^3, by three points along each axis."""
         return frozen(self.inner(3)[1].sum(axis=1))
 
+    @property
+    def _along_an_edge(self) -> int:
+        """Points along an edge of a cell between which it can't bulge."""
+        return 2
+
     @cached_property
     def box(self) -> NDArray[np.float64]:
         """Low and high corner of what the cells fill, (2, 3) mm, by points on their edges and faces."""
-        t = np.linspace(0, 1, 5)
+        t = np.linspace(0, 1, self._along_an_edge)
         within = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
         within = within[((within == 0) | (within == 1)).any(axis=1)]
         cell = np.repeat(np.arange(self.count), len(within))
@@ -170,6 +175,25 @@ class BentBox(CurvedCells):
     def turn(self) -> float:
         """Angle that a cell fills around the axis, radians."""
         return self.around / self.shape[0]
+
+    _bulging: ClassVar[tuple[int, int, int]] = (1, 1, 0)  # axes along which points on an arc may be the outermost
+
+    @property
+    def _arc(self) -> float:
+        """The largest angle that a cell fills, radians."""
+        return self.turn
+
+    @property
+    def _along_an_edge(self) -> int:
+        return 2 + math.ceil(64 * self._arc / math.pi)
+
+    @cached_property
+    def box(self) -> NDArray[np.float64]:
+        """Low and high corner of what the cells fill, (2, 3) mm, and of what bulges between the points by which."""
+        low, high = super().box
+        radius = self.inner_radius + self.edge * self.shape[2]
+        bulge = radius * (1 - math.cos(self._arc / (self._along_an_edge - 1) / math.sqrt(2))) * np.array(self._bulging)
+        return frozen(np.array([low - bulge, high + bulge]))
 
     def points(self, cell: NDArray[np.integer], within: NDArray[np.float64]) -> NDArray[np.float64]:
         return self.mapped(np.stack(np.unravel_index(cell, self.shape), axis=1) + within)[0]
@@ -233,6 +257,11 @@ class SphereCells(BentBox):
 
     south: float
     climb: float
+    _bulging: ClassVar[tuple[int, int, int]] = (1, 1, 1)
+
+    @property
+    def _arc(self) -> float:
+        return max(self.turn, self.rise)
 
     @property
     def rise(self) -> float:
@@ -355,7 +384,7 @@ class HexahedralCells(CurvedCells):
     def continued(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
         from sppm_pipeline.numerics.grading.hexahedral_places import places_in
 
-        cell, within = places_in(*self._every, points)
+        cell, within = places_in(*self._every, points, apart=self.count)
         beyond = np.flatnonzero(cell >= self.count)
         number, outer = cell[beyond] - self.count, self.outer
         within[beyond] = outer.low[number] + within[beyond] * outer.size[number]

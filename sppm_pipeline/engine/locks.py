@@ -128,9 +128,14 @@ class _Claim:
 
     def __init__(self, path: Path) -> None:
         descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(f"process {os.getpid()} on {socket.gethostname()} since {_moment(None)}\n")
-            self._own = os.fstat(file.fileno())
+        try:
+            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+                file.write(f"process {os.getpid()} on {socket.gethostname()} since {_moment(None)}\n")
+                self._own = os.fstat(file.fileno())
+        except BaseException:  # a full disk; an empty claim would be nobody's
+            with contextlib.suppress(OSError):
+                path.unlink()
+            raise
         self._path = path
         self._over = threading.Event()
         threading.Thread(target=self._live, name="sppm-claim", daemon=True).start()

@@ -76,12 +76,14 @@ def divides(context: Context, stack: SliceStack, writer: Encoder) -> bool:
     """Whether the layers of a stack are given to the workers of a run."""
     if not context.workers or not isinstance(stack, SampledSlices) or stack.is_kept:
         return False
+    if not context.worth_workers(math.prod(stack.samples.shape)):
+        return False
     try:
         stored_bytes((stack, writer))
     except NotStorable as error:
         context.warn(f"one process makes all layers, as workers can't be handed {error}")
         return False
-    return context.worth_workers(math.prod(stack.samples.shape))
+    return True
 
 
 class DividedLayers:

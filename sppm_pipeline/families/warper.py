@@ -135,6 +135,9 @@ class Warper(Stage):
 
     def _box(self, tiling: Tiling) -> NDArray[np.float64]:
         """Low and high corner of the mapped box, (2, 3) mm."""
+        curved = self.curved(tiling)
+        if curved is not None:
+            return curved.box
         axes = [np.linspace(0, n, SEAMS * 2 - 1) for n in tiling.cells]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
         points = self.mapped(tiling, grid).points

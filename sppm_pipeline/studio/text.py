@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sppm_pipeline.engine.config.document import parse_value
@@ -68,6 +68,9 @@ def places(text: str) -> dict[str, Place]:
             for key, value in node.value:
                 under = f"{path}.{key.value}" if path else str(key.value)
                 visit(under, value, bool(node.flow_style), bool(key.style), key.start_mark.column)
+                if under in found and found[under].start == found[under].end:  # of nothing: the mark of what follows it
+                    after = text.index(":", key.end_mark.index) + 1
+                    found[under] = replace(found[under], start=after, end=after)
         elif inner is not None:
             for name, value in zip(inner, node.value, strict=True):
                 visit(name, value, True, False, 0)
@@ -135,4 +138,7 @@ def _word(value: Any, quoted: bool = False) -> str:
         plain = value.isascii() and value.replace("_", "").replace(" ", "").replace(".", "").isalnum()
         if plain and value == value.strip() and parse_value(value, Position("", 0, 0)).value == value:
             return value
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    try:
+        return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    except ValueError:
+        raise ConfigError(f"numbers in a configuration are finite, got {value!r}") from None

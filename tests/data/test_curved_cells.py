@@ -143,3 +143,31 @@ def test_what_does_not_fit_is_refused_by_name():
         third[third == node] = len(points) + new
     with pytest.raises(ValueError, match="3 hexahedra share a face of hexahedron"):
         checked_mesh(np.concatenate([points, points[far] + [0.5, 0.0, 0.0]]), np.concatenate([pair, third[None]]))
+
+
+@pytest.mark.parametrize("around", [300.0, 330.0, 360.0, 80.0])
+def test_the_box_of_a_tube_holds_its_wall_and_little_more(around):
+    for cells in (CylinderCells((1, 1, 1), 1.0, 10.0, math.radians(around)),
+                  CylinderCells((284, 3, 2), 2.0, 100.0, math.radians(around))):  # fmt: skip
+        t = np.linspace(0, cells.shape[0], 20001)
+        wall = np.concatenate([cells.mapped(np.stack([t, 0 * t, 0 * t + z], 1))[0] for z in (0, cells.shape[2])])
+        low, high = cells.box
+        assert (low[:2] <= wall[:, :2].min(0)).all()
+        assert (high[:2] >= wall[:, :2].max(0)).all()
+        radius = cells.inner_radius + cells.edge * cells.shape[2]
+        assert np.abs(low - wall.min(0))[:2].max() < 2e-3 * radius
+        assert low[2] == 0
+        assert high[2] == pytest.approx(cells.shape[1] * cells.edge)
+
+
+def test_a_gap_belongs_to_no_other_cell_whatever_was_asked_before():
+    """Cells are continued half a cell beyond the mesh, and so into those on the other side of a slit."""
+    angle = np.linspace(math.radians(1), math.radians(359), 25)
+    ring = np.array([[[[r * math.cos(a), r * math.sin(a), z] for z in (0.0, 1.0)] for r in (3.0, 4.0)] for a in angle])
+    corners = np.stack([ring[:-1], ring[1:]], axis=1)
+    cells = HexahedralCells(corners, 1)
+    x, y = np.meshgrid(np.linspace(-4, 4, 121), np.linspace(-0.9, 0.9, 61))
+    points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.5)], axis=1)
+    own = cells.places(points).cell
+    found = cells.continued(points)[0]
+    assert np.array_equal(found[own >= 0], own[own >= 0])

@@ -107,3 +107,17 @@ def test_the_claim_of_somebody_else_is_left_alone(tmp_path, without_flock):
     successor.replace(tmp_path / CLAIM)
     lock.release()
     assert (tmp_path / CLAIM).read_text() == "process 1 on another host"
+
+
+def test_a_claim_that_could_not_be_written_is_nobodys(tmp_path, without_flock, monkeypatch):
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    lock = FolderLock(tmp_path)
+    with monkeypatch.context() as patched:
+        patched.setattr(locks, "_moment", full)
+        with pytest.raises(OSError, match="No space"):
+            lock.acquire()
+    assert list(tmp_path.iterdir()) == []
+    assert lock.acquire()
+    lock.release()

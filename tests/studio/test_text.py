@@ -1,6 +1,7 @@
 """Values are put into the text of a configuration, and nothing else of it changes."""
 
 import difflib
+import math
 
 import pytest
 
@@ -103,3 +104,15 @@ def test_an_alias_is_the_place_of_its_anchor():
 def test_a_place_that_is_nowhere():
     with pytest.raises(ConfigError, match=r"'pipeline\.7\.x'"):
         with_values(FLOW, {"pipeline.7.x": 1})
+
+
+@pytest.mark.parametrize("empty", ["seed:\n", "seed: # none\n", "seed:   \n"])
+def test_a_value_that_is_empty_is_written_behind_its_key(empty):
+    text = f"sppm: 1\n{empty}name: a\n"
+    assert plain(parse_yaml(with_values(text, {"seed": 3}), "a.yaml")) == {"sppm": 1, "seed": 3, "name": "a"}
+
+
+def test_numbers_that_are_not_finite_are_refused():
+    for value in (math.inf, math.nan):
+        with pytest.raises(ConfigError, match="finite"):
+            with_values("seed: 1\n", {"seed": value})

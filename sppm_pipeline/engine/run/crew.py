@@ -11,7 +11,7 @@ import socket
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -209,6 +209,8 @@ class Crew:
                 yield result
         except KeyboardInterrupt:
             stop_workers()
+            if isinstance(self._pool, ProcessPoolExecutor):
+                waiting.clear()  # a pool that has lost its processes stumbles over futures that were canceled
             raise
         finally:
             for job in waiting:

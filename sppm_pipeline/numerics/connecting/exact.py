@@ -88,6 +88,8 @@ def exact_subgraph(
         chosen = _solution(program, incumbent, fix)
         if chosen is not None:
             return edges[chosen], shifts[chosen]
+        if greedy is not None:  # the solver takes a program for infeasible that is not
+            return greedy
         if k == widest:
             raise failure
         k = min(2 * k, widest)

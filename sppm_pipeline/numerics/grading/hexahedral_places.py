@@ -57,7 +57,7 @@ def hexahedron_tree(corners: NDArray[np.float64]) -> BoxTree:
 
 
 def places_in(
-    tree: BoxTree, corners: NDArray[np.float64], points: NDArray[np.float64]
+    tree: BoxTree, corners: NDArray[np.float64], points: NDArray[np.float64], apart: int | None = None
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """The hexahedron around each point, and the place in it.
 
@@ -70,6 +70,8 @@ def places_in(
         By `hexahedron_tree`.
     corners : (m, 2, 2, 2, 3) float64
     points : (n, 3) float64
+    apart : int, optional
+        So many of the first hexahedra do not overlap; the others may, them and each other. All by default.
 
     Returns
     -------
@@ -79,7 +81,8 @@ def places_in(
         0 to 1 along each axis.
     """
     nodes = np.ascontiguousarray(corners.reshape(-1, 8, 3))
-    return _places_in(tree.order, tree.boxes, tree.starts, nodes, np.ascontiguousarray(points, np.float64))
+    apart = len(nodes) if apart is None else apart
+    return _places_in(tree.order, tree.boxes, tree.starts, nodes, np.ascontiguousarray(points, np.float64), apart)
 
 
 @jit
@@ -89,6 +92,7 @@ def _places_in(
     starts: NDArray[np.int64],
     nodes: NDArray[np.float64],
     points: NDArray[np.float64],
+    apart: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     leaves = starts.size - 1
     waiting = np.empty(2 * DEPTH, np.int64)
@@ -99,7 +103,7 @@ def _places_in(
     for i in range(points.shape[0]):
         p = points[i]
         # well inside of that of the point before, there can be no other
-        if last >= 0 and _in_box(nodes[last], p) and _newton(nodes[last], p, place, 1e-9):
+        if 0 <= last < apart and _in_box(nodes[last], p) and _newton(nodes[last], p, place, 1e-9):
             found[i] = last
             places[i] = place
             continue

@@ -110,7 +110,12 @@ class HexahedralTiling(Stage):
                     f"`{self.name}` follows the map 'porosity' and can't follow {name!r}",
                     hint="leave the map out, or grade the size of the hexahedra",
                 )
-            if "porosity" in grading and self.porosity is not None:
+            if "porosity" not in grading:
+                raise ConfigError(
+                    f"`{self.name}` follows the map 'porosity', and the grading has none",
+                    hint="name a map `of: porosity`",
+                )
+            if self.porosity is not None:
                 raise ConfigError(
                     "the porosity is given twice, by a map and by the option", hint="leave out `porosity`"
                 )

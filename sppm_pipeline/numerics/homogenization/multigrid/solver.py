@@ -306,7 +306,10 @@ def _solve_all(
         if failed.is_set():
             return solved
         try:
-            work, vectors = spare.pop() if spare else (hierarchy.workspace(), [])
+            try:
+                work, vectors = spare.pop()
+            except IndexError:  # another thread may take the last one at any time
+                work, vectors = hierarchy.workspace(), []
             target = measure.target(case)
             while len(vectors) < (2 if target is not None else 3):
                 vectors.append(np.empty(length, level.weight.dtype))
