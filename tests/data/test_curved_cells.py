@@ -166,7 +166,7 @@ def test_a_gap_belongs_to_no_other_cell_whatever_was_asked_before():
     ring = np.array([[[[r * math.cos(a), r * math.sin(a), z] for z in (0.0, 1.0)] for r in (3.0, 4.0)] for a in angle])
     corners = np.stack([ring[:-1], ring[1:]], axis=1)
     cells = HexahedralCells(corners, 1)
-    x, y = np.meshgrid(np.linspace(3, 4, 31), np.linspace(-0.9, 0.9, 181), indexing="ij")  # across the slit
+    x, y = np.meshgrid(np.linspace(3, 4, 31), np.linspace(0.9, -0.9, 181), indexing="ij")  # across the slit
     points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.5)], axis=1)
     own = cells.places(points).cell
     found = cells.continued(points)[0]
