@@ -158,6 +158,17 @@ def find_root(parent: NDArray[np.int32], i: int) -> int:
 
 
 @jit
+def unite(parent: NDArray[np.int32], i: int, j: int) -> None:
+    """Unite the components of two members of such a forest; the smaller root stays."""
+    root_i = find_root(parent, i)
+    root_j = find_root(parent, j)
+    if root_i < root_j:
+        parent[root_j] = root_i
+    elif root_j < root_i:
+        parent[root_i] = root_j
+
+
+@jit
 def join_rows(
     bounds: NDArray[np.int32], a: int, a_stop: int, b: int, b_stop: int, reach: int, parent: NDArray[np.int32]
 ) -> None:
@@ -168,12 +179,7 @@ def join_rows(
         elif bounds[2 * b + 1] + reach <= bounds[2 * a]:
             b += 1
         else:
-            root_a = find_root(parent, a)
-            root_b = find_root(parent, b)
-            if root_a < root_b:
-                parent[root_b] = root_a
-            elif root_b < root_a:
-                parent[root_a] = root_b
+            unite(parent, a, b)
             if bounds[2 * a + 1] < bounds[2 * b + 1]:
                 a += 1
             else:

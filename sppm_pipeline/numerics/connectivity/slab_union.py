@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connectivity.runs import find_root, neighbor_reach
+from sppm_pipeline.numerics.connectivity.runs import neighbor_reach, unite
 from sppm_pipeline.numerics.connectivity.streaming import resolve
 from sppm_pipeline.numerics.connectivity.verdicts import IslandStatistics, SlabLabels, decide
 
@@ -121,12 +121,7 @@ def _join_border(
                 elif bounds_below[2 * b + 1] + reach <= bounds[2 * a]:
                     b += 1
                 else:
-                    root_a = find_root(parent, labels[a])
-                    root_b = find_root(parent, labels_below[b])
-                    if root_a < root_b:
-                        parent[root_b] = root_a
-                    elif root_b < root_a:
-                        parent[root_a] = root_b
+                    unite(parent, labels[a], labels_below[b])
                     if bounds[2 * a + 1] < bounds_below[2 * b + 1]:
                         a += 1
                     else:

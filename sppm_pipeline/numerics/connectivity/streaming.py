@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.connectivity.islands import clear_runs
-from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_root, find_runs, join_rows, neighbor_reach
+from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_runs, join_rows, neighbor_reach, unite
 from sppm_pipeline.numerics.connectivity.verdicts import IslandStatistics, SlabLabels, decide
 
 _REMEMBERED = 1 << 22
@@ -295,12 +295,7 @@ def _layer_ids(
                             ids[c] = other
                         else:
                             if joining:
-                                root_a = find_root(parent, mine)
-                                root_b = find_root(parent, other)
-                                if root_a < root_b:
-                                    parent[root_b] = root_a
-                                elif root_b < root_a:
-                                    parent[root_a] = root_b
+                                unite(parent, mine, other)
                             ids[c] = min(mine, other)
                     if bounds[2 * a + 1] < bounds_below[2 * b + 1]:
                         a += 1

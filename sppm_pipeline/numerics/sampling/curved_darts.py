@@ -18,9 +18,8 @@ from sppm_pipeline.numerics.sampling.cell_list import (
     bucket_of,
     empty_cell_list,
     next_uniform,
-    search_range,
 )
-from sppm_pipeline.numerics.sampling.graded_blocks import DARTS
+from sppm_pipeline.numerics.sampling.graded_blocks import DARTS, is_free
 
 _ABOVE = 1.3  # the determinant is looked at in 27 places, and may be so much larger in between
 
@@ -99,26 +98,6 @@ class GrowingCloud:
 
 
 @jit
-def _free(cells: CellList, spacings: NDArray[np.float64], x: float, y: float, z: float, own: float) -> bool:
-    nz, ny, nx = cells.first.shape
-    i, j, k = bucket_of(cells, x, y, z)
-    i0, ni = search_range(i, nx, False)
-    j0, nj = search_range(j, ny, False)
-    k0, nk = search_range(k, nz, False)
-    for kk in range(k0, k0 + nk):
-        for jj in range(j0, j0 + nj):
-            for ii in range(i0, i0 + ni):
-                row = cells.first[kk, jj, ii]
-                while row >= 0:
-                    dx, dy, dz = cells.points[row, 0] - x, cells.points[row, 1] - y, cells.points[row, 2] - z
-                    apart = 0.5 * (spacings[row] + own)
-                    if dx * dx + dy * dy + dz * dz < apart * apart:
-                        return False
-                    row = cells.following[row]
-    return True
-
-
-@jit
 def _remove_last(cells: CellList) -> None:
     row = cells.used[0] - 1
     i, j, k = bucket_of(cells, cells.points[row, 0], cells.points[row, 1], cells.points[row, 2])
@@ -138,6 +117,7 @@ def _throw(
     missing: NDArray[np.int64],
 ) -> None:
     p, d = np.empty(3), np.empty((3, 3))
+    no_metrics, metric = np.empty((0, 6)), np.empty(0)
     for e in range(len(quotas)):
         most = 0.0
         if by_volume:
@@ -155,7 +135,7 @@ def _throw(
                     continue
                 darts += 1
                 own = spacings[e] if by_volume else spacings[e] * max(det, 0.0) ** (1.0 / 3.0)
-                if _free(cells, kept, p[0], p[1], p[2], own):
+                if is_free(cells, kept, no_metrics, p, own, metric):
                     kept[cells.used[0]] = own
                     add_point(cells, p[0], p[1], p[2], 0, 0)
                     placed += 1
@@ -175,9 +155,10 @@ def _take(
     group: NDArray[np.int64],
     left: NDArray[np.int64],
 ) -> None:
+    no_metrics, metric = np.empty((0, 6)), np.empty(0)
     for n in range(len(candidates)):
-        x, y, z = candidates[n, 0], candidates[n, 1], candidates[n, 2]
-        if left[group[n]] > 0 and _free(cells, kept, x, y, z, spacings[n]):
+        p = candidates[n]
+        if left[group[n]] > 0 and is_free(cells, kept, no_metrics, p, spacings[n], metric):
             kept[cells.used[0]] = spacings[n]
-            add_point(cells, x, y, z, 0, 0)
+            add_point(cells, p[0], p[1], p[2], 0, 0)
             left[group[n]] -= 1

@@ -207,7 +207,7 @@ def _at(nodes: NDArray[np.float64], x: float, y: float, z: float) -> float:
 
 
 @jit
-def _free(
+def is_free(
     cells: CellList,
     spacings: NDArray[np.float64],
     metrics: NDArray[np.float64],
@@ -302,7 +302,7 @@ def _throw_in_turn(
                         own_metric[entry] = _at(metric_nodes[..., entry], x0 + x, y0 + y, z0 + z)
                 own = spacing * here
                 place[0], place[1], place[2] = x, y, z
-                if _free(cells, spacings, metrics, place, own, own_metric):
+                if is_free(cells, spacings, metrics, place, own, own_metric):
                     row = cells.used[0]
                     spacings[row] = own
                     if stretched:
