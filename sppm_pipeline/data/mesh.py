@@ -56,6 +56,19 @@ class SurfaceMesh(Artifact):
         return mesh
 
     @classmethod
+    def measured(
+        cls,
+        vertices: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        name: str,
+        box_and_volume: tuple[NDArray[np.float64], NDArray[np.float64], float],
+    ) -> SurfaceMesh:
+        """A mesh whose low corner, high corner and volume are known already."""
+        mesh = cls(vertices, faces, name)
+        mesh.__dict__["_measured"] = box_and_volume  # where the property would keep them
+        return mesh
+
+    @classmethod
     def from_trimesh(cls, mesh: Any, name: str = "mesh") -> SurfaceMesh:
         """A `trimesh.Trimesh`; see `from_arrays`."""
         return cls.from_arrays(mesh.vertices, mesh.faces, name)

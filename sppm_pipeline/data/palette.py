@@ -136,6 +136,8 @@ class Palette:
         Where the interiors lie, if they are blocks of a lattice without faces; there are no colors then.
     totals : (interiors,) int64 or None
         Pores of the cell of each interior, faces and interior, in place of the samplers' own `total` or `count`.
+    draws : (interiors,) int64 or None
+        Which draw of each interior is wanted: others than the first, 0, are drawn from generators of their own.
     spacings : (interiors,) float64 or None
         Factors of the spacing in each interior.
     face_totals : tuple of 3 int64 arrays (colors,), or None
@@ -147,8 +149,14 @@ class Palette:
     meetings: NDArray[np.int64] | None = None
     blocks: Blocks | None = None
     totals: NDArray[np.int64] | None = None
+    draws: NDArray[np.int64] | None = None
     spacings: NDArray[np.float64] | None = None
     face_totals: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None = None
+
+    def key(self, interior: int) -> tuple[int, ...]:
+        """What the generator of an interior's pores is made of, beside the run's seed and the stage."""
+        draw = 0 if self.draws is None else int(self.draws[interior])
+        return (interior, draw) if draw else (interior,)
 
     def all_meetings(self) -> NDArray[np.int64]:
         """The rows of `meetings`, written out, (p, 4) int64."""

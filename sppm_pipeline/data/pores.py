@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.data.artifact import Artifact, frozen, in_rows, twin_rows, whole_numbers
 from sppm_pipeline.data.length import Cell, parse_length
 from sppm_pipeline.data.palette import Blocks
+from sppm_pipeline.numerics.distinct import distinct
 
 _ROUNDING = 1e-9
 """How far, in cell sizes, a pore may lie outside of its cell by rounding."""
@@ -127,7 +128,7 @@ class PoreSet(Artifact):
     def around_edges(self) -> NDArray[np.float64]:
         """Places of all pores on edges and corners, of all colors, at all edges and corners of the cell, (k, 3)."""
         lying = (self.piece >= self.interiors) & ((self.centers == 0).sum(1) > 1)
-        low = np.unique(self.centers[lying], axis=0)
+        low = distinct(self.centers[lying], axis=0)
         for axis in range(3):
             low = np.concatenate([low, low[low[:, axis] == 0] + np.eye(3)[axis]])
         return low

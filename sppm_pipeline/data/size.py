@@ -12,9 +12,9 @@ TRIANGLES = 2.6
 """Triangles of marching cubes per squared voxel edge of a surface of random orientation; measured on the paper's cells.
 A face of the box parallel to the grid has two."""
 
-USES_OF_A_PATCH, BANK = 4, 256 * 2**20
-"""A tiling is sampled by cached patches if each is used as often, and if all take at most so many bytes; see
-`fields.tiling`."""
+USES_OF_A_PATCH, LASTING_USES, BANK = 4, 30, 256 * 2**20
+"""A tiling is sampled by cached patches if each is used as often, and if all take at most so many bytes, three times as
+many where the uses last; see `fields.tiling`."""
 
 PAYING_SHARE, PAYING_SHARE_OF_PATCHES = 0.3, 0.8
 """Coarse samples for each fine one up to which interpolating pays, if kernels are summed there, and if patches are:
@@ -142,7 +142,7 @@ class Geometry:
     def _patched(self, resolution: float) -> bool:
         """Whether patches are used often enough, and not too large."""
         patch = (resolution * (1 + 2 * self.reach)) ** 3
-        room = BANK * (3 if self.volume > 10 * USES_OF_A_PATCH * self.patches else 1)
+        room = BANK * (3 if self.volume >= LASTING_USES * self.patches else 1)
         return self.volume >= USES_OF_A_PATCH * self.patches and 4 * self.patches * patch <= room
 
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.families.file_writer import MeshWriter
     from sppm_pipeline.families.grader import Grader
     from sppm_pipeline.families.homogenizer import Homogenizer
-    from sppm_pipeline.families.interiors import InteriorBox
+    from sppm_pipeline.families.interiors import InteriorBox, Interiors
     from sppm_pipeline.families.layer_writer import LayerWriter
     from sppm_pipeline.families.sampler import Sampler, design_of, start_of
     from sppm_pipeline.families.tiler import Lattice, Tiler, lattice_for, tiling_size
@@ -50,6 +50,7 @@ __all__ = [
     "Grader",
     "Homogenizer",
     "InteriorBox",
+    "Interiors",
     "Lattice",
     "LayerWriter",
     "MeshWriter",
@@ -71,7 +72,7 @@ _PLACES = {
     "file_writer": ("MeshWriter",),
     "grader": ("Grader",),
     "homogenizer": ("Homogenizer",),
-    "interiors": ("InteriorBox",),
+    "interiors": ("InteriorBox", "Interiors"),
     "layer_writer": ("LayerWriter",),
     "sampler": ("Sampler", "design_of", "start_of"),
     "tiler": ("Lattice", "Tiler", "lattice_for", "tiling_size"),

@@ -31,12 +31,15 @@ class Piece(NamedTuple):
         "face" or "interior".
     cell : Cell
         Turns the user's lengths into cell sizes.
+    graded : bool
+        Whether the number of pores between faces follows a map, and may be too small for the bounds of a degree.
     """
 
     points: NDArray[np.float64]
     periodic: bool
     region: str
     cell: Cell
+    graded: bool = False
 
 
 class Cloud(NamedTuple):
@@ -241,8 +244,9 @@ class Connector(Stage):
     def join_piece(self, context: Context, pores: PoreSet, piece: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """What `join` makes of one piece, as indices into ``pores.centers``."""
         index, region = pores.indices(piece), "interior" if piece < pores.interiors else "face"
+        graded = context.palette.totals is not None and pores.has_faces and region == "interior"
         edges, shifts = self.join(
-            context.rng(piece), Piece(pores.centers[index], not pores.has_faces, region, pores.cell)
+            context.rng(piece), Piece(pores.centers[index], not pores.has_faces, region, pores.cell, graded)
         )
         return index[edges], shifts
 

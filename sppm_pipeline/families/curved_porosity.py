@@ -38,8 +38,11 @@ PER_CELL = 3.0
 MOST_CONTROL = 2**24
 """Control points at most; cells that differ more in size get fewer each."""
 
-SLAB, AT_ONCE = 1 << 23, 1 << 21
-"""Samples of the field, and points in cells, that are taken together."""
+SLAB, AT_ONCE, FEWEST_LAYERS = 1 << 23, 1 << 21, 4
+"""Samples of the field, and points in cells, that are taken together; and layers of samples at least."""
+
+MORE_LAYERS = 3
+"""Layers that cubics need beyond those of a slab."""
 
 
 def curved_cells_of(field: ScalarField) -> CurvedCells | None:
@@ -85,6 +88,16 @@ class Found(NamedTuple):
     inside: NDArray[np.bool_]
 
 
+def _layers_of_a_slab(layer: float) -> int:
+    """Layers of so many samples that are taken together."""
+    return max(FEWEST_LAYERS, int(SLAB // max(layer, 1.0)))
+
+
+def most_samples(nx: float, ny: float, nz: float) -> float:
+    """Samples of a grid that are held at a time."""
+    return min(nz, _layers_of_a_slab(nx * ny) + MORE_LAYERS) * nx * ny
+
+
 class CurvedSamples:
     """A field at n x n x n points in each of its bent cells, evenly in the cell's own coordinates.
 
@@ -125,7 +138,7 @@ class CurvedSamples:
             low[cells], high[cells] = z.min(axis=1), z.max(axis=1)
         slack = 0.05 * (high - low) + 1e-6
         nx, ny, nz = self.grid.shape
-        layers = max(4, SLAB // (nx * ny))
+        layers = _layers_of_a_slab(nx * ny)
         for start in range(1, nz - 2, layers):
             stop = min(start + layers, nz - 2)
             yield start, stop, np.flatnonzero((low - slack < stop) & (high + slack >= start))

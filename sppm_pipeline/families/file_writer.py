@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from abc import abstractmethod
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import ClassVar
@@ -14,6 +14,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.numerics.threads import computed_ahead
 from sppm_pipeline.stage import Context, Stage
 
 ADVICE = "extract with a lower `resolution`, or slice without a mesh (`slice.field`)"
@@ -60,12 +61,23 @@ def require_triangles(mesh: SurfaceMesh, path: str) -> None:
 
 
 def write_pieces(context: Context, path: str, pieces: Iterable[bytes | memoryview]) -> int:
-    """Write an output file piece by piece, and hash it on the way; returns its size in bytes."""
-    size, digest = 0, hashlib.sha256()
-    with context.output(path).open("wb", buffering=0) as file:
+    """Write an output file piece by piece, and hash it on the way; returns its size in bytes.
+
+    With more than one thread, pieces are hashed while they are written.
+    """
+    digest = hashlib.sha256()
+
+    def hashed() -> Iterator[memoryview]:
         for piece in pieces:
-            rest = memoryview(piece)
-            digest.update(rest)
+            view = memoryview(piece)
+            if view.nbytes:
+                rows = view.cast("B")  # what a write takes is counted in bytes
+                digest.update(rows)
+                yield rows
+
+    size = 0
+    with context.output(path).open("wb", buffering=0) as file:
+        for rest in computed_ahead(hashed(), context.threads):
             while rest:  # without a buffer, one call may write less than it was given
                 written = file.write(rest)
                 size += written

@@ -41,9 +41,15 @@ def mesh_of(read: Hexahedra, path: Path, unit: str, context: Context | None = No
             f"{path.name}: {error}",
             hint="export a mesh of straight hexahedra that meet face to face, none of them flat or turned inside out",
         ) from None
-    if mesh.turned and context is not None:
-        context.warn(f"the nodes of hexahedra in {path.name} are numbered {mesh.turned}, and are taken so")
+    if context is not None:
+        tell_of_order(mesh, path, context)
     return mesh
+
+
+def tell_of_order(mesh: HexahedralMesh, path: Path, context: Context) -> None:
+    """Warn of nodes in another order than expected."""
+    if mesh.turned:
+        context.warn(f"the nodes of hexahedra in {path.name} are numbered {mesh.turned}, and are taken so")
 
 
 MOST_BYTES = 64 * 2**20

@@ -55,6 +55,13 @@ class Surroundings:
         return np.cbrt(self.curved.volumes) if self.fixed is None else np.full(self.curved.count, self.fixed)
 
     @cached_property
+    def largest_edges(self) -> NDArray[np.float64]:
+        """What `size_at` is nowhere above in each cell, (m,) mm."""
+        from sppm_pipeline.numerics.grading.hexahedral_determinant import largest_determinants
+
+        return self.edges if self.fixed is not None else np.cbrt(largest_determinants(self.curved.corners))
+
+    @cached_property
     def _rim(self) -> tuple[Any, NDArray[np.int32]]:
         from scipy.spatial import cKDTree
 
@@ -108,7 +115,7 @@ def with_darts_in_cells(
     quotas = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(wanted)]) + 0.5)).astype(np.int64)
     box = np.array([origin, origin + blocks.edge * np.array(blocks.shape)])
     in_mm = closer * around.edges
-    longest = float((closer * around.edges).max()) * (1.0 if by_volume else 2.0)
+    longest = float((closer * around.largest_edges).max())
     if blocks.kept is not None and blocks.added is not None:
         centers, piece = blocks.kept.handed_over()
         old = (centers + blocks.sites[piece]) * blocks.edge + origin

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
-from sppm_pipeline.families.slab_writer import DividedLayers, divides
+from sppm_pipeline.families.slab_writer import DividedLayers, divides, encoded_bits, image_of
 from sppm_pipeline.fields.sampled_slices import SampledSlices
 from sppm_pipeline.fields.slice_stack import Slabs, SliceStack
 from sppm_pipeline.numerics.threads import ordered_map
@@ -120,6 +120,21 @@ class LayerWriter(Stage):
             Pixel pitch along x and y, layer height, size and position of the part.
         """
 
+    def takes_bits(self, stack: SliceStack) -> bool:
+        """Whether layers of black and white are handed to `encode_bits` where they are there as bits."""
+        return False
+
+    def encode_bits(self, rows: NDArray[np.uint64], stack: SliceStack) -> bytes:
+        """`encode` for a layer of bits: the same bytes, from an eighth of the memory; see `takes_bits`.
+
+        Parameters
+        ----------
+        rows : (ny, words) uint64, C-contiguous
+            Set where solid; pixel x is bit ``x % 64`` of word ``x // 64``. The first row is the side of largest y.
+        stack : SliceStack
+        """
+        raise NotImplementedError(f"{self.name} takes bits and has no `encode_bits`")
+
     def store(self, target: Path, stack: SliceStack, layers: EncodedLayers) -> None:
         """Write all layers: by default a folder with a file for each and ``manifest.json``.
 
@@ -181,6 +196,15 @@ class LayerWriter(Stage):
             if number in shown:
                 overview.append(image)
 
+        def sheets() -> Iterator[NDArray[np.uint64]]:
+            for start, slab in slabs:
+                for number, layer in enumerate(slab, start):
+                    rows = layer[::-1].copy()
+                    if number in shown or (observer is not None and number in seen):
+                        show(number, image_of(rows, stack))
+                    yield rows
+                context.progress(min(start + len(slab), nz), nz, "layers")
+
         def images() -> Iterator[NDArray[np.uint8]]:
             for start, slab in slabs:
                 for number, layer in enumerate(slab, start):
@@ -189,13 +213,16 @@ class LayerWriter(Stage):
                     yield image
                 context.progress(min(start + len(slab), nz), nz, "layers")
 
+        seen = set() if observer is None else getattr(observer, "wanted", range(nz))
         encoded: Iterator[bytes]
         source: Slabs | DividedLayers
         if divides(context, stack, self):
             assert isinstance(stack, SampledSlices)
-            seen = set() if observer is None else getattr(observer, "wanted", range(nz))
             source = DividedLayers(context, stack, self, shown.union(seen), show)
             encoded = iter(source)
+        elif isinstance(stack, SampledSlices) and not stack.gray:
+            source = slabs = stack.bit_slabs(threads)
+            encoded = ordered_map(lambda rows: encoded_bits(self, rows, stack), sheets(), threads, ahead=4 * threads)
         else:
             source = slabs = stack.slabs(threads)
             encoded = ordered_map(lambda image: self.encode(image, stack), images(), threads, ahead=4 * threads)

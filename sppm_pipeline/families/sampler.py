@@ -20,7 +20,10 @@ from sppm_pipeline.families.scattered import block_by_block
 from sppm_pipeline.stage import Context, Stage, option
 
 FEWEST = 4
-"""Pores of the interior of a graded cell at the least: fewer have no three neighbors each."""
+"""Pores of a graded cell at the least: fewer have no three neighbors each."""
+
+FEWEST_BETWEEN_FACES = 1
+"""Pores of the interior of a graded cell at the least if there are pores on its faces, which are joined to it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +156,7 @@ class Sampler(Stage):
         if palette.totals is None:
             return self, box
         face_pores = round(float(box.folded[before:, 3].sum()))
-        count = max(int(palette.totals[interior]) - face_pores, FEWEST)
+        count = max(int(palette.totals[interior]) - face_pores, FEWEST_BETWEEN_FACES if face_pores else FEWEST)
         return self.with_pores(count, face_pores), box._replace(face_pores=face_pores)
 
     def scatter(self, context: Context, base: PoreSet, blocks: Blocks) -> PoreSet:
@@ -162,7 +165,7 @@ class Sampler(Stage):
 
     def thrown(self, context: Context, interior: int, box: InteriorBox) -> NDArray[np.float64]:
         """What `throw` returns for an interior, checked."""
-        points = np.asarray(self.throw(context.rng(interior), box), np.float64)
+        points = np.asarray(self.throw(context.rng(*context.palette.key(interior)), box), np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise ValueError(f"{self.name}.throw must return finite points of shape (n, 3), got {points.shape}")
         return points

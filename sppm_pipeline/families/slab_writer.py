@@ -27,9 +27,26 @@ from sppm_pipeline.stage import Context
 
 
 class Encoder(Protocol):
-    """A stage that encodes layers; see `LayerWriter.encode`."""
+    """A stage that encodes layers; see `LayerWriter`."""
+
+    def takes_bits(self, stack: SliceStack) -> bool: ...
 
     def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes: ...
+
+    def encode_bits(self, rows: NDArray[np.uint64], stack: SliceStack) -> bytes: ...
+
+
+def encoded_bits(writer: Encoder, rows: NDArray[np.uint64], stack: SliceStack) -> bytes:
+    """A layer of black and white that is there as bits, (ny, words), the side of largest y first."""
+    return writer.encode_bits(rows, stack) if writer.takes_bits(stack) else writer.encode(image_of(rows, stack), stack)
+
+
+def image_of(rows: NDArray[np.uint64], stack: SliceStack) -> NDArray[np.uint8]:
+    """Such a layer as `LayerWriter.encode` takes it."""
+    from sppm_pipeline.numerics.bit_rows import unpack
+
+    image: NDArray[np.uint8] = unpack(rows[None], stack.shape[0], 255)[0]
+    return image
 
 
 class EncodedSlab(NamedTuple):
@@ -55,20 +72,25 @@ class EncodedSlab(NamedTuple):
 def encode_slab(common: tuple[SampledSlices, Encoder], task: SlabTask) -> EncodedSlab:
     """Second pass: evaluate a slab, or read its bits, take the islands out, and encode its layers."""
     stack, writer = common
-    made = EncodedSlab([], {}, 0, {})
-    voxels = 0
+    from sppm_pipeline.numerics.bit_rows import count
 
-    def images() -> Iterator[NDArray[np.uint8]]:
+    made = EncodedSlab([], {}, 0, {})
+    voxels, gray = 0, stack.gray
+
+    def layers() -> Iterator[NDArray[Any]]:
         nonlocal voxels
         for start, solid in cleared_slab(stack, task, made.counts):
-            voxels += int(np.count_nonzero(solid))
-            for number, layer in enumerate(stack.shaded(solid), start // stack.sublayers):
+            voxels += count(solid)
+            for number, layer in enumerate(stack.shaded(solid) if gray else solid, start // stack.sublayers):
                 image = layer[::-1].copy()
                 if number in task.shown:
-                    made.pictures[number] = zlib.compress(image.data, 1)
+                    made.pictures[number] = zlib.compress((image if gray else image_of(image, stack)).data, 1)
                 yield image
 
-    made.layers.extend(ordered_map(lambda image: writer.encode(image, stack), images(), task.threads))
+    def encoded(layer: NDArray[Any]) -> bytes:
+        return writer.encode(layer, stack) if gray else encoded_bits(writer, layer, stack)
+
+    made.layers.extend(ordered_map(encoded, layers(), task.threads))
     return made._replace(voxels=voxels)
 
 

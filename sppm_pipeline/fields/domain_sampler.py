@@ -84,6 +84,18 @@ class DomainSampler:
         first, _, block = self._voted
         return block[start - first : stop - first].copy()
 
+    def inside_bits(self, start: int, stop: int) -> NDArray[np.uint64]:
+        """`inside` as bits, (stop - start, ny, words), see `numerics.bit_rows`."""
+        from sppm_pipeline.numerics.bit_rows import pack
+        from sppm_pipeline.numerics.domain.inside import prepare_inside
+        from sppm_pipeline.numerics.domain.scanline import Scan, scan_bits
+
+        if self._scan is None:
+            self._scan = prepare_inside(self._domain.vertices, self._domain.faces, self._world, self._method)
+        if isinstance(self._scan, Scan):
+            return scan_bits(self._scan, start, stop)
+        return pack(self.inside(start, stop))
+
     def distance(self, start: int, stop: int) -> NDArray[np.float32]:
         """Signed distance from the domain in the layers start <= k < stop, mm."""
         return self._in_blocks("domain", start, stop)

@@ -34,8 +34,8 @@ MIN_VOXELS, MAX_VOXELS = 4, 2048
 PLANES_BACK = 4
 """Planes of samples that are kept when a slab is done."""
 
-PIECE_SAMPLES = 2**19
-"""Samples marched through at a time; with a piece so small what is known of its vertices stays in the cache."""
+PIECE_SAMPLES = 2**16
+"""Samples marched through at a time; what is known of the vertices of some pieces is kept, and stays in the cache."""
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 Item = TypeVar("Item")
@@ -108,6 +108,24 @@ class SampledSlab(NamedTuple):
     values: NDArray[np.float32]
     apart: tuple[NDArray[np.float32], ...] | None
     crossings: Crossings
+
+
+class _FlatPiece(NamedTuple):
+    """A piece whose vertices are not yet moved, and the surroundings of its rims.
+
+    Attributes
+    ----------
+    piece : MeshPiece
+    points : (k, 3) float64
+        Those on rims of this piece and all before.
+    losers, lost : (k,) int32, (k,) float64
+        Vertices beside rims with volumes that are lost there.
+    """
+
+    piece: MeshPiece
+    points: NDArray[np.float64]
+    losers: NDArray[np.int32]
+    lost: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -190,31 +208,37 @@ class FieldSurface:
         return vertices, faces, stream.findings, np.concatenate(kinds)
 
     def stream(self, threads: int = 1, progress: Callable[[float, float], None] | None = None) -> MeshStream:
-        """The mesh in pieces; memory is that of some slabs, and of the points on rims."""
-        slabs, rims = self.slabs(threads), RimPoints()
-        return MeshStream(self._pieces(slabs, rims, progress), rims, slabs)
+        """The mesh in pieces; memory is that of some slabs, and of the points on rims.
 
-    def _pieces(
-        self, slabs: SampledSlabs, rims: RimPoints, progress: Callable[[float, float], None] | None
-    ) -> Iterator[MeshPiece]:
+        With more than one thread, triangles are made of a piece, vertices of the pieces before are moved, and whoever
+        takes the pieces works on those that are done, all at once.
+        """
+        slabs, rims = self.slabs(max(1, threads - 2)), RimPoints()  # the others are at work on what is sampled
+        flat = computed_ahead(self._flat_pieces(slabs, rims, progress), threads)
+        return MeshStream(computed_ahead(self._bulged_pieces(flat, rims, threads > 1), threads), rims, slabs)
+
+    def _bulged_pieces(self, flat: Iterator[_FlatPiece], rims: RimPoints, ahead: bool) -> Iterator[MeshPiece]:
         """The mesh piece by piece; vertices and faces follow upon those of the pieces before."""
         from sppm_pipeline.numerics.surface.bulging import Bulging
 
         bulging = Bulging(self.grid)
         waiting: deque[MeshPiece] = deque()  # a face comes when its vertices are there
-        for (vertices, faces, kinds), losers, lost in self._flat_pieces(slabs, rims, progress):
-            if len(vertices) or len(faces):
-                waiting.append(MeshPiece(vertices, faces, kinds))
-                for done in bulging.push(vertices, faces, kinds, rims.points, losers, lost):
-                    yield waiting.popleft()._replace(vertices=done)
-        for done in bulging.finish(rims.points):
-            if waiting:
-                yield waiting.popleft()._replace(vertices=done)
+
+        def moved(vertices: Iterator[NDArray[np.float64]]) -> Iterator[MeshPiece]:
+            for done in vertices:  # which goes when the next one comes
+                if waiting:
+                    yield waiting.popleft()._replace(vertices=done.copy() if ahead else done)
+
+        for piece, points, losers, lost in flat:
+            if len(piece.vertices) or len(piece.faces):
+                waiting.append(piece)
+                yield from moved(bulging.push(*piece, points, losers, lost))
+        yield from moved(bulging.finish(rims.points))
 
     def _flat_pieces(
         self, slabs: SampledSlabs, rims: RimPoints, progress: Callable[[float, float], None] | None
-    ) -> Iterator[tuple[MeshPiece, NDArray[np.int32], NDArray[np.float64]]]:
-        """The pieces with their vertices on the surface, and vertices beside rims with volumes that are lost there."""
+    ) -> Iterator[_FlatPiece]:
+        """The pieces with their vertices on the surface."""
         from sppm_pipeline.numerics.domain.crossings import NO_CROSSINGS
         from sppm_pipeline.numerics.surface.closing import capped_marching_cubes_slabs
         from sppm_pipeline.numerics.surface.placing import Placed, Samples, place_vertices
@@ -228,23 +252,20 @@ class FieldSurface:
         start = 0
 
         def values() -> Iterator[NDArray[np.float32]]:
-            # a piece ends a plane before its slab, and what is done to it looks two planes back
+            # a piece ends a plane before its planes do, and what is done to it looks two planes back
             nonlocal start, crossings
             for sampled in _told(slabs, nz, progress):
-                for slab in _thinner(self._smooth(sampled), max(1, PIECE_SAMPLES // (nx * ny))):
-                    fields = (slab.values,) if slab.apart is None else slab.apart
-                    kept = (
-                        tuple(np.concatenate(pair) for pair in zip(planes[0], fields, strict=True))
-                        if planes
-                        else fields
-                    )
-                    start = slab.start - (len(kept[0]) - len(fields[0]))
-                    planes[:] = [kept]
-                    crossings = _from_plane(crossings, start, self.grid, slab.crossings)
-                    yield slab.values
-                    drop = max(0, len(kept[0]) - PLANES_BACK)
-                    planes[:] = [tuple(field[drop:].copy() for field in kept)]
-                    start += drop
+                slab = self._smooth(sampled)
+                fields = (slab.values,) if slab.apart is None else slab.apart
+                back = tuple(field[-PLANES_BACK:] for field in planes[0]) if planes else tuple(f[:0] for f in fields)
+                fields = tuple(np.concatenate(pair) for pair in zip(back, fields, strict=True))
+                start = slab.start - len(back[0])
+                crossings = _from_plane(crossings, start, self.grid, slab.crossings)
+                step = max(1, PIECE_SAMPLES // (nx * ny))
+                for first in range(0, len(slab.values), step):
+                    piece = slab.values[first : first + step]
+                    planes[:] = [tuple(field[: len(back[0]) + first + len(piece)] for field in fields)]
+                    yield piece
 
         before: Placed | None = None
         first = 0
@@ -255,7 +276,7 @@ class FieldSurface:
             samples = Samples(self.grid, start, field, domain, skin, crossings)
             placed = place_vertices(vertices, samples)
             if part is None or not self.cut:
-                yield MeshPiece(vertices, faces, no_kinds), no_vertices, no_volumes
+                yield _FlatPiece(MeshPiece(vertices, faces, no_kinds), rims.points, no_vertices, no_volumes)
                 continue
             if before is not None:
                 joined = Placed(
@@ -267,7 +288,8 @@ class FieldSurface:
             else:
                 joined = placed
             split = split_rims(faces, first, joined, samples)
-            yield MeshPiece(vertices, rims.numbered(split), split.on), split.losers, split.lost
+            piece = MeshPiece(vertices, rims.numbered(split), split.on)
+            yield _FlatPiece(piece, rims.points, split.losers, split.lost)
             if len(vertices):
                 first += len(joined.vertices) - len(vertices)
                 before = placed
@@ -318,7 +340,10 @@ class FieldSurface:
         from sppm_pipeline.numerics.domain.crossings import NO_CROSSINGS
 
         if not isinstance(self.source, Part):
-            return SampledSlab(start, self.source.sample_zyx(self.grid, start, stop, threads), None, NO_CROSSINGS)
+            values = self.source.sample_zyx(self.grid, start, stop, threads)
+            # they are changed on the way; sums of kernels are made anew, what others hand out may be their own
+            values = values if self.source.sum_level is not None else values.copy()
+            return SampledSlab(start, values, None, NO_CROSSINGS)
         if self.cut:
             inner, skin, outer, crossings = self.source.cut_zyx(self.grid, threads, start, stop)
         else:
@@ -367,17 +392,6 @@ def _from_plane(old: Crossings, start: int, grid: Grid, new: Crossings) -> Cross
     first = int(np.searchsorted(old.edge, 3 * start * grid.shape[0] * grid.shape[1]))
     edge, share = np.concatenate([old.edge[first:], new.edge]), np.concatenate([old.share[first:], new.share])
     return new._replace(edge=edge, share=share, triangle=np.concatenate([old.triangle[first:], new.triangle]))
-
-
-def _thinner(slab: SampledSlab, planes: int) -> Iterator[SampledSlab]:
-    """The slab cut into some of at most so many planes; the crossings come with the first of them."""
-    edge, share, triangle, _ = crossings = slab.crossings
-    none = crossings._replace(edge=edge[:0], share=share[:0], triangle=triangle[:0])
-    for first in range(0, len(slab.values), planes):
-        rows = slice(first, first + planes)
-        apart = None if slab.apart is None else tuple(field[rows] for field in slab.apart)
-        crossings = none if first else slab.crossings
-        yield SampledSlab(slab.start + first, slab.values[rows], apart, crossings)
 
 
 def _told(

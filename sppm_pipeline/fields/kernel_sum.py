@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from sppm_pipeline.fields.fine_sampler import FineSampler
     from sppm_pipeline.numerics.assembly.contents import TilingArrays
     from sppm_pipeline.numerics.assembly.patches import PatchBank
+    from sppm_pipeline.numerics.assembly.signs import SignSampler
+    from sppm_pipeline.numerics.grading.level_spline import LayerSpline
+    from sppm_pipeline.numerics.kernels.signs import Levels
 
 
 class Patches(NamedTuple):
@@ -73,11 +76,20 @@ class KernelSum(ScalarField):
         """Spacing of samples, cell sizes, from which finer ones may be interpolated; None to sum them all."""
         return None
 
-    def patches(self, n: int, offset: float, threads: int = 1) -> Patches | None:
-        """Sampled pieces, n samples a cell edge, sample i at (i + offset) / n; None if they do not pay.
+    def has_patches(self, n: int, offset: float) -> bool:
+        """Whether sampled pieces, n samples a cell edge, sample i at (i + offset) / n, pay.
 
         The answer belongs to the field: it is the same for every part that is sampled.
         """
+        return False
+
+    def has_patches_on(self, grid: Grid) -> bool:
+        """Whether the samples of a grid come from patches that pay; none are sampled to know."""
+        lattice = _lattice_of(grid)
+        return lattice is not None and self.has_patches(*lattice[:2])
+
+    def patches(self, n: int, offset: float, threads: int = 1, solid: bool = False) -> Patches | None:
+        """The sampled pieces; None if they do not pay. Those for `solid` need only serve `assemble_bits`."""
         return None
 
     @property
@@ -122,15 +134,34 @@ class KernelSum(ScalarField):
                 out = np.empty(shape, np.uint8) if rows is None else np.zeros(shape, np.uint8)
                 fine.sample(self, start, stop, threads, rows, None, out)
                 return out
-            if (placed := self._placed(grid, threads)) is not None:
+            if (placed := self._placed(grid, threads, solid=True)) is not None:
                 from sppm_pipeline.numerics.assembly.overlap_add import assemble_solid
 
                 (bank, arrays), (x, y, z) = placed
                 box = (z[0] + start, z[0] + stop, *x, *y)
                 return assemble_solid(bank, arrays, self.solid_below, *box, threads=threads)
+            if (signs := self._signs(grid)) is not None:
+                return signs.sample(start, stop, threads, rows)
             return (self._summed(grid, start, stop, threads, rows) < np.float32(self.solid_below)).view(np.uint8)
 
         return self._each_once(grid, start, stop, solid).T
+
+    def solid_bits(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint64]:
+        summed = not self.periodic and self.additive and self._fine(grid, threads) is None
+        if summed and (placed := self._placed(grid, threads, solid=True)) is not None:
+            from sppm_pipeline.numerics.assembly.overlap_add import assemble_bits
+
+            (bank, arrays), (x, y, z) = placed
+            box = (z[0] + start, z[0] + stop, *x, *y)
+            return assemble_bits(bank, arrays, self.solid_below, *box, threads=threads)
+        return super().solid_bits(grid, start, stop, threads, wanted)
+
+    def slabs_in_threads(self, grid: Grid) -> bool:
+        if self.periodic or not self.additive or self._fine(grid, 1) is not None:
+            return False
+        return not self.has_patches_on(grid) and self._signs(grid) is not None
 
     def _each_once(
         self, grid: Grid, start: int, stop: int, sample: Callable[[Grid, int, int], NDArray[Any]]
@@ -157,19 +188,38 @@ class KernelSum(ScalarField):
 
         n = max(2, math.ceil(1.0 / pitch - 1e-9))
         share = math.prod(min(TAPS, spacing * n) for spacing in grid.spacing)
-        if share > PAYING_SHARE and (share > PAYING_SHARE_OF_PATCHES or self.patches(n, 0.0, threads) is None):
+        if share > PAYING_SHARE and (share > PAYING_SHARE_OF_PATCHES or not self.has_patches(n, 0.0)):
             return None
-        if self.patches_last and self._placed(grid, threads) is not None:
+        if self.patches_last and self.has_patches_on(grid):
             return None
         sampler = _SAMPLERS.get(self)
         if sampler is None or sampler.of != (grid, n):
             sampler = _SAMPLERS[self] = FineSampler(self, grid, n)
         return sampler
 
-    def _placed(self, grid: Grid, threads: int) -> tuple[Patches, list[tuple[int, int]]] | None:
+    def sign_sampler(
+        self,
+        grid: Grid,
+        levels: Levels | None = None,
+        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+    ) -> SignSampler | None:
+        """What finds out where the sum of kernels lies below the level, without its values, if that pays on a grid.
+
+        The level is the field's own, or that of a spline of ln C.
+        """
+        return None
+
+    def _signs(self, grid: Grid) -> SignSampler | None:
+        """`sign_sampler`; the last one is kept for the next layers."""
+        kept = _SIGNS.get(self)
+        if kept is None or kept[0] != grid:
+            kept = _SIGNS[self] = grid, self.sign_sampler(grid)
+        return kept[1]
+
+    def _placed(self, grid: Grid, threads: int, solid: bool = False) -> tuple[Patches, list[tuple[int, int]]] | None:
         """The patches and, for x, y, z, the range of their samples that a grid stands for; None if there are none."""
         lattice = _lattice_of(grid)
-        patches = self.patches(*lattice[:2], threads) if lattice is not None else None
+        patches = self.patches(*lattice[:2], threads, solid) if lattice is not None else None
         return (patches, lattice[2]) if lattice is not None and patches is not None else None
 
 
@@ -191,4 +241,5 @@ def _lattice_of(grid: Grid) -> tuple[int, float, list[tuple[int, int]]] | None:
     return (*found.pop(), ranges) if len(found) == 1 else None
 
 
+_SIGNS: WeakKeyDictionary[KernelSum, tuple[Grid, SignSampler | None]] = WeakKeyDictionary()
 _SAMPLERS: WeakKeyDictionary[KernelSum, FineSampler] = WeakKeyDictionary()

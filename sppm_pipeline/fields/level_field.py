@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,10 @@ from sppm_pipeline.fields.wrapped import WrappedField
 from sppm_pipeline.numerics.grading.level_spline import LayerSpline
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.threads import in_bands
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.assembly.signs import SignSampler
+    from sppm_pipeline.numerics.kernels.signs import Levels
 
 NARROWED = 0.8
 """Tunnels this much narrower than at the field's own level are still interpolated from the same samples: 2 of 100 000
@@ -103,6 +108,22 @@ class LevelField(WrappedField, KernelSum):
         assert isinstance(self.base, KernelSum)
         return self._over_level(self.base._summed(grid, start, stop, threads, wanted), grid, start, threads, wanted)
 
+    def sign_sampler(
+        self,
+        grid: Grid,
+        levels: Levels | None = None,
+        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+    ) -> SignSampler | None:
+        from sppm_pipeline.numerics.kernels.signs import Levels
+
+        base = self.base
+        if not isinstance(base, KernelSum) or base.periodic or base.has_patches_on(grid):
+            return None
+        least, mean, most = (math.exp(float(c)) for c in (self.control.min(), self.control.mean(), self.control.max()))
+        # inside a cell the slope is a mean of those from one control point to the next
+        steps = [np.abs(np.diff(self.control, axis=axis)).max(initial=0) for axis in range(3)]
+        return base.sign_sampler(grid, Levels(mean, least, most, self.per_cell * float(max(steps))), self._spline)
+
     def _over_level(
         self, sums: NDArray[np.float32], grid: Grid, start: int, threads: int, wanted: NDArray[np.int32] | None
     ) -> NDArray[np.float32]:
@@ -119,7 +140,8 @@ class LevelField(WrappedField, KernelSum):
         return sums
 
     def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        values, spline = self.base.sample_zyx(grid, start, stop, threads), self._spline(grid, start, stop)
+        # a copy: what a field hands out may be its own
+        values, spline = self.base.sample_zyx(grid, start, stop, threads).copy(), self._spline(grid, start, stop)
 
         def take_off(first: int, last: int) -> None:
             for k in range(first, last):

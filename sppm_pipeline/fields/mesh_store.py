@@ -32,10 +32,21 @@ class MeshStore:
         Where these files are made.
     expected : (int, int)
         About how many vertices and faces there will be; memory reserved at once is filled in less time.
+    scale : float
+    origin : 3 floats
+        Vertices are stored times the scale, and moved by the origin.
     """
 
-    def __init__(self, limit: int, folder: Path, expected: tuple[int, int] = (0, 0)) -> None:
+    def __init__(
+        self,
+        limit: int,
+        folder: Path,
+        expected: tuple[int, int] = (0, 0),
+        scale: float = 1.0,
+        origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
         self._limit = limit
+        self._scale, self._origin = scale, np.array(origin)
         self._folder = folder
         fits = 24 * expected[0] + 12 * expected[1] <= limit
         self._vertices = np.empty((expected[0] if fits else 0, 3))
@@ -43,8 +54,13 @@ class MeshStore:
         self._files: tuple[IO[bytes], IO[bytes]] | None = None
         self._n = self._m = 0
 
-    def add(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
+    def add(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
         """Append vertices (n, 3) and faces (m, 3); of the latter, negative ones -1 - p stand for points on rims.
+
+        Returns
+        -------
+        (n, 3) float64
+            The vertices as they are stored; valid until the next ones come.
 
         Raises
         ------
@@ -53,6 +69,8 @@ class MeshStore:
         OSError
             If the disk is full.
         """
+        from sppm_pipeline.numerics.surface.placing import put_rescaled
+
         n, m = self._n + len(vertices), self._m + len(faces)
         if n > np.iinfo(np.int32).max:
             raise ResourceError(
@@ -62,7 +80,9 @@ class MeshStore:
         if self._files is None and 24 * n + 12 * m > self._limit:
             self._move_to_files()
         if self._files is not None:
-            _write(self._files[0], vertices)
+            stored = np.empty(vertices.shape)
+            put_rescaled(vertices, self._scale, self._origin, stored)
+            _write(self._files[0], stored)
             _write(self._files[1], faces)
         else:
             # no other reference exists yet, whatever a debugger or a profiler counts
@@ -70,8 +90,11 @@ class MeshStore:
                 self._vertices.resize((n, 3), refcheck=False)
             if m > len(self._faces):
                 self._faces.resize((m, 3), refcheck=False)
-            self._vertices[self._n : n], self._faces[self._m : m] = vertices, faces
+            stored = self._vertices[self._n : n]
+            put_rescaled(vertices, self._scale, self._origin, stored)
+            self._faces[self._m : m] = faces
         self._n, self._m = n, m
+        return stored
 
     def finish(self, points: NDArray[np.float64]) -> Arrays:
         """The mesh, with the points on rims behind the other vertices; read-only if it is in files."""

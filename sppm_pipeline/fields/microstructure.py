@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,6 +22,12 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels, kernel_reaches, steepest
 from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 from sppm_pipeline.numerics.metric import check_metric
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.assembly.gather import Catalog
+    from sppm_pipeline.numerics.assembly.signs import SignSampler
+    from sppm_pipeline.numerics.grading.level_spline import LayerSpline
+    from sppm_pipeline.numerics.kernels.signs import Levels
 
 CUTOFF = 1e-5
 """Value below which a single kernel is left out of the sum; flips about 2e-5 of the voxels."""
@@ -39,7 +46,8 @@ _TABLES: WeakKeyDictionary[Pieces, dict[Any, Any]] = WeakKeyDictionary()
 def sampling_tables(pieces: Pieces) -> dict[Any, Any]:
     """What was worked out to sample these kernels: patch banks and a catalog; it is freed with them.
 
-    The level does not enter, so that microstructures that differ in nothing else share the tables.
+    The level does not enter but for patches of sixteen bits, which are kept for one level at a time; microstructures
+    that differ in nothing else share the tables.
     """
     return _TABLES.setdefault(pieces, {})
 
@@ -164,13 +172,39 @@ class Microstructure(KernelSum):
         wanted: NDArray[np.int32] | None = None,
     ) -> NDArray[np.float32]:
         """The sum G of all kernels of a layout, which `KernelSum.kernel_sums` asks for."""
-        from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
+        from sppm_pipeline.numerics.assembly.gather import sample_exact
+
+        return sample_exact(
+            self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=self._catalog()
+        ).T
+
+    def laid_signs(
+        self,
+        arrays: TilingArrays,
+        grid: Grid,
+        levels: Levels | None = None,
+        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+    ) -> SignSampler | None:
+        """What finds out where a layout is solid on a grid, without the values of G, if that pays.
+
+        At the level of the microstructure, or at those of a spline of ln C.
+        """
+        from sppm_pipeline.numerics.assembly.signs import SignSampler
+        from sppm_pipeline.numerics.kernels.signs import find_bounds, one_level
+
+        kernels = self.pieces.kernels
+        levels = one_level(self.level) if levels is None else levels
+        bounds = find_bounds(*steepest(kernels), kernels.profile, levels, grid.spacing, CUTOFF)
+        return None if bounds is None else SignSampler(self._catalog(), arrays, grid, levels, bounds.steps, spline)
+
+    def _catalog(self) -> Catalog:
+        from sppm_pipeline.numerics.assembly.gather import make_catalog
 
         tables = sampling_tables(self.pieces)
         if "catalog" not in tables:
             tables["catalog"] = make_catalog(self.pieces, CUTOFF)
-        catalog = tables["catalog"]
-        return sample_exact(self.pieces, arrays, grid, CUTOFF, threads, start, stop, wanted=wanted, catalog=catalog).T
+        catalog: Catalog = tables["catalog"]
+        return catalog
 
     @property
     def solid_below(self) -> float:
@@ -189,6 +223,16 @@ class Microstructure(KernelSum):
         if self.interiors > 1 or max(self.colors) > 1:
             raise ValueError("a microstructure with several interiors or colors has to be laid out to be sampled")
         return self.alone(0, (0, 0, 0)).kernel_sums(grid, start, stop, threads, wanted)
+
+    def sign_sampler(
+        self,
+        grid: Grid,
+        levels: Levels | None = None,
+        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+    ) -> SignSampler | None:
+        if self.interiors > 1 or max(self.colors) > 1:
+            return None
+        return self.alone(0, (0, 0, 0)).sign_sampler(grid, levels, spline)
 
     def laid_values(
         self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1
@@ -234,6 +278,14 @@ class PeriodicTile(WrappedField, KernelSum):
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.float32]:
         return self.base.laid_sums(self.arrays(), grid, start, stop, threads, wanted)
+
+    def sign_sampler(
+        self,
+        grid: Grid,
+        levels: Levels | None = None,
+        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+    ) -> SignSampler | None:
+        return self.base.laid_signs(self.arrays(), grid, levels, spline)
 
     @property
     def additive(self) -> bool:

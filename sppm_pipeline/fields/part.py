@@ -103,7 +103,7 @@ class Part(WrappedField):
         Who extracts a surface takes both apart, as their sizes have nothing to do with each other.
         """
         inner, outer = self.apart_zyx(grid, threads, start, stop)
-        return np.maximum(inner, outer, out=inner).T
+        return np.maximum(inner, outer, out=outer).T
 
     def apart_zyx(
         self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
@@ -138,8 +138,7 @@ class Part(WrappedField):
         if self.skin_mm:
             away = -outer if self.skin_faces is None else self._in_domain(grid).skin_distance(start, stop) / edge
             skin = away - np.float32(self.skin_mm) / edge
-        self._fill_and_drain(inner, skin, grid, start, stop)
-        return inner, skin, outer
+        return self._filled_and_drained_field(inner, skin, grid, start, stop), skin, outer
 
     def within_zyx(
         self, grid: Grid, threads: int, start: int, stop: int
@@ -149,13 +148,15 @@ class Part(WrappedField):
         if self.skin_mm:
             return *self.fields_zyx(grid, threads, start, stop)[:2], inside
         inner = self.base.sample_zyx(grid, start, stop, threads)
-        self._fill_and_drain(inner, None, grid, start, stop)
-        return inner, None, inside
+        return self._filled_and_drained_field(inner, None, grid, start, stop), None, inside
 
-    def _fill_and_drain(
+    def _filled_and_drained_field(
         self, inner: NDArray[np.float32], skin: NDArray[np.float32] | None, grid: Grid, start: int, stop: int
-    ) -> None:
-        """Put fills into the microstructure's field, and take drains out of all; in place."""
+    ) -> NDArray[np.float32]:
+        """The microstructure's field with fills in it and drains taken out, of the skin's as well, which is changed."""
+        if not (len(self.fills) or len(self.drains)):
+            return inner
+        inner = inner.copy()  # what a field hands out may be its own
         world, edge = self.in_mm(grid), np.float32(self.physical_edge())
         layers, margin = world.layers(start, stop), 2 * max(world.spacing)
         for window, depth in depths_in_capsules(layers, self.fills, margin):
@@ -164,6 +165,7 @@ class Part(WrappedField):
             for values in (inner, skin):
                 if values is not None:
                     np.maximum(values[window], depth / edge, out=values[window])
+        return inner
 
     def cut_zyx(
         self, grid: Grid, threads: int, start: int, stop: int
@@ -184,8 +186,7 @@ class Part(WrappedField):
         inside &= ~on_surface(crossings, grid, start, stop)
         outer = np.where(inside, np.float32(-1), np.float32(1))
         inner = self.base.sample_zyx(grid, start, stop, threads)
-        self._fill_and_drain(inner, None, grid, start, stop)
-        return inner, None, outer, crossings
+        return self._filled_and_drained_field(inner, None, grid, start, stop), None, outer, crossings
 
     def solid_layers(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
@@ -211,6 +212,24 @@ class Part(WrappedField):
         solid &= inside
         solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
         return self._filled_and_drained(solid, inside, grid, start, stop).T
+
+    def solid_bits(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint64]:
+        if self.skin_mm or self.drains or len(self.fills):
+            return super().solid_bits(grid, start, stop, threads, wanted)
+        from sppm_pipeline.numerics.domain.occupancy import row_spans_of_bits
+
+        inside = self._in_domain(grid).inside_bits(start, stop)
+        solid = self.base.solid_bits(grid, start, stop, threads, row_spans_of_bits(inside))
+        solid &= inside
+        return solid
+
+    def slabs_in_threads(self, grid: Grid) -> bool:
+        if self.method != "scanline" or not self.base.slabs_in_threads(grid):
+            return False
+        self._in_domain(grid).inside(0, 0)
+        return True
 
     def _filled_and_drained(
         self, solid: NDArray[np.uint8], inside: NDArray[np.uint8], grid: Grid, start: int, stop: int

@@ -80,7 +80,8 @@ class ScalarField(Artifact, ABC):
         """Values in the layers start <= k < stop of a grid (cell sizes), (nx, ny, stop - start) float32.
 
         A sample depends on its position alone: not on the number of threads, nor on the layers that are asked for. Any
-        order in memory will do; where x is contiguous nothing has to be copied.
+        order in memory will do; where x is contiguous nothing has to be copied. Nobody writes into what is handed out,
+        so it may be an array that the field keeps.
         """
 
     def sample(self, grid: Grid | int, threads: int = 1) -> NDArray[np.float32]:
@@ -117,11 +118,26 @@ class ScalarField(Artifact, ABC):
         """`sample_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
         return np.ascontiguousarray(self.sample_layers(grid, start, stop, threads).T)
 
+    def slabs_in_threads(self, grid: Grid) -> bool:
+        """Whether threads may ask `solid_layers` for different layers of this grid at once, and gain by it.
+
+        What they share is prepared by this call.
+        """
+        return False
+
     def solid_zyx(
         self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
     ) -> NDArray[np.uint8]:
         """`solid_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
         return np.ascontiguousarray(self.solid_layers(grid, start, stop, threads, wanted).T)
+
+    def solid_bits(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint64]:
+        """`solid_layers` as bits, (stop - start, ny, words), see `numerics.bit_rows`; a class may make them at once."""
+        from sppm_pipeline.numerics.bit_rows import pack
+
+        return pack(self.solid_zyx(grid, start, stop, threads, wanted))
 
     def exactly(self) -> ScalarField:
         """The same field without the short cuts of fine grids; itself if its class takes none."""

@@ -20,8 +20,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.fields.sampled_slices import SampledSlices, said_of
-from sppm_pipeline.fields.slice_stack import Slab
+from sppm_pipeline.fields.sampled_slices import BitSlab, SampledSlices, said_of
 from sppm_pipeline.fields.spool import OF_THE_DISK
 
 if TYPE_CHECKING:
@@ -31,7 +30,10 @@ EACH = 6
 """Slabs for each worker at least, so that the last ones do not wait long for each other; a choice."""
 
 RESULTS = 16
-"""One in so many bytes of the memory may be taken by an encoded slab of each worker, all together; a choice."""
+"""One in so many bytes of the memory may be taken by encoded slabs, all together; a choice."""
+
+HELD = 2
+"""Encoded slabs of a worker that may wait at once, as it is given so many."""
 
 
 class SlabTask(NamedTuple):
@@ -84,7 +86,7 @@ def slab_tasks(
     """
     nx, ny, layers = stack.shape
     each = nx * ny if stack.gray else nx * ny / 8  # of a layer that can't be compressed
-    most = int(memory / (RESULTS * workers) / each)
+    most = int(memory / (RESULTS * HELD * workers) / each)
     height = max(1, min(-(-layers // (EACH * workers)), most)) * stack.sublayers
     height = max(1, height // stack.height) * stack.height
     *across, sheets = stack.samples.shape
@@ -105,13 +107,13 @@ def survey_slab(common: tuple[SampledSlices, Any], task: SlabTask) -> Surveyed:
     islands, counts = IslandFilter(ny, nx), dict[str, int]()
     with _Bits(task.file) as bits:
         for _, solid in _evaluated(stack, task, counts):
-            islands.observe(solid)
+            islands.observe_bits(solid)
             bits.add(solid)
     return Surveyed(islands.labels(), counts)
 
 
-def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -> Iterator[Slab]:
-    """Second pass: the sheets of a slab without islands, from its bits or evaluated again; they may be changed."""
+def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -> Iterator[BitSlab]:
+    """Second pass: the sheets of a slab without islands, from its bits or evaluated again."""
     nx, ny, _ = stack.samples.shape
     sheets = _read(stack, task)
     if sheets is None:
@@ -123,7 +125,8 @@ def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -
 
     islands = IslandFilter.decided(ny, nx, task.stop - task.start, task.verdict)
     for start, solid in sheets:
-        yield start, islands.clear(solid, out=solid)
+        islands.clear_bits(solid)
+        yield start, solid
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ class Survey:
     islands: dict[str, Any]
     told: dict[str, Any]
 
-    def cleared(self, stack: SampledSlices, threads: int) -> Iterator[Slab]:
+    def cleared(self, stack: SampledSlices, threads: int) -> Iterator[BitSlab]:
         """All sheets without islands, in this process."""
         for task in self.tasks:
             yield from cleared_slab(stack, task._replace(threads=threads), {})
@@ -185,7 +188,7 @@ def add_counts(counts: dict[str, int], more: dict[str, int]) -> None:
         counts[name] = counts.get(name, 0) + count
 
 
-def _evaluated(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -> Iterator[Slab]:
+def _evaluated(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -> Iterator[BitSlab]:
     if stack not in _PREPARED:
         _PREPARED[stack] = stack.prepared()
     return stack.decided(task.threads, counts, task.start, task.stop, _PREPARED[stack])
@@ -209,11 +212,11 @@ class _Bits:
                 self._open = self._part.open("wb")
         return self
 
-    def add(self, solid: NDArray[np.uint8]) -> None:
+    def add(self, solid: NDArray[np.uint64]) -> None:
         """Append sheets."""
         if self._open is not None:
             try:
-                self._open.write(np.packbits(solid).data)
+                self._open.write(solid.data)
             except OSError:
                 self._drop()
 
@@ -238,23 +241,24 @@ class _Bits:
             self._part.unlink()
 
 
-def _read(stack: SampledSlices, task: SlabTask) -> Iterator[Slab] | None:
+def _read(stack: SampledSlices, task: SlabTask) -> Iterator[BitSlab] | None:
     """The sheets of a slab from its bits; None if they are not all there."""
+    from sppm_pipeline.numerics.bit_rows import words_of
+
     nx, ny, _ = stack.samples.shape
     spans = list(stack.spans(task.start, task.stop))
-    sizes = [(-(-(stop - start) * ny * nx // 8)) for start, stop in spans]
+    words = words_of(nx)
     try:
-        if task.file is None or os.stat(task.file).st_size != sum(sizes):
+        if task.file is None or os.stat(task.file).st_size != 8 * (task.stop - task.start) * ny * words:
             return None
         opened = open(task.file, "rb")  # noqa: SIM115  # closed by whoever has read it
     except OSError:
         return None
 
-    def sheets() -> Iterator[Slab]:
+    def sheets() -> Iterator[BitSlab]:
         with opened:
-            for (start, stop), size in zip(spans, sizes, strict=True):
-                shape = (stop - start, ny, nx)
-                bits = np.frombuffer(opened.read(size), np.uint8)
-                yield start, np.unpackbits(bits, count=math.prod(shape)).reshape(shape)
+            for start, stop in spans:
+                shape = (stop - start, ny, words)
+                yield start, np.fromfile(opened, np.uint64, math.prod(shape)).reshape(shape)
 
     return sheets()

@@ -105,9 +105,10 @@ class SliceStack(Artifact, ABC):
         fault = self._fault or ValueError
         nx, ny, nz = self.shape
         below = 0
-        slabs: Any = self.read(threads)  # whatever a subclass returns
-        if not isinstance(slabs, Generator):
-            raise fault(f"whose `read` gives {type(slabs).__name__}, expected a generator")
+        read: Any = self.read(threads)  # whatever a subclass returns
+        if not isinstance(read, Generator):
+            raise fault(f"whose `read` gives {type(read).__name__}, expected a generator")
+        slabs: Any = self._watched(read)
         try:
             while True:
                 try:
@@ -115,12 +116,6 @@ class SliceStack(Artifact, ABC):
                 except StopIteration as end:
                     findings = end.value
                     break
-                except (SppmError, MemoryError, OSError):
-                    raise
-                except Exception as error:
-                    if self._fault is None:
-                        raise
-                    raise fault(f"that raised {type(error).__name__} when it was read: {error}") from error
                 if not (isinstance(slab, tuple) and len(slab) == 2 and isinstance(slab[1], np.ndarray)):
                     raise fault(f"that delivers {type(slab).__name__}, expected (index of the first layer, array)")
                 start, layers = slab
@@ -140,6 +135,17 @@ class SliceStack(Artifact, ABC):
         if not isinstance(findings, dict):
             raise fault(f"whose `read` returns {type(findings).__name__}, expected a dict of what it found out")
         return findings
+
+    def _watched(self, slabs: Generator[Any, None, Any]) -> Generator[Any, None, Any]:
+        """The same slabs; an error names the plugin whose stage has made the stack."""
+        try:
+            return (yield from slabs)
+        except (SppmError, MemoryError, OSError):
+            raise
+        except Exception as error:
+            if self._fault is None:
+                raise
+            raise self._fault(f"that raised {type(error).__name__} when it was read: {error}") from error
 
     def to_array(self, threads: int = 1) -> NDArray[np.uint8]:
         """All layers at once, uint8 [layer, y, x]; its transpose is the volume [x, y, z]. For what fits into memory."""

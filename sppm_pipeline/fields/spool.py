@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 import tempfile
 from typing import IO
@@ -18,10 +17,10 @@ OF_THE_DISK = 0.25
 
 
 class Spool:
-    """Slabs of 0 and 1, in the order in which they came.
+    """Slabs of bits, see `numerics.bit_rows`, in the order in which they came.
 
-    Packing and unpacking a sample takes half a nanosecond, evaluating it takes two and more. Compressing the bits as
-    well takes two (zlib at its fastest, a quarter of the size), so they are not.
+    Evaluating a sample takes a nanosecond and more, and so does compressing its bit (zlib at its fastest, a quarter of
+    the size), so they are not.
 
     Attributes
     ----------
@@ -31,18 +30,17 @@ class Spool:
 
     def __init__(self) -> None:
         self._slabs: list[tuple[int, tuple[int, ...], int]] = []  # first sheet, shape, place in the file
-        self._bits: list[NDArray[np.uint8]] = []
+        self._bits: list[NDArray[np.uint64]] = []
         self._held = 0
         self._written = 0
         self._file: IO[bytes] | None = None
         self.whole = True
 
-    def append(self, start: int, slab: NDArray[np.uint8]) -> None:
-        """Keep a slab; `start` is its first sheet."""
+    def append(self, start: int, bits: NDArray[np.uint64]) -> None:
+        """Keep a slab, which must not be changed by others then; `start` is its first sheet."""
         if not self.whole:
             return
-        bits = np.packbits(slab)
-        self._slabs.append((start, slab.shape, self._written))
+        self._slabs.append((start, bits.shape, self._written))
         if self._file is None and self._held + bits.nbytes <= IN_MEMORY:
             self._held += bits.nbytes
             self._bits.append(bits)
@@ -63,21 +61,20 @@ class Spool:
     def __len__(self) -> int:
         return len(self._slabs)
 
-    def slab(self, number: int) -> tuple[int, NDArray[np.uint8]]:
-        """The first sheet of a slab, and the slab as uint8."""
+    def slab(self, number: int) -> tuple[int, NDArray[np.uint64]]:
+        """The first sheet of a slab, and the slab; who changes it says so by `replace`."""
         start, shape, offset = self._slabs[number]
-        count = math.prod(shape)
         if number < len(self._bits):
-            bits = self._bits[number]
-        else:
-            assert self._file is not None
-            self._file.seek(offset)
-            bits = np.frombuffer(self._file.read((count + 7) // 8), dtype=np.uint8)
-        return start, np.unpackbits(bits, count=count).reshape(shape)
+            return start, self._bits[number]
+        assert self._file is not None
+        self._file.seek(offset)
+        bits = np.empty(shape, np.uint64)
+        if self._file.readinto(bits.data.cast("B")) != bits.nbytes:  # type: ignore[attr-defined]
+            raise OSError("the temporary file of the layers is cut off")
+        return start, bits
 
-    def replace(self, number: int, slab: NDArray[np.uint8]) -> None:
+    def replace(self, number: int, bits: NDArray[np.uint64]) -> None:
         """Another content for a slab of the same shape."""
-        bits = np.packbits(slab)
         if number < len(self._bits):
             self._bits[number] = bits
         else:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,13 @@ from sppm_pipeline.fields.kernel_sum import KernelSum, Patches
 from sppm_pipeline.fields.microstructure import CUTOFF, sampling_tables
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.numerics.assembly.contents import TilingArrays, check_tiling
+from sppm_pipeline.numerics.distinct import distinct
 from sppm_pipeline.numerics.grid import Grid
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.assembly.signs import SignSampler
+    from sppm_pipeline.numerics.grading.level_spline import LayerSpline
+    from sppm_pipeline.numerics.kernels.signs import Levels
 
 USES_OF_A_PATCH = 4
 """How many cells a tiling needs for each patch before sampling the patches is cheaper than summing kernels."""
@@ -22,7 +29,10 @@ LASTING_USES = 30
 plate, where each of 27 is used 70 times, take 1.6 ns a voxel so, and 2.9 interpolated."""
 
 SMALL_BANK, LARGE_BANK = 256 * 2**20, 768 * 2**20
-"""Bytes that the patches of a small tiling, and of one ten times larger, may take; otherwise kernels are summed."""
+"""Bytes that the patches of a small tiling, and of one of `LASTING_USES`, may take; otherwise kernels are summed.
+
+Patches of more bytes than those of a small tiling have sixteen bits a sample where only solid and void are told apart.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +126,14 @@ class Tiling(KernelSum):
     ) -> NDArray[np.float32]:
         return self.tileset.micro.laid_sums(self.arrays, grid, start, stop, threads, wanted)
 
+    def sign_sampler(
+        self,
+        grid: Grid,
+        levels: Levels | None = None,
+        spline: Callable[[Grid, int, int], LayerSpline] | None = None,
+    ) -> SignSampler | None:
+        return self.tileset.micro.laid_signs(self.arrays, grid, levels, spline)
+
     @property
     def additive(self) -> bool:
         return self.tileset.micro.additive
@@ -133,22 +151,43 @@ class Tiling(KernelSum):
         count = len(combinations) if combinations is not None else self.tileset.micro.pieces.interiors
         return np.count_nonzero(self.arrays.box >= 0) / count
 
-    def patches(self, n: int, offset: float, threads: int = 1) -> Patches | None:
-        from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes
-
-        tileset, pieces = self.tileset, self.tileset.micro.pieces
-        combinations, uses = tileset.combinations(), self._uses_of_a_patch()
+    def has_patches(self, n: int, offset: float) -> bool:
+        uses = self._uses_of_a_patch()
         # a patch is somewhat larger than a cell and is worth sampling if it is used a few times
-        if not self.additive or tileset.kind in ("fresh", "scattered") or uses < USES_OF_A_PATCH:
-            return None
-        tables, key = sampling_tables(pieces), (tileset.kind, tileset.palette_colors, n, offset)
-        made = {"offset": offset, "cutoff": CUTOFF}
-        if (key, "bytes") not in tables:
-            tables[key, "bytes"] = predicted_bytes(pieces, n, combinations, **made)
-        if tables[key, "bytes"] > (LARGE_BANK if uses > 10 * USES_OF_A_PATCH else SMALL_BANK):
-            return None
+        if not self.additive or self.tileset.kind in ("fresh", "scattered") or uses < USES_OF_A_PATCH:
+            return False
+        return self._bank_bytes(n, offset) <= (LARGE_BANK if uses >= LASTING_USES else SMALL_BANK)
+
+    def _bank_bytes(self, n: int, offset: float) -> int:
+        """Bytes that the patches take at most, as float32."""
+        from sppm_pipeline.numerics.assembly.patches import predicted_bytes
+
+        pieces, (tables, key) = self.tileset.micro.pieces, self._table(n, offset, "bytes")
         if key not in tables:
-            tables[key] = build_bank(pieces, n, combinations, threads=threads, **made)
+            tables[key] = predicted_bytes(pieces, n, self.tileset.combinations(), offset=offset, cutoff=CUTOFF)
+        return int(tables[key])
+
+    def _table(self, n: int, offset: float, what: object) -> tuple[dict[Any, Any], object]:
+        """Where something about the patches is kept."""
+        key = (self.tileset.kind, self.tileset.palette_colors, n, offset, what)
+        return sampling_tables(self.tileset.micro.pieces), key
+
+    def patches(self, n: int, offset: float, threads: int = 1, solid: bool = False) -> Patches | None:
+        from sppm_pipeline.numerics.assembly.patches import build_bank
+
+        if not self.has_patches(n, offset):
+            return None
+        # what takes much memory is kept in sixteen bits, where only solid and void are told apart
+        level = self.solid_below if solid and self._bank_bytes(n, offset) > SMALL_BANK else None
+        tables, key = self._table(n, offset, level)
+        if key not in tables:
+            if level is not None:  # patches of sixteen bits belong to a level: those of one at a time
+                for other in [k for k in tables if isinstance(k, tuple) and isinstance(k[-1], float)]:
+                    del tables[other]
+            pieces, combinations = self.tileset.micro.pieces, self.tileset.combinations()
+            tables[key] = build_bank(
+                pieces, n, combinations, offset=offset, cutoff=CUTOFF, threads=threads, solid_level=level
+            )
         return Patches(tables[key], self.arrays)
 
     def summary(self) -> dict[str, Any]:
@@ -159,5 +198,5 @@ class Tiling(KernelSum):
             "lattice": list(self.cells),
             "filled_cells": filled.size,
             "cell_mm": self.edge,
-            "interiors_used": len(np.unique(filled)),
+            "interiors_used": len(distinct(filled)),
         }

@@ -5,6 +5,7 @@ Not the field is mapped but the graph, so that tunnels stay straight and kernels
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -18,10 +19,11 @@ from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import DesignError
 from sppm_pipeline.fields.joined import kernel_sizes
-from sppm_pipeline.fields.microstructure import Microstructure, pieces_from_graph
+from sppm_pipeline.fields.microstructure import Microstructure, finest_pitch, pieces_from_graph
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
+from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +34,25 @@ class WarpedTiling(Tiling):
     ----------
     curved : CurvedCells
         The cells of the structure.
+    steepest : 2 floats
+        The largest omega and mu of pores and tunnels in these cells. Those beyond, which are mapped there, too, may be
+        as small as one likes, as towards the axis of a tube, and nobody looks at them.
     """
 
     curved: CurvedCells = field(kw_only=True)
+    steepest: tuple[float, float] = field(kw_only=True)
+
+    @property
+    def finest_radius(self) -> float | None:
+        micro, mu = self.tileset.micro, self.steepest[1]
+        return TUNNEL_PROFILES[micro.pieces.kernels.profile].radius(mu, micro.level) if mu and micro.level < 1 else None
+
+    @property
+    def coarse_pitch(self) -> float | None:
+        micro = self.tileset.micro
+        if self.exact or micro.coarse_pitch is None:
+            return None
+        return finest_pitch(*self.steepest, micro.pieces.kernels.profile, micro.level)
 
     def summary(self) -> dict[str, Any]:
         """That of a tiling, and the number of cells of the structure."""
@@ -153,6 +171,36 @@ def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
     return LaidGraph(np.concatenate(points), np.concatenate(omegas), np.concatenate(edges), np.concatenate(mus))
 
 
+_ALONG = np.array([0.5, 0.0, 1.0, 0.25, 0.75])
+"""Places along a tunnel at which it is asked whether it runs through a cell."""
+
+_TRIED = 1024
+"""Of the smallest pores and tunnels that are looked at first."""
+
+
+def _largest_inside(
+    sizes: NDArray[np.float64],
+    points_of: Callable[[NDArray[np.int64]], NDArray[np.float64]],
+    curved: CurvedCells,
+) -> float:
+    """The largest of sizes (n,) of what has one of its points (chosen, k, 3) mm in a cell; of all if nothing has."""
+    order, first, count = np.argsort(-sizes, kind="stable"), 0, _TRIED
+    while first < len(order):
+        some = order[first : first + count]
+        inside = (curved.places(points_of(some).reshape(-1, 3)).cell.reshape(len(some), -1) >= 0).any(axis=1)
+        if inside.any():
+            return float(sizes[some[np.argmax(inside)]])
+        first, count = first + count, 4 * count
+    return float(sizes.max(initial=0.0))
+
+
+def _along(graph: LaidGraph, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Points along tunnels, (chosen, 5, 3)."""
+    start, end = (graph.points[graph.edges[chosen, k]][:, None] for k in range(2))
+    way: NDArray[np.float64] = start + _ALONG[:, None] * (end - start)
+    return way
+
+
 def cloud(
     graph: LaidGraph,
     edge: float,
@@ -224,5 +272,9 @@ def cloud(
     low = (float(origin[0]), float(origin[1]), float(origin[2]))
     tileset = TileSet(micro, "scattered", 0)
     if curved is not None:
-        return WarpedTiling(tileset, arrays, edge, low, exact, curved=curved)
+        steepest = (
+            _largest_inside(graph.omega, lambda chosen: graph.points[chosen], curved),
+            _largest_inside(graph.mu, lambda chosen: _along(graph, chosen), curved),
+        )
+        return WarpedTiling(tileset, arrays, edge, low, exact, curved=curved, steepest=steepest)
     return Tiling(tileset, arrays, edge, low, exact)

@@ -48,7 +48,7 @@ class WarpedField(ScalarField):
     samples : int
         Samples along an edge of a cell of `base`.
     stretch : tuple of 2 floats
-        Least and largest length in a bent cell over that in `base`, in blocks per cell.
+        Least and largest length in a bent cell over that in `base`, in blocks per cell, away from its corners.
     """
 
     base: ScalarField
@@ -176,8 +176,18 @@ def _own_cells(base: ScalarField) -> tuple[int, int, int]:
     return base.base.cells if isinstance(base, RepeatedField) and base.periodic else base.cells
 
 
+def cells_sampled(base: ScalarField) -> int:
+    """How many cells of a field are sampled when it is bent."""
+    nx, ny, nz = _own_cells(base)
+    return nx * ny * nz
+
+
 def least_and_largest_stretch(curved: CurvedCells, per_axis: int = 3) -> tuple[float, float]:
-    """Least and largest length, mm, of what was one cell size long, over all cells and directions."""
+    """Least and largest length, mm, of what was one cell size long, over all directions at places in all cells.
+
+    Places are the middles of `per_axis`^3 parts of a cell. At its corners, where a hexahedron may be nearly flat, it is
+    not looked at: one of them would make every voxel of a part as small.
+    """
     t = (np.arange(per_axis) + 0.5) / per_axis
     within = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
     cell = np.repeat(np.arange(curved.count), len(within))

@@ -102,9 +102,8 @@ class CutField(WrappedField):
         return replace(self, value=self.value + value)
 
     def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
-        values = self.base.sample_layers(grid, start, stop, threads)
-        values -= np.float32(self.value)
-        return values
+        # a new array: what a field hands out may be its own
+        return self.base.sample_layers(grid, start, stop, threads) - np.float32(self.value)
 
     def summary(self) -> dict[str, Any]:
         """The summary of the field, and the value it is cut at."""
@@ -143,8 +142,7 @@ class CleanedField(WrappedField):
         place[0] = place[0][start:stop]
         inverted = self.floating[np.ix_(*place)].view(bool)
         inverted &= values < 0
-        np.negative(values, out=values, where=inverted)
-        return values.T
+        return np.where(inverted, -values, values).T
 
 
 @dataclass(frozen=True, eq=False)

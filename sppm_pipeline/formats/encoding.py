@@ -7,13 +7,10 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.numerics.compiled import jit
+from sppm_pipeline.numerics.compiled import Intrinsic, jit
 from sppm_pipeline.numerics.paging import blocks, release
 from sppm_pipeline.numerics.threads import ordered_map
 
@@ -123,46 +120,47 @@ def _largest_bits(bits: NDArray[np.unsignedinteger], mask: np.unsignedinteger) -
 # by byte the same is several times slower. No bound is checked: the caller has made sure that the word lies within.
 
 
-def _place(context: Any, builder: Any, array_type: Any, array: Any, index: Any, bits: int) -> Any:
-    """Pointer to an integer of `bits` bits, `index` bytes into the array."""
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), ir.IntType(bits).as_pointer())
+def _store(bits: int) -> Any:
+    def definition() -> Any:
+        from llvmlite import ir
+        from numba import types
+
+        def typed(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
+            """Write an unsigned integer at array[index:]."""
+
+            def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+                data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+                pointer = builder.bitcast(builder.gep(data, [arguments[1]]), ir.IntType(bits).as_pointer())
+                word = builder.bswap(arguments[2]) if sys.byteorder == "big" else arguments[2]
+                builder.store(word, pointer, align=1)
+                return context.get_dummy_value()
+
+            return types.void(array, types.intp, getattr(types, f"uint{bits}")), code
+
+        return typed
+
+    return Intrinsic(definition)
 
 
-def _swapped(builder: Any, value: Any) -> Any:
-    return builder.bswap(value) if sys.byteorder == "big" else value
-
-
-def _store(bits: int, unsigned: Any) -> Any:
-    def typed(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
-        """Write an unsigned integer at array[index:]."""
-
-        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            pointer = _place(context, builder, signature.args[0], arguments[0], arguments[1], bits)
-            builder.store(_swapped(builder, arguments[2]), pointer, align=1)
-            return context.get_dummy_value()
-
-        return types.void(array, types.intp, unsigned), code
-
-    return intrinsic(typed)
-
-
-store2 = _store(16, types.uint16)
-store4 = _store(32, types.uint32)
-store8 = _store(64, types.uint64)
+store2, store4, store8 = map(_store, (16, 32, 64))
 
 
 def _zeros(count: str) -> Any:
-    def typed(typing_context: Any, value: Any) -> Any:
-        """How many bits of a word of 64 bits are 0 before the first 1 from one end; 64 if all are."""
+    def definition() -> Any:
+        from llvmlite import ir
+        from numba import types
 
-        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return getattr(builder, count)(arguments[0], ir.Constant(ir.IntType(1), 0))
+        def typed(typing_context: Any, value: Any) -> Any:
+            """How many bits of a word of 64 bits are 0 before the first 1 from one end; 64 if all are."""
 
-        return types.int64(types.uint64), code
+            def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+                return getattr(builder, count)(arguments[0], ir.Constant(ir.IntType(1), 0))
 
-    return intrinsic(typed)
+            return types.int64(types.uint64), code
+
+        return typed
+
+    return Intrinsic(definition)
 
 
-leading_zeros = _zeros("ctlz")
-trailing_zeros = _zeros("cttz")
+leading_zeros, trailing_zeros = map(_zeros, ("ctlz", "cttz"))

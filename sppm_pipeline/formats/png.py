@@ -1,9 +1,10 @@
 """PNG layers: a small writer for the images of a slice stack.
 
 Layers are large, mostly flat, and there are thousands of them. One bit a pixel, the *Up* filter (a row minus the row
-above, which is nearly all zeros) and deflate with run lengths only are ten times faster than a general encoder and
-the files are no larger. The bytes depend on the image, the options and the zlib that Python was built with, nothing
-else: there is no time stamp and no optional accelerator.
+above, which is nearly all zeros) and deflate with run lengths only are thirty times faster than a general encoder and
+the files are no larger. The bytes depend on the image and the options, nothing else: there is no time stamp and no
+optional accelerator. Gray layers and other levels than 1 go through zlib, and depend on the one that Python was built
+with.
 
 Format: Portable Network Graphics, third edition (W3C, 2025).
 """
@@ -15,6 +16,9 @@ import zlib
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sppm_pipeline.formats.deflate import deflated_rows
+from sppm_pipeline.numerics.bit_rows import pack
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GRAYSCALE, _COLOR = 0, 2
@@ -63,6 +67,8 @@ def encode_layer(
         raise ValueError(f"a layer has 1 or 8 bits a pixel, not {bits}")
     if not 0 <= level <= 9:
         raise ValueError(f"the compression level is 0 to 9, not {level}")
+    if bits == 1 and level == 1 and not subpixels:
+        return encode_rows(pack(image[None].view(np.uint8))[0], image.shape[1], pixel_mm)
     height, width = image.shape
     if subpixels and (bits != 8 or width % 3):
         raise ValueError(f"subpixels need 8 bits and a width in threes, not {bits} and {width}")
@@ -80,6 +86,28 @@ def encode_layer(
     deflate = zlib.compressobj(level, zlib.DEFLATED, zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, strategy)
     data = deflate.compress(filtered.data) + deflate.flush()
     columns, color = (width // 3, _COLOR) if subpixels else (width, _GRAYSCALE)
+    return _file(columns, height, bits, color, data, pixel_mm)
+
+
+def encode_rows(rows: NDArray[np.uint64], width: int, pixel_mm: tuple[float, float] | None = None) -> bytes:
+    """A layer of black and white that is there as bits: the same file as that of `encode_layer` with one bit.
+
+    Parameters
+    ----------
+    rows : (h, words) uint64, C-contiguous
+        Set where white, see `numerics.bit_rows`; row 0 is the top row.
+    width : int
+        Pixels of a row.
+    pixel_mm : (float, float), optional
+        As for `encode_layer`.
+    """
+    return _file(width, len(rows), 1, _GRAYSCALE, deflated_rows(rows, width).data, pixel_mm)
+
+
+def _file(
+    columns: int, height: int, bits: int, color: int, data: bytes | memoryview, pixel_mm: tuple[float, float] | None
+) -> bytes:
+    """The chunks of a file around its compressed rows."""
     parts = [_SIGNATURE, _chunk(b"IHDR", struct.pack(">IIBBBBB", columns, height, bits, color, 0, 0, 0))]
     if pixel_mm is not None:
         parts.append(_chunk(b"pHYs", struct.pack(">IIB", *(_per_meter(edge) for edge in pixel_mm), _METER)))
@@ -94,7 +122,7 @@ def _per_meter(edge_mm: float) -> int:
     return round(1000.0 / edge_mm)
 
 
-def _chunk(kind: bytes, data: bytes) -> bytes:
+def _chunk(kind: bytes, data: bytes | memoryview) -> bytes:
     if len(data) > _LONGEST:
         raise ValueError(f"a layer of {len(data)} compressed bytes is too large for a PNG chunk")
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))
+    return struct.pack(">I", len(data)) + kind + bytes(data) + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))

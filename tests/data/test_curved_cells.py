@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.data.curved_cells import CylinderCells, HexahedralCells, SphereCells
-from sppm_pipeline.numerics.grading.hexahedral_mesh import boundary_triangles, checked_mesh, outer_hexahedra, split
+from sppm_pipeline.numerics.grading.hexahedral_determinant import above_throughout, determinant_coefficients
+from sppm_pipeline.numerics.grading.hexahedral_mesh import (
+    VTK_ORDER,
+    boundary_triangles,
+    checked_mesh,
+    corner_determinants,
+    outer_hexahedra,
+    split,
+)
 from sppm_pipeline.numerics.grading.hexahedral_places import points_in
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 from sppm_pipeline.testing.hexahedral_meshes import o_grid, squares, star
@@ -16,8 +24,8 @@ from sppm_pipeline.testing.hexahedral_meshes import o_grid, squares, star
 TURN = 2 * math.pi
 
 
-def bent_block(shape=(3, 2, 2), bend=0.22):
-    rng = np.random.default_rng(3)
+def bent_block(shape=(3, 2, 2), bend=0.22, seed=3):
+    rng = np.random.default_rng(seed)
     nodes = np.stack(np.meshgrid(*(np.arange(n + 1.0) for n in shape), indexing="ij"), -1)
     nodes += rng.uniform(-bend, bend, nodes.shape)
     corners = np.empty((*shape, 2, 2, 2, 3))
@@ -143,6 +151,104 @@ def test_what_does_not_fit_is_refused_by_name():
         third[third == node] = len(points) + new
     with pytest.raises(ValueError, match="3 hexahedra share a face of hexahedron"):
         checked_mesh(np.concatenate([points, points[far] + [0.5, 0.0, 0.0]]), np.concatenate([pair, third[None]]))
+
+
+def twisted(turn, across=1.0, along=1.0):
+    """Corners of a cube whose upper face is turned about z by so many degrees, and stretched."""
+    corners = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), -1)[None] - [0.5, 0.5, 0.0]
+    c, s = math.cos(math.radians(turn)), math.sin(math.radians(turn))
+    top = corners[:, :, :, 1].copy()
+    corners[:, :, :, 1, 0] = across * c * top[..., 0] - along * s * top[..., 1]
+    corners[:, :, :, 1, 1] = across * s * top[..., 0] + along * c * top[..., 1]
+    return corners
+
+
+def test_coefficients_of_the_determinant_are_exact():
+    corners = bent_block(bend=0.5).corners
+    t = np.random.default_rng(5).random((40, 3))
+    basis = np.stack([(1 - t) ** 2, 2 * t * (1 - t), t**2], -1)  # Bernstein polynomials of degree two
+    found = np.einsum("na,nb,nc,mabc->mn", *(basis[:, a] for a in range(3)), determinant_coefficients(corners))
+    cell = np.repeat(np.arange(len(corners)), len(t))
+    expected = np.linalg.det(points_in(corners, cell, np.tile(t, (len(corners), 1)))[1])
+    np.testing.assert_allclose(found.ravel(), expected, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("turn", "across", "along", "good"),
+    [
+        # the determinant at the height z is ((1 - z) - across z) ((1 - z) - along z) at half a turn
+        (180, 1.2, 1.1, False),  # below zero from z = .4545 to .4762 only, and above it in all of 27 places
+        (180, 1.0, 1.0, False),  # zero at z = 1/2
+        (180, 2.0, 2.0, False),  # zero at z = 1/3, where no halving ever looks
+        (178, 2.0, 2.0, True),  # 1.5e-4 there at least
+        (170, 1.0, 1.0, True),
+        (0, 1.0, 1.0, True),
+    ],
+)
+def test_hexahedra_that_are_inside_out_within_are_found(turn, across, along, good):
+    corners = twisted(turn, across, along)
+    assert (corner_determinants(corners) > 0.9).all()
+    assert above_throughout(corners, np.array([1e-9])).tolist() == [good]
+
+
+def test_no_point_is_lost_or_found_elsewhere_in_strongly_distorted_hexahedra():
+    """Newton steps from the middle miss some ten of these points, or end where the map folds back beyond a face."""
+    rng = np.random.default_rng(1)
+    cube = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), -1)
+    corners = cube + rng.uniform(-0.8, 0.8, (40_000, 2, 2, 2, 3))
+    corners = corners[above_throughout(corners, np.full(len(corners), 1e-8))][:400]
+    assert len(corners) == 400
+    within = rng.random((100, 3))
+    within[:10] = rng.integers(0, 2, (10, 3))  # corners, which rounding may put just outside
+    lost = 0
+    for own in corners:
+        cells = HexahedralCells(own[None])
+        points = cells.points(np.zeros(100, int), within)
+        found = cells.places(points)
+        lost += np.count_nonzero(found.cell < 0)
+        back = cells.points(np.zeros(100, int), found.within)
+        np.testing.assert_allclose(back[found.cell == 0], points[found.cell == 0], atol=1e-8)
+        inner = (found.cell == 0) & (np.arange(100) >= 10)
+        np.testing.assert_allclose(found.within[inner], within[inner], atol=1e-5)
+    assert lost == 0
+
+
+def test_a_strongly_distorted_block_is_filled_once():
+    """Each point of the block is in one cell, in which its place maps to it again; those outside are in none."""
+    cells = bent_block((3, 3, 3), bend=0.44, seed=172)
+    assert above_throughout(cells.corners, np.zeros(27)).all()
+    rng = np.random.default_rng(0)
+    cell, within = rng.integers(0, 27, 20_000), rng.random((20_000, 3))
+    found = cells.places(cells.points(cell, within))
+    np.testing.assert_array_equal(found.cell, cell)
+    np.testing.assert_allclose(found.within, within, atol=1e-6)
+    np.testing.assert_array_equal(cells.continued(cells.points(cell, within))[0], cell)
+    low, high = cells.box
+    inside = cells.places(low + (high - low) * rng.random((40_000, 3))).cell >= 0
+    assert inside.mean() * np.prod(high - low) == pytest.approx(cells.volumes.sum(), rel=0.02)
+
+
+def test_no_sample_belies_the_proof():
+    """Corners anywhere: where the proof holds no place has a determinant below zero, and elsewhere one nearly has."""
+    rng = np.random.default_rng(0)
+    cube = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), -1)
+    corners = cube + rng.uniform(-0.6, 0.6, (1500, 2, 2, 2, 3))
+    corners = corners[(corner_determinants(corners) > 0).all(axis=1)]
+    above = above_throughout(corners, np.zeros(len(corners)))
+    t = np.stack(np.meshgrid(*(np.linspace(0, 1, 11),) * 3, indexing="ij"), -1).reshape(-1, 3)
+    cell = np.repeat(np.arange(len(corners)), len(t))
+    least = np.linalg.det(points_in(corners, cell, np.tile(t, (len(corners), 1)))[1]).reshape(-1, len(t)).min(axis=1)
+    assert 5 < (~above).sum() < 60
+    assert (least[above] > 0).all()
+    assert (least[~above] < 0.01).all()
+
+
+def test_a_hexahedron_inside_out_within_is_refused_by_its_number():
+    points, hexes = squares([(0, 0), (3, 0)], 1.0, layers=1)
+    bad = twisted(180, 1.2, 1.1)[0]
+    own = np.array([8.0, 0.0, 0.0]) + [bad[corner] for corner in VTK_ORDER]
+    with pytest.raises(ValueError, match=r"hexahedron 2 is inside out or flat somewhere within, .* 1 of 3"):
+        checked_mesh(np.concatenate([points, own]), np.concatenate([hexes, np.arange(8)[None] + len(points)]))
 
 
 @pytest.mark.parametrize("around", [300.0, 330.0, 360.0, 80.0])

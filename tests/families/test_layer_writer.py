@@ -14,6 +14,7 @@ from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import PluginError
 from sppm_pipeline.families import LayerWriter
+from sppm_pipeline.numerics.bit_rows import unpack
 from sppm_pipeline.stage import option
 from sppm_pipeline.stages.slice.field import SliceField
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -93,6 +94,46 @@ def test_a_container_holds_all_layers_and_what_is_known_at_the_end(stack, tmp_pa
             assert archive.read(str(number)) == (tmp_path / f"layers/{number:05d}.raw").read_bytes()
         assert json.loads(archive.read("end"))["solid_voxels"] == solid
     assert (tmp_path / "part.v1-overview.png").read_bytes() == (tmp_path / "layers-overview.png").read_bytes()
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteBits(WriteRaw):
+    """The same layers, where they are there as bits."""
+
+    def takes_bits(self, stack):
+        return not stack.gray
+
+    def encode_bits(self, rows, stack):
+        return unpack(rows[None], stack.shape[0], 255).tobytes()
+
+
+class Sums:
+    """Looks at some layers."""
+
+    wanted = (2, 9)
+
+    def __init__(self):
+        self.seen = []
+
+    def add(self, number, image):
+        self.seen.append((number, image.shape, int(image[0].sum())))
+
+
+@pytest.mark.parametrize("islands", ["keep", "remove"])
+@pytest.mark.parametrize("gray", [1, 2])
+def test_layers_of_bits_are_the_same_layers(wang_tiling, tmp_path, islands, gray, monkeypatch):
+    seen = []
+    monkeypatch.setattr(WriteRaw, "observer", lambda writer, stack: seen.append(Sums()) or seen[-1])
+    files = []
+    for number, writer in enumerate((WriteRaw, WriteBits)):
+        stack = SliceField(resolution=7, gray=gray, islands=islands).run(PlainContext(), wang_tiling)
+        context = write(writer(), stack, tmp_path / str(number))
+        folder = context.directory
+        files.append({file.name: file.read_bytes() for file in folder.rglob("*") if file.is_file()})
+    assert files[0] == files[1]
+    looked_at = [[entry for entry in sums.seen if entry[0] in Sums.wanted] for sums in seen]
+    assert looked_at[0] == looked_at[1]
+    assert [number for number, *_ in looked_at[0]] == [2, 9]
 
 
 def test_a_writer_that_leaves_layers_out_is_found(stack, tmp_path):

@@ -7,6 +7,7 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.fields import domain_sampler
 from sppm_pipeline.fields.domain_sampler import VOTED_LAYERS
 from sppm_pipeline.fields.part import Part
+from sppm_pipeline.numerics.bit_rows import unpack
 from sppm_pipeline.numerics.domain import primitive_meshes
 from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
 from sppm_pipeline.numerics.grid import Grid, cell_centers
@@ -67,6 +68,7 @@ def test_slabs_and_threads_change_no_bit(wang_tiling, ball, skin, opened):
     whole = part.solid(grid)
     assert whole.any()
     assert part.solid(grid, threads=2).tobytes() == whole.tobytes()
+    assert np.array_equal(unpack(part.solid_bits(grid, 5, 91, 2), 40).T, whole[:, :, 5:91])
     for step in (1, 7, 70):
         parts = [(k, min(k + step, grid.shape[2])) for k in range(0, grid.shape[2], step)]
         again = Part(wang_tiling, domain, skin)

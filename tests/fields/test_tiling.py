@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.fields import tiling
 from sppm_pipeline.fields.microstructure import CUTOFF
 from sppm_pipeline.fields.tiling import Tiling, sampling_tables
 from sppm_pipeline.fields.wrapped import RepeatedField
 from sppm_pipeline.numerics.assembly.gather import sample_exact
+from sppm_pipeline.numerics.bit_rows import unpack
 from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
 from sppm_pipeline.stages.check.connectivity import CheckConnectivity
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling
@@ -133,6 +135,7 @@ def test_solid_is_the_sign_and_slabs_and_threads_change_no_bit(fields, name, gri
     assert 0 < solid.mean() < 1
     assert solid.tobytes() == field.solid(grid, threads=2).tobytes()
     nz = grid.shape[2]
+    assert np.array_equal(unpack(field.solid_bits(grid, 1, nz, 2), grid.shape[0]).T, solid[:, :, 1:])
     for step in (1, 5):
         parts = [(k, min(k + step, nz)) for k in range(0, nz, step)]
         assert np.concatenate([field.solid_layers(grid, *p, threads=2) for p in parts], 2).tobytes() == solid.tobytes()
@@ -153,3 +156,29 @@ def test_many_interiors_have_to_be_laid_out(wang):
 def test_the_level_moves_the_field_and_not_the_kernels(cell):
     grid = cell_centers(8)
     assert np.abs(cell.with_level(0.5).sample(grid) - (cell.sample(grid) + cell.level - 0.5)).max() < 1e-6
+
+
+def test_large_patches_have_sixteen_bits_for_solids_alone(wang_tiling, monkeypatch):
+    grid = cell_centers(20, wang_tiling.cells)
+    field = wang_tiling.exactly()
+    solid, values = field.solid(grid), field.sample(grid)
+    assert field.patches(20, 0.5, solid=True).bank.solid_level is None
+    monkeypatch.setattr(tiling, "SMALL_BANK", 0)
+    monkeypatch.setattr(tiling, "USES_OF_A_PATCH", 0)
+    monkeypatch.setattr(tiling, "LASTING_USES", 0)
+    assert field.patches(20, 0.5).bank.solid_level is None
+    assert field.patches(20, 0.5, solid=True).bank.data.dtype == np.int16
+    assert field.sample(grid).tobytes() == values.tobytes()
+    coarse = field.solid(grid)
+    assert (coarse != solid).mean() < 1e-4
+    # half a unit for each of eight patches, and what was trimmed
+    bound = 8 * (field.solid_below / 32767 / 2 + CUTOFF)
+    assert (np.abs(values)[coarse != solid] <= bound).all()
+    assert np.array_equal(unpack(field.solid_bits(grid, 0, grid.shape[2]), grid.shape[0]).T, coarse)
+    other = field.cut_at(0.01)  # another level has patches of its own
+    assert (other.solid(grid) != (values < 0.01)).mean() < 1e-4
+    kept = [bank.solid_level for bank in sampling_tables(field.tileset.micro.pieces).values() if hasattr(bank, "data")]
+    assert len([level for level in kept if level is not None]) == 1  # and they take the place of those before
+    monkeypatch.setattr(tiling, "LARGE_BANK", 0)
+    assert not field.has_patches(20, 0.5)
+    assert field.patches(20, 0.5, solid=True) is None

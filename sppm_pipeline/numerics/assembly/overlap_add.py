@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.assembly.patches import FULL, PatchBank, patches_at
+from sppm_pipeline.numerics.bit_rows import empty_bits, gather, unpack
 from sppm_pipeline.numerics.compiled import inline_jit, jit
 
 # Samples that are summed at a time: 512 kB of float32 stay in the second level cache beside the patches.
 _BLOCK_SAMPLES = 1 << 17
 _SHIFT = np.uint64(4)
+_ONE, _WORD, _WORD_SHIFT = np.uint64(1), np.uint64(64), np.uint64(6)
 
 
 def assemble(
@@ -65,7 +67,7 @@ def assemble(
     field = np.empty(shape, dtype=np.float32) if out is None else out
     if field.shape != shape or field.dtype != np.float32 or not field.flags.c_contiguous:
         raise ValueError(f"out must be a C-contiguous float32 array {shape}")
-    _run(bank, tiling, (x0, y0, layer_start), field, np.empty((1, 1, 1), dtype=np.uint8), False, 0.0, threads)
+    _run(bank, tiling, (x0, y0, layer_start), shape, field, None, 0.0, threads)
     return field
 
 
@@ -79,10 +81,25 @@ def assemble_solid(
     x1: int,
     y0: int,
     y1: int,
-    out: NDArray[np.uint8] | None = None,
     threads: int = 1,
 ) -> NDArray[np.uint8]:
-    """Where the field lies below a level: 1 = solid, 0 = void. No layer of the field is held in memory.
+    """`assemble_bits` as bytes, (layers, y1 - y0, x1 - x0) uint8: 1 = solid, 0 = void."""
+    return unpack(assemble_bits(bank, tiling, level, layer_start, layer_stop, x0, x1, y0, y1, threads), x1 - x0)
+
+
+def assemble_bits(
+    bank: PatchBank,
+    tiling: TilingArrays,
+    level: float,
+    layer_start: int,
+    layer_stop: int,
+    x0: int,
+    x1: int,
+    y0: int,
+    y1: int,
+    threads: int = 1,
+) -> NDArray[np.uint64]:
+    """Where the field lies below a level: set = solid. No layer of the field is held in memory.
 
     Parameters and errors as for `assemble`; outside of the tiling the field is zero, which counts as solid.
 
@@ -91,21 +108,17 @@ def assemble_solid(
     level : float
         The level C; solid is G < C, decided on the float32 values that `assemble` gives. An int16 bank serves the level
         it was built for.
-    out : (layers, y1 - y0, x1 - x0) uint8, C-contiguous, optional
-        Receives the result.
 
     Returns
     -------
-    (layers, y1 - y0, x1 - x0) uint8
-        The solid.
+    (layers, y1 - y0, words) uint64
+        The solid, see `numerics.bit_rows`; the first bit of a row is x0.
     """
-    shape = _shape(layer_start, layer_stop, x0, x1, y0, y1)
+    layers, rows, columns = _shape(layer_start, layer_stop, x0, x1, y0, y1)
     if bank.solid_level is not None and level != bank.solid_level:
         raise ValueError(f"the int16 bank was built for the level {bank.solid_level!r}, not {level!r}")
-    solid = np.empty(shape, dtype=np.uint8) if out is None else out
-    if solid.shape != shape or solid.dtype != np.uint8 or not solid.flags.c_contiguous:
-        raise ValueError(f"out must be a C-contiguous uint8 array {shape}")
-    _run(bank, tiling, (x0, y0, layer_start), np.empty((1, 1, 1), dtype=np.float32), solid, True, level, threads)
+    solid = empty_bits(layers, rows, columns)
+    _run(bank, tiling, (x0, y0, layer_start), (layers, rows, columns), None, solid, level, threads)
     return solid
 
 
@@ -119,14 +132,14 @@ def _run(
     bank: PatchBank,
     tiling: TilingArrays,
     corner: tuple[int, int, int],
-    field: NDArray[np.float32],
-    solid: NDArray[np.uint8],
-    threshold: bool,
+    size: tuple[int, int, int],
+    field: NDArray[np.float32] | None,
+    solid: NDArray[np.uint64] | None,
     level: float,
     threads: int,
 ) -> None:
-    """Cut the box into blocks of layers and rows, and fill them."""
-    layers, rows, columns = solid.shape if threshold else field.shape
+    """Cut the box, layers x rows x columns, into blocks of layers and rows, and fill one of the arrays."""
+    layers, rows, columns = size
     if layers * rows * columns == 0:
         return
     start = np.array(corner, dtype=np.int64)
@@ -159,9 +172,10 @@ def _run(
             base,
             start,
             shape,
-            field.reshape(-1),
-            solid.reshape(-1),
-            threshold,
+            np.empty(0, np.float32) if field is None else field.reshape(-1),
+            np.empty(0, np.uint64) if solid is None else solid.reshape(-1),
+            np.zeros(8, np.uint64),
+            solid is not None,
             kind(level) if bank.solid_level is None else kind(FULL),
             bank.n,
             sites.first,
@@ -221,13 +235,27 @@ def _copy_row(source: NDArray, start: np.uint64, target: NDArray[np.float32], to
 def _threshold_row(
     source: NDArray,
     start: np.uint64,
-    target: NDArray[np.uint8],
+    target: NDArray[np.uint64],
     to: np.uint64,
     count: np.uint64,
     level: np.float32 | np.int32,
+    flags: NDArray[np.uint64],
 ) -> None:
-    for i in range(count):
-        target[to + i] = np.uint8(source[start + i] < level)
+    """Write a bit for each sample; `flags` is room for the bytes of a word."""
+    each = flags.view(np.uint8)
+    for w in range(count >> _WORD_SHIFT):
+        first = start + (np.uint64(w) << _WORD_SHIFT)
+        for i in range(_WORD):
+            each[i] = np.uint8(source[first + i] < level)
+        target[to + np.uint64(w)] = gather(flags, 0)
+    rest = count & (_WORD - _ONE)
+    if rest > 0:
+        for b in range(8):
+            flags[b] = 0
+        first = start + count - rest
+        for i in range(rest):
+            each[i] = np.uint8(source[first + i] < level)
+        target[to + (count >> _WORD_SHIFT)] = gather(flags, 0)
 
 
 @jit
@@ -241,7 +269,8 @@ def _assemble_blocks(
     start: NDArray[np.int64],
     shape: NDArray[np.int64],
     field: NDArray[np.float32],
-    solid: NDArray[np.uint8],
+    solid: NDArray[np.uint64],
+    flags: NDArray[np.uint64],
     threshold: bool,
     level: np.float32 | np.int32,
     n: int,
@@ -291,8 +320,10 @@ def _assemble_blocks(
         for z in range(za, zb):
             for y in range(ya, yb):
                 source = np.uint64(((z - za) * block[1] + y - ya) * width + start[0] - base)
-                to = np.uint64(((z - start[2]) * shape[1] + y - start[1]) * shape[2])
+                row = (z - start[2]) * shape[1] + y - start[1]
                 if threshold:
-                    _threshold_row(rows, source, solid, to, np.uint64(shape[2]), level)
+                    to = np.uint64(row * ((shape[2] + 63) // 64))
+                    _threshold_row(rows, source, solid, to, np.uint64(shape[2]), level, flags)
                 else:
+                    to = np.uint64(row * shape[2])
                     _copy_row(rows, source, field, to, np.uint64(shape[2]))

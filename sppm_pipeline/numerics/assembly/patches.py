@@ -140,7 +140,10 @@ def predicted_bytes(
     cutoff: float = DEFAULT_CUTOFF,
     solid_level: float | None = None,
 ) -> int:
-    """Bytes that `build_bank` needs at most, with its working space, for the same arguments; nothing is sampled."""
+    """Bytes that `build_bank` needs at most on one thread, for the same arguments; nothing is sampled.
+
+    Each further thread works on a patch of its own, the largest at most.
+    """
     own, merged = _parts(pieces, combinations)
     total = largest = 0
     for kernels in [pieces[i] for i in own] + merged:
@@ -148,7 +151,7 @@ def predicted_bytes(
         if box is not None:
             samples = math.prod(int(s) for s in box[1])
             total += (4 if solid_level is None else 2) * samples + 16 * int(box[1][1] * box[1][2])
-            largest = max(largest, (4 if solid_level is None else 14) * samples)
+            largest = max(largest, (4 if solid_level is None else 6) * samples)
     return total + largest
 
 
@@ -204,20 +207,29 @@ def build_bank(
     kind = np.float32 if solid_level is None else np.int16
     data: NDArray[Any] = np.empty(int((size.prod(axis=1, dtype=np.int64)).sum()), dtype=kind)
     used = 0
+    # Working space goes from patch to patch: fresh memory takes longer to get than to fill.
+    most = int(size.prod(axis=1, dtype=np.int64).max(initial=0))
+    free: list[NDArray[np.float32]] = []
+    rounded: NDArray[np.int16] = np.empty(0 if solid_level is None else most, dtype=np.int16)
+    scale = 1.0 if solid_level is None else FULL / solid_level
 
     def sampled(p: int) -> NDArray[np.float32]:
-        dense = np.zeros((size[p, 2], size[p, 1], size[p, 0]), dtype=np.float32)
+        room = free.pop() if free else np.empty(most, np.float32)
+        room[: rows[p] * size[p, 0]] = 0.0
+        dense = room[: rows[p] * size[p, 0]].reshape(size[p, 2], size[p, 1], size[p, 0])
         origin = (low[p] + offset) / n
-        grid = Grid((origin[0], origin[1], origin[2]), (1.0 / n,) * 3, dense.shape[::-1])
+        grid = Grid((origin[0], origin[1], origin[2]), (1.0 / n,) * 3, (dense.shape[2], dense.shape[1], dense.shape[0]))
         add_kernels(dense, grid, kernels[there[p]], cutoff)
-        return dense
+        return room
 
-    for p, dense in enumerate(ordered_map(sampled, range(len(there)), threads, ahead=threads)):
+    for p, room in enumerate(ordered_map(sampled, range(len(there)), threads, ahead=threads)):
         part = slice(first_row[p], first_row[p] + rows[p])
-        scale = 1.0 if solid_level is None else FULL / solid_level
-        samples = dense if solid_level is None else np.minimum(np.rint(dense * np.float32(scale)), FULL).astype(kind)
+        dense: NDArray[Any] = room[: rows[p] * size[p, 0]]
+        if solid_level is not None:
+            _round(dense, np.float32(scale), rounded[: dense.size])
+            dense = rounded[: dense.size]
         used = _pack(
-            samples,
+            dense.reshape(size[p, 2], size[p, 1], size[p, 0]),
             np.float32(cutoff * scale),
             int(low[p, 0]),
             row_low[part],
@@ -226,6 +238,7 @@ def build_bank(
             data,
             used,
         )
+        free.append(room)
     data.resize(used, refcheck=False)
 
     patch = np.full(len(kernels), -1, dtype=np.int32)
@@ -260,6 +273,14 @@ def build_bank(
 
 
 @jit
+def _round(samples: NDArray[np.float32], scale: np.float32, out: NDArray[np.int16]) -> None:
+    """Samples in units of an int16 bank, none above FULL."""
+    most = np.float32(FULL)
+    for i in range(samples.size):
+        out[i] = np.int16(min(np.rint(samples[i] * scale), most))
+
+
+@jit
 def _pack(
     dense: NDArray,
     threshold: np.float32,
@@ -288,7 +309,8 @@ def _pack(
             row_low[row] = low + first
             row_blocks[row] = blocks
             row_start[row] = used
-            data[used : used + LANES * blocks] = dense[z, y, first : first + LANES * blocks]
+            for i in range(LANES * blocks):
+                data[used + i] = dense[z, y, first + i]
             used += LANES * blocks
     return used
 

@@ -2,5 +2,6 @@
 
 A part that is printed must be connected, and its void must let resin or powder out. The modules: `runs` (a mask
 as runs of voxels), `components` (union-find over the runs, periodic seams included), `torus` (label images),
-`percolation` (what a phase looks like), `islands` (keep the largest), `streaming` (the same without the whole array).
+`percolation` (what a phase looks like), `islands` (keep the largest), `streaming` (the same without the whole
+array, `layer_ids` for each layer).
 """

@@ -1,8 +1,8 @@
 """A voxel mask as runs: the maximal stretches of set voxels along x.
 
 A porous layer has one run in ten to thirty voxels, so everything that follows (union-find, counting, clearing) touches
-runs and not voxels. Runs are found 64 voxels at a time: eight bytes of zeros and ones become eight bits by one
-multiplication, and the set bits of ``word ^ (word << 1)`` are where runs begin and end.
+runs and not voxels. Runs are found 64 voxels at a time: the set bits of ``word ^ (word << 1)`` are where runs begin and
+end.
 """
 
 from __future__ import annotations
@@ -13,18 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.numerics.bit_rows import bit_index, pack, set_bits
 from sppm_pipeline.numerics.compiled import jit
 
 _ONE = np.uint64(1)
-# byte i of a word of zeros and ones lands in bit 56 + i; the partial products never meet, so nothing is carried
-_GATHER = np.uint64(0x0102040810204080)
-_GATHER_SHIFT = np.uint64(56)
 _TOP_BIT = np.uint64(63)
-# index of the only set bit: the six top bits of a de Bruijn sequence times that bit are different for each bit
-_SEQUENCE = 0x03F79D71B4CB0A89
-_DE_BRUIJN = np.uint64(_SEQUENCE)
-_DE_BRUIJN_SHIFT = np.uint64(58)
-_BIT_INDEX = np.argsort([((_SEQUENCE << bit) & 0xFFFFFFFFFFFFFFFF) >> 58 for bit in range(64)]).astype(np.int32)
 
 
 class Runs(NamedTuple):
@@ -95,8 +88,18 @@ def find_runs(mask: NDArray[np.uint8], zeros: bool = False) -> Runs:
     -------
     Runs
     """
-    rows, bounds = _find_runs(mask, np.uint8(zeros))
-    return Runs((mask.shape[0], mask.shape[1], mask.shape[2]), rows, bounds.copy())
+    return runs_of_bits(pack(mask), mask.shape[2], zeros)
+
+
+def runs_of_bits(bits: NDArray[np.uint64], nx: int, zeros: bool = False) -> Runs:
+    """The runs of a mask (nz, ny, words), nx voxels in a row, see `numerics.bit_rows`; `zeros` as in `find_runs`."""
+    nz, ny, words = bits.shape
+    rows = np.empty(nz * ny + 1, np.int64)
+    each = np.ascontiguousarray(bits).reshape(nz * ny, words)
+    flip = np.uint64(0xFFFFFFFFFFFFFFFF if zeros else 0)
+    bounds = np.empty(2 * _count_runs(each, nx, flip, rows), np.int32)
+    _find_runs(each, nx, flip, rows, bounds)
+    return Runs((nz, ny, nx), rows, bounds)
 
 
 def stack_runs(slabs: Sequence[Runs]) -> Runs:
@@ -109,43 +112,47 @@ def stack_runs(slabs: Sequence[Runs]) -> Runs:
 
 
 @jit
-def _find_runs(mask: NDArray[np.uint8], flip: np.uint8) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    nz, ny, nx = mask.shape
-    rows = np.empty(nz * ny + 1, np.int64)
-    n_words = (nx + 63) // 64
-    words = np.zeros(n_words * 8, np.uint64)
-    flags = words.view(np.uint8)
-    most = 2 * (nx // 2 + 1)  # bounds that one row can add
-    bounds = np.empty(max(most, mask.size // 16), np.int32)
+def _count_runs(bits: NDArray[np.uint64], nx: int, flip: np.uint64, rows: NDArray[np.int64]) -> int:
+    """Write where the runs of each row begin, and return how many there are."""
+    n_words = bits.shape[1]
+    end = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(64 * n_words - nx)
     n = 0
-    for z in range(nz):
-        for y in range(ny):
-            rows[z * ny + y] = n // 2
-            if n + most > bounds.size:
-                grown = np.empty(2 * bounds.size + most, np.int32)
-                for i in range(n):
-                    grown[i] = bounds[i]
-                bounds = grown
-            row = mask[z, y]
-            for x in range(nx):
-                flags[x] = np.uint8(row[x] != 0) ^ flip
-            carry = np.uint64(0)
-            for w in range(n_words):
-                packed = np.uint64(0)
-                for b in range(8):
-                    packed |= ((words[8 * w + b] * _GATHER) >> _GATHER_SHIFT) << np.uint64(8 * b)
-                change = packed ^ ((packed << _ONE) | carry)
-                carry = packed >> _TOP_BIT
-                while change != 0:
-                    lowest = change & (~change + _ONE)
-                    bounds[n] = 64 * w + _BIT_INDEX[(lowest * _DE_BRUIJN) >> _DE_BRUIJN_SHIFT]
-                    n += 1
-                    change ^= lowest
-            if n % 2 == 1:
-                bounds[n] = nx
+    for y in range(bits.shape[0]):
+        rows[y] = n
+        starts = carry = np.uint64(0)
+        for w in range(n_words):
+            word = bits[y, w] ^ flip
+            if w == n_words - 1:
+                word &= end
+            starts += set_bits(word & ~((word << _ONE) | carry))
+            carry = word >> _TOP_BIT
+        n += int(np.int64(starts))
+    rows[bits.shape[0]] = n
+    return n
+
+
+@jit
+def _find_runs(
+    bits: NDArray[np.uint64], nx: int, flip: np.uint64, rows: NDArray[np.int64], bounds: NDArray[np.int32]
+) -> None:
+    n_words = bits.shape[1]
+    end = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(64 * n_words - nx)
+    for y in range(bits.shape[0]):
+        n = 2 * rows[y]
+        carry = np.uint64(0)
+        for w in range(n_words):
+            word = bits[y, w] ^ flip
+            if w == n_words - 1:
+                word &= end
+            change = word ^ ((word << _ONE) | carry)
+            carry = word >> _TOP_BIT
+            while change != 0:
+                lowest = change & (~change + _ONE)
+                bounds[n] = 64 * w + bit_index(lowest)
                 n += 1
-    rows[nz * ny] = n // 2
-    return rows, bounds[:n]
+                change ^= lowest
+        if n < 2 * rows[y + 1]:
+            bounds[n] = nx
 
 
 @jit

@@ -1,35 +1,61 @@
 """Floating islands of a part whose layers come slab by slab and are never all in memory.
 
 Islands have to be removed on the assembly, never per tile: what floats in a tile may be held by its neighbor. So the
-part is gone through twice. The first pass gives every two-dimensional component of a layer an *id*: the smallest id
-that it touches in the layer below, or a new one. Ids that turn out to be one component are united, and voxels are
-counted per id. The second pass meets the same layers, derives the same ids in the same way, without any union, and
-looks up whether they stay.
+part is gone through twice. The first pass gives every run of a layer an *id*: that of the component which it touches in
+the layer below or in the row before, or a new one. Ids that turn out to be one component are united, and voxels are
+counted per id. Of the ids that a layer has brought, those remain that nothing is known to be one with.
+
+What stays is known when all layers were seen, but most of it long before: a run that is one with the largest component
+so far remains so. Runs that are not, the *loose* ones, are written down, a few in a hundred. The second pass looks up
+whether their ids stay, and takes out those that do not; it need not look at the others. Should there be too many to
+write down, the second pass derives the ids of all runs again, in the same way.
 
 Slabs may also be labeled apart from each other, each by a filter of its own: `IslandFilter.labels` ends the first pass
 of a slab, `slab_union` unites them, and `IslandFilter.decided` begins the second pass.
 
 Kept between layers are the runs of one layer and their ids; besides, some forty bytes per id until `finish`, and one
-byte afterwards. A new id is needed only where a two-dimensional component lies on nothing below: a few per cell. The
-ids of the first layers, as many as fit into 16 MB, wait for the second pass, which then need not derive them.
+byte afterwards, and sixteen for each loose run. A new id is needed only where a two-dimensional component lies on
+nothing below: a few per cell.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.numerics.bit_rows import count, pack, unpack
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.connectivity.islands import clear_runs
-from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_runs, join_rows, neighbor_reach, unite
+from sppm_pipeline.numerics.connectivity.layer_ids import clear_runs, layer_ids, list_loose, set_runs, still_loose
+from sppm_pipeline.numerics.connectivity.runs import Runs, as_bytes, find_root, neighbor_reach, runs_of_bits
 from sppm_pipeline.numerics.connectivity.verdicts import IslandStatistics, SlabLabels, decide
 
-_REMEMBERED = 1 << 22
-"""Runs whose ids are kept from the first pass for the second one."""
+_REMEMBERED = 1 << 21
+"""Loose runs that are written down in the first pass: 32 MB."""
+
+_LOOKED_THROUGH = 1 << 18
+"""Loose runs from which it is worth looking whether they still are: most of those of the first layers are not."""
+
+
+class _Loose(NamedTuple):
+    """Of a layer, what the second pass needs to know.
+
+    Attributes
+    ----------
+    voxels : int
+        How many are set, so that another layer is noticed.
+    main : int
+        An id of the component that was the largest when the layer was seen; -1 if the layer is empty.
+    runs : (n, 4) int32
+        Row, first voxel, the one after the last, and id of each run of another component.
+    """
+
+    voxels: int
+    main: int
+    runs: NDArray[np.int32]
 
 
 class IslandFilter:
@@ -55,9 +81,8 @@ class IslandFilter:
         # x low, x high, y low, y high, z low, z high; the highs are inclusive
         self._boxes = np.zeros((1024, 6), dtype=np.int32)
         self._verdict: NDArray[np.bool_] | None = None
-        # of the first layers, the ids of their runs and how many ids there are so far; emptied by the second pass
-        self._remembered: deque[tuple[NDArray[np.int32], int]] = deque()
-        self._room = _REMEMBERED
+        self._remembered: deque[_Loose] | None = deque()  # emptied by the second pass
+        self._written, self._next_look = 0, _LOOKED_THROUGH
         self._rewind()
         self._first, self._ids_first = self._below, self._ids_below
 
@@ -65,11 +90,12 @@ class IslandFilter:
     def decided(cls, ny: int, nx: int, layers: int, verdict: NDArray[np.bool_], connectivity: int = 6) -> IslandFilter:
         """The filter of a slab whose second pass begins; `verdict` says of each of its ids whether it stays."""
         islands = cls(ny, nx, connectivity)
-        islands._layers, islands._verdict = layers, verdict
+        islands._layers, islands._verdict, islands._remembered = layers, verdict, None
         return islands
 
     def _rewind(self) -> None:
         ny, nx = self._shape
+        self._largest = 0  # the id with most voxels, of those known
         self._below = Runs((1, ny, nx), np.zeros(ny + 1, dtype=np.int64), np.zeros(0, dtype=np.int32))
         self._ids_below = np.zeros(0, dtype=np.int32)
         self._n_ids = 0
@@ -80,37 +106,31 @@ class IslandFilter:
             raise ValueError(f"a slab is (nz, {self._shape[0]}, {self._shape[1]}), not {slab.shape}")
         return as_bytes(slab)
 
-    def _advance(self, layer: NDArray[np.uint8], joining: bool) -> Runs:
-        """Find the runs of the next layer and their ids; unite ids if `joining`."""
-        runs = find_runs(layer)
-        if joining and self._n_ids + runs.n_runs > self._parent.size:
-            room = ((0, self._n_ids + 2 * runs.n_runs),)
-            self._parent = np.pad(self._parent, room)
-            self._voxels = np.pad(self._voxels, room)
-            self._boxes = np.pad(self._boxes, (*room, (0, 0)))
-        if not joining and self._remembered:
-            ids, self._n_ids = self._remembered.popleft()
-            if ids.size != runs.n_runs:
-                raise _other_layer(self._z)
-        else:
-            ids = np.empty(runs.n_runs, dtype=np.int32)
-            self._n_ids = _layer_ids(
-                runs.rows,
-                runs.bounds,
-                self._below.rows,
-                self._below.bounds,
-                self._ids_below,
-                ids,
-                self._parent,
-                self._n_ids,
-                self._reach,
-                joining,
-            )
-            if joining and runs.n_runs <= self._room:
-                self._remembered.append((ids, self._n_ids))
-                self._room -= runs.n_runs
-            elif joining:
-                self._room = -1  # only the first layers, with none missing in between
+    def _advance(self, layer: NDArray[np.uint64], counting: bool) -> Runs:
+        """Find the runs of the next layer (1, ny, words) and their ids; count their voxels in the first pass."""
+        runs = runs_of_bits(layer, self._shape[1])
+        needed = self._n_ids + runs.n_runs
+        if needed > self._parent.size:
+            self._parent = _grown(self._parent, self._n_ids, needed)
+        if counting and needed > self._voxels.size:
+            self._voxels, self._boxes = (_grown(of, self._n_ids, needed) for of in (self._voxels, self._boxes))
+        ids = np.empty(runs.n_runs, dtype=np.int32)
+        self._n_ids, self._largest = layer_ids(
+            runs.rows,
+            runs.bounds,
+            self._below.rows,
+            self._below.bounds,
+            self._ids_below,
+            ids,
+            self._parent,
+            self._voxels,
+            self._boxes,
+            self._n_ids,
+            self._largest,
+            self._z,
+            self._reach,
+            counting,
+        )
         self._below, self._ids_below = runs, ids
         self._z += 1
         return runs
@@ -123,18 +143,50 @@ class IslandFilter:
         slab : (nz, ny, nx) bool or uint8
             Anything but 0 belongs to the phase.
         """
+        self.observe_bits(pack(self._bytes(slab)))
+
+    def observe_bits(self, slab: NDArray[np.uint64]) -> int:
+        """`observe` for bits, (nz, ny, words), see `numerics.bit_rows`; returns how many are set."""
         if self._verdict is not None:
             raise ValueError("observe comes before finish")
-        layers = self._bytes(slab)
-        for k in range(layers.shape[0]):
-            known = self._n_ids
-            runs = self._advance(layers[k : k + 1], joining=True)
+        total = 0
+        for k in range(slab.shape[0]):
+            runs = self._advance(slab[k : k + 1], counting=True)
             if self._z == 1:
                 self._first, self._ids_first = runs, self._ids_below
-            _count_runs(
-                runs.rows, runs.bounds, self._ids_below, known, self._n_ids, self._z - 1, self._voxels, self._boxes
-            )
+            voxels = int(runs.lengths.sum())
+            total += voxels
+            if self._remembered is not None:
+                self._remember(runs, voxels)
         self._layers = self._z
+        return total
+
+    def _remember(self, runs: Runs, voxels: int) -> None:
+        """Write down the loose runs of the last layer; of no layer any more, if there are too many."""
+        assert self._remembered is not None
+        loose = np.empty((0, 4), np.int32)
+        main = -1
+        if self._n_ids:
+            main = int(find_root(self._parent, self._largest))
+            loose = np.empty((np.count_nonzero(self._ids_below != main), 4), np.int32)
+            list_loose(runs.rows, runs.bounds, self._ids_below, main, loose)
+        self._remembered.append(_Loose(voxels, main, loose))
+        self._written += len(loose)
+        if self._written > self._next_look:
+            self._look_through()
+
+    def _look_through(self) -> None:
+        """Drop runs that have become one with the largest component since they were written down."""
+        assert self._remembered is not None
+        main = int(find_root(self._parent, self._largest))
+        for number, loose in enumerate(self._remembered):
+            if loose.main >= 0 and find_root(self._parent, loose.main) == main:
+                still = still_loose(loose.runs[:, 3], self._parent, main)
+                self._remembered[number] = loose._replace(runs=loose.runs[still])
+        self._written = sum(len(loose.runs) for loose in self._remembered)
+        self._next_look = self._written + _LOOKED_THROUGH
+        if self._written > _REMEMBERED:
+            self._remembered = None
 
     def finish(self, keep: Literal["largest"] | float = "largest") -> IslandStatistics:
         """Decide what stays; `clear` may follow.
@@ -188,7 +240,7 @@ class IslandFilter:
             of_last=component[self._ids_below],
         )
         self._verdict = np.zeros(0, dtype=np.bool_)
-        self._remembered.clear()  # the second pass may be another process
+        self._remembered = None  # the second pass may be another process
         self._forget()
         return made
 
@@ -224,21 +276,47 @@ class IslandFilter:
         InputError
             If the layers are not those of the first pass, as far as that shows.
         """
-        if self._verdict is None:
-            raise ValueError("clear comes after finish")
         layers = self._bytes(slab)
+        bits = pack(layers)
+        self.clear_bits(bits)
         if out is None:
             out = layers.copy()
         elif out is not slab:
             out[...] = layers
-        if self._z + layers.shape[0] > self._layers:
-            raise InputError(f"the second pass has more layers than the first, which had {self._layers}")
-        for k in range(layers.shape[0]):
-            runs = self._advance(layers[k : k + 1], joining=False)
-            if self._n_ids > self._verdict.size:
-                raise _other_layer(self._z - 1)
-            clear_runs(runs.rows, runs.bounds, self._verdict[self._ids_below], out[k : k + 1].view(np.uint8))
+        out *= unpack(bits, self._shape[1])
         return out
+
+    def clear_bits(self, slab: NDArray[np.uint64]) -> None:
+        """`clear` for bits, (nz, ny, words), see `numerics.bit_rows`; in place."""
+        if self._verdict is None:
+            raise ValueError("clear comes after finish")
+        if self._z + slab.shape[0] > self._layers:
+            raise InputError(f"the second pass has more layers than the first, which had {self._layers}")
+        for k in range(slab.shape[0]):
+            if self._remembered is None:
+                runs = self._advance(slab[k : k + 1], counting=False)
+                if self._n_ids > self._verdict.size:
+                    raise _other_layer(self._z - 1)
+                clear_runs(runs.rows, runs.bounds, self._verdict[self._ids_below], slab[k])
+                continue
+            loose = self._remembered.popleft()
+            if count(slab[k]) != loose.voxels:
+                raise _other_layer(self._z)
+            self._z += 1
+            if loose.main < 0:
+                continue
+            main_stays = bool(self._verdict[loose.main])
+            chosen = loose.runs[self._verdict[loose.runs[:, 3]] != main_stays]
+            if not main_stays:
+                slab[k] = 0
+            set_runs(chosen, not main_stays, slab[k])
+
+
+def _grown(of_ids: NDArray[Any], known: int, needed: int) -> NDArray[Any]:
+    """The numbers of the known ids, with room for as many as are needed and half as many again."""
+    larger = np.empty((needed + needed // 2, *of_ids.shape[1:]), of_ids.dtype)
+    larger[:known] = of_ids[:known]
+    return larger
 
 
 def resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
@@ -251,96 +329,6 @@ def _other_layer(z: int) -> InputError:
         f"layer {z} of the second pass is not that of the first",
         hint="both passes must make the same layers from the same input",
     )
-
-
-@jit
-def _layer_ids(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    rows_below: NDArray[np.int64],
-    bounds_below: NDArray[np.int32],
-    ids_below: NDArray[np.int32],
-    ids: NDArray[np.int32],
-    parent: NDArray[np.int32],
-    n_ids: int,
-    reach: int,
-    joining: bool,
-) -> int:
-    """Write the id of each run of a layer into `ids`; returns the number of ids so far."""
-    ny = rows.size - 1
-    n_runs = bounds.size // 2
-    local = np.arange(n_runs).astype(np.int32)
-    for y in range(1, ny):
-        join_rows(bounds, rows[y], rows[y + 1], rows[y - 1], rows[y], reach, local)
-    for r in range(n_runs):
-        local[r] = local[local[r]]  # a parent is never after its child
-        ids[r] = -1
-    # unions go on while the smallest id of a component is still sought: the order doesn't matter
-    for y in range(ny):
-        for dy in range(-reach, reach + 1):
-            if y + dy < 0 or y + dy >= ny:
-                continue
-            a, a_stop = rows[y], rows[y + 1]
-            b, b_stop = rows_below[y + dy], rows_below[y + dy + 1]
-            while a < a_stop and b < b_stop:
-                if bounds[2 * a + 1] + reach <= bounds_below[2 * b]:
-                    a += 1
-                elif bounds_below[2 * b + 1] + reach <= bounds[2 * a]:
-                    b += 1
-                else:
-                    c = local[a]
-                    mine, other = ids[c], ids_below[b]
-                    if mine != other:
-                        if mine < 0:
-                            ids[c] = other
-                        else:
-                            if joining:
-                                unite(parent, mine, other)
-                            ids[c] = min(mine, other)
-                    if bounds[2 * a + 1] < bounds_below[2 * b + 1]:
-                        a += 1
-                    else:
-                        b += 1
-    for r in range(n_runs):
-        if local[r] == r:
-            if ids[r] < 0:
-                ids[r] = n_ids
-                if joining:
-                    parent[n_ids] = n_ids
-                n_ids += 1
-        else:
-            ids[r] = ids[local[r]]
-    return n_ids
-
-
-@jit
-def _count_runs(
-    rows: NDArray[np.int64],
-    bounds: NDArray[np.int32],
-    ids: NDArray[np.int32],
-    known: int,
-    n_ids: int,
-    z: int,
-    voxels: NDArray[np.int64],
-    boxes: NDArray[np.int32],
-) -> None:
-    """Add a layer's voxels to the counts and bounding boxes of its ids; ids from `known` on are new."""
-    for i in range(known, n_ids):
-        voxels[i] = 0
-        for axis in range(3):
-            boxes[i, 2 * axis] = 2147483647
-            boxes[i, 2 * axis + 1] = -1
-    for y in range(rows.size - 1):
-        for r in range(rows[y], rows[y + 1]):
-            i = ids[r]
-            box = boxes[i]
-            voxels[i] += bounds[2 * r + 1] - bounds[2 * r]
-            box[0] = min(box[0], bounds[2 * r])
-            box[1] = max(box[1], bounds[2 * r + 1] - 1)
-            box[2] = min(box[2], y)
-            box[3] = max(box[3], y)
-            box[4] = min(box[4], z)
-            box[5] = z
 
 
 @jit

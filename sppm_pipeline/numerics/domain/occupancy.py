@@ -57,6 +57,13 @@ def row_spans(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
     return spans
 
 
+def row_spans_of_bits(bits: NDArray[np.uint64]) -> NDArray[np.int32]:
+    """`row_spans` of a mask of bits, (nz, ny, words), see `numerics.bit_rows`."""
+    spans = np.zeros((*bits.shape[:2], 2), np.int32)
+    _bit_spans(bits, spans)
+    return spans
+
+
 @jit
 def _gray(samples: NDArray[np.uint8], fx: int, fy: int, gray: NDArray[np.uint8]) -> None:
     sheets = samples.shape[0]
@@ -90,3 +97,25 @@ def _spans(mask: NDArray[np.uint8], spans: NDArray[np.int32]) -> None:
                     last -= 1
                 spans[z, y, 0] = first
                 spans[z, y, 1] = last + 1
+
+
+@jit
+def _bit_spans(bits: NDArray[np.uint64], spans: NDArray[np.int32]) -> None:
+    one = np.uint64(1)
+    nz, ny, words = bits.shape
+    for z in range(nz):
+        for y in range(ny):
+            first = 0
+            while first < words and bits[z, y, first] == 0:
+                first += 1
+            if first < words:
+                last = words - 1
+                while bits[z, y, last] == 0:
+                    last -= 1
+                low, high = 64 * first, 64 * last + 64
+                while bits[z, y, first] >> np.uint64(low & 63) & one == 0:
+                    low += 1
+                while bits[z, y, last] >> np.uint64((high - 1) & 63) & one == 0:
+                    high -= 1
+                spans[z, y, 0] = low
+                spans[z, y, 1] = high

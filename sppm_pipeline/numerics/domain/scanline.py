@@ -12,12 +12,14 @@ add up to exactly 0 over a closed mesh, however degenerate; a sum that is not 0 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.numerics.bit_rows import fill_span, words_of
 from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
 
@@ -164,6 +166,32 @@ def scan_layers(scan: Scan, start: int, stop: int) -> Occupancy:
     return Occupancy(mask, crossed, opened)
 
 
+def scan_bits(scan: Scan, start: int, stop: int) -> NDArray[np.uint64]:
+    """The mask of `scan_layers` as bits, (stop - start, ny, words), see `numerics.bit_rows`."""
+    n_ray, n_row, n_layer = scan.shape
+    if not 0 <= start <= stop <= n_layer:
+        raise ValueError(f"layers {start} to {stop} are not among the {n_layer} of the grid")
+    bits = np.zeros((stop - start, n_row, words_of(n_ray)), np.uint64)
+    for first, last, starts, keys in _by_chunks(scan, start, stop):
+        _fill_bits(starts, keys, n_ray, bits[first - start : last - start].reshape(-1, bits.shape[2]))
+    return bits
+
+
+def _by_chunks(scan: Scan, start: int, stop: int) -> Iterator[tuple[int, int, NDArray[np.int64], NDArray[np.int64]]]:
+    """First layer, the one after the last, and the crossings of `_crossings`, chunk by chunk."""
+    n_ray, n_row, _ = scan.shape
+    while start < stop:
+        chunk = start // _CHUNK
+        last = min(stop, (chunk + 1) * _CHUNK)
+        listed = scan.listed[scan.starts[chunk] : scan.starts[chunk + 1]]
+        yield (
+            start,
+            last,
+            *_crossings(scan.vertices, scan.faces, listed, scan.origin, scan.spacing, n_ray, n_row, start, last),
+        )
+        start = last
+
+
 def count_inside(
     scan: Scan,
     start: int,
@@ -194,20 +222,12 @@ def count_inside(
     -------
     crossed_rays, open_rays : int
     """
-    n_ray, n_row, _ = scan.shape
     crossed = opened = 0
-    while start < stop:
-        chunk = start // _CHUNK
-        last = min(stop, (chunk + 1) * _CHUNK)
-        listed = scan.listed[scan.starts[chunk] : scan.starts[chunk + 1]]
-        starts, keys = _crossings(
-            scan.vertices, scan.faces, listed, scan.origin, scan.spacing, n_ray, n_row, start, last
-        )
-        part, out = out[: last - start], out[last - start :]
+    for first, last, starts, keys in _by_chunks(scan, start, stop):
+        part, out = out[: last - first], out[last - first :]
         more_crossed, more_opened = _fill(starts, keys, ray_start, part, ballots, parity)
         crossed += more_crossed
         opened += more_opened
-        start = last
     return crossed, opened
 
 
@@ -391,3 +411,21 @@ def _fill(
             if i < starts[r + 1]:
                 count += 1 if parity or keys[i] & 1 else -1
     return crossed, opened
+
+
+@jit
+def _fill_bits(starts: NDArray[np.int64], keys: NDArray[np.int64], width: int, out: NDArray[np.uint64]) -> None:
+    """Set what the counts from both ends of the ray call inside; as `_fill`, of which this is the common case."""
+    for r in range(starts.size - 1):
+        total = 0
+        for i in range(starts[r], starts[r + 1]):
+            total += 1 if keys[i] & 1 else -1
+        count = begin = 0
+        for i in range(starts[r], starts[r + 1] + 1):
+            end = min(keys[i] >> 1, width) if i < starts[r + 1] else width
+            if begin < end:
+                if count > 0 and count > total:
+                    fill_span(out[r], begin, end)
+                begin = end
+            if i < starts[r + 1]:
+                count += 1 if keys[i] & 1 else -1

@@ -50,7 +50,7 @@ _FAR = np.float32(1e12)
 
 
 @inline_jit
-def _exp2_minus(r: np.float32) -> np.float32:
+def exp2_minus(r: np.float32) -> np.float32:
     """2^-r for r >= 0, relative error below 3e-7; the exponent is subtracted from the bits of the mantissa."""
     r = min(r, _LAST)
     whole = np.int32(r)
@@ -69,7 +69,7 @@ def fill_gauss(row: NDArray[np.float32], blocks: int, first: np.float32, step: n
     """row[i] = 2^-((first + i step)^2) for the first `blocks` blocks of the row."""
     for i in range(np.uint64(blocks) << _SHIFT):
         x = first + step * np.float32(np.int32(i))
-        row[i] = _exp2_minus(x * x)
+        row[i] = exp2_minus(x * x)
 
 
 @inline_jit
@@ -122,7 +122,7 @@ def point_rows(
         chord2 = reach * reach - aside2
         chord = np.float32(math.sqrt(max(chord2, _ZERO))) * inverse
         clip_rows(table, center - chord, center + chord if chord2 >= _ZERO else -_FAR, nx, i)
-        table[_FACTOR + i] = _exp2_minus(aside2)
+        table[_FACTOR + i] = exp2_minus(aside2)
 
 
 @inline_jit
@@ -244,7 +244,7 @@ def add_tunnel_rows(
             v = across + across_step * x
             s = along + along_step * x
             beyond = s - min(max(s, _ZERO), length)
-            out[target + i] += _exp2_minus(exponent(np.float32(v * v + rest + beyond * beyond)))
+            out[target + i] += exp2_minus(exponent(np.float32(v * v + rest + beyond * beyond)))
 
 
 def compiled_for(profile: TunnelProfile, add: Callable[..., None]) -> Callable[..., None]:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,28 +80,79 @@ def add_kernels(
         If `out` does not fit the grid, the cut-off lies outside [1e-12, 0.5], or a kernel is not finite or has a
         parameter that is not positive.
     """
+    add_prepared(out, grid, prepared(kernels, grid, cutoff, first_layer, len(out)), threads, first_layer, wanted)
+
+
+class Prepared(NamedTuple):
+    """Kernels that reach some layers of a grid, as the compiled sums take them.
+
+    Attributes
+    ----------
+    points, tunnels : (n, columns) float64
+        In order, see `_packed` and `packed_capsules`.
+    profile : TunnelProfile
+    stretched : bool
+        Whether kernels have metrics.
+    cutoff : float
+    """
+
+    points: NDArray[np.float64]
+    tunnels: NDArray[np.float64]
+    profile: TunnelProfile
+    stretched: bool
+    cutoff: float
+
+
+def prepared(
+    kernels: Kernels, grid: Grid, cutoff: float = DEFAULT_CUTOFF, first_layer: int = 0, layers: int | None = None
+) -> Prepared:
+    """What `add_prepared` needs to know of kernels for some layers of a grid, all of them unless given.
+
+    Raises
+    ------
+    ValueError
+        If the cut-off lies outside [1e-12, 0.5], or a kernel is not finite or has a parameter that is not positive.
+    """
+    check_cutoff(cutoff)
+    span = grid.layers(first_layer, first_layer + (grid.shape[2] if layers is None else layers))
+    points, tunnels = _packed(kernels)
+    stretched = kernels.pore_metric is not None
+    if len(points) + len(tunnels) == 0 or 0 in span.shape:
+        points, tunnels = points[:0], tunnels[:0]
+    elif stretched:
+        from sppm_pipeline.numerics.kernels.stretched import packed_capsules
+
+        points, tunnels = packed_capsules(kernels, span, cutoff)
+    else:
+        points, tunnels = _reaching(points, tunnels, kernels, span, cutoff)
+    return Prepared(points, tunnels, TUNNEL_PROFILES[kernels.profile], stretched, cutoff)
+
+
+def add_prepared(
+    out: NDArray[np.float32],
+    grid: Grid,
+    kernels: Prepared,
+    threads: int = 1,
+    first_layer: int = 0,
+    wanted: NDArray[np.int32] | None = None,
+) -> None:
+    """Add kernels, prepared for these layers or more, to the samples of a grid; otherwise as `add_kernels`."""
     nx, ny, nz = grid.shape
     layers = len(out)
     if out.dtype != np.float32 or not out.flags.c_contiguous or out.shape[1:] != (ny, nx):
         raise ValueError(f"out must be a C-contiguous float32 array (layers, {ny}, {nx})")
     if first_layer < 0 or first_layer + layers > nz:
         raise ValueError(f"layers {first_layer} to {first_layer + layers} are not all in a grid of {nz} layers")
-    check_cutoff(cutoff)
-    points, tunnels = _packed(kernels)
+    points, tunnels, profile, stretched, cutoff = kernels
     if out.size == 0 or len(points) + len(tunnels) == 0:
         return
-    profile = TUNNEL_PROFILES[kernels.profile]
     pore_reach, tunnel_reach = PORE_PROFILE.scaled_reach(cutoff), profile.scaled_reach(cutoff)
-    span = grid.layers(first_layer, first_layer + layers)
-    stretched = kernels.pore_metric is not None
     if stretched:
-        from sppm_pipeline.numerics.kernels.stretched import packed_stretched, stretched_adder
+        from sppm_pipeline.numerics.kernels.stretched import stretched_adder
 
-        points, tunnels = packed_stretched(kernels, span, cutoff)
         add_stretched, add_tunnels = stretched_adder(PORE_PROFILE), stretched_adder(profile)
     else:
         add_tunnels = tunnel_adder(profile)
-        points, tunnels = _reaching(points, tunnels, kernels, span, cutoff)
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
     spans = np.zeros((0, 2), np.int32) if wanted is None else wanted.reshape(-1, 2)
     height = max(1, min(layers, _BLOCK_SAMPLES // (nx * ny)))

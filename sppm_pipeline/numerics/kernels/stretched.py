@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import inline_jit
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels, reach_boxes
+from sppm_pipeline.numerics.kernels.kernels import Kernels, boxes_meet, reach_boxes
 from sppm_pipeline.numerics.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES, TunnelProfile
 from sppm_pipeline.numerics.kernels.rows import (
     ACROSS,
@@ -31,20 +31,18 @@ from sppm_pipeline.numerics.kernels.rows import (
 )
 from sppm_pipeline.numerics.metric import upper_roots
 
-_COLUMNS = 17
+_COLUMNS = 19
 
 
-def packed_stretched(kernels: Kernels, grid: Grid, cutoff: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pores and tunnels that reach a grid as rows for `stretched_adder`, in order.
+def packed_capsules(kernels: Kernels, grid: Grid, cutoff: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pores and tunnels that reach a grid as rows for `stretched_adder`, in order; plain distances will do as well.
 
     Returns
     -------
-    pores, tunnels : (n, 17) float64
+    pores, tunnels : (n, 19) float64
         Start x, y, z; U as xx, xy, xz, yy, yz, zz, scaled to powers of 2; direction and length of U (end - start); the
-        lowest and highest y, then z, within reach.
+        lowest x, y, z within reach, then the highest.
     """
-    assert kernels.pore_metric is not None
-    assert kernels.tunnel_metric is not None
     boxes = reach_boxes(kernels, cutoff)
     pore_scale, tunnel_scale = PORE_PROFILE.scale(kernels.omega), TUNNEL_PROFILES[kernels.profile].scale(kernels.mu)
     return (
@@ -56,7 +54,7 @@ def packed_stretched(kernels: Kernels, grid: Grid, cutoff: float) -> tuple[NDArr
 def _packed(
     starts: NDArray[np.float64],
     ends: NDArray[np.float64],
-    metric: NDArray[np.float64],
+    metric: NDArray[np.float64] | None,
     scale: NDArray[np.float64],
     box: tuple[NDArray[np.float64], ...],
     grid: Grid,
@@ -64,18 +62,23 @@ def _packed(
     lower, upper = box
     first = np.array(grid.origin)
     last = first + np.array(grid.spacing) * (np.array(grid.shape) - 1)
-    near = ((lower <= last) & (upper >= first)).all(axis=1)
-    root = upper_roots(metric[near]) * scale[near, None, None]
-    along = np.einsum("nij,nj->ni", root, ends[near] - starts[near])
+    near = np.flatnonzero(boxes_meet(lower, upper, first, last))
+    scale, starts = scale.take(near), starts.take(near, axis=0)
+    along = ends.take(near, axis=0) - starts
+    made = np.zeros((len(near), _COLUMNS))
+    if metric is None:
+        made[:, 3] = made[:, 6] = made[:, 8] = scale
+        along *= scale[:, None]
+    else:
+        root = upper_roots(metric[near]) * scale[:, None, None]
+        made[:, 3:9] = root[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
+        along = np.einsum("nij,nj->ni", root, along)
     length = np.sqrt((along**2).sum(axis=1))
-    made = np.empty((len(root), _COLUMNS))
-    made[:, :3] = starts[near]
-    made[:, 3:9] = root[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
-    made[:, 9:12] = (1.0, 0.0, 0.0)
+    made[:, :3] = starts
+    made[:, 9] = 1.0
     np.divide(along, length[:, None], out=made[:, 9:12], where=length[:, None] > 0.0)
     made[:, 12] = length
-    made[:, 13], made[:, 14] = lower[near, 1], upper[near, 1]
-    made[:, 15], made[:, 16] = lower[near, 2], upper[near, 2]
+    made[:, 13:16], made[:, 16:19] = lower.take(near, axis=0), upper.take(near, axis=0)
     return made
 
 
@@ -147,9 +150,9 @@ def _add_stretched(
     for p in range(len(capsules)):
         c = capsules[p]
         z0 = max(math.ceil((c[15] - origin[2]) / spacing[2]), first_layer)
-        z1 = min(math.floor((c[16] - origin[2]) / spacing[2]), first_layer + nz - 1)
-        y0 = max(math.ceil((c[13] - origin[1]) / spacing[1]), 0)
-        y1 = min(math.floor((c[14] - origin[1]) / spacing[1]), ny - 1)
+        z1 = min(math.floor((c[18] - origin[2]) / spacing[2]), first_layer + nz - 1)
+        y0 = max(math.ceil((c[14] - origin[1]) / spacing[1]), 0)
+        y1 = min(math.floor((c[17] - origin[1]) / spacing[1]), ny - 1)
         if z0 > z1 or y0 > y1:
             continue
         across = math.sqrt(c[10] ** 2 + c[11] ** 2)

@@ -18,6 +18,9 @@ FLAT = 1e-12
 #: Lists of edges longer than this are not left to the insertion sort.
 _LONG = 32
 
+_NO_RIMS, _NO_SHIFT = np.empty((0, 3)), np.zeros(3)
+_NO_RIMS.flags.writeable = False
+
 #: Triangles whose corners are looked up at a time.
 _AT_A_TIME = 2**18
 
@@ -90,7 +93,7 @@ def balanced_edges(faces: NDArray[np.integer]) -> bool:
     in the other, and the sum must vanish. A mesh that is not balanced passes with a probability of 2^-64.
     """
     numbered = read_only(np.ascontiguousarray(faces, np.int32))
-    parts = [int(_edge_balance(numbered[rows])) for rows in blocks(len(numbered), numbered)]
+    parts = [int(edge_balance(numbered[rows])) for rows in blocks(len(numbered), numbered)]
     return faces.size > 0 and sum(parts) % 2**64 == 0
 
 
@@ -241,12 +244,17 @@ def _sums_of(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDAr
     numbered, n = _numbered(faces)
     if n > points.shape[0]:
         raise ValueError(f"a triangle names vertex {n - 1}, but there are only {points.shape[0]}")
-    found = np.concatenate([np.zeros(3), np.full(3, np.inf), np.full(3, -np.inf)])
+    found = nothing_found()
     start = points[numbered[0, 0]].copy()
     for rows in blocks(len(numbered), points, numbered):
-        _add_sums(points, numbered[rows], start, found)
+        add_sums(points, 0, numbered[rows], _NO_RIMS, 1.0, _NO_SHIFT, start, found)
     found[:2] /= (6.0, 2.0)
     return found
+
+
+def nothing_found() -> NDArray[np.float64]:
+    """What `add_sums` begins with."""
+    return np.concatenate([np.zeros(3), np.full(3, np.inf), np.full(3, -np.inf)])
 
 
 @jit
@@ -273,11 +281,13 @@ def _edge_keys(faces: NDArray[np.int32], n: int) -> tuple[NDArray[np.uint64], ND
 
 
 @jit
-def _edge_balance(faces: NDArray[np.int32]) -> np.uint64:
+def edge_balance(faces: NDArray[np.int32]) -> np.uint64:
+    """What `balanced_edges` adds up; modulo 2^64."""
     total = np.uint64(0)
     for i in range(faces.shape[0]):
         for c in range(3):
-            a, b = np.int64(faces[i, c]), np.int64(faces[i, (c + 1) % 3])
+            # points on rims may have negative numbers
+            a, b = np.uint32(faces[i, c]), np.uint32(faces[i, (c + 1) % 3])
             key = np.uint64(min(a, b)) << np.uint64(32) | np.uint64(max(a, b))
             # the finisher of SplitMix64 (Steele, Lea and Flood, 2014)
             key += np.uint64(0x9E3779B97F4A7C15)
@@ -351,18 +361,38 @@ def _components(faces: NDArray[np.int32], n: int) -> tuple[int, NDArray[np.int32
 
 
 @jit
-def _add_sums(
-    points: NDArray[np.float64], faces: NDArray[np.int32], start: NDArray[np.float64], found: NDArray[np.float64]
+def add_sums(
+    points: NDArray[np.float64],
+    base: int,
+    faces: NDArray[np.int32],
+    rims: NDArray[np.float64],
+    scale: float,
+    origin: NDArray[np.float64],
+    start: NDArray[np.float64],
+    found: NDArray[np.float64],
 ) -> None:
-    """Add six volumes, two areas and the flat triangles to what was found, and widen the box."""
+    """Add six volumes, two areas and the flat triangles to what was found, and widen the box.
+
+    `points` begin with vertex number `base`; a corner -1 - p lies at ``rims[p] * scale + origin``.
+    """
     inside, area = found[0], found[1]
     flat = 0
     low_x, low_y, low_z, high_x, high_y, high_z = found[3], found[4], found[5], found[6], found[7], found[8]
+    begin, corners = np.uint64(base), np.empty((3, 3))
     for i in range(faces.shape[0]):
-        a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
-        ax, ay, az = points[a, 0], points[a, 1], points[a, 2]
-        bx, by, bz = points[b, 0], points[b, 1], points[b, 2]
-        cx, cy, cz = points[c, 0], points[c, 1], points[c, 2]
+        if (faces[i, 0] | faces[i, 1] | faces[i, 2]) < 0:
+            for c in range(3):
+                for axis in range(3):
+                    v = np.int64(faces[i, c])
+                    corners[c, axis] = rims[-1 - v, axis] * scale + origin[axis] if v < 0 else points[v - base, axis]
+            ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
+            bx, by, bz = corners[1, 0], corners[1, 1], corners[1, 2]
+            cx, cy, cz = corners[2, 0], corners[2, 1], corners[2, 2]
+        else:
+            p, q, r = np.uint64(faces[i, 0]) - begin, np.uint64(faces[i, 1]) - begin, np.uint64(faces[i, 2]) - begin
+            ax, ay, az = points[p, 0], points[p, 1], points[p, 2]
+            bx, by, bz = points[q, 0], points[q, 1], points[q, 2]
+            cx, cy, cz = points[r, 0], points[r, 1], points[r, 2]
         low_x, low_y, low_z = min(low_x, ax, bx, cx), min(low_y, ay, by, cy), min(low_z, az, bz, cz)
         high_x, high_y, high_z = max(high_x, ax, bx, cx), max(high_y, ay, by, cy), max(high_z, az, bz, cz)
         ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az

@@ -26,7 +26,7 @@ from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.surface.bulging_steps import (
     add_normals,
     add_rises,
-    find_borders,
+    find_places,
     find_takers,
     move,
     pass_on,
@@ -35,6 +35,8 @@ from sppm_pipeline.numerics.surface.bulging_steps import (
 
 PASSED_ON = 2
 """How often what vertices can't be moved is passed on to their neighbors; a choice."""
+
+_Chosen = tuple[NDArray[np.int32], NDArray[np.float64]]
 
 _NONE, _NOTHING = np.empty(0, np.int32), np.empty(0)
 _LAG = 2 + 2 * PASSED_ON  # pieces that must have followed until the vertices of a piece are done
@@ -47,8 +49,8 @@ class Window(NamedTuple):
     Attributes
     ----------
     vertices : (n, 3) float64
-    borders : (n,) uint8
-        On which sides of the grid a vertex lies, as bits.
+    places : (n,) uint8
+        On which sides of the grid a vertex lies, and along which axis it may be moved (`find_places`).
     normals : (n, 3) float32
     lost : (n,) float32
         Six times the volume lost beside a vertex.
@@ -57,10 +59,12 @@ class Window(NamedTuple):
     rise, more, share, room : (n,) float32
         How far to move a vertex, what its neighbors leave to it, twice the area of its triangles, and how far it may
         be moved; before that, the square of its shortest edge.
+    notes : (n,) uint8
+        What `move` has noted of a vertex.
     """
 
     vertices: NDArray[np.float64]
-    borders: NDArray[np.uint8]
+    places: NDArray[np.uint8]
     normals: NDArray[np.float32]
     rise: NDArray[np.float32]
     more: NDArray[np.float32]
@@ -68,6 +72,7 @@ class Window(NamedTuple):
     room: NDArray[np.float32]
     lost: NDArray[np.float32]
     taken: NDArray[np.float32]
+    notes: NDArray[np.uint8]
 
 
 class _Piece(NamedTuple):
@@ -93,6 +98,8 @@ class Bulging:
         self._window = _window_of(0)
         self._base = self._stop = 0  # numbers of the vertices in the window
         self._pieces: deque[_Piece] = deque()  # the newest one first
+        self._room: _Chosen = _NONE, _NOTHING
+        self._chosen = [self._room] * PASSED_ON
 
     def push(
         self,
@@ -144,23 +151,23 @@ class Bulging:
             used -= drop
         new = slice(used, used + more)
         self._window.vertices[new] = vertices
-        _, _, normals, rise, more_rise, share, _, lost, taken = self._window
+        _, _, normals, rise, more_rise, share, _, lost, taken, _ = self._window
         for values in (normals, rise, more_rise, share, lost, taken):
             values[new] = 0.0
         self._window.room[new] = np.inf
-        find_borders(self._window.vertices[new], self._box, self._window.borders[new])
+        find_places(self._window.vertices[new], self._box, self._spacing, self._window.places[new])
         self._pieces.appendleft(_Piece(self._stop, self._stop + more, faces, kinds))
         self._stop += more
 
     def _work(self, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
         """Each step for the piece whose turn it is."""
         base, spacing, pieces = self._base, self._spacing, self._pieces
-        vertices, borders, normals, rise, more, share, room, lost, taken = self._window
-        add_normals(vertices, borders, normals, points, pieces[0].faces, base, float(spacing.min()))
+        vertices, places, normals, rise, more, share, room, lost, taken, notes = self._window
+        add_normals(vertices, places, normals, points, pieces[0].faces, base, float(spacing.min()))
         if len(pieces) > 1:
             first, stop, faces, kinds = pieces[1]
             to_unit_length(normals[first - base : stop - base])
-            add_rises(vertices, borders, normals, rise, share, room, points, faces, kinds, base)
+            add_rises(vertices, places, normals, rise, share, room, points, faces, kinds, base)
         for passing in range(1 + PASSED_ON):
             turn = 2 + 2 * passing
             if len(pieces) <= turn:
@@ -170,31 +177,29 @@ class Bulging:
             if wholly:
                 rise[first - base : stop - base] += lost[first - base : stop - base]
             move(
-                vertices,
-                borders,
-                normals,
-                rise,
-                more,
-                share,
-                room,
-                taken,
-                first - base,
-                stop - base,
-                low,
-                spacing,
-                wholly,
-            )
+                vertices, places, normals, rise, more, share, room, taken, notes, first - base, stop - base, low,
+                spacing, wholly,
+            )  # fmt: skip
             if passing < PASSED_ON:
                 # what there is to leave it to is known for a vertex when the piece that follows has been seen
-                find_takers(vertices, rise, room, taken, points, faces, kinds, base)
+                before = self._chosen[passing]
+                self._chosen[passing] = self._takers(points, pieces[turn])
                 if len(pieces) > turn + 1:
-                    _, _, faces, kinds = pieces[turn + 1]
-                    pass_on(vertices, rise, more, share, room, taken, points, faces, kinds, base)
+                    pass_on(rise, more, share, taken, notes, pieces[turn + 1].faces, base, *before)
         done = pieces.pop()
         yield vertices[done.first - base : done.stop - base]
 
+    def _takers(self, points: NDArray[np.float64], piece: _Piece) -> _Chosen:
+        """The triangles of a piece within which something is passed on, with their areas."""
+        faces, (vertices, *_, taken, notes) = piece.faces, self._window
+        if len(faces) > len(self._room[0]):
+            self._room = np.empty(len(faces), np.int32), np.empty(len(faces))
+        n = find_takers(vertices, taken, notes, points, faces, piece.kinds, self._base, *self._room)
+        return self._room[0][:n].copy(), self._room[1][:n].copy()
+
 
 def _window_of(room: int) -> Window:
-    vertices, borders, normals = np.empty((room, 3)), np.empty(room, np.uint8), np.empty((room, 3), np.float32)
+    vertices, normals = np.empty((room, 3)), np.empty((room, 3), np.float32)
     rise, more, share, space, lost, taken = (np.empty(room, np.float32) for _ in range(6))
-    return Window(vertices, borders, normals, rise, more, share, space, lost, taken)
+    places, notes = np.empty(room, np.uint8), np.empty(room, np.uint8)
+    return Window(vertices, places, normals, rise, more, share, space, lost, taken, notes)

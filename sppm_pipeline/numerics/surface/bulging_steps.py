@@ -24,19 +24,36 @@ NEGLIGIBLE = 3e-4
 """What is left to move is dropped below this fraction of the spacing; so little is not worth being passed on."""
 
 
+_SIDES, _NO_AXIS = np.uint8(63), 3
+_LEFT, _MOVABLE = (
+    np.uint8(1),
+    np.uint8(2),
+)  # of what `move` notes: that a vertex has something left to move, and that it can be moved
+
+
 @jit
-def find_borders(vertices: NDArray[np.float64], box: NDArray[np.float64], borders: NDArray[np.uint8]) -> None:
+def find_places(
+    vertices: NDArray[np.float64], box: NDArray[np.float64], spacing: NDArray[np.float64], places: NDArray[np.uint8]
+) -> None:
+    """On which sides of the grid vertices lie, as six bits, and above them the axis of their grid edge, or 3 for none.
+
+    A vertex that is moved along its edge stays off the ends of it, so that this holds for good.
+    """
     for v in range(vertices.shape[0]):
-        sides = 0
-        for axis in range(3):
+        sides, axis, inside = 0, _NO_AXIS, 0
+        for a in range(3):
             for side in range(2):
-                if abs(vertices[v, axis] - box[side, axis]) < 1e-9:
-                    sides |= 1 << (2 * axis + side)
-        borders[v] = np.uint8(sides)
+                if abs(vertices[v, a] - box[side, a]) < 1e-9:
+                    sides |= 1 << (2 * a + side)
+            along = (vertices[v, a] - box[0, a]) / spacing[a]
+            if abs(along - np.floor(along + 0.5)) > 0.75 * EDGE_MARGIN:
+                axis = a
+                inside += 1
+        places[v] = np.uint8(sides | (axis if inside == 1 else _NO_AXIS) << 6)
 
 
 # Arrays are handed over one by one, and hardly any functions called: Numba counts references to arrays in tuples and in
-# what it does not see through, which took most of the time.
+# what it does not see through, which took most of the time. Indices are unsigned, as others might count from the end.
 
 
 @jit
@@ -65,20 +82,27 @@ def _corners(
 @jit
 def add_normals(
     vertices: NDArray[np.float64],
-    borders: NDArray[np.uint8],
+    places: NDArray[np.uint8],
     normals: NDArray[np.float32],
     points: NDArray[np.float64],
     faces: NDArray[np.int32],
     base: int,
     scale: float,
 ) -> None:
-    corners, weights = np.empty((3, 3)), np.empty(3)
+    corners, begin = np.empty((3, 3)), np.uint64(base)
     for f in range(faces.shape[0]):
-        on_rim = _corners(faces, f, base, vertices, points, corners)
-        if not on_rim and borders[faces[f, 0] - base] & borders[faces[f, 1] - base] & borders[faces[f, 2] - base]:
+        on_rim = (faces[f, 0] | faces[f, 1] | faces[f, 2]) < 0
+        a, b, c = np.uint64(faces[f, 0]) - begin, np.uint64(faces[f, 1]) - begin, np.uint64(faces[f, 2]) - begin
+        if on_rim:
+            _corners(faces, f, base, vertices, points, corners)
+            ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
+            vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+        elif places[a] & places[b] & places[c] & _SIDES:
             continue  # a cap
-        ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-        vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+        else:
+            ux, uy = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
+            vx, vy = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
+            uz, vz = vertices[b, 2] - vertices[a, 2], vertices[c, 2] - vertices[a, 2]
         x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
         ww = uu + vv - 2.0 * (ux * vx + uy * vy + uz * vz)
@@ -86,13 +110,13 @@ def add_normals(
             continue
         # these weights give the normals of a sphere however it is cut into triangles (Max 1999)
         weight = scale / (uu * vv * ww)
-        weights[0], weights[1], weights[2] = weight * ww, weight * vv, weight * uu
-        for c in range(3):
-            v = np.int64(faces[f, c]) - base
-            if not on_rim or faces[f, c] >= 0:
-                normals[v, 0] += np.float32(x * weights[c])
-                normals[v, 1] += np.float32(y * weights[c])
-                normals[v, 2] += np.float32(z * weights[c])
+        for corner in range(3):
+            if on_rim and faces[f, corner] < 0:
+                continue
+            v, of = (a, weight * ww) if corner == 0 else (b, weight * vv) if corner == 1 else (c, weight * uu)
+            normals[v, 0] += np.float32(x * of)
+            normals[v, 1] += np.float32(y * of)
+            normals[v, 2] += np.float32(z * of)
 
 
 @jit
@@ -108,7 +132,7 @@ def to_unit_length(normals: NDArray[np.float32]) -> None:
 @jit
 def add_rises(
     vertices: NDArray[np.float64],
-    borders: NDArray[np.uint8],
+    places: NDArray[np.uint8],
     normals: NDArray[np.float32],
     rise: NDArray[np.float32],
     share: NDArray[np.float32],
@@ -119,68 +143,98 @@ def add_rises(
     base: int,
 ) -> None:
     """Add up what triangles rise, and find the shortest edges."""
-    corners, turned, lengths2 = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    corners, turned, lengths2, begin = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.uint64(base)
     for f in range(faces.shape[0]):
         if kinds.size > 0 and kinds[f] == DOMAIN:
-            for c in range(3):
-                if faces[f, c] >= 0:
-                    room[faces[f, c] - base] = np.float32(0.0)
+            for corner in range(3):
+                if faces[f, corner] >= 0:
+                    room[faces[f, corner] - base] = np.float32(0.0)
             continue
-        on_rim = _corners(faces, f, base, vertices, points, corners)
-        if not on_rim and borders[faces[f, 0] - base] & borders[faces[f, 1] - base] & borders[faces[f, 2] - base]:
-            continue
-        movable = 0
-        for c in range(3):
-            v = np.int64(faces[f, c])
-            if v >= 0:
-                movable += 1
-                for axis in range(3):
-                    turned[c, axis] = normals[v - base, axis]
-            else:
-                for axis in range(3):
-                    turned[c, axis] = 0.0
-        if movable == 0:
-            continue
-        total = 0.0
-        for c in range(3):
-            d = c + 1 if c < 2 else 0
-            ux, uy, uz = corners[d, 0] - corners[c, 0], corners[d, 1] - corners[c, 1], corners[d, 2] - corners[c, 2]
-            lengths2[c] = ux * ux + uy * uy + uz * uz
-            here = turned[c, 0] * ux + turned[c, 1] * uy + turned[c, 2] * uz
-            there = turned[d, 0] * ux + turned[d, 1] * uy + turned[d, 2] * uz
-            if on_rim:
+        if (faces[f, 0] | faces[f, 1] | faces[f, 2]) < 0:
+            _corners(faces, f, base, vertices, points, corners)
+            movable = 0
+            for corner in range(3):
+                v = np.int64(faces[f, corner])
+                if v >= 0:
+                    movable += 1
+                    for axis in range(3):
+                        turned[corner, axis] = normals[v - base, axis]
+                else:
+                    for axis in range(3):
+                        turned[corner, axis] = 0.0
+            if movable == 0:
+                continue
+            total = 0.0
+            for corner in range(3):
+                d = corner + 1 if corner < 2 else 0
+                ux, uy, uz = (
+                    corners[d, 0] - corners[corner, 0],
+                    corners[d, 1] - corners[corner, 1],
+                    corners[d, 2] - corners[corner, 2],
+                )
+                lengths2[corner] = ux * ux + uy * uy + uz * uz
+                here = turned[corner, 0] * ux + turned[corner, 1] * uy + turned[corner, 2] * uz
+                there = turned[d, 0] * ux + turned[d, 1] * uy + turned[d, 2] * uz
                 # a normal on a rim says nothing: there the surface is continued with the curvature at the other end
                 if faces[f, d] < 0:
                     here *= 2.0
-                if faces[f, c] < 0:
+                if faces[f, corner] < 0:
                     there *= 2.0
                 # what is beside a rim stays within the domain
-                if faces[f, c] < 0 or faces[f, d] < 0:
-                    lengths2[c] = 0.0
-            total += there - here
-        ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-        vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                if faces[f, corner] < 0 or faces[f, d] < 0:
+                    lengths2[corner] = 0.0
+                total += there - here
+            ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
+            vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+            x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            area = math.sqrt(x * x + y * y + z * z)
+            for corner in range(3):
+                if faces[f, corner] < 0:
+                    continue
+                v = np.int64(faces[f, corner]) - base
+                rise[v] += np.float32(area * total / (8.0 * movable))
+                share[v] += np.float32(area)
+                room[v] = min(room[v], np.float32(min(lengths2[corner], lengths2[corner - 1 if corner > 0 else 2])))
+            continue
+        a, b, c = np.uint64(faces[f, 0]) - begin, np.uint64(faces[f, 1]) - begin, np.uint64(faces[f, 2]) - begin
+        if places[a] & places[b] & places[c] & _SIDES:
+            continue
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[b, 0], vertices[c, 1] - vertices[b, 1], vertices[c, 2] - vertices[b, 2]
+        wx, wy, wz = vertices[a, 0] - vertices[c, 0], vertices[a, 1] - vertices[c, 1], vertices[a, 2] - vertices[c, 2]
+        ax, ay, az = np.float64(normals[a, 0]), np.float64(normals[a, 1]), np.float64(normals[a, 2])
+        bx, by, bz = np.float64(normals[b, 0]), np.float64(normals[b, 1]), np.float64(normals[b, 2])
+        cx, cy, cz = np.float64(normals[c, 0]), np.float64(normals[c, 1]), np.float64(normals[c, 2])
+        total = (bx * ux + by * uy + bz * uz) - (ax * ux + ay * uy + az * uz)
+        total += (cx * vx + cy * vy + cz * vz) - (bx * vx + by * vy + bz * vz)
+        total += (ax * wx + ay * wy + az * wz) - (cx * wx + cy * wy + cz * wz)
+        # the edge from the first corner to the third is -w
+        x, y, z = uz * wy - uy * wz, ux * wz - uz * wx, uy * wx - ux * wy
         area = math.sqrt(x * x + y * y + z * z)
-        for c in range(3):
-            if on_rim and faces[f, c] < 0:
-                continue
-            v = np.int64(faces[f, c]) - base
-            rise[v] += np.float32(area * total / (8.0 * movable))
-            share[v] += np.float32(area)
-            room[v] = min(room[v], np.float32(min(lengths2[c], lengths2[c - 1 if c > 0 else 2])))
+        uu, vv, ww = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz
+        way, weight = np.float32(area * total / 24.0), np.float32(area)
+        rise[a] += way
+        rise[b] += way
+        rise[c] += way
+        share[a] += weight
+        share[b] += weight
+        share[c] += weight
+        room[a] = min(room[a], np.float32(min(uu, ww)))
+        room[b] = min(room[b], np.float32(min(vv, uu)))
+        room[c] = min(room[c], np.float32(min(ww, vv)))
 
 
 @jit
 def move(
     vertices: NDArray[np.float64],
-    borders: NDArray[np.uint8],
+    places: NDArray[np.uint8],
     normals: NDArray[np.float32],
     rise: NDArray[np.float32],
     more: NDArray[np.float32],
     share: NDArray[np.float32],
     room: NDArray[np.float32],
     taken: NDArray[np.float32],
+    notes: NDArray[np.uint8],
     first: int,
     stop: int,
     low: NDArray[np.float64],
@@ -190,10 +244,11 @@ def move(
     """Move vertices as far as they should, or else have to for their neighbors; `rise` keeps what is left to move.
 
     They move along their edges of the grid, so that they come to lie higher by the wanted way. Those on the border of
-    the grid stay. How far a vertex was moved is taken from its `room`.
+    the grid stay. How far a vertex was moved is taken from its `room`; what is true of it afterwards goes into `notes`.
     """
     least = NEGLIGIBLE * min(spacing[0], spacing[1], spacing[2])
-    for v in range(first, stop):
+    for number in range(first, stop):
+        v = np.uint64(number)
         taken[v] = np.float32(0.0)
         if wholly:
             room[v] = np.float32(MOST) * np.sqrt(room[v])
@@ -201,105 +256,119 @@ def move(
                 rise[v] /= share[v]
         wanted = np.float64(rise[v] if wholly else more[v])
         rise[v], more[v] = np.float32(0.0), np.float32(0.0)
-        if wanted == 0.0 or not share[v] > 0.0:
-            continue
-        if room[v] > 0.0:
-            axis, inside = 0, 0
-            place = 0.0
-            for a in range(3):
-                along = (vertices[v, a] - low[a]) / spacing[a]
-                if abs(along - np.floor(along + 0.5)) > 0.75 * EDGE_MARGIN:
-                    axis, place = a, along
-                    inside += 1
-            if inside != 1 or borders[v] != 0:
-                room[v] = np.float32(0.0)
-            else:
-                slope, most = np.float64(normals[v, axis]), np.float64(room[v])
-                way = wanted * slope / max(slope * slope, LEAST_SLOPE**2)
-                way = min(max(way, -most), most) / spacing[axis]
-                start = place - np.floor(place)
-                way = min(max(start + way, EDGE_MARGIN), 1.0 - EDGE_MARGIN) - start
-                vertices[v, axis] += way * spacing[axis]
-                room[v] -= np.float32(abs(way) * spacing[axis])
-                wanted -= way * spacing[axis] * slope
-        if abs(wanted) > least:
-            rise[v] = np.float32(wanted)
+        if wanted != 0.0 and share[v] > 0.0:
+            if room[v] > 0.0:
+                axis = places[v] >> 6
+                if places[v] & _SIDES or axis == _NO_AXIS:
+                    room[v] = np.float32(0.0)
+                else:
+                    place = (vertices[v, axis] - low[axis]) / spacing[axis]
+                    slope, most = np.float64(normals[v, axis]), np.float64(room[v])
+                    way = wanted * slope / max(slope * slope, LEAST_SLOPE**2)
+                    way = min(max(way, -most), most) / spacing[axis]
+                    start = place - np.floor(place)
+                    way = min(max(start + way, EDGE_MARGIN), 1.0 - EDGE_MARGIN) - start
+                    vertices[v, axis] += way * spacing[axis]
+                    room[v] -= np.float32(abs(way) * spacing[axis])
+                    wanted -= way * spacing[axis] * slope
+            if abs(wanted) > least:
+                rise[v] = np.float32(wanted)
+        notes[v] = np.uint8(_LEFT * (rise[v] != 0.0) | _MOVABLE * (room[v] > 0.0))
 
 
 @jit
 def find_takers(
     vertices: NDArray[np.float64],
-    rise: NDArray[np.float32],
-    room: NDArray[np.float32],
     taken: NDArray[np.float32],
+    notes: NDArray[np.uint8],
     points: NDArray[np.float64],
     faces: NDArray[np.int32],
     kinds: NDArray[np.uint8],
     base: int,
-) -> None:
-    """Add up the triangles that have a corner to which another one can leave something."""
-    corners = np.empty((3, 3))
+    chosen: NDArray[np.int32],
+    areas: NDArray[np.float64],
+) -> int:
+    """Add up the triangles that have a corner to which another one can leave something.
+
+    Returns how many there are; their numbers and twice their areas go into `chosen` and `areas`, which have room for
+    all.
+    """
+    n = int(np.int64(0))
+    both, begin = np.uint8(_LEFT | _MOVABLE), np.uint64(base)
     for f in range(faces.shape[0]):
-        some, movable = False, 0
-        for c in range(3):
-            v = np.int64(faces[f, c])
-            if v >= 0:
-                some |= bool(rise[v - base] != 0.0)
-                movable += int(room[v - base] > 0.0)
-        if not some or movable == 0 or (kinds.size > 0 and kinds[f] == DOMAIN):
-            continue
-        _corners(faces, f, base, vertices, points, corners)
-        ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-        vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+        some = np.uint8(0)
+        if (faces[f, 0] | faces[f, 1] | faces[f, 2]) < 0:
+            for corner in range(3):
+                if faces[f, corner] >= 0:
+                    some |= notes[np.uint64(faces[f, corner]) - begin]
+        else:
+            some = notes[np.uint64(faces[f, 0]) - begin] | notes[np.uint64(faces[f, 1]) - begin]
+            some |= notes[np.uint64(faces[f, 2]) - begin]
+        if kinds.size > 0 and kinds[f] == DOMAIN:
+            some = np.uint8(0)
+        chosen[n] = f
+        n += some == both
+    corners = np.empty((3, 3))
+    for i in range(n):
+        f = chosen[i]
+        if (faces[f, 0] | faces[f, 1] | faces[f, 2]) < 0:
+            _corners(faces, f, base, vertices, points, corners)
+            ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
+            vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+        else:
+            a, b, c = np.uint64(faces[f, 0]) - begin, np.uint64(faces[f, 1]) - begin, np.uint64(faces[f, 2]) - begin
+            ux, uy = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
+            vx, vy = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
+            uz, vz = vertices[b, 2] - vertices[a, 2], vertices[c, 2] - vertices[a, 2]
         x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        area = math.sqrt(x * x + y * y + z * z)
-        for c in range(3):
-            v = np.int64(faces[f, c])
-            if v >= 0 and rise[v - base] != 0.0 and movable > (room[v - base] > 0.0):
-                taken[v - base] += np.float32(area)
+        areas[i] = math.sqrt(x * x + y * y + z * z)
+        area = np.float32(areas[i])
+        movable = np.uint8(0)
+        for corner in range(3):
+            if faces[f, corner] >= 0:
+                movable += notes[np.uint64(faces[f, corner]) - begin] >> 1
+        for corner in range(3):
+            if faces[f, corner] >= 0:
+                taker = np.uint64(faces[f, corner]) - begin
+                if notes[taker] & _LEFT and movable > notes[taker] >> 1:
+                    taken[taker] += area
+    return n
 
 
 @jit
 def pass_on(
-    vertices: NDArray[np.float64],
     rise: NDArray[np.float32],
     more: NDArray[np.float32],
     share: NDArray[np.float32],
-    room: NDArray[np.float32],
     taken: NDArray[np.float32],
-    points: NDArray[np.float64],
+    notes: NDArray[np.uint8],
     faces: NDArray[np.int32],
-    kinds: NDArray[np.uint8],
     base: int,
+    chosen: NDArray[np.int32],
+    areas: NDArray[np.float64],
 ) -> None:
     """Leave what vertices can't be moved to their neighbors, by the areas of the triangles between them.
 
-    The volume is kept: where only some of the triangles have a corner that can be moved, these get it all.
+    The volume is kept: where only some of the triangles have a corner that can be moved, these get it all. `chosen` and
+    `areas` are what `find_takers` found of these faces.
     """
-    corners, left = np.empty((3, 3)), np.empty(3)
-    for f in range(faces.shape[0]):
-        some = False
+    begin = np.uint64(base)
+    for i in range(chosen.size):
+        f = chosen[i]
         for c in range(3):
-            v = np.int64(faces[f, c])
-            left[c] = rise[v - base] if v >= 0 else 0.0
-            some |= left[c] != 0.0
-        if not some or (kinds.size > 0 and kinds[f] == DOMAIN):
-            continue
-        _corners(faces, f, base, vertices, points, corners)
-        ux, uy, uz = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-        vx, vy, vz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        area = math.sqrt(x * x + y * y + z * z)
-        for c in range(3):
-            if left[c] == 0.0:
+            if faces[f, c] < 0:
                 continue
-            w, u = np.int64(faces[f, (c + 1) % 3]), np.int64(faces[f, (c + 2) % 3])
-            to_w, to_u = w >= 0 and room[w - base] > 0.0, u >= 0 and room[u - base] > 0.0
+            v = np.uint64(faces[f, c]) - begin
+            if not notes[v] & _LEFT:
+                continue
+            d, e = (c + 1 if c < 2 else 0), (c - 1 if c > 0 else 2)
+            w, u = np.uint64(faces[f, d]) - begin, np.uint64(faces[f, e]) - begin
+            to_w = faces[f, d] >= 0 and notes[w] & _MOVABLE != 0
+            to_u = faces[f, e] >= 0 and notes[u] & _MOVABLE != 0
             if not to_w and not to_u:
                 continue
-            v = np.int64(faces[f, c]) - base
-            part = left[c] * area * share[v] / taken[v] * (0.5 if to_w and to_u else 1.0)
+            part = np.float64(rise[v]) * areas[i] * share[v] / taken[v] * (0.5 if to_w and to_u else 1.0)
             if to_w:
-                more[w - base] += np.float32(part / share[w - base])
+                more[w] += np.float32(part / share[w])
             if to_u:
-                more[u - base] += np.float32(part / share[u - base])
+                more[u] += np.float32(part / share[u])

@@ -9,12 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.numerics.bit_rows import gather, set_bits
 from sppm_pipeline.numerics.compiled import inline_jit, jit
 
 ONE = np.uint64(1)
 _LAST = np.uint64(63)
-_GATHER = np.uint64(0x0102040810204080)  # the product moves the lowest bits of eight bytes into the top byte
-_TOP_BYTE = np.uint64(56)
 
 
 @inline_jit
@@ -33,19 +32,13 @@ def pack_signs(slab: NDArray[np.float32], level: np.float32, words: NDArray[np.u
         for j in range(slab.shape[1]):
             _below(slab[k, j], level, flags)
             for w in range(n_words):
-                word = np.uint64(0)
-                for b in range(8):
-                    word |= ((bytes8[8 * w + b] * _GATHER) >> _TOP_BYTE) << np.uint64(8 * b)
-                words[k, j, w] = word
+                words[k, j, w] = gather(bytes8, 8 * w)
 
 
 @jit
 def ones(word: np.uint64) -> int:
-    """Number of set bits; compilers know this pattern and put one instruction for it."""
-    word = word - ((word >> ONE) & np.uint64(0x5555555555555555))
-    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return int(np.int64((word * np.uint64(0x0101010101010101)) >> _TOP_BYTE))
+    """Number of set bits."""
+    return int(np.int64(set_bits(word)))
 
 
 @jit

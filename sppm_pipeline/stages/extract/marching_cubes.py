@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ from sppm_pipeline.fields.mesh_store import MeshStore
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.meshcheck.streamed_measures import StreamedMeasures
 
 MEMORY_SHARE = 4
 """A mesh larger than this fraction of the memory to plan with goes into temporary files; a choice."""
@@ -72,48 +75,51 @@ class MarchingCubes(Stage):
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample the nodes of a grid and extract the surface, in mm (cell sizes for a cell without a size)."""
-        from sppm_pipeline.numerics.meshcheck.measures import balanced_edges
+        from sppm_pipeline.numerics.meshcheck.streamed_measures import StreamedMeasures
 
         n = voxels_along_edge(field, self.resolution, self.voxel)
         if (coarse := field.coarseness(1 / n)) is not None:
             context.warn(coarse)
         surface = FieldSurface(field.exactly() if self.exact else field, node_grid(field, n), self.islands, self.caps)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
+        measures = StreamedMeasures(scale, np.array(field.origin_mm))
         if self.backend == "reference":
             vertices, faces, findings = _by_reference(surface, context)
             vertices *= scale
             vertices += np.array(field.origin_mm)
+            measures.add(vertices, faces, np.empty((0, 3)))
         else:
-            vertices, faces, findings = _streamed(surface, context, scale, field.origin_mm)
+            vertices, faces, findings = _streamed(surface, context, scale, field.origin_mm, measures)
         context.report(resolution=n, voxel=scale / n, **findings)
         if not len(faces):
             raise DesignError(
                 "there is no surface to mesh: at this resolution the whole box is void, or solid without `caps`",
                 hint="there is no solid if the porosity is too high or the level too low; lower the porosity",
             )
-        if self.caps and not balanced_edges(faces):
+        if self.caps and not measures.balanced:
             raise ValueError("the mesh is not closed")
         if field.edge_mm is None:
             context.warn("the cell has no physical size: one cell size is written as 1 mm")
-        return SurfaceMesh(vertices, faces, name="surface")
+        return SurfaceMesh.measured(vertices, faces, "surface", measures.box_and_volume)
 
 
 def _streamed(
-    surface: FieldSurface, context: Context, scale: float, origin: tuple[float, float, float]
+    surface: FieldSurface,
+    context: Context,
+    scale: float,
+    origin: tuple[float, float, float],
+    measures: StreamedMeasures,
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
     """The mesh in mm; one that takes more than a share of the memory lies in files."""
     stream = surface.stream(context.threads, lambda done, of: context.progress(done, of, "planes"))
     store: MeshStore | None = None
     for piece in stream:
         if store is None:  # what to expect is known once the first piece is there
-            store = MeshStore(context.memory // MEMORY_SHARE, context.scratch(), stream.expected)
-        vertices = piece.vertices  # pieces that are done belong to whoever takes them
-        vertices *= scale
-        vertices += np.array(origin)
-        store.add(vertices, piece.faces)
+            store = MeshStore(context.memory // MEMORY_SHARE, context.scratch(), stream.expected, scale, origin)
+        measures.add(store.add(piece.vertices, piece.faces), piece.faces, stream.points)
     if store is None:
         return np.empty((0, 3)), np.empty((0, 3), np.int32), stream.findings
-    vertices, faces = store.finish(stream.points * scale + np.array(origin))
+    vertices, faces = store.finish(stream.points)
     return vertices, faces, stream.findings
 
 

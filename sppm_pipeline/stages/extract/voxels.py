@@ -41,6 +41,7 @@ class ExtractVoxels(Stage):
     """Sample a field at voxel centers: 1 where it is solid, 0 elsewhere, over all its cells."""
 
     name: ClassVar[str] = "extract.voxels"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = ()
 
     resolution: int = options.resolution(32)

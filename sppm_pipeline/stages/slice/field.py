@@ -33,6 +33,7 @@ class SliceField(Stage):
     """
 
     name: ClassVar[str] = "slice.field"
+    version: ClassVar[int] = 2
     advice: ClassVar[str] = "give a larger `pixel` or `layer`"
 
     pixel: Pixel | None = options.pixel(None)

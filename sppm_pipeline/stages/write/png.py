@@ -24,6 +24,7 @@ class WritePng(LayerWriter):
     """
 
     name: ClassVar[str] = "write.png"
+    version: ClassVar[int] = 2
     suffix: ClassVar[str] = ".png"
 
     path: str = options.write_path("slices", suffixes=("/",))
@@ -50,6 +51,14 @@ class WritePng(LayerWriter):
         from sppm_pipeline.formats.png import encode_layer
 
         return encode_layer(image, bits=self._bits(stack), pixel_mm=stack.pixel_mm)
+
+    def takes_bits(self, stack: SliceStack) -> bool:
+        return self._bits(stack) == 1
+
+    def encode_bits(self, rows: NDArray[np.uint64], stack: SliceStack) -> bytes:
+        from sppm_pipeline.formats.png import encode_rows
+
+        return encode_rows(rows, stack.shape[0], pixel_mm=stack.pixel_mm)
 
     def encoding(self, stack: SliceStack) -> dict[str, Any]:
         return {"bits": self._bits(stack)}

@@ -129,9 +129,6 @@ def test_out_is_used_and_overwritten(whole_field) -> None:
     out = np.full((3, 13, 20), np.nan, dtype=np.float32)
     assert assemble(bank, tiling, 4, 7, 0, 20, 0, 13, out=out) is out
     assert out.tobytes() == whole[13:16, 9:22, 9:29].tobytes()
-    solid = np.full((3, 13, 20), 7, dtype=np.uint8)
-    assert assemble_solid(bank, tiling, 0.25, 4, 7, 0, 20, 0, 13, out=solid) is solid
-    assert set(np.unique(solid)) <= {0, 1}
 
 
 def test_empty_pieces(sets) -> None:
@@ -185,7 +182,5 @@ def test_bad_arguments(sets, whole_field) -> None:
         assemble(bank, other, 0, 30, 0, 30, 0, 30)
     with pytest.raises(ValueError, match="C-contiguous float32"):
         assemble(bank, tiling, 0, 3, 0, 3, 0, 3, out=np.zeros((3, 3, 4), dtype=np.float32))
-    with pytest.raises(ValueError, match="C-contiguous uint8"):
-        assemble_solid(bank, tiling, 0.25, 0, 3, 0, 3, 0, 3, out=np.zeros((2, 3, 3), dtype=np.uint8))
     with pytest.raises(ValueError, match="ends before"):
         assemble(bank, tiling, 3, 2, 0, 3, 0, 3)

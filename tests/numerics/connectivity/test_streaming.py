@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.numerics.bit_rows import pack, unpack
 from sppm_pipeline.numerics.connectivity import streaming
 from sppm_pipeline.numerics.connectivity.components import find_components
 from sppm_pipeline.numerics.connectivity.islands import keep_largest
@@ -130,13 +131,23 @@ def test_the_order_of_calls_is_checked():
 
 
 @pytest.mark.parametrize("room", [0, 7, 60, 10_000])
-def test_ids_that_are_remembered_change_nothing(monkeypatch, room):
+@pytest.mark.parametrize("look", [0, 20, 10_000])
+def test_loose_runs_that_are_written_down_change_nothing(monkeypatch, room, look):
     monkeypatch.setattr(streaming, "_REMEMBERED", room)
+    monkeypatch.setattr(streaming, "_LOOKED_THROUGH", look)
     mask = np.random.default_rng(4).random((9, 6, 7)) < 0.3
     assert 60 < len(find_runs(mask).bounds) // 2 < 10_000
     for connectivity in (6, 26):
         cleared, _ = both_passes(mask.astype(np.uint8), [2, 1], connectivity, "largest")
         assert np.array_equal(cleared != 0, keep_largest(mask, BOX, connectivity))
+
+
+def test_what_is_loose_below_the_largest_may_be_too_much_to_write_down(monkeypatch):
+    monkeypatch.setattr(streaming, "_REMEMBERED", 100)
+    mask = np.random.default_rng(1).random((12, 60, 60)) < 0.12
+    mask[8:, 10:50, 10:50] = True  # numbered after thousands of others
+    cleared, _ = both_passes(mask.astype(np.uint8), [5], 6, "largest")
+    assert np.array_equal(cleared != 0, keep_largest(mask, BOX, 6))
 
 
 def test_a_second_pass_over_fewer_runs_is_refused():
@@ -149,3 +160,62 @@ def test_a_second_pass_over_fewer_runs_is_refused():
     mask[1, 2, 3] = 0
     with pytest.raises(InputError, match="layer 1"):
         islands.clear(mask)
+
+
+def test_what_grows_largest_last_is_kept_though_it_was_loose():
+    mask = np.zeros((8, 6, 70), np.uint8)
+    mask[:2, :3] = 1  # the largest for a while, and an island
+    mask[:, 4, 66] = 1
+    mask[4:, 3:] = 1
+    mask[2, 0, 3] = 1
+    cleared, statistics = both_passes(mask, [3], 6, "largest")
+    assert (statistics.components, statistics.kept) == (2, 1)
+    expected = mask.copy()
+    expected[:3, :3] = 0
+    assert np.array_equal(cleared, expected)
+
+
+def test_loose_runs_of_a_column_are_dropped_once_it_has_joined(monkeypatch):
+    monkeypatch.setattr(streaming, "_LOOKED_THROUGH", 50)
+    mask = np.zeros((60, 5, 80), np.uint8)
+    mask[:, 1, ::4] = 1
+    mask[20, 1] = 1
+    mask[:, 4, ::40] = 1  # two islands
+    islands = IslandFilter(5, 80)
+    written = []
+    for layer in mask:
+        islands.observe(layer[None])
+        written.append(islands._written)
+    assert max(written) > 300
+    assert written[-1] <= 2 * 60 + 50
+    islands.finish()
+    mask[:, 4] = 0
+    assert np.array_equal(islands.clear(mask | (np.arange(5) == 4)[:, None] * (np.arange(80) % 40 == 0)), mask)
+
+
+def test_bits_and_bytes_are_one_filter():
+    mask = (np.random.default_rng(8).random((5, 9, 131)) < 0.4).astype(np.uint8)
+    cleared, _ = both_passes(mask, [2], 26, 0.3)
+    islands = IslandFilter(9, 131, 26)
+    bits = pack(mask)
+    assert islands.observe_bits(bits) == mask.sum()
+    islands.finish(0.3)
+    islands.clear_bits(bits)
+    assert np.array_equal(unpack(bits, 131), cleared)
+
+
+@pytest.mark.parametrize("connectivity", [6, 26])
+def test_rows_with_few_runs_of_others(connectivity):
+    """Rows of many runs of one component, which are not compared with each other, and a few of others among them."""
+    z, y, x = np.mgrid[:24, :70, :700]
+    mask = np.sin(x / 2.1) + np.sin(y / 2.3) + np.sin((z + x / 9) / 2.7) > 0.3
+    hollow = np.random.default_rng(12).integers((4, 8, 8), (20, 62, 690), (30, 3))
+    for k, j, i in hollow:  # an island in a hollow, and one that hangs on a thread
+        mask[k - 3 : k + 3, j - 5 : j + 6, i - 5 : i + 6] = False
+        mask[k - 1 : k + 2, j - 3 : j + 3, i - 3 : i + 1] = True
+        mask[k, j, i : i + 9] |= bool(i % 2)
+    cleared, statistics = both_passes(mask.astype(np.uint8), [5], connectivity, "largest")
+    assert np.array_equal(cleared != 0, keep_largest(mask, BOX, connectivity))
+    found = find_components(mask, BOX, connectivity)
+    assert statistics.components == found.sizes.size > 8
+    assert statistics.removed_share == pytest.approx(1 - found.sizes[0] / found.sizes.sum())

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage, row_spans
+from sppm_pipeline.numerics.bit_rows import pack
+from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage, row_spans, row_spans_of_bits
 
 
 @settings(derandomize=True, deadline=None)
@@ -47,8 +48,9 @@ def test_nonsense_is_refused():
 @given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from([0.0, 0.02, 0.3, 1.0]))
 @settings(deadline=None, derandomize=True, max_examples=40)
 def test_first_and_last_of_each_row(seed, share):
-    mask = (np.random.default_rng(seed).random((3, 4, 17)) < share).astype(np.uint8)
+    mask = (np.random.default_rng(seed).random((3, 4, 177)) < share).astype(np.uint8)
     spans = row_spans(mask)
+    assert np.array_equal(row_spans_of_bits(pack(mask)), spans)
     for k in range(3):
         for j in range(4):
             found = np.flatnonzero(mask[k, j])

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.errors import InputError
+from sppm_pipeline.numerics.bit_rows import unpack
 from sppm_pipeline.numerics.domain.primitive_meshes import (
     ball_mesh,
     box_mesh,
@@ -13,7 +14,7 @@ from sppm_pipeline.numerics.domain.primitive_meshes import (
     torus_knot_mesh,
     torus_mesh,
 )
-from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_bits, scan_layers
 from sppm_pipeline.numerics.grid import Grid
 
 
@@ -135,6 +136,7 @@ def test_slabs_equal_the_whole(sizes, stretch):
     grid = Grid((-1.0, -1.0, -1.0), (0.1, 0.1, 0.03), (20, 21, 67))
     prepared = prepare_scan(*mesh, grid)
     whole = scan_layers(prepared, 0, 67)
+    assert np.array_equal(unpack(scan_bits(prepared, 3, 60), prepared.shape[0]), whole.mask[3:60])
     k, parts = 0, []
     while k < 67:
         n = min(sizes[len(parts) % len(sizes)], 67 - k)

@@ -8,7 +8,16 @@ import pytest
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
 from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
-from sppm_pipeline.numerics.surface.placing import DOMAIN, FIELD, SKIN, Samples, log_of_sums, place_vertices
+from sppm_pipeline.numerics.surface.placing import (
+    _AT_ONCE,
+    DOMAIN,
+    FIELD,
+    SKIN,
+    Samples,
+    _cubic_zeros,
+    log_of_sums,
+    place_vertices,
+)
 
 
 def fields(n, steepness):
@@ -147,3 +156,45 @@ def test_logarithms_have_the_signs_of_what_they_are_of():
     found = log_of_sums(values.copy(), 0.25)
     assert np.isfinite(found).all()
     assert np.array_equal(found < 0, values < 0)
+
+
+def one_zero(a, b, c, d):
+    """Newton's method for one cubic, kept between the signs."""
+    t = b / (b - c)
+    if not (np.isfinite(a) and np.isfinite(d) and np.isfinite(t)):
+        return t
+    third, second, first = (d - a) / 6 + (b - c) / 2, (a + c) / 2 - b, c - b / 2 - a / 3 - d / 6
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        value = b + t * (first + t * (second + t * third))
+        if value == 0:
+            break
+        if (value < 0) == (b < 0):
+            low = t
+        else:
+            high = t
+        slope = first + t * (2 * second + t * (3 * third))
+        last, t = t, t - value / slope if slope != 0 else low
+        if not low < t < high:
+            t = (low + high) / 2
+        if abs(t - last) < 1e-5:
+            break
+    return t
+
+
+@pytest.mark.parametrize("count", [1, 7, _AT_ONCE])
+def test_zeros_side_by_side_are_those_one_by_one(count):
+    rng = np.random.default_rng(count)
+    for _ in range(20):
+        a, b, c, d = rng.standard_normal((4, count)) * 10.0 ** rng.integers(-3, 4, (4, count))
+        b, c = -np.abs(b), np.where(rng.random(count) < 0.1, 0.0, np.abs(c))
+        turned = rng.random(count) < 0.5
+        b, c = np.where(turned, c, b), np.where(turned, b, c)
+        a[rng.random(count) < 0.1], d[rng.random(count) < 0.1] = np.inf, -np.inf
+        b[(rng.random(count) < 0.1) & turned] = np.inf
+        work = np.full((11, _AT_ONCE), np.nan)
+        work[:4, :count] = a, b, c, d
+        with np.errstate(all="ignore"):
+            wanted = [one_zero(*(np.float64(v) for v in values)) for values in zip(a, b, c, d, strict=True)]
+        _cubic_zeros(work.reshape(-1), count)
+        assert np.array_equal(work[4, :count], wanted, equal_nan=True)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.data.length import Length
+from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields import field_surface
 from sppm_pipeline.fields.part import Part
@@ -124,13 +125,15 @@ def test_same_bytes_however_it_is_cut(what, cell, wang_tiling, ball, monkeypatch
 
     whole = made(1)
     assert len(whole.faces) > 1000
-    for slab, kept in ((1, 2**25), (4000, 0), (10**9, 0), (9000, 2**25)):
+    for slab, kept, piece in ((1, 2**25, 2**17), (4000, 0, 1), (10**9, 0, 3000), (9000, 2**25, 2**17)):
         monkeypatch.setattr(field_surface, "SLAB_SAMPLES", slab)
+        monkeypatch.setattr(field_surface, "PIECE_SAMPLES", piece)
         monkeypatch.setattr(field_surface, "KEPT_SAMPLES", kept)
         for threads in (1, 3):
             again = made(threads)
             assert again.vertices.tobytes() == whole.vertices.tobytes()
             assert again.faces.tobytes() == whole.faces.tobytes()
+            assert again.summary() == SurfaceMesh(whole.vertices, whole.faces, name="surface").summary()
 
 
 def test_spacing_is_the_largest_edge_of_a_voxel(wang_tiling):

@@ -81,14 +81,14 @@ def test_a_spool_leaves_most_of_the_disk_to_others(monkeypatch):
     monkeypatch.setattr(spool, "IN_MEMORY", 0)
     written = []
     usage = namedtuple("usage", "free")
-    monkeypatch.setattr(spool.shutil, "disk_usage", lambda path: usage(8000 - 100 * len(written)))
+    monkeypatch.setattr(spool.shutil, "disk_usage", lambda path: usage(64000 - 800 * len(written)))
     kept = spool.Spool()
     for start in range(40):
-        kept.append(start, np.ones((1, 20, 40), np.uint8))
+        kept.append(start, np.ones((1, 25, 4), np.uint64))
         written.append(start)
         if not kept.whole:
             break
-    assert start == 20  # 2000 of 8000 bytes are used
+    assert start == 20  # 16000 of 64000 bytes are used
 
 
 @pytest.mark.parametrize("memory", [2**27, 1000])
