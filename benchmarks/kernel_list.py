@@ -78,12 +78,17 @@ class Calls:
         from numba.core import event
         from numba.core.dispatcher import Dispatcher
 
-        import sppm_pipeline.numerics.compiled  # noqa: F401 - so that Numba is ready
+        import sppm_pipeline.numerics.compiling  # noqa: F401 - so that Numba is ready
         from sppm_pipeline.engine.run import runner
+        from sppm_pipeline.numerics.compiled import Kernel
         from sppm_pipeline.numerics.kernel_signatures import written
 
         calls, open_ones = self, []
         original, original_step = Dispatcher._compile_for_args, runner.run_step
+        original_call = Kernel.__call__
+
+        def call(self: Kernel, *args: Any, **named: Any) -> Any:
+            return self.dispatcher(*args, **named)  # it is Numba that is listened to
 
         def compile_for_args(self: Any, *args: Any, **named: Any) -> Any:
             place = f"{self.py_func.__module__}:{self.py_func.__qualname__}"
@@ -109,7 +114,8 @@ class Calls:
         def step(step: Any, *args: Any) -> Any:
             if step.owner.builtin and "/" not in step.address:
                 calls._stage = step.stage.name
-                for kernel in [o for o in gc.get_objects() if isinstance(o, Dispatcher)]:
+                # By type: isinstance asks a weak proxy of a library for the object behind it, which may be gone.
+                for kernel in [o for o in gc.get_objects() if issubclass(type(o), Dispatcher)]:
                     kernel._reset_overloads()  # so that a call from this stage is heard as well
             return original_step(step, *args)
 
@@ -128,11 +134,13 @@ class Calls:
                 cost[2] += seconds
 
         Dispatcher._compile_for_args, runner.run_step = compile_for_args, step
+        Kernel.__call__ = call  # type: ignore[method-assign]
         try:
             with event.install_listener("numba:compile", Listener()):
                 yield
         finally:
             Dispatcher._compile_for_args, runner.run_step = original, original_step
+            Kernel.__call__ = original_call  # type: ignore[method-assign]
 
 
 def run_small(name: str, scratch: Path) -> set[str]:

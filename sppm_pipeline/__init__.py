@@ -93,6 +93,7 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         Grader,
         Homogenizer,
         InteriorBox,
+        Interiors,
         Lattice,
         LayerWriter,
         MeshWriter,
@@ -158,8 +159,8 @@ _PLACES = {
     "data.voxels": "Voxels",
     "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError ResourceError "
     "SppmError WiringError",
-    "families": "Connector FieldMaker Grader InteriorBox Lattice LayerWriter MeshWriter PartFieldMaker Piece "
-    "Sampler TileSetMaker Tiler Homogenizer lattice_for options",
+    "families": "Connector FieldMaker Grader InteriorBox Interiors Lattice LayerWriter MeshWriter PartFieldMaker "
+    "Piece Sampler TileSetMaker Tiler Homogenizer lattice_for options",
     "fields.formula": "CellIndex CellwiseField FormulaField PlacedField",
     "fields.microstructure": "Microstructure",
     "fields.part": "Part",
@@ -220,6 +221,7 @@ __all__ = [
     "Homogenizer",
     "InputError",
     "InteriorBox",
+    "Interiors",
     "Kernels",
     "Lattice",
     "LayerWriter",

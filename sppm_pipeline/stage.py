@@ -1,4 +1,4 @@
-"""What a stage is and what it may ask of its surroundings.
+"""What a stage is; what it may ask of its surroundings is in `sppm_pipeline.context`.
 
 A stage is a frozen, keyword-only dataclass. Its fields are its options, each declared once with `option`; the parser,
 the command line help, the reference pages and the JSON Schema all come from there. The annotated signature of `run` is
@@ -11,15 +11,12 @@ makes, or the last of a type (`Stage.returns`), and a type variable on a port an
 from __future__ import annotations
 
 import dataclasses
-import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
-
+from sppm_pipeline.context import Context as Context
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.errors import DesignError, Position
@@ -157,125 +154,6 @@ def option(
         help, unit, minimum, maximum, above, below, tuple(choices), output, tuple(suffixes), column, formerly
     )
     return dataclasses.field(default=default, metadata={"option": spec})
-
-
-class Context(ABC):
-    """What a running stage may ask of its surroundings; the engine implements it.
-
-    Attributes
-    ----------
-    threads : int
-        How many threads the stage may use; results must not depend on it.
-    palette : Palette
-        How many interiors and face colors are wanted; one of each outside tile sets.
-    memory : int
-        Bytes that a stage which can choose should plan with; results must not depend on it.
-    memory_limit : int or None
-        Bytes that the whole process may take, if the user set a limit (``--memory``); see `process.budget`.
-    workers : int
-        Processes that `map` hands work to, here or on other machines; 0 if it is done in this one.
-    worker_threads : int
-        Threads that a function may use which `map` calls.
-    """
-
-    threads: int
-    palette: Palette
-    memory: int = 2 * 2**30
-    memory_limit: int | None = None
-    workers: int = 0
-    worker_threads: int = 1
-
-    @abstractmethod
-    def rng(self, *key: int) -> np.random.Generator:
-        """A generator that depends only on the run's seed, the stage's path, the attempt and `key`."""
-
-    @abstractmethod
-    def report(self, **values: Any) -> None:
-        """Add JSON-ready numbers to the stage's summary in the run record."""
-
-    @abstractmethod
-    def progress(self, done: float, total: float, what: str = "") -> None:
-        """Tell how far the work is; cheap enough to be called for every layer."""
-
-    @abstractmethod
-    def warn(self, message: str) -> None:
-        """Tell the user something that does not stop the run; it is kept in the run record."""
-
-    def map(self, function: Callable[[Any, Any], Any], items: Iterable[Any], common: Any = None) -> Iterator[Any]:
-        """Call ``function(common, item)`` for each item, by the workers of the run, or by threads of this process.
-
-        Results must not depend on who calls the function, nor on how often: an item whose worker dies is done again.
-        Items are taken as workers get free, and a few results are kept at once. Leaving the iterator drops the rest.
-
-        Parameters
-        ----------
-        function : function of a module
-            Whatever it changes beside its result may be lost. It may use `worker_threads` threads.
-        items : iterable
-            Arrays and plain values; they travel to the workers, so they should be small.
-        common : object, optional
-            What all calls need: artifacts, frozen dataclasses, arrays and plain values. It is written once into a
-            folder that the workers share, and loaded once by each; its digests are checked.
-
-        Yields
-        ------
-        object
-            Arrays and plain values, in the order of the items.
-
-        Raises
-        ------
-        TypeError
-            If there are workers, and the function is not one of a module, or `common` holds what can't be written.
-        """
-        from sppm_pipeline.numerics.threads import ordered_map
-
-        return ordered_map(functools.partial(function, common), items, self.threads)
-
-    def worth_workers(self, samples: float) -> bool:
-        """Whether so many samples, all that `map` would evaluate, are worth handing to workers; False without any.
-
-        Results must not depend on it. Ask once the work is certain to be done: the user is told if workers stay out.
-        """
-        return self.workers > 0
-
-    def shared_folder(self) -> Path | None:
-        """A new empty folder that this process and all workers see, gone after the run; None without workers."""
-        return None
-
-    def remember(self, key: str, state: Any) -> None:  # noqa: B027 - not every context can
-        """Keep the state of long work, so that a later run may go on from there; None forgets it.
-
-        Parameters
-        ----------
-        key : str
-            Digest of all that the result depends on but for the program, which is added.
-        state : arrays, numbers, strings, and mappings and sequences of them
-        """
-
-    def recall(self, key: str) -> Any:
-        """What an earlier run has kept under a key by `remember` and not forgotten; None if nothing is kept."""
-        return None
-
-    def scratch(self) -> Path:
-        """A folder for temporary files, which the stage removes: where its outputs go, as there must be room there."""
-        import tempfile
-
-        return Path(tempfile.gettempdir())
-
-    def hashed(self, name: str, sha256: str) -> None:  # noqa: B027 - not every context asks for it
-        """Tell the SHA-256 of an output file that has just been written, so that it is not read again for it."""
-
-    @abstractmethod
-    def output(self, name: str) -> Path:
-        """A path for a final file or folder of this stage.
-
-        It lies in a staging area and is moved to ``<run directory>/<name>`` when the stage has ended well.
-
-        Raises
-        ------
-        ConfigError
-            If the name leaves the run directory or another stage writes it too.
-        """
 
 
 class Observed(NamedTuple):

@@ -130,6 +130,10 @@ def _dispatch(words: list[str]) -> int:
         parsed = parser.parse_args(words[1:])
     except SystemExit as exit:
         return exit.code if isinstance(exit.code, int) else 2
+    if verb == "run":
+        from sppm_pipeline.process.resident import share_one_heap
+
+        share_one_heap()
     from sppm_pipeline.process.interruption import interruptibly
 
     return interruptibly(lambda: int(command.execute(parsed)), lambda: _say_exit_message(words))

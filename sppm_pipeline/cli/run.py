@@ -17,6 +17,7 @@ from sppm_pipeline.errors import SppmError
 
 if TYPE_CHECKING:
     from sppm_pipeline.cli.kernels import Waiting
+    from sppm_pipeline.engine.plan.planning import Plan
     from sppm_pipeline.engine.plan.session import Session
     from sppm_pipeline.engine.run.crew import Crew
     from sppm_pipeline.stage import Headline
@@ -85,9 +86,7 @@ def _execute(args: Namespace) -> int:
         return check.execute(args)
     from sppm_pipeline.cli.kernels import compiling_ahead
     from sppm_pipeline.engine.cache.housekeeping import open_store
-    from sppm_pipeline.engine.plan.estimate import estimate_plan
     from sppm_pipeline.engine.plan.session import checked, refuse_unfit
-    from sppm_pipeline.engine.run.crew import fewest_samples
     from sppm_pipeline.engine.run.executors import default_executor
     from sppm_pipeline.engine.run.runner import available_threads, run_plan
 
@@ -95,7 +94,7 @@ def _execute(args: Namespace) -> int:
     plan, rows = checked(session, args.until)
     path = args.output or Path("runs") / plan.name
     alone = args.jobs == 1 or rows
-    fewest = 0.0 if alone else fewest_samples(args.executor, estimate_plan(plan, until=args.until))
+    fewest = 0.0 if alone else _fewest(args, plan)
     local = (args.executor or default_executor(args.jobs)) == "processes" and fewest < math.inf
     crew = args.jobs if local else 0
     refuse_unfit(session, plan, rows, path, workers=args.jobs, crew=crew, until=args.until)
@@ -172,6 +171,14 @@ def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
     return monitor
 
 
+def _fewest(args: Namespace, plan: Plan) -> float:
+    """How many samples of a stage are worth the workers of the run."""
+    from sppm_pipeline.engine.plan.estimate import estimate_plan
+    from sppm_pipeline.engine.run.crew import fewest_samples
+
+    return fewest_samples(args.executor, estimate_plan(plan, until=args.until))
+
+
 def _crew(
     args: Namespace,
     session: Session,
@@ -182,6 +189,8 @@ def _crew(
     fewest: float,
 ) -> Crew | None:
     """The workers of a single run, if it is to have any; started when a stage asks for them."""
+    if args.executor is None and args.jobs == 1:
+        return None
     from sppm_pipeline.engine.run.crew import Crew
     from sppm_pipeline.engine.run.executors import require_executor
 

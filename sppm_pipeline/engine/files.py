@@ -11,12 +11,27 @@ from pathlib import Path
 
 from sppm_pipeline.errors import ResourceError
 
+_AT_ONCE = 1 << 16
+"""Bytes of the files that are read in one step."""
+
 DISK = "make room on the disk, or choose another place with -o; the same command again goes on"
 
 
 def files_in(path: Path) -> list[str]:
-    """Names of all files below a folder, in order, relative to it."""
-    return sorted(p.relative_to(path).as_posix() for p in path.rglob("*") if p.is_file())
+    """Names of all files below a folder, in order, relative to it, with slashes; links to folders are not followed."""
+    found: list[str] = []
+    waiting = [""]
+    while waiting:
+        below = waiting.pop()
+        with contextlib.suppress(PermissionError), os.scandir(os.path.join(path, below)) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(f"{below}{entry.name}/")
+                    continue
+                with contextlib.suppress(OSError):  # a link that leads to itself is no file
+                    if entry.is_file():
+                        found.append(below + entry.name)
+    return sorted(found)
 
 
 def size_of(path: Path) -> int:
@@ -35,9 +50,18 @@ def tree_digest(digests: Mapping[str, str]) -> str:
 def digest_of(path: Path) -> str:
     """SHA-256 of a file; of a folder, over the names and digests of its files in order of their names."""
     if path.is_dir():
-        return tree_digest({name: digest_of(path / name) for name in files_in(path)})
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        return tree_digest({name: file_digest(os.path.join(path, name))[0] for name in files_in(path)})
+    return file_digest(path)[0]
+
+
+def file_digest(path: str | Path) -> tuple[str, int]:
+    """SHA-256 and size of a file."""
+    with open(path, "rb", buffering=0) as file:
+        data = file.read(_AT_ONCE)
+        if len(data) < _AT_ONCE and not file.read(1):  # nearly all are, and need no buffer
+            return hashlib.sha256(data).hexdigest(), len(data)
+        file.seek(0)
+        return hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
 
 
 def remove(path: Path) -> None:
@@ -66,7 +90,7 @@ def clear(path: Path) -> None:
         os.rmdir(path)
 
 
-def sync(path: Path) -> None:
+def sync(path: str | Path) -> None:
     """Wait until the disk has a file, where the file system can tell; else its digest says whether it is whole."""
     with contextlib.suppress(OSError):
         descriptor = os.open(path, os.O_RDONLY)

@@ -46,12 +46,15 @@ def json_text(value: Any) -> str:
 def _text(value: Any, newline: str) -> str:
     inside = newline + " "
     if isinstance(value, dict) and value:
-        items = [f"{json.dumps(str(k), ensure_ascii=False)}: {_text(v, inside)}" for k, v in value.items()]
+        items = [f"{_encoded(str(k))}: {_text(v, inside)}" for k, v in value.items()]
         return "{" + inside + ("," + inside).join(items) + newline + "}"
     if isinstance(value, list) and any(isinstance(item, (dict, list)) and item for item in value):
         return "[" + inside + ("," + inside).join(_text(item, inside) for item in value) + newline + "]"
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    return _encoded(value)
 
+
+_encoded = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
+"""Made once: `json.dumps` would make one for each value."""
 
 SEAL = "sha256"
 """Key of the digest, the last of the file."""

@@ -1,49 +1,37 @@
 """The decorators that compile functions by Numba, so that all are cached on disk and release the GIL.
 
-Kernels are compiled on their first call, not on import, and the machine code is kept in Numba's cache; a caller
+Kernels are compiled on their first call, not on import, and the machine code is kept (`machine_code`, and Numba's own
+cache). Numba itself is imported when something has to be compiled, and by no run whose kernels are all kept. A caller
 that notifies its user of the wait registers a callback with `sppm_pipeline.numerics.kernel_cache`.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
+import importlib
+import threading
 import types
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-import numba
-import numba.cpython.hashing
-from numba.core import config, event
-from numba.core.caching import FunctionCache
-from numba.core.runtime.nrt import rtsys
+from numpy import ndarray
 
-from sppm_pipeline.numerics.kernel_cache import first_compilation, kernel_cache_folder, saving
+# not by `from`, which makes a module part of the state of all kernels: how code is kept does not change what it does
+import sppm_pipeline.numerics.kernel_cache as kernel_cache
+import sppm_pipeline.numerics.machine_code as machine_code
 
-
-def _load_numba_without_scipy() -> None:
-    """Load the part of Numba that looks for BLAS, answering its question without the import of scipy.linalg.
-
-    That import takes longer than everything else in a short run, and is there only to tell whether `numpy.dot` can be
-    compiled. If somebody compiles it after all, Numba finds BLAS when it is called.
-    """
-    from numba.np import linalg
-
-    look = linalg.ensure_blas
-    linalg.ensure_blas = lambda: None
-    try:
-        import numba.np.arraymath  # noqa: F401
-    finally:
-        linalg.ensure_blas = look
-
-
-_load_numba_without_scipy()
+kind_of, written, load, usable = machine_code.kind_of, machine_code.written, machine_code.load, machine_code.usable
+_NUMBERS = frozenset(machine_code.NUMBERS)
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+_LOCK = threading.RLock()
 
 
 def jit(function: F) -> F:
     """Compile `function` on first call with strict IEEE arithmetic, no GIL, cached on disk."""
-    return _compiled(function, False)
+    return cast(F, Kernel(function, False))
 
 
 def inline_jit(function: F) -> F:
@@ -51,7 +39,7 @@ def inline_jit(function: F) -> F:
 
     Only the flags that let LLVM vectorize are set: NaN and infinity keep their meaning.
     """
-    return _compiled(function, {"reassoc", "contract", "arcp", "nsz"})
+    return cast(F, Kernel(function, {"reassoc", "contract", "arcp", "nsz"}))
 
 
 def fused_jit(function: F) -> F:
@@ -59,36 +47,110 @@ def fused_jit(function: F) -> F:
 
     A sum of which only one term is a product comes out the same in a vector loop and in its remainder.
     """
-    return _compiled(function, {"contract"})
+    return cast(F, Kernel(function, {"contract"}))
 
 
-def _compiled(function: F, fastmath: set[str] | bool) -> F:
-    # Numba asks for the folder when it makes a cache, and declares its settings at run time
-    folder = str(kernel_cache_folder(function.__code__.co_filename))
-    setattr(config, "CACHE_DIR", folder)  # noqa: B010
-    # no caller is written in C, and what only it could call takes a sixteenth of the time of compiling
-    njit: Any = numba.njit  # whose annotations know fewer options than it has
-    wrapped: Any = njit(nogil=True, error_model="numpy", fastmath=fastmath, no_cfunc_wrapper=True)(function)
-    wrapped._cache = _Cache(function)  # type: ignore[no-untyped-call]
-    wrapped._cache.folder = folder
-    return wrapped  # type: ignore[no-any-return]
+class Kernel:
+    """A function that is compiled for each kind of arguments when it is first called with them.
+
+    To Numba, and to whoever asks it for what it does not have, it is the dispatcher that Numba makes of the function.
+
+    Parameters
+    ----------
+    function : callable
+    fastmath : set of str or bool
+        As Numba takes it.
+
+    Attributes
+    ----------
+    py_func : callable
+        The function.
+    """
+
+    def __init__(self, function: Callable[..., Any], fastmath: set[str] | bool) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func: Any = function
+        self._fastmath = fastmath
+        self._dispatcher: Any = None
+        self._ready: dict[tuple[Any, ...], Callable[..., Any]] = {}
+
+    def __call__(self, *args: Any, **named: Any) -> Any:
+        key: list[Any] = []
+        for value in args:  # written out, as it takes longer than everything else of a call
+            kind = value.__class__
+            if kind is ndarray:
+                key += value.dtype, value.ndim, value.flags.num
+            elif kind in _NUMBERS:
+                key.append(kind)
+            else:
+                key.append(kind_of(value))
+        ready = self._ready.get(tuple(key))
+        if ready is None or named:
+            return self._first(tuple(key), args, named)
+        return ready(*args)
+
+    def _first(self, key: tuple[Any, ...], args: tuple[Any, ...], named: dict[str, Any]) -> Any:
+        """Call it with arguments of a kind that has not been there."""
+        kinds = None if named or not usable() else [written(kind_of(value)) for value in args]
+        if kinds is None or None in kinds:
+            return self.dispatcher(*args, **named)
+        ready = load(self.py_func, kinds)
+        if ready is None:
+            ready = self.dispatcher
+            ready._cache.keep = True
+        result = ready(*args)
+        self._ready[key] = ready
+        return result
+
+    @property
+    def dispatcher(self) -> Any:
+        """What Numba makes of the function; loads Numba."""
+        if self._dispatcher is None:
+            from sppm_pipeline.numerics.compiling import dispatcher_of
+
+            with _LOCK:
+                if self._dispatcher is None:
+                    self._dispatcher = dispatcher_of(self.py_func, self._fastmath)
+        return self._dispatcher
+
+    @property
+    def _numba_type_(self) -> Any:
+        """Numba asks for this where one kernel calls another."""
+        return self.dispatcher._numba_type_
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or "_dispatcher" not in self.__dict__:  # being copied, or asked for a protocol
+            raise AttributeError(name)
+        return getattr(self.dispatcher, name)
+
+    def __reduce__(self) -> Any:
+        return _kernel, (self.__module__, self.__qualname__)
+
+    def __repr__(self) -> str:
+        return f"<kernel {self.__module__}.{self.__qualname__}>"
 
 
-class _Cache(FunctionCache):
-    """Numba's cache of one function, safe for processes that save at the same time."""
+class Intrinsic:
+    """A function of compiled code that is written in LLVM's instructions; Numba makes it when it compiles a caller.
 
-    folder: str
+    Parameters
+    ----------
+    definition : callable
+        Called once; returns what `numba.extending.intrinsic` takes. Numba and llvmlite are imported inside of it.
+    """
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        # Numba would first make ready all that it can compile, a twentieth of the time of a short run. Machine code
-        # needs the memory manager, and the symbols of `hashing` if it hashes; compiling makes the rest ready itself.
-        rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+    def __init__(self, definition: Callable[[], Callable[..., Any]]) -> None:
+        self._definition = definition
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        with saving(self.folder):
-            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+    @functools.cached_property
+    def _numba_type_(self) -> Any:
+        from sppm_pipeline.numerics.compiling import intrinsic_type
+
+        return intrinsic_type(self._definition())
+
+
+def _kernel(module: str, name: str) -> Any:
+    return getattr(importlib.import_module(module), name)
 
 
 def specialized(function: F, name: str, **replaced: Callable[..., Any]) -> F:
@@ -99,8 +161,8 @@ def specialized(function: F, name: str, **replaced: Callable[..., Any]) -> F:
     function : callable
         A plain function at the top of its module.
     name : str
-        Tells the copies of one function apart; with the code of what is replaced it becomes part of the name under
-        which Numba keeps the compiled copy.
+        Tells the copies of one function apart; with the code of what is replaced, and the state of the files that it
+        is from, it becomes part of the name under which Numba keeps the compiled copy.
     **replaced : callable
         Compiled functions by the global name they take over.
     """
@@ -109,17 +171,7 @@ def specialized(function: F, name: str, **replaced: Callable[..., Any]) -> F:
         plain = other.py_func  # type: ignore[attr-defined]
         code = plain.__code__
         h.update(repr((plain.__qualname__, code.co_code, code.co_consts, code.co_names)).encode())
+        h.update(kernel_cache.state_of(code.co_filename).encode())  # values of globals, and what it calls
     copied = types.FunctionType(function.__code__, {**function.__globals__, **replaced})
     copied.__qualname__ = f"{function.__name__}_{name}_{h.hexdigest()[:8]}"
     return cast(F, copied)
-
-
-class _Compilation(event.Listener):
-    def on_start(self, event: Any) -> None:
-        first_compilation()
-
-    def on_end(self, event: Any) -> None:
-        pass
-
-
-event.register("numba:compile", _Compilation())  # type: ignore[no-untyped-call]

@@ -4,6 +4,10 @@ Numba keys a kept kernel by its own source file alone, so a kernel that inlines 
 would be reused after that file has changed. Therefore each module has folders of its own, one for each state of the
 module and of everything it imports from its package: another version of the program, or an edit, starts a folder for
 the modules it reaches and for no others. Free of Numba, so that asking costs nothing.
+
+Modules of plugins may inline what other packages supply. Sources of these are followed as well, those of installed
+packages as far as they name Numba or this program, beside the version of their distribution. Of this program, all
+numerics count: what a plugin takes from the public face is found when it is used.
 """
 
 from __future__ import annotations
@@ -22,7 +26,14 @@ from pathlib import Path
 KEPT_STATES = 4
 """Folders of earlier states of a module that stay, newest first; users may have several environments."""
 
-_IMPORT = re.compile(rb"^\s*from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n#]*)", re.MULTILINE)
+_IMPORT = re.compile(rb"^\s*from\s+(\.*)([\w.]*)\s*import\b\s*(\([^)]*\)|[^\n#]*)", re.MULTILINE)
+_PLAIN_IMPORT = re.compile(rb"^\s*import\s+([^\n#;]*)", re.MULTILINE)
+
+_PROGRAM = "sppm_pipeline"
+_KERNELS = re.compile(rb"numba|" + _PROGRAM.encode())
+_CONTINUED = re.compile(rb"\\\r?\n")
+_NOT_FOLLOWED = sys.stdlib_module_names | {"numpy", "numba", "llvmlite", "scipy"}
+"""Packages without kernels, or whose versions Numba and `machine_code` ask for."""
 
 
 def kernel_cache_folder(source: str) -> Path:
@@ -33,14 +44,29 @@ def kernel_cache_folder(source: str) -> Path:
     source : str
         File of the module.
     """
-    folder = kernel_cache_root() / Path(source).stem / _state(source)
+    place = Path(Path(source).stem, _state(source))
+    folder = kernel_cache_root() / place
+    if folder.is_dir():
+        return folder
     try:
-        if not folder.is_dir():
-            folder.mkdir(parents=True, exist_ok=True)
-            _prune(folder.parent, folder)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError:
-        return Path(tempfile.mkdtemp(prefix="sppm-kernels-"))
+        folder = _temporary() / place
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+    with contextlib.suppress(OSError):  # another process may remove the same
+        _prune(folder.parent, folder)
     return folder
+
+
+@functools.cache
+def _temporary() -> Path:
+    """A folder for the kernels of this process alone, which goes when it ends."""
+    from multiprocessing.util import Finalize  # which also runs where a child ends without exit handlers
+
+    folder = tempfile.mkdtemp(prefix="sppm-kernels-")
+    Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
+    return Path(folder)
 
 
 @functools.cache
@@ -56,7 +82,7 @@ def kernel_cache_root() -> Path:
             continue
         if os.access(base, os.W_OK | os.X_OK):
             return base
-    return Path(tempfile.mkdtemp(prefix="sppm-kernels-"))
+    return _temporary()
 
 
 def _bases() -> list[Path]:
@@ -74,40 +100,156 @@ def _bases() -> list[Path]:
     return bases
 
 
+def state_of(source: str) -> str:
+    """What tells states of a module and of all that it imports apart; empty if its file can't be read.
+
+    Parameters
+    ----------
+    source : str
+        File of the module.
+    """
+    try:
+        return _state(source)
+    except OSError:
+        return ""
+
+
 @functools.cache
 def _state(source: str) -> str:
-    """Digest of the interpreter, the module and all modules that it imports, directly or not, from its package."""
+    """Digest of the interpreter, the module and all modules that it imports, directly or not."""
     h = hashlib.sha256(f"{sys.version_info[:3]}{sys.prefix}".encode())
-    reached, waiting = set(), [os.path.abspath(source)]
+    first = os.path.abspath(source)
+    place = _package_of(os.path.dirname(first))
+    reached, waiting = {first: _read(first, place)}, [first]
+    marks: set[str] = set()
     while waiting:
-        file = waiting.pop()
-        if file not in reached:
-            reached.add(file)
-            waiting += _read(file)[1]
+        _, files, others = reached[waiting.pop()]
+        marks.update(others)
+        for file in files:
+            if file not in reached:
+                with contextlib.suppress(OSError):  # what can't be read can't be imported
+                    reached[file] = _read(file, place)
+                    waiting.append(file)
     for file in sorted(reached):
-        h.update(f"{os.path.basename(file)}:{_read(file)[0]};".encode())
+        h.update(f"{os.path.basename(file)}:{reached[file][0]};".encode())
+    for mark in sorted(marks):
+        h.update(f"{mark};".encode())
     return h.hexdigest()[:16]
 
 
 @functools.cache
-def _read(file: str) -> tuple[str, tuple[str, ...]]:
-    """Digest of a source file, and the files of those modules of its own package that it imports."""
+def _read(file: str, place: tuple[str, str] | None = None) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    """Digest of a source file, the files of modules that it imports, and what else its state depends on.
+
+    `place` is the package that is asked for; of others that are installed, few files are followed.
+    """
     with open(file, "rb") as opened:
         text = opened.read()
-    package, top = os.path.dirname(file), ""
-    while os.path.isfile(os.path.join(package, "__init__.py")):
-        package, top = os.path.split(package)
-    found = []
-    for module, names in _IMPORT.findall(text):
-        parts = module.decode().split(".")
-        if parts[0] != top:
-            continue
-        # what is imported may be a name in a module, or a module in a folder
-        for path in (parts, *([*parts, name] for name in re.findall(r"\w+", names.decode()))):
-            place = os.path.join(package, *path) + ".py"
-            if os.path.isfile(place):
-                found.append(place)
-    return hashlib.sha256(text).hexdigest(), tuple(found)
+    digest = hashlib.sha256(text).hexdigest()
+    folder = os.path.dirname(file)
+    root, top = _package_of(folder)
+    if top != _PROGRAM and (root, top) != place and _installed(root) and not _KERNELS.search(text):
+        return digest, (), ()
+    text = _CONTINUED.sub(b" ", text)
+    found: list[str] = []
+    if top == _PROGRAM:
+        # here `import x` says that a module is no part of the state, and the files of packages hold no kernels
+        for dots, module, names in _IMPORT.findall(text):
+            parts = module.decode().split(".")
+            if not dots and parts[0] == top:
+                found += [f for f in _modules(root, parts, _words(names)) if not f.endswith("__init__.py")]
+        return digest, tuple(found), ()
+    marks: set[str] = set()
+    for dots, parts, wanted in _imports(text):
+        if dots:
+            base = folder
+            for _ in range(dots - 1):
+                base = os.path.dirname(base)
+            found += _modules(base, parts, wanted)
+        elif parts[0] == top or (not top and _modules(root, parts[:1], [])):  # a single file, and those beside it
+            found += _modules(root, parts, wanted)
+        elif parts[0] == _PROGRAM:
+            marks.add(_inlined())
+        elif parts[0] not in _NOT_FOLLOWED and (other := _root_of(parts[0])):
+            found += _modules(other, parts, wanted)
+            marks.add(_release(other, parts[0]))
+    return digest, tuple(found), tuple(sorted(marks))
+
+
+@functools.cache
+def _package_of(folder: str) -> tuple[str, str]:
+    """The folder in which the outermost package of a folder lies, and its name; empty where there is none."""
+    top = ""
+    while os.path.isfile(os.path.join(folder, "__init__.py")):
+        folder, top = os.path.split(folder)
+    return folder, top
+
+
+def _imports(text: bytes) -> Iterator[tuple[int, list[str], list[str]]]:
+    """Of each statement that imports: how many dots it begins with, the parts of the module, names taken from it."""
+    for dots, module, names in _IMPORT.findall(text):
+        if dots or module:
+            yield len(dots), module.decode().split(".") if module else [], _words(names)
+    for modules in _PLAIN_IMPORT.findall(text):
+        for module in _words(modules):
+            yield 0, module.split("."), []
+
+
+def _words(names: bytes) -> list[str]:
+    return re.findall(r"[\w.]+", re.sub(r"\s+as\s+\w+", "", names.decode(errors="replace")))
+
+
+def _modules(root: str, parts: list[str], names: list[str]) -> list[str]:
+    """The files in which names of a module are defined, each of which may be a module itself; all without names."""
+    base = os.path.join(root, *parts)
+    if parts and os.path.isfile(f"{base}.py"):
+        return [f"{base}.py"]
+    package, found = os.path.join(base, "__init__.py"), []
+    for name in names or [""]:
+        places = (os.path.join(base, f"{name}.py"), os.path.join(base, name, "__init__.py")) if name else ()
+        found.append(next(filter(os.path.isfile, places), package))
+    return [file for file in found if file != package or os.path.isfile(package)]
+
+
+@functools.cache
+def _root_of(top: str) -> str:
+    """The folder in which another package or module lies, without its import; empty if it has no source."""
+    from importlib.util import find_spec
+
+    try:
+        spec = find_spec(top)
+    except (ImportError, ValueError, AttributeError):
+        return ""
+    if spec is None:
+        return ""
+    if spec.submodule_search_locations:
+        return os.path.dirname(next(iter(spec.submodule_search_locations)))
+    return os.path.dirname(spec.origin) if spec.origin and spec.origin.endswith(".py") else ""
+
+
+def _installed(root: str) -> bool:
+    return os.path.basename(root) in ("site-packages", "dist-packages")
+
+
+@functools.cache
+def _release(root: str, top: str) -> str:
+    """Which release of a package is installed; all there are where none has its name. Empty if it is a plain folder."""
+    if not _installed(root):
+        return ""
+    there = sorted(name for name in os.listdir(root) if name.endswith("-info"))
+    same = [name for name in there if re.sub(r"[-_.]+", "_", name).lower().startswith(f"{top.lower()}_")]
+    return ",".join(same or there)
+
+
+@functools.cache
+def _inlined() -> str:
+    """Digest of all of this program that may be inlined elsewhere."""
+    h = hashlib.sha256()
+    package = Path(__file__).parents[1]
+    for part in ("numerics", "formats", "render"):
+        for file in sorted((package / part).rglob("*.py")):
+            h.update(file.read_bytes())
+    return h.hexdigest()
 
 
 def _prune(base: Path, current: Path) -> None:

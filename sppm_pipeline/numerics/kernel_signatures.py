@@ -2,7 +2,7 @@
 
 A number is written as Numba calls it (``"int64"``), an array as ``"float32 3 C"`` with its dimensions and its order in
 memory, and ``"float32 3 C readonly"`` if it can't be written to; a tuple as a list that begins with its class, which is
-empty for a plain one.
+empty for a plain one; None as ``"none"``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def written(kind: types.Type) -> KernelType:
     Raises
     ------
     ValueError
-        If it is none of those that kernels take: numbers, arrays of numbers, and tuples of these.
+        If it is none of those that kernels take: numbers, arrays of numbers, None, and tuples of these.
     """
     if isinstance(kind, types.Array):
         text = f"{written(kind.dtype)} {kind.ndim} {kind.layout}"
@@ -55,6 +55,8 @@ def read(kind: KernelType) -> types.Type:
         made = getattr(importlib.import_module(module), name) if name else None
         joined: types.Type = types.BaseTuple.from_types(tuple(map(read, kind[1:])), made)  # type: ignore[no-untyped-call]
         return joined
+    if kind == "none":
+        return types.none
     name, *array = kind.split()
     number = types.boolean if name == "bool" else getattr(types, name, None)
     if not isinstance(number, types.Number | types.Boolean):
@@ -78,6 +80,7 @@ def compile_kernel(place: str, signatures: Sequence[Sequence[KernelType]]) -> No
         For each specialization the types of the arguments.
     """
     module, _, name = place.partition(":")
-    kernel = getattr(importlib.import_module(module), name)
+    kernel = getattr(importlib.import_module(module), name).dispatcher
+    kernel._cache.keep = True
     for signature in signatures:
         kernel.compile(tuple(map(read, signature)))

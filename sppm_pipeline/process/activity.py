@@ -125,7 +125,8 @@ def _note() -> None:
     """Note the last of what is being done; a recipe's stages come after the stage that runs it."""
     assert _shared is not None
     activity = _active[-1][0] if _active else Activity("", True)
-    _write(_TEXT, "\0".join([activity.what, "1" if activity.builtin else "", activity.where, activity.stage]))
+    # what is done comes last, as it may be too long and is cut then
+    _write(_TEXT, "\0".join(["1" if activity.builtin else "", activity.where, activity.stage, activity.what]))
     _times[_STAGE] = min((deadline for _, deadline in _active), default=math.inf)
 
 
@@ -147,8 +148,8 @@ def current(file: Path | None = None) -> Activity | None:
 
     With `file`, what the process that shared it was doing when it wrote there last.
     """
-    what, _, rest = _read(_TEXT, _shared if file is None else file.read_bytes()).partition("\0")
-    builtin, where, stage = rest.split("\0") if rest.count("\0") == 2 else ("", "", "")
+    noted = _read(_TEXT, _shared if file is None else file.read_bytes()).split("\0", 3)
+    builtin, where, stage, what = noted if len(noted) == 4 else ("", "", "", "")
     return Activity(what, bool(builtin), where, stage) if what else None
 
 

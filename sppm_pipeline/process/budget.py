@@ -14,6 +14,7 @@ the same quantity: the memory resident in this process.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import functools
 import os
@@ -138,6 +139,10 @@ def require_memory(needed: float, what: str, hint: str, *, limit: int | None) ->
 
 def _held() -> tuple[int, int]:
     """Bytes resident in this process, and its address space; zeros where the system does not say."""
+    # as psutil reads it on Linux, whose import takes longer than all else here
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        pages = (_proc() / "self/statm").read_bytes().split()
+        return int(pages[1]) * os.sysconf("SC_PAGE_SIZE"), int(pages[0]) * os.sysconf("SC_PAGE_SIZE")
     import psutil
 
     try:
@@ -149,6 +154,10 @@ def _held() -> tuple[int, int]:
 
 def _machine() -> int:
     """Bytes that the machine can hand out without swapping; all it has, where the system does not say more."""
+    with contextlib.suppress(OSError):
+        found = re.search(rb"^MemAvailable:\s*(\d+) kB", (_proc() / "meminfo").read_bytes(), re.MULTILINE)
+        if found:
+            return int(found[1]) * 1024
     import psutil
 
     try:
@@ -210,9 +219,7 @@ def _mounted_groups() -> Iterator[tuple[_Files, Path, Path]]:
     ``/proc/self/cgroup`` names the group within the hierarchy, ``/proc/self/mountinfo`` where the hierarchy, or in a
     container only the part of it below some root, is mounted (proc(5)).
     """
-    import psutil
-
-    proc = Path(getattr(psutil, "PROCFS_PATH", "/proc")) / "self"
+    proc = _proc() / "self"
     groups: dict[_Files, str] = {}
     for line in _lines(proc / "cgroup"):
         number, _, rest = line.partition(":")
@@ -236,6 +243,11 @@ def _mounted_groups() -> Iterator[tuple[_Files, Path, Path]]:
             path = groups.pop(files)
             root, top = (_unescaped(word) for word in words[3:5])
             yield files, _folder(path, root, Path(top)), Path(top)
+
+
+def _proc() -> Path:
+    """Where the system shows its processes; whoever has it elsewhere tells psutil."""
+    return Path(getattr(sys.modules.get("psutil"), "PROCFS_PATH", "/proc"))
 
 
 def _folder(path: str, root: str, top: Path) -> Path:

@@ -1,6 +1,7 @@
 """The public face: every name is there, loaded late, and known to type checkers."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +24,12 @@ def test_every_public_name_is_there_and_listed():
     assert set(sppm.__all__) <= set(dir(sppm))
     with pytest.raises(AttributeError, match="no attribute 'dart_throwing'"):
         sppm.dart_throwing  # noqa: B018
+
+
+def test_what_a_sampler_is_given_is_public():
+    for method in (sppm.Sampler.throw, sppm.Sampler.throw_all):
+        words = set(re.findall(r"[A-Z]\w+", " ".join(map(str, method.__annotations__.values()))))
+        assert words - {"NDArray", "Generator"} <= set(sppm.__all__)
 
 
 def test_type_checkers_see_the_same_names_in_the_same_places():

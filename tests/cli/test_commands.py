@@ -47,7 +47,7 @@ def install(monkeypatch):
             def load(self):
                 return module
 
-        monkeypatch.setattr("importlib.metadata.entry_points", lambda *, group: [Entry()])
+        monkeypatch.setattr("sppm_pipeline.engine.plan.installed.entry_points", lambda group: [Entry()])
 
     return pretend
 

@@ -38,6 +38,7 @@ from sppm_pipeline.cli.progress import ProgressLines
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.numerics import kernel_cache
 from sppm_pipeline.numerics.kernel_signatures import read, written
+from sppm_pipeline.numerics.machine_code import usable
 from sppm_pipeline.numerics.sampling.cell_list import CellList
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -122,14 +123,16 @@ def empty(tmp_path, monkeypatch):
 
 
 CALL = """
+import sys
 import numpy as np
 from sppm_pipeline.numerics.meshcheck.measures import _insertion_sort
 _insertion_sort(np.zeros(3, np.uint64))
+print("numba" in sys.modules)
 print(dict(_insertion_sort.stats.cache_misses), len(_insertion_sort.stats.cache_hits))
 """
 
 
-def test_children_compile_what_a_later_process_finds(empty):
+def test_children_compile_what_a_later_process_finds(empty, monkeypatch):
     good = next(k for k in listed_kernels() if k.place == SORT)
     gone = Kernel("sppm_pipeline.numerics.meshcheck.measures:_no_more", 1, ("write.png",), (), [["int64"]])
     assert missing([good]) == [good]
@@ -148,8 +151,11 @@ def test_children_compile_what_a_later_process_finds(empty):
     assert not multiprocessing.active_children()
     assert [(place, "_no_more" in why, "\n" in why) for place, why in failed] == [(gone.place, True, False)]
     assert missing([good]) == []
-    found = subprocess.run([sys.executable, "-c", CALL], capture_output=True, text=True, check=True)
-    assert found.stdout.split() == ["{}", "1"]
+    by_numba = ["True", "{}", "1"]
+    for switch, expected in (("on", ["False", "{}", "0"] if usable() else by_numba), ("off", by_numba)):
+        monkeypatch.setenv("SPPM_KEPT_KERNELS", switch)
+        found = subprocess.run([sys.executable, "-c", CALL], capture_output=True, text=True, check=True)
+        assert found.stdout.split() == expected
 
 
 def test_doctor_compiles_what_is_missing(empty, monkeypatch, capsys):

@@ -14,8 +14,10 @@ import pytest
 from sppm_pipeline.data.storage import NotStorable
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run import crew as crew_module
-from sppm_pipeline.engine.run.crew import Crew, name_of
+from sppm_pipeline.engine.run import items as items_module
+from sppm_pipeline.engine.run.crew import Crew
 from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.items import name_of
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.workers import Driver
 from sppm_pipeline.errors import ConfigError, NativeCrash, PluginError
@@ -190,6 +192,31 @@ def test_what_is_common_is_written_once(here, tmp_path):
     assert list(here.map(operator.contains, iter([2]), common)) == [True]
     assert len(list((tmp_path / "run").glob(".*/*/value.json"))) == 2
     assert here.threads == 2
+
+
+def test_all_that_calls_of_a_stage_had_in_common_goes_with_it(here, tmp_path):
+    for common in ((1, 2), (3, 4), (5, 6)):
+        assert list(here.map(operator.contains, [3], common)) == [3 in common]
+    assert len(list((tmp_path / "run").glob(".*/*/value.json"))) == 3
+    here.forget()
+    assert not list((tmp_path / "run").glob(".*/*/value.json"))
+
+
+def test_what_is_common_goes_with_its_stage(here, tmp_path, monkeypatch):
+    common = (2, Path("a"))
+    monkeypatch.setattr(items_module, "IDLE", 0.05)
+    items_module._loaded.cache_clear()
+    assert list(here.map(operator.contains, [Path("a")], common)) == [True]
+    assert items_module._loaded.cache_info().currsize == 1
+    deadline = time.monotonic() + 10
+    while items_module._loaded.cache_info().currsize and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not items_module._loaded.cache_info().currsize
+    assert list((tmp_path / "run").glob(".*/*/value.json"))
+    here.forget()
+    assert not list((tmp_path / "run").glob(".*/*/value.json"))
+    here.forget()
+    assert list(here.map(operator.contains, [3], common)) == [False]  # written anew
 
 
 def test_items_are_taken_as_they_are_needed(here):

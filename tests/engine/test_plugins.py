@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import sys
 import types
 
 import pytest
 
+from sppm_pipeline.engine.plan import installed
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.errors import ConfigError, PluginError
@@ -58,7 +58,7 @@ def pretend_installed(monkeypatch, *modules):
             return self.target
 
     entries = [Entry(name, target) for name, target in modules]
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: entries if group == "sppm" else [])
+    monkeypatch.setattr(installed, "entry_points", lambda group: entries if group == "sppm" else [])
 
 
 def module_with(**names):

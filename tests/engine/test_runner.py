@@ -428,3 +428,10 @@ def test_a_report_that_is_kept_is_there(work, judge):
     with pytest.raises(PluginError, match="announced but not written") as caught:
         work.run(REJECTED, plugins=[judge], s=["check.judge.write=false"])
     assert caught.value.stage == "check.judge"
+
+
+def test_a_link_that_leads_to_itself_is_no_file(tmp_path):
+    (tmp_path / "inside").mkdir()
+    (tmp_path / "inside" / "file").write_text("x")
+    (tmp_path / "loop").symlink_to("loop")
+    assert files_in(tmp_path) == ["inside/file"]

@@ -1,26 +1,40 @@
 """The folders of compiled kernels: one for each state of a module and of what it imports, writable, pruned."""
 
+import functools
 import os
 import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from sppm_pipeline.numerics import kernel_cache
+from sppm_pipeline.numerics.compiled import inline_jit, specialized
 from sppm_pipeline.numerics.kernel_cache import KEPT_STATES, kernel_cache_folder, kernel_cache_root
 
 
 @pytest.fixture(autouse=True)
 def fresh():
     """Nothing remembered from the modules of the program, and nothing left for them."""
-    kernel_cache_root.cache_clear()
-    kernel_cache._read.cache_clear()
-    kernel_cache._state.cache_clear()
+    forget()
     yield
-    kernel_cache_root.cache_clear()
-    kernel_cache._read.cache_clear()
-    kernel_cache._state.cache_clear()
+    forget()
+
+
+def forget():
+    for name in (
+        "kernel_cache_root",
+        "_temporary",
+        "_read",
+        "_state",
+        "_package_of",
+        "_root_of",
+        "_release",
+        "_inlined",
+    ):
+        getattr(kernel_cache, name).cache_clear()
 
 
 @pytest.fixture
@@ -53,8 +67,7 @@ def sources(tmp_path):
 
 
 def folder_of(file):
-    kernel_cache._read.cache_clear()
-    kernel_cache._state.cache_clear()
+    forget()
     return kernel_cache_folder(str(file))
 
 
@@ -94,7 +107,7 @@ def test_the_kernels_of_the_program_reach_what_they_inline():
 
 def test_places_in_turn(place, monkeypatch):
     def root():
-        kernel_cache_root.cache_clear()
+        forget()
         return kernel_cache_root()
 
     def blocked(name):
@@ -134,3 +147,159 @@ def test_old_states_are_removed_the_newest_stay(place, sources):
     current = folder_of(sources / "pack/alone.py")
     assert current.is_dir()
     assert [f.exists() for f in old] == [True] * KEPT_STATES + [False] * 3
+
+
+def test_how_kernels_are_compiled_is_part_of_their_state_and_how_they_are_kept_is_not():
+    package = Path(kernel_cache.__file__).parent
+    reached, waiting = set(), [str(package / "kernels/splat.py")]
+    while waiting:
+        if (file := waiting.pop()) not in reached:
+            reached.add(file)
+            waiting += kernel_cache._read(file)[1]
+    assert str(package / "compiling.py") in reached
+    assert str(package / "machine_code.py") not in reached
+
+
+RELATIVE = {
+    "plug/__init__.py": "from .kernels import main  # the public face\n",
+    "plug/kernels.py": "from .inner import a\nfrom . import beside, \\\n    far\n"
+    "import plug.plain\nimport plug.named as n, math\n",
+    "plug/inner.py": "",
+    "plug/beside.py": "",
+    "plug/far/__init__.py": "from ..deep.down import b\n",
+    "plug/deep/__init__.py": "",
+    "plug/deep/down.py": "from ... import above\n",
+    "plug/plain.py": "def f():\n    from other import c\n",
+    "plug/named.py": "import lone\n",
+    "plug/alone.py": "",
+    "other/__init__.py": "from other.consts import c\n",
+    "other/consts.py": "c = 1\n",
+    "lone.py": "",
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "counts"),
+    [
+        ("plug/inner", True), ("plug/beside", True), ("plug/far/__init__", True), ("plug/deep/down", True),
+        ("plug/plain", True), ("plug/named", True), ("other/__init__", True), ("other/consts", True), ("lone", True),
+        ("plug/alone", False), ("plug/__init__", False),
+    ],
+)  # fmt: skip
+def test_every_way_of_importing_is_followed(place, monkeypatch, changed, counts):
+    (place / "far").mkdir()
+    for name, text in RELATIVE.items():
+        file = place / ("far" if name.startswith(("other", "lone")) else "near") / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    monkeypatch.syspath_prepend(str(place / "far"))
+    before = folder_of(place / "near/plug/kernels.py")
+    with next(place.glob(f"*/{changed}.py")).open("a") as file:
+        file.write("y = 2\n")
+    assert (folder_of(place / "near/plug/kernels.py") != before) == counts
+
+
+def test_sources_in_other_encodings_are_read(place):
+    (place / "old.py").write_bytes("# coding: latin-1\nfrom other import (\n    a,  # für\n)\n".encode("latin-1"))
+    assert folder_of(place / "old.py").is_dir()
+
+
+def test_kernels_of_plugins_are_as_new_as_those_of_the_program(place, monkeypatch):
+    (place / "file.py").write_text("from sppm_pipeline import jit\n")
+    (place / "free.py").write_text("import sppm_pipelines\n")
+    before, free = folder_of(place / "file.py"), folder_of(place / "free.py")
+    monkeypatch.setattr(kernel_cache, "_inlined", functools.cache(lambda: "another version"))
+    assert folder_of(place / "file.py") != before
+    assert folder_of(place / "free.py") == free
+
+
+def test_of_installed_packages_the_release_counts_and_what_may_hold_kernels(place, monkeypatch):
+    root = place / "site-packages"
+    (root / "big").mkdir(parents=True)
+    (root / "big/__init__.py").write_text("from big.part import c\n")
+    (root / "big/part.py").write_text("c = 1\n")
+    (root / "quick.py").write_text("import numba\nfrom big.part import c\n")
+    (root / "Big-1.0.dist-info").mkdir()
+    (root / "quick-1.0.dist-info").mkdir()
+    (place / "one.py").write_text("import big\n")
+    (place / "two.py").write_text("import quick\n")
+    monkeypatch.syspath_prepend(str(root))
+
+    def folders():
+        return folder_of(place / "one.py"), folder_of(place / "two.py")
+
+    before = folders()
+    (root / "big/part.py").write_text("c = 2\n")
+    after = folders()
+    assert (after[0] == before[0], after[1] == before[1]) == (True, False)
+    (root / "Big-1.0.dist-info").rename(root / "Big-2.0.dist-info")
+    assert folders()[0] != after[0]
+
+
+PROFILE = """
+import numpy as np
+
+from sppm_pipeline import inline_jit
+
+POWER = 3
+
+
+def called(x):
+    return x
+
+
+def exponent(x):
+    return called(x) ** POWER
+"""
+
+
+def test_a_specialized_copy_is_named_after_the_state_of_what_it_is_given(place):
+    def add(x):
+        return x
+
+    def name():
+        forget()
+        found = {}
+        exec(compile(PROFILE, str(place / "profile.py"), "exec"), found)
+        return specialized(add, "power", exponent=inline_jit(found["exponent"])).__qualname__
+
+    bare = name()  # there is no file
+    (place / "profile.py").write_text(PROFILE)
+    first = name()
+    assert first == name() != bare
+    for old, new in (("POWER = 3", "POWER = 5"), ("return x\n", "return 2 * x\n")):
+        (place / "profile.py").write_text(PROFILE.replace(old, new))
+        assert name() not in (first, bare)
+
+
+def test_where_no_folder_can_be_made_there_is_one_a_process_that_goes_with_it(place, sources):
+    (place / "numba/sppm-kernels").mkdir(parents=True)
+    for stem in ("outer", "alone"):
+        (place / "numba/sppm-kernels" / stem).write_text("a file where a folder should be")
+    own = place / "own"
+    own.mkdir()
+    program = (
+        "from sppm_pipeline.numerics.kernel_cache import kernel_cache_folder\n"
+        f"for name in ('room/outer', 'alone', 'alone'): print(kernel_cache_folder(f'{sources}/pack/{{name}}.py'))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "TMPDIR": str(own)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    outer, alone, again = map(Path, done.stdout.split())
+    assert alone == again
+    assert alone != outer
+    assert alone.parents[1] == outer.parents[1]
+    assert alone.parents[2] == own
+    assert list(own.iterdir()) == []
+
+
+def test_a_folder_that_another_process_removes_meanwhile_does_not_matter(place, sources, monkeypatch):
+    def gone(*args):
+        raise FileNotFoundError(2, "No such file or directory")
+
+    monkeypatch.setattr(kernel_cache, "_prune", gone)
+    assert kernel_cache_folder(str(sources / "pack/alone.py")).parents[1] == place / "numba/sppm-kernels"

@@ -31,6 +31,13 @@ def test_the_earliest_deadline_of_what_is_being_done_holds(shared):
     assert activity.deadlines() == (run, math.inf)
 
 
+def test_of_too_long_a_text_the_end_is_cut(shared):
+    with doing(Activity("ü" * 5000, True, "a.yaml:3:1", "cut")):
+        now = activity.current()
+    assert now[1:] == (True, "a.yaml:3:1", "cut")
+    assert now.what.startswith("ü" * 2000)
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes that fork")
 def test_a_supervisor_never_sees_a_deadline_that_nobody_has_set(shared):
     child = os.fork()

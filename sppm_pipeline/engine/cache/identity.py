@@ -9,13 +9,14 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import sppm_pipeline
+from sppm_pipeline.engine.plan.installed import distributions, metadata_of, normal, version_of
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.stage import Stage
 
@@ -148,44 +149,37 @@ def _processor_name() -> str:
     return platform.processor() or platform.machine()
 
 
-_FOLDER = re.compile(r"(.+?)-([^-]+)(-py[\d.]+)?\.(dist|egg)-info")
 _REQUIRED = re.compile(r"^Requires-Dist: ([\w.-]+)(.*)$", re.MULTILINE)
-_NOT_IN_USE = re.compile(r"extra\s*==\s*['\"](test|dev|docs)['\"]")
+_OF_DEVELOPERS = ("test", "dev", "docs")
+_NOT_IN_USE = re.compile(rf"extra\s*==\s*['\"]({'|'.join(_OF_DEVELOPERS)})['\"]")
 
 
 def installed_version(name: str) -> str | None:
     """The version of a distribution; None if it is not installed."""
-    found = _installed().get(_normal(name))
-    return found[0] if found else None
+    found = _installed().get(normal(name))
+    return version_of(found) if found else None
 
 
 def requirements_of(name: str) -> list[str]:
     """Names of the distributions that one requires, for itself or for an extra other than those of its developers."""
-    found = _installed().get(_normal(name))
+    found = _installed().get(normal(name))
     if found is None:
         return []
-    try:
-        with open(os.path.join(found[1], "METADATA"), encoding="utf-8") as file:
-            head = file.read().split("\n\n")[0]
-    except OSError:
-        return []
-    return sorted({_normal(wanted) for wanted, how in _REQUIRED.findall(head) if not _NOT_IN_USE.search(how)})
+    head = metadata_of(found)
+    names = {normal(wanted) for wanted, how in _REQUIRED.findall(head) if not _NOT_IN_USE.search(how)}
+    with contextlib.suppress(OSError), open(os.path.join(found.folder, "requires.txt"), encoding="utf-8") as file:
+        names |= set(_required_of_egg(file.read()))
+    return sorted(names)
 
 
-@functools.cache
-def _installed() -> dict[str, tuple[str, str]]:
-    """Version and folder of each distribution; what comes first on the path is what is imported."""
-    found: dict[str, tuple[str, str]] = {}
-    for place in sys.path:
-        try:
-            names = sorted(os.listdir(place or "."))
-        except OSError:
-            continue
-        for name in names:
-            if name.endswith("-info") and (match := _FOLDER.fullmatch(name)):
-                found.setdefault(_normal(match[1]), (match[2], os.path.join(place, name)))
-    return found
+def _required_of_egg(text: str) -> Iterator[str]:
+    """Names in ``requires.txt``, in which sections are extras: ``[extra]`` or ``[extra:marker]``."""
+    extra = ""
+    for line in map(str.strip, text.splitlines()):
+        if line.startswith("["):
+            extra = line.strip("[]").partition(":")[0]
+        elif extra not in _OF_DEVELOPERS and (found := re.match(r"[\w.-]+", line)):
+            yield normal(found[0])
 
 
-def _normal(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
+_installed = functools.cache(distributions)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,8 @@ import pluggy
 
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
+from sppm_pipeline.engine.plan import installed
+from sppm_pipeline.engine.plan.installed import normal
 from sppm_pipeline.engine.plan.plugin_files import first_line, import_file, missing_module, stage_classes
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
 from sppm_pipeline.process.containment import guarded
@@ -119,10 +120,8 @@ def installed_plugins(allowed: Iterable[str] | None = None) -> Iterator[tuple[Pl
     allowed : iterable of str, optional
         Names of distributions or of entry points; others are left out.
     """
-    from importlib.metadata import entry_points
-
-    wanted = None if allowed is None else {_normal(name) for name in allowed}
-    for entry in sorted(entry_points(group=hookspecs.PROJECT), key=lambda e: e.name):
+    wanted = None if allowed is None else {normal(name) for name in allowed}
+    for entry in sorted(installed.entry_points(hookspecs.PROJECT), key=lambda e: e.name):
         found = entry.dist
         plugin = Plugin(
             entry.name,
@@ -130,13 +129,8 @@ def installed_plugins(allowed: Iterable[str] | None = None) -> Iterator[tuple[Pl
             (found.version if found else None) or "of no version",
             getattr(entry, "value", None),
         )
-        if wanted is None or {_normal(entry.name), _normal(plugin.distribution or "")} & wanted:
+        if wanted is None or {normal(entry.name), normal(plugin.distribution or "")} & wanted:
             yield plugin, entry.load
-
-
-def _normal(name: str) -> str:
-    """Names of distributions do not tell ``-``, ``_`` and ``.`` apart, nor case."""
-    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def load_plugins(
@@ -191,7 +185,7 @@ def load_plugins(
 def _refuse_unknown(allowed: Sequence[str]) -> None:
     known = {name for plugin, _ in installed_plugins() for name in (plugin.name, plugin.distribution or "")}
     for name in allowed:
-        if _normal(name) not in {_normal(other) for other in known}:
+        if normal(name) not in {normal(other) for other in known}:
             raise ConfigError(
                 f"--allow-plugins: no installed plugin is called {shown(name)}", hint=did_you_mean(name, known)
             )

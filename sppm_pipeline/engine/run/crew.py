@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-import functools
-import importlib
 import math
 import os
-import socket
-import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value, save_value
+from sppm_pipeline.data.storage import save_value
 from sppm_pipeline.engine.files import DISK, clear
 from sppm_pipeline.engine.plan.estimate import PlanEstimate
-from sppm_pipeline.engine.plan.plugin_files import import_file, single_files
+from sppm_pipeline.engine.plan.plugin_files import single_files
 from sppm_pipeline.engine.plan.plugins import Plugins
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import LISTENING, default_executor, make_executor, stop_workers
+from sppm_pipeline.engine.run.items import Kept, Task, name_of, run_item
 from sppm_pipeline.engine.run.outputs import staging_name
-from sppm_pipeline.engine.run.workers import Driver, announced, check_worker
+from sppm_pipeline.engine.run.workers import Driver, announced
 from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError
 from sppm_pipeline.process.interruption import check
 
@@ -40,38 +37,6 @@ one to three seconds, of which it computes nothing, and the threads of this proc
 
 WORTH_SAMPLES = 1e9
 """Samples that stand for these seconds where their cost is unknown: 3 s of the cheapest fields, minutes of others."""
-
-
-class Kept(NamedTuple):
-    """Where a value lies that all workers load: its folder, and the digests of its files."""
-
-    folder: str
-    files: tuple[StoredFile, ...]
-
-
-@dataclass(frozen=True)
-class Task:
-    """An item on its way to a worker.
-
-    Attributes
-    ----------
-    function : str
-        ``module:name``.
-    common : Kept or None
-    item : object
-    driver : Driver
-    sender : int
-        The process that has made the task.
-    plugins : tuple of str
-        Plugins that are single files.
-    """
-
-    function: str
-    common: Kept | None
-    item: Any
-    driver: Driver
-    sender: int
-    plugins: tuple[str, ...]
 
 
 @dataclass
@@ -143,6 +108,7 @@ class Crew:
         self._pool: Executor | None = None
         self._folder: Path | None = None
         self._kept: tuple[Any, Kept] | None = None
+        self._shared: list[Path] = []
         self._folders = 0
         self._announced = self._declined = False
         self._said: set[str] = set()
@@ -208,6 +174,8 @@ class Crew:
                 waiting.popleft()
                 yield result
         except KeyboardInterrupt:
+            from concurrent.futures import ProcessPoolExecutor
+
             stop_workers()
             if isinstance(self._pool, ProcessPoolExecutor):
                 waiting.clear()  # a pool that has lost its processes stumbles over futures that were canceled
@@ -216,6 +184,12 @@ class Crew:
             for job in waiting:
                 if job.future is not None:
                     job.future.cancel()
+
+    def forget(self) -> None:
+        """Let go of what the calls of `map` had in common, here and on the disk; the workers do so when idle."""
+        self._kept = None
+        while self._shared:
+            clear(self._shared.pop())
 
     def close(self) -> None:
         """End the workers, and remove what they shared."""
@@ -309,6 +283,7 @@ class Crew:
         """Write a value where all workers load it; once, however often it is given in turn."""
         if self._kept is None or self._kept[0] is not common:
             folder = self.folder()
+            self._shared.append(folder)
             try:
                 files = save_value(common, folder)
             except OSError as error:
@@ -349,46 +324,3 @@ _END: Any = object()
 def _is_done(job: _Job) -> bool:
     future = job.future
     return future is not None and future.done() and not future.cancelled() and future.exception() is None
-
-
-def name_of(function: Callable[..., Any]) -> str:
-    """``module:name`` of a function of a module, by which another process finds it.
-
-    Raises
-    ------
-    TypeError
-        If it is none: a method, a lambda, a function inside of another one or of the main script.
-    """
-    module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
-    if module in (None, "__main__") or getattr(sys.modules.get(str(module)), name, None) is not function:
-        raise TypeError(f"what is mapped must be a function of a module that workers can import, not {function!r}")
-    return f"{module}:{name}"
-
-
-def run_item(task: Task) -> tuple[Any, list[str]]:
-    """Do one item in a worker; its result, and what the worker warns of.
-
-    Raises
-    ------
-    ConfigError, ResourceError
-        If this worker is unfit; see `check_worker`.
-    """
-    apart = (os.getpid(), socket.gethostname()) != (task.sender, task.driver.host)
-    warnings = check_worker(task.driver) if apart else []
-    for file in task.plugins:
-        import_file(Path(file))
-    module, _, name = task.function.partition(":")
-    function = getattr(importlib.import_module(module), name)
-    common = None if task.common is None else _loaded(task.common)
-    return function(common, task.item), warnings
-
-
-@functools.lru_cache(maxsize=1)
-def _loaded(kept: Kept) -> Any:
-    """The value that all items have in common; the last one stays, with all that it has found out about itself."""
-    try:
-        return load_value(Path(kept.folder), {file.name: file for file in kept.files})
-    except (DamagedError, OSError) as error:
-        raise ResourceError(
-            f"the worker on {socket.gethostname()} can't read what it was given: {error}", hint=DISK
-        ) from error

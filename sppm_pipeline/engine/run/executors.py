@@ -18,6 +18,7 @@ from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.process.interruption import check
+from sppm_pipeline.process.resident import share_one_heap
 from sppm_pipeline.process.tree import die_with_parent
 
 
@@ -60,6 +61,7 @@ def begin_worker(parent: int) -> None:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     die_with_parent(parent)
+    share_one_heap()
     threading.Thread(target=_leave_after_parent, daemon=True).start()
 
 

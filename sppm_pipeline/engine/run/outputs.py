@@ -11,7 +11,7 @@ import socket
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.config.names import REPORT, collide, folded, output_parts
@@ -19,7 +19,7 @@ from sppm_pipeline.engine.config.names import STAGING as _STAGING
 from sppm_pipeline.engine.files import (
     DISK,
     clear,
-    digest_of,
+    file_digest,
     files_in,
     remove,
     size_of,
@@ -33,6 +33,8 @@ from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
 
+_AnyPath = TypeVar("_AnyPath", bound="str | Path")
+
 RECORD = "run.json"
 SUMS = "SHA256SUMS"
 SWEEP_RUNS = "runs"
@@ -43,6 +45,9 @@ def staging_name() -> str:
     host = "".join(char for char in socket.gethostname()[:64] if char.isalnum() or char in "-.")
     return f"{_STAGING}{host}-{os.getpid()}-{secrets.token_hex(3)}"
 
+
+_TOGETHER = 16
+"""Files that one task reads or waits for."""
 
 MAX_SYNCED = 4096
 """Files of one output that the run waits for until the disk has them; more would hold it up for minutes."""
@@ -183,8 +188,9 @@ class RunFolder:
                 if (final.is_dir() or staged.is_dir()) and os.path.lexists(final):
                     os.replace(final, self._aside())  # only files take each other's place in one step
                 os.replace(staged, final)
-                files = [final / inside for inside in files_in(final)] if final.is_dir() else [final]
-                self._syncing += [self._workers().submit(sync, file) for file in files[:MAX_SYNCED]]
+                files = [os.path.join(final, inside) for inside in files_in(final)] if final.is_dir() else [final]
+                for part in _parts(files[:MAX_SYNCED]):
+                    self._syncing.append(self._workers().submit(_sync_all, part))
         except OSError as error:
             raise ResourceError(f"can't put the output {name!r} into place: {error.strerror}", hint=DISK) from error
         self.earlier -= set(pending)
@@ -284,25 +290,40 @@ class RunFolder:
 
     def _described(self, name: str, path: Path) -> dict[str, Any]:
         """Size, number of files and digest of an output."""
-        inside = files_in(path) if path.is_dir() else [""]
-        paths = [path / relative if relative else path for relative in inside]
+        folder = path.is_dir()
+        inside = files_in(path) if folder else [""]
         about = path.stat()
         size, time, known = self._hashed.pop(name, (-1, -1, ""))
-        if not path.is_dir() and (size, time) == (about.st_size, about.st_mtime_ns):
-            digests = [known]
-        elif len(paths) > 1:
-            digests = list(self._workers().map(digest_of, paths))
+        if not folder and (size, time) == (about.st_size, about.st_mtime_ns):
+            read = [(known, size)]
+        elif len(inside) > 1:
+            names = [os.path.join(path, relative) for relative in inside]
+            read = [one for part in self._workers().map(_digests, _parts(names)) for one in part]
         else:
-            digests = [digest_of(p) for p in paths]
-        described: dict[str, Any] = {"path": name, "bytes": sum(p.stat().st_size for p in paths)}
-        if path.is_dir():
-            described["files"] = len(paths)
+            read = [file_digest(path / relative if relative else path) for relative in inside]
+        digests = [digest for digest, _ in read]
+        described: dict[str, Any] = {"path": name, "bytes": sum(size for _, size in read)}
+        if folder:
+            described["files"] = len(inside)
             described["sha256"] = tree_digest(dict(zip(inside, digests, strict=True)))
         else:
             described["sha256"] = digests[0]
         for relative, digest in zip(inside, digests, strict=True):
             self._sums[f"{name}/{relative}" if relative else name] = digest
         return described
+
+
+def _parts(paths: Sequence[_AnyPath]) -> list[Sequence[_AnyPath]]:
+    return [paths[first : first + _TOGETHER] for first in range(0, len(paths), _TOGETHER)]
+
+
+def _sync_all(paths: Sequence[str | Path]) -> None:
+    for path in paths:
+        sync(path)
+
+
+def _digests(paths: Sequence[str]) -> list[tuple[str, int]]:
+    return [file_digest(path) for path in paths]
 
 
 class Scratch:

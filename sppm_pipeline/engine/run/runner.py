@@ -381,7 +381,11 @@ class StepRunner:
             store=None if self._cache is None else self._cache.store,
             crew=self._crew,
         )
-        return run_step(step, step.stage, inputs, context, self._recipes)
+        try:
+            return run_step(step, step.stage, inputs, context, self._recipes)
+        finally:
+            if self._crew is not None:
+                self._crew.forget()
 
     def _inputs(self, step: Step) -> dict[str, Any]:
         return {port: self.result(source) if source else None for port, source in step.inputs.items()}

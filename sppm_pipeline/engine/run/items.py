@@ -1,0 +1,131 @@
+"""What a worker of a run does: an item, with what all items have in common, which it keeps no longer than needed."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib
+import os
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value
+from sppm_pipeline.engine.files import DISK
+from sppm_pipeline.engine.plan.plugin_files import import_file
+from sppm_pipeline.engine.run.workers import Driver, check_worker
+from sppm_pipeline.errors import ResourceError
+
+
+class Kept(NamedTuple):
+    """Where a value lies that all workers load: its folder, and the digests of its files."""
+
+    folder: str
+    files: tuple[StoredFile, ...]
+
+
+@dataclass(frozen=True)
+class Task:
+    """An item on its way to a worker.
+
+    Attributes
+    ----------
+    function : str
+        ``module:name``.
+    common : Kept or None
+    item : object
+    driver : Driver
+    sender : int
+        The process that has made the task.
+    plugins : tuple of str
+        Plugins that are single files.
+    """
+
+    function: str
+    common: Kept | None
+    item: Any
+    driver: Driver
+    sender: int
+    plugins: tuple[str, ...]
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """``module:name`` of a function of a module, by which another process finds it.
+
+    Raises
+    ------
+    TypeError
+        If it is none: a method, a lambda, a function inside of another one or of the main script.
+    """
+    module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
+    if module in (None, "__main__") or getattr(sys.modules.get(str(module)), name, None) is not function:
+        raise TypeError(f"what is mapped must be a function of a module that workers can import, not {function!r}")
+    return f"{module}:{name}"
+
+
+def run_item(task: Task) -> tuple[Any, list[str]]:
+    """Do one item in a worker; its result, and what the worker warns of.
+
+    Raises
+    ------
+    ConfigError, ResourceError
+        If this worker is unfit; see `check_worker`.
+    """
+    apart = (os.getpid(), socket.gethostname()) != (task.sender, task.driver.host)
+    warnings = check_worker(task.driver) if apart else []
+    for file in task.plugins:
+        import_file(Path(file))
+    module, _, name = task.function.partition(":")
+    function = getattr(importlib.import_module(module), name)
+    with _at_work():
+        common = None if task.common is None else _loaded(task.common)
+        return function(common, task.item), warnings
+
+
+IDLE = 5.0
+"""Seconds without an item after which a worker lets go of what items had in common; a choice."""
+
+_items = 0
+_idle: threading.Timer | None = None
+_counting = threading.Lock()
+
+
+@contextlib.contextmanager
+def _at_work() -> Iterator[None]:
+    """What items have in common stays as long as one is in work here, and `IDLE` seconds longer."""
+    global _items, _idle
+    with _counting:
+        _items += 1
+        if _idle is not None:
+            _idle.cancel()
+            _idle = None
+    try:
+        yield
+    finally:
+        with _counting:
+            _items -= 1
+            if not _items:
+                _idle = threading.Timer(IDLE, _forget_if_idle)
+                _idle.daemon = True
+                _idle.start()
+
+
+def _forget_if_idle() -> None:
+    with _counting:
+        if not _items:
+            _loaded.cache_clear()
+
+
+@functools.lru_cache(maxsize=1)
+def _loaded(kept: Kept) -> Any:
+    """The value that all items have in common; the last one stays, with all that it has found out about itself."""
+    try:
+        return load_value(Path(kept.folder), {file.name: file for file in kept.files})
+    except (DamagedError, OSError) as error:
+        raise ResourceError(
+            f"the worker on {socket.gethostname()} can't read what it was given: {error}", hint=DISK
+        ) from error
