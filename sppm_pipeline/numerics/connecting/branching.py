@@ -62,7 +62,8 @@ def shortest_choice(program: Program, incumbent: NDArray[np.bool_] | None, slack
                 return None
             best, shortest = choice, length
             continue
-        edge = int(np.argmax(undecided * program.cost))
+        # one that is undecided even where all of these cost nothing, as edges between pores at one place
+        edge = int(np.argmax(np.where(undecided > _WHOLE, undecided * program.cost, -1.0)))
         likely = float(x[edge] > 0.5)
         for value in (1.0 - likely, likely):
             branches.append(branch.copy())

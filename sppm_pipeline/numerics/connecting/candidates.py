@@ -23,6 +23,7 @@ from sppm_pipeline.numerics.connecting.trees import (
     periods,
     wrapped,
 )
+from sppm_pipeline.numerics.distinct import distinct
 from sppm_pipeline.numerics.metric import determinants, lengths_in, semi_axes
 
 
@@ -65,7 +66,7 @@ def candidate_graph(
     inside, cells = wrapped(points, period)
     # at most 27 images of each other pore can be a neighbor; more slots would only stay empty
     slots = min(k, (n - 1) * 27)
-    keys = np.unique(_keys_near(inside, period, slots, metric).ravel())
+    keys = distinct(_keys_near(inside, period, slots, metric))
     keys = keys[keys >= 0]
     edges, turns = edges_of_keys(keys, n)
     shifts = turns * period.astype(np.int64)

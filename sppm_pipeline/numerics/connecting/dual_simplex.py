@@ -67,8 +67,11 @@ class DualSimplex:
         self._basic = np.concatenate([self._basic, m + known + np.arange(len(rows))])
 
     def fix(self, variable: int, value: float) -> None:
-        """Give a variable that lay between its bounds in the last solution a value."""
+        """Give a variable a value, wherever it was in the last solution."""
         self.lower[variable] = self.upper[variable] = value
+        # one that is not basic stays where it is put, as what is fixed never enters, and its price may have any sign;
+        # one that is basic leaves when the bounds that it misses are kept
+        self._at[self._nonbasic == variable] = value
 
     def solution(self, pivots: int) -> NDArray[np.float64] | None:
         """The solution (m,); None if there is none, see `is_infeasible`, or not after so many pivots."""

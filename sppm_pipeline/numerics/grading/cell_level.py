@@ -132,8 +132,8 @@ def means_over_cells(
     lattice : ControlLattice
     blend : (points, m) sparse array
         By `blending`.
-    inner : callable
-        See `Inner`.
+    inner : callable of the first cell and the one after the last
+        Points in these cells, (cells, k, 3) mm, and the volume that each stands for, (cells, k).
     """
     from scipy.sparse import csr_array, vstack
 

@@ -8,8 +8,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-_CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
-"""Place of each node of a hexahedron in VTK's order."""
+from sppm_pipeline.numerics.grading.hexahedral_mesh import VTK_ORDER
 
 
 def block_of(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -31,7 +30,7 @@ def block_of(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
         If the elements are no block of nx x ny x nz.
     """
     cubes = np.empty((len(hexahedra), 2, 2, 2), np.int64)
-    for node, (i, j, k) in enumerate(_CORNERS):
+    for node, (i, j, k) in enumerate(VTK_ORDER):
         cubes[:, i, j, k] = hexahedra[:, node]
     owners: dict[frozenset[int], list[int]] = {}
     for number, cube in enumerate(cubes):

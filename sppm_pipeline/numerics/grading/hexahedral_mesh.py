@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.numerics.grading.hexahedral_determinant import above_throughout
 from sppm_pipeline.numerics.grading.hexahedral_places import points_in
 
 VTK_ORDER = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
@@ -26,6 +27,9 @@ _FACES = np.array([[0, 4, 7, 3], [1, 2, 6, 5], [0, 1, 5, 4], [3, 7, 6, 2], [0, 3
 SAME = 1e-6
 """Nodes nearer to each other than this share of the shortest edge are one: files often list them once an element."""
 
+_FLAT = 1e-9
+"""A determinant of the derivative counts as positive above so much of the cube of a hexahedron's length."""
+
 _ON_FACE = 1e-3
 """A node so near to a face, in its size, that is no corner of it hangs."""
 
@@ -37,6 +41,10 @@ class HexahedralMesh(NamedTuple):
     ----------
     corners : (m, 2, 2, 2, 3) float64
         Nodes by x, y, z of each hexahedron, which are right-handed.
+    hexahedra : (m, 8) int64
+        Their nodes in VTK's order; nodes at the same place are one.
+    listed : (m, 8) int64
+        The same nodes as the file numbers them, which may list one several times.
     boundary : (f, 4) int64
         Nodes of the faces at which the mesh ends, normals outwards.
     nodes : (n, 3) float64
@@ -45,6 +53,8 @@ class HexahedralMesh(NamedTuple):
     """
 
     corners: NDArray[np.float64]
+    hexahedra: NDArray[np.int64]
+    listed: NDArray[np.int64]
     boundary: NDArray[np.int64]
     nodes: NDArray[np.float64]
     turned: str
@@ -62,18 +72,26 @@ def checked_mesh(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> H
     Raises
     ------
     ValueError
-        If a hexahedron is flat or inside out at a corner or listed twice, three meet at a face, or nodes hang.
+        If a hexahedron is flat or inside out anywhere or listed twice, three meet at a face, or nodes hang.
     """
+    listed = hexahedra
     hexahedra, nodes = _joined(points, hexahedra)
     turned, order = _order_of(nodes, hexahedra)
     hexahedra = hexahedra[:, order]
+    corners = corners_of(nodes, hexahedra)
+    _check_inside(corners, nodes, hexahedra)
     _check_listed_once(hexahedra)
     boundary = _boundary(hexahedra)
     _check_hanging(nodes, boundary)
+    return HexahedralMesh(corners, hexahedra, listed[:, order], boundary, nodes, turned)
+
+
+def corners_of(nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Nodes by x, y, z of hexahedra (m, 8) in VTK's order, (m, 2, 2, 2, 3)."""
     corners = np.empty((len(hexahedra), 2, 2, 2, 3))
     for node, (i, j, k) in enumerate(VTK_ORDER):
         corners[:, i, j, k] = nodes[hexahedra[:, node]]
-    return HexahedralMesh(corners, boundary, nodes, turned)
+    return corners
 
 
 def _joined(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -111,11 +129,8 @@ def _order_of(nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple
     """The order of nodes in which all hexahedra are right-handed; an error that names one if there is none."""
     worst = 0
     for turned, order in _ORDERS.items():
-        corners = np.empty((len(hexahedra), 2, 2, 2, 3))
-        for node, (i, j, k) in zip(order, VTK_ORDER, strict=True):
-            corners[:, i, j, k] = nodes[hexahedra[:, node]]
-        size = (corners.max(axis=(1, 2, 3)) - corners.min(axis=(1, 2, 3))).max(axis=1) ** 3
-        wrong = (corner_determinants(corners) <= 1e-9 * size[:, None]).any(axis=1)
+        corners = corners_of(nodes, hexahedra[:, order])
+        wrong = (corner_determinants(corners) <= _flat(corners)[:, None]).any(axis=1)
         if not wrong.any():
             return turned, order
         if not turned:
@@ -124,6 +139,23 @@ def _order_of(nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple
         f"hexahedron {worst} is inside out or flat at a corner, as {count} of {len(hexahedra)} are; its nodes are "
         f"{nodes[hexahedra[worst]].round(6).tolist()}"
     )
+
+
+def _flat(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The determinant at or below which hexahedra (m, 2, 2, 2, 3) are flat, (m,)."""
+    length = (corners.max(axis=(1, 2, 3)) - corners.min(axis=(1, 2, 3))).max(axis=1)
+    return np.asarray(_FLAT * length**3)
+
+
+def _check_inside(corners: NDArray[np.float64], nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> None:
+    """No hexahedron is turned inside out within, which may be though it is not at its corners."""
+    wrong = ~above_throughout(corners, _flat(corners))
+    if wrong.any():
+        worst = int(np.argmax(wrong))
+        raise ValueError(
+            f"hexahedron {worst} is inside out or flat somewhere within, though not at a corner, as {wrong.sum()} of "
+            f"{len(corners)} are; its nodes are {nodes[hexahedra[worst]].round(6).tolist()}"
+        )
 
 
 def _check_listed_once(hexahedra: NDArray[np.int64]) -> None:

@@ -1,6 +1,10 @@
-"""Trilinear hexahedra: from places within them to points in space, and back by Newton steps."""
+"""Trilinear hexahedra: from places within them to points in space, and back by Newton steps, or by halving where these
+lead nowhere.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +19,7 @@ _NEAR = 1e-9
 """Points on a face of two hexahedra belong to one of them; rounding may not put them into neither."""
 
 _DONE, _LONGEST = 1e-13, 0.7
+_BOXES = 48  # halves that wait: boxes of which so many are nested are smaller than rounding
 _OUT = 2.0  # a place so far from the middle is no longer on the way to one inside
 
 
@@ -98,7 +103,8 @@ def _places_in(
     waiting = np.empty(2 * DEPTH, np.int64)
     found = np.full(points.shape[0], -1, np.int32)
     places = np.zeros((points.shape[0], 3))
-    place = np.empty(3)
+    place, missed = np.empty(3), np.empty(nodes.shape[0], np.int64)
+    scratch = _Scratch(np.empty((_BOXES, 2, 3)), np.empty((8, 3)), np.empty((2, 3, 3)), np.empty((4, 3)))
     last = -1
     for i in range(points.shape[0]):
         p = points[i]
@@ -107,7 +113,7 @@ def _places_in(
             found[i] = last
             places[i] = place
             continue
-        waiting[0], left = 0, 1
+        waiting[0], left, misses = 0, 1, 0
         while left > 0:
             left -= 1
             node = waiting[left]
@@ -125,7 +131,17 @@ def _places_in(
             leaf = node - leaves + 1
             for k in range(starts[leaf], starts[leaf + 1]):
                 e = order[k]
-                if (found[i] < 0 or e < found[i]) and _in_box(nodes[e], p) and _newton(nodes[e], p, place, -_NEAR):
+                if (found[i] < 0 or e < found[i]) and _in_box(nodes[e], p):
+                    if _newton(nodes[e], p, place, -_NEAR):
+                        found[i] = e
+                        places[i] = place
+                    elif e < apart:
+                        missed[misses] = e
+                        misses += 1
+        if not 0 <= found[i] < apart:
+            # Newton steps from the middle may miss a place, or end at one beyond that maps to the same point
+            for e in missed[:misses]:
+                if (not 0 <= found[i] < e) and _search(nodes[e], p, scratch, place):
                     found[i] = e
                     places[i] = place
         last = found[i]
@@ -188,6 +204,128 @@ def _newton(nodes: NDArray[np.float64], p: NDArray[np.float64], place: NDArray[n
         return False
     place[0], place[1], place[2] = x, y, z
     return min(x, y, z) >= inside and max(x, y, z) <= 1 - inside
+
+
+@jit
+def _beside(nodes: NDArray[np.float64], p: NDArray[np.float64]) -> bool:
+    """Whether a point lies farther out across one of a hexahedron's faces than all of its nodes."""
+    for face in range(6):
+        # nodes are numbered by bits, and those of a face have one in common
+        bit, side = 4 >> face // 2, face % 2
+        one, other = (2 if bit == 4 else 4), (2 if bit == 1 else 1)
+        n = bit * side
+        ux, uy, uz = (
+            nodes[n + one + other, 0] - nodes[n, 0],
+            nodes[n + one + other, 1] - nodes[n, 1],
+            nodes[n + one + other, 2] - nodes[n, 2],
+        )
+        vx, vy, vz = (
+            nodes[n + other, 0] - nodes[n + one, 0],
+            nodes[n + other, 1] - nodes[n + one, 1],
+            nodes[n + other, 2] - nodes[n + one, 2],
+        )
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        at = x * p[0] + y * p[1] + z * p[2]
+        low, high, outwards = np.inf, -np.inf, 0.0
+        for k in range(8):
+            along = x * nodes[k, 0] + y * nodes[k, 1] + z * nodes[k, 2]
+            low, high = min(low, along), max(high, along)
+            outwards += along if (k & bit != 0) == (side == 1) else -along
+        slack = _NEAR * (high - low)
+        if (outwards > 0 and at > high + slack) or (outwards < 0 and at < low - slack):
+            return True
+    return False
+
+
+class _Scratch(NamedTuple):
+    """Arrays for `_search`, made once."""
+
+    boxes: NDArray[np.float64]
+    away: NDArray[np.float64]
+    derivatives: NDArray[np.float64]
+    points: NDArray[np.float64]
+
+
+@jit
+def _search(nodes: NDArray[np.float64], p: NDArray[np.float64], scratch: _Scratch, place: NDArray[np.float64]) -> bool:
+    """Find the place of a point in a hexahedron whose determinant is positive in it, by halving; whether there is one.
+
+    A box of places maps into the hull of its corners' points, and its derivatives lie in that of those along its edges.
+    With both multiplied by the inverse of the derivative in its middle, a box is done with when the point is outside of
+    that hull, or when derivatives are so near to one that steps in the box lead to the only place there can be.
+    """
+    if _beside(nodes, p):
+        return False
+    boxes, away = scratch.boxes, scratch.away
+    d, inverse, q, x = scratch.derivatives[0], scratch.derivatives[1], scratch.points[0], scratch.points[1]
+    lower, upper = scratch.points[2], scratch.points[3]
+    boxes[0, 0], boxes[0, 1], left = -_NEAR, 1.0 + _NEAR, 1
+    while left > 0:
+        left -= 1
+        lower[:], upper[:] = boxes[left, 0], boxes[left, 1]
+        x[:] = 0.5 * (lower + upper)
+        det = point_and_volume(nodes, x[0], x[1], x[2], q, d)
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            for k in range(3):
+                one, two = (k + 1) % 3, (k + 2) % 3  # rows of d are axes
+                inverse[k, a] = (d[one, b] * d[two, c] - d[two, b] * d[one, c]) / det
+        for n in range(8):
+            point_and_volume(
+                nodes,
+                upper[0] if n & 4 else lower[0],
+                upper[1] if n & 2 else lower[1],
+                upper[2] if n & 1 else lower[2],
+                q,
+                d,
+            )
+            for a in range(3):
+                away[n, a] = (
+                    inverse[a, 0] * (q[0] - p[0]) + inverse[a, 1] * (q[1] - p[1]) + inverse[a, 2] * (q[2] - p[2])
+                )
+        outside, strayed = False, 0.0
+        for a in range(3):
+            low, high, row = np.inf, -np.inf, 0.0
+            for n in range(8):
+                low, high = min(low, away[n, a]), max(high, away[n, a])
+            outside = outside or low > _NEAR or high < -_NEAR
+            for b in range(3):
+                bit, most = 4 >> b, 0.0
+                for n in range(8):
+                    if n & bit == 0:
+                        slope = (away[n + bit, a] - away[n, a]) / (upper[b] - lower[b])
+                        most = max(most, abs(slope - (1.0 if a == b else 0.0)))
+                row += most
+            strayed = max(strayed, row)
+        if outside:
+            continue
+        if strayed < 0.5:
+            off, distance = np.inf, max(upper[0] - lower[0], upper[1] - lower[1], upper[2] - lower[2])
+            for _ in range(STEPS + 10):
+                point_and_volume(nodes, x[0], x[1], x[2], q, d)
+                off, moved = 0.0, 0.0
+                for a in range(3):
+                    step = inverse[a, 0] * (p[0] - q[0]) + inverse[a, 1] * (p[1] - q[1]) + inverse[a, 2] * (p[2] - q[2])
+                    to = min(max(x[a] + step, lower[a]), upper[a])
+                    off, moved = max(off, abs(step)), max(moved, abs(to - x[a]))
+                    x[a] = to
+                # each step halves the distance from a place in the box, and no step is longer than 1.5 times that
+                if moved < _DONE or off > distance:
+                    break
+                distance = max(0.5 * distance, _NEAR)
+            if off < _NEAR:
+                place[:] = x
+                return True
+        elif left + 2 <= _BOXES:
+            along = 0
+            for a in range(1, 3):
+                if upper[a] - lower[a] > upper[along] - lower[along]:
+                    along = a
+            for k in range(2):
+                boxes[left + k, 0], boxes[left + k, 1] = lower, upper
+                boxes[left + k, 1 - k, along] = 0.5 * (lower[along] + upper[along])
+            left += 2
+    return False
 
 
 @jit

@@ -113,3 +113,32 @@ def void_at_level(
                 narrow += int(counted * min(max(more + quarter, np.int32(0)), half))
                 beside += int(counted * np.int32(more >= -half and more < half))
     return inside, wide, narrow, beside
+
+
+@jit
+def level_at(
+    rows: NDArray[np.float32],
+    cell: NDArray[np.int64],
+    weights: NDArray[np.float32],
+    row: int,
+    row_from: NDArray[np.int64],
+    columns: NDArray[np.int32],
+    out: NDArray[np.float32],
+) -> None:
+    """The spline at some samples of some rows of a layer from `row` on; see `less_level`.
+
+    Parameters
+    ----------
+    row_from : (h + 1,) int64
+        Where the samples of each row begin in `columns` and `out`, and where they end.
+    columns : (n,) int32
+    out : (n,) float32
+    """
+    for j in range(len(row_from) - 1):
+        for s in range(row_from[j], row_from[j + 1]):
+            i = columns[s]
+            c = cell[i]
+            value = rows[row + j, c] * weights[0, i]
+            value += rows[row + j, c + 1] * weights[1, i]
+            value += rows[row + j, c + 2] * weights[2, i]
+            out[s] = value

@@ -32,7 +32,8 @@ class GrowingCloud:
     capacity : int
         Most pores there will be.
     widest : float
-        Largest spacing, mm.
+        Largest spacing that any pore keeps, mm; those of pores that keep more are not looked for far enough. Where
+        spacings follow the determinant, as in `throw` unless `by_volume`, it is that at its largest.
     box : (2, 3) float64
         Low and high corner of what pores may lie in, mm.
     """

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
+from sppm_pipeline.numerics.distinct import distinct
 from sppm_pipeline.numerics.sampling.capacity import box_capacity
 from sppm_pipeline.numerics.sampling.cell_list import add_points, empty_cell_list, new_stream
 from sppm_pipeline.numerics.sampling.darts import throw
@@ -243,7 +244,7 @@ def homogeneous_faces(
     if face_count is not None:
         inside = face_count - sum(float(which.sum(1).mean()) for which in chosen)
     wanted = face_counts(max(0, round(inside)), max(colors))
-    everywhere = np.unique(np.concatenate(sites), axis=0)
+    everywhere = distinct(np.concatenate(sites), axis=0)
     if max(colors) <= MAX_TOGETHER and len(set(colors)) == 1:
         thrown = _together(rng, wanted, spacing, colors, everywhere)
     else:

@@ -28,7 +28,8 @@ class BoundedDegreeSubgraph(Connector):
 
     The paper calls it the minimum bounded-degree spanning tree (Singh and Lau 2015) and asks for A = 3, B = 5; as no
     tree has degree 3 everywhere, this is read as a spanning subgraph. With A = 1 it is the degree-bounded tree. Where
-    a face has too few pores for A, the bound is relaxed to what the pores allow, and this is reported.
+    a face has too few pores for A, the bound is relaxed to what the pores allow, and this is reported. So it is between
+    the faces of a graded cell, whose connectors come on top.
     """
 
     name: ClassVar[str] = "connect.mbdst"
@@ -82,7 +83,7 @@ class BoundedDegreeSubgraph(Connector):
         from sppm_pipeline.numerics.connecting.degrees import clamped_degrees
 
         minimum, maximum = self.degree
-        if piece.region == "face":
+        if piece.region == "face" or piece.graded:
             minimum, maximum, _ = clamped_degrees(len(piece.points), minimum, maximum)
         return spanning_subgraph(
             piece.points,
@@ -176,10 +177,16 @@ class BoundedDegreeSubgraph(Connector):
 
         sizes = np.diff(pores.by_piece[1])
         self._tell_mode(context, len(pores.centers) if pores.blocks is not None else int(sizes.max(initial=0)))
-        on_face, faces = np.unique(sizes[pores.interiors :], return_counts=True)
-        relaxed = [size > 1 and clamped_degrees(size, *self.degree)[2] for size in on_face.tolist()]
+
+        def relaxed(sizes: NDArray[np.integer]) -> int:
+            kinds, counts = np.unique(sizes, return_counts=True)
+            few = [size > 1 and clamped_degrees(size, *self.degree)[2] for size in kinds.tolist()]
+            return int(counts @ np.array(few, np.int64))
+
         graph = super().run(context, pores)
-        context.report(faces_with_relaxed_degree=int(faces @ np.array(relaxed, np.int64)))
+        context.report(faces_with_relaxed_degree=relaxed(sizes[pores.interiors :]))
+        if context.palette.totals is not None and pores.has_faces:
+            context.report(interiors_with_relaxed_degree=relaxed(sizes[: pores.interiors]))
         return graph
 
     def _tell_mode(self, context: Context, largest: int) -> None:

@@ -44,7 +44,7 @@ class RelativeNeighbors(Connector):
         from sppm_pipeline.numerics.connecting.trees import periods
 
         n, degree = len(piece.points), self.degree
-        if piece.region == "face":
+        if piece.region == "face" or piece.graded:
             degree = clamped_degrees(n, *degree)[:2]
         feasible_degrees(n, *degree, images=8 if piece.periodic else 1)
         edges, shifts, _ = relative_neighbor_graph(piece.points, periods(piece.periodic), degree)

@@ -37,9 +37,14 @@ from sppm_pipeline.stage import Context, Recipe, Stage, option
 BESIDE = 0.25
 """Cell sizes on either side of a face at which the map is asked for its number of pores: a choice."""
 
-
 WORTH = 0.25
 """Pores by which an earlier round must have been nearer to its target than the last one for cells to be laid anew."""
+
+FAR = 0.025
+"""Change of the level, of its own size, from which on a cell is drawn once more with the same number of pores."""
+
+SPARE = 12
+"""Cells that further rounds may lay for the sake of those that are far: as many as trials lay, or fewer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +53,13 @@ class GradedTiling(Stage):
 
     Every cell has an interior of its own. Its number of pores comes from a curve that trial cells of the recipe give,
     and is then corrected in rounds by what the laid cell is found to have; of all rounds each cell gets the one nearest
-    to its target. What whole numbers of pores leave is left to `tune.local_porosity`. The recipe's samplers need
-    `total` or `count`.
+    to its target. Where no whole number of pores comes near, other draws of the same number are tried, for parts of few
+    cells in further rounds. What is left then is left to `tune.local_porosity`. The recipe's samplers need `total` or
+    `count`.
     """
 
     name: ClassVar[str] = "tile.graded"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     advice: ClassVar[str] = "give larger cells"
     reported: ClassVar[tuple[str, ...]] = (
         "cell_deviation", "pores_min", "pores_max", "error_mean", "error_rms", "error_p95", "error_max",
@@ -110,29 +116,34 @@ class GradedTiling(Stage):
             face_totals=self._face_totals(grading, curve, arrays, lattice) if self.faces == "graded" else None,
         )
         assert palette.totals is not None
-        rms, best, least, last = [], palette.totals, np.full(len(targets), np.inf), False
+        best = _Nearest(palette)
+        rms, last = [], False
         while True:
-            assert palette.totals is not None
             made = self._laid(context, recipe, grading, palette, arrays, lattice)
             cells = LatticeCells(made, self.resolution, context.threads)
             own = arrays.box[tuple(np.array(cells.cells).T)]
             errors = np.array([cells.porosity(cell) for cell in cells.cells]) - targets[own]
             summary = error_summary(errors)
             rms.append(summary["error_rms"])
-            # an interior is drawn from its place and its number of pores, so that an earlier one can be had again
-            size, totals = np.full(len(targets), np.inf), palette.totals.copy()
-            size[own] = np.abs(errors)
-            best, least = np.where(size < least, totals, best), np.minimum(size, least)
+            size = best.take(palette, own, errors)
             if last or not self.rounds:
                 break
-            slope = curve.slope(totals[own].astype(np.float64))
-            if len(rms) <= self.rounds:
-                totals[own] -= np.rint(errors / slope).astype(np.int64)
-                palette = replace(palette, totals=np.maximum(totals, FEWEST))
-                continue
-            if (size[own] <= least[own] + WORTH * slope).all():
+            assert palette.totals is not None
+            slope = curve.slope(palette.totals[own].astype(np.float64))
+            reach = FAR * _level_reach(targets, made.solid_below)
+            left = len(rms) - self.rounds
+            if left <= 0:
+                totals, wanted = palette.totals.copy(), np.rint(errors / slope).astype(np.int64)
+                totals[own] = np.maximum(totals[own] - wanted, FEWEST)
+                stay = np.zeros(len(targets), bool)
+                stay[own] = (wanted == 0) & (np.abs(errors) > reach[own])
+                palette = best.again(replace(palette, totals=totals), stay)
+            elif left * len(targets) <= SPARE and (best.size[own] > reach[own]).any():
+                palette = best.again(best.palette, np.isfinite(best.size) & (best.size > reach))
+            elif (size[own] <= best.size[own] + WORTH * slope).all():
                 break
-            palette, last = replace(palette, totals=best), True
+            else:
+                palette, last = best.palette, True
         assert palette.totals is not None
         context.report(
             **summary,
@@ -194,3 +205,55 @@ class GradedTiling(Stage):
         assert lattice.edge is not None
         tiling = Tiling(TileSet(micro, "fresh", 0), arrays, lattice.edge, lattice.origin)
         return graded_radii(tiling, grading, faces_differ=self.faces != "same")
+
+
+class _Nearest:
+    """The rounds in which cells came nearest to their targets.
+
+    An interior is drawn from its place, its number of pores and the number of its draw, so that an earlier one can be
+    had again.
+
+    Attributes
+    ----------
+    palette : Palette
+        Every cell as in the round in which it came nearest.
+    size : (m,) float64
+        How far each was from its target then; infinite if it has not been measured.
+    """
+
+    def __init__(self, palette: Palette) -> None:
+        self.palette = palette
+        self._totals, self._draws = self._state(palette)
+        self._drawn = self._draws
+        self.size = np.full(len(self._totals), np.inf)
+
+    @staticmethod
+    def _state(palette: Palette) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        assert palette.totals is not None
+        return palette.totals, np.zeros_like(palette.totals) if palette.draws is None else palette.draws
+
+    def take(self, palette: Palette, own: NDArray[np.integer], errors: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take note of the errors of a round in some cells; how far all are from their targets, (m,)."""
+        totals, draws = self._state(palette)
+        size = np.full(len(self.size), np.inf)
+        size[own] = np.abs(errors)
+        nearer = size < self.size
+        self._totals, self._draws = np.where(nearer, totals, self._totals), np.where(nearer, draws, self._draws)
+        self.palette = replace(palette, totals=self._totals, draws=self._draws)
+        self.size = np.minimum(size, self.size)
+        return size
+
+    def again(self, palette: Palette, which: NDArray[np.bool_]) -> Palette:
+        """A palette for another round, in which some cells, (m,) bool, are drawn as they have never been."""
+        self._drawn = self._drawn + which
+        return replace(palette, draws=np.where(which, self._drawn, self._state(palette)[1]))
+
+
+def _level_reach(targets: NDArray[np.float64], level: float) -> NDArray[np.float64]:
+    """By how much a porosity changes with ln C of a level C, (m,).
+
+    Of tunnels with kernels exp(-omega r^2) the section is in proportion to -ln C, and where they overlap at random
+    -ln(1 - porosity) is in proportion to the section; the derivative of that.
+    """
+    slope: NDArray[np.float64] = (1 - targets) * -np.log1p(-targets) / -np.log(level)
+    return slope

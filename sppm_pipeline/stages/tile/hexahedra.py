@@ -13,7 +13,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.curved_porosity import FINER, FINEST, SLAB
+from sppm_pipeline.families.curved_porosity import FINER, FINEST, most_samples
 from sppm_pipeline.families.graded import trial
 from sppm_pipeline.families.graded_cloud import ROOM
 from sppm_pipeline.families.hexahedra import cells_of_mesh, check_path, size_of_mesh
@@ -42,6 +42,7 @@ class HexahedralTiling(Stage):
     """
 
     name: ClassVar[str] = "tile.hexahedra"
+    version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = (
         "hexahedra", "volume_min_mm3", "volume_max_mm3", "error_mean", "error_rms", "error_p95", "error_max",
         "error_rms_of_rounds.#1", "cell_deviation",
@@ -98,9 +99,10 @@ class HexahedralTiling(Stage):
             return made.at_porosity(None, **counts)
         times, n = 1 + self.rounds, self.resolution
         recipe(palette, drawn * times + 8 * ROOM**3 * self.trials)
-        grid = math.prod(mesh.box) / max(least / (FINEST * n), FINER * edge / made.body.coarse) ** 3
-        counts |= {"samples": cells * float(n) ** 3 * times, "sums": grid * made.body.kernels * times}
-        return made.at_porosity(self.porosity, **counts, resident=min(grid, float(SLAB)))
+        h = max(least / (FINEST * n), FINER * edge / made.body.coarse)
+        nx, ny, nz = (side / h for side in mesh.box)
+        counts |= {"samples": cells * float(n) ** 3 * times, "sums": nx * ny * nz * made.body.kernels * times}
+        return made.at_porosity(self.porosity, **counts, resident=most_samples(nx, ny, nz))
 
     def run(self, context: Context, recipe: Recipe, grading: Grading | None = None) -> Tiling:
         """Read the mesh, throw the pores of its cells and around them, and join all."""

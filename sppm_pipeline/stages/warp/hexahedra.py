@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,16 @@ from sppm_pipeline.data.curved_cells import HexahedralCells
 from sppm_pipeline.data.length import UNITS_IN_MM
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.hexahedra import cells_of_mesh, check_path
+from sppm_pipeline.families.hexahedra import check_path, mesh_of, tell_of_order
 from sppm_pipeline.families.warper import Mapped, Warper
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.fields.warped_field import looks_alike_from_all_sides
 from sppm_pipeline.formats.hexahedra_file import Hexahedra, read_hexahedra
+from sppm_pipeline.stage import Context
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.grading.hexahedral_mesh import HexahedralMesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +31,8 @@ class WarpHexahedra(Warper):
     """Fill the elements of a mesh of hexahedra with the cells of a box, one in each, or a whole number along each axis.
 
     The mesh (VTU, VTK, INP or MSH, read by meshio) has to be a block: rows, columns and layers of elements, bent as you
-    like. Its first element says which way x, y and z go. A field that repeats and looks alike from all sides of its
+    like. Its first element says which way x, y and z go. It is checked as by `read.hexahedra`; a block whose ends touch
+    stays open there if the file lists their nodes twice. A field that repeats and looks alike from all sides of its
     cell, such as a Schwarz P surface or struts along the axes, may fill a mesh of any shape, one cell in each element;
     `tile.hexahedra` scatters pores in such a mesh.
     """
@@ -46,31 +51,38 @@ class WarpHexahedra(Warper):
         return read_hexahedra(self.path)
 
     @cached_property
-    def _corners(self) -> NDArray[np.float64]:
-        """Nodes of the block, (nx + 1, ny + 1, nz + 1, 3) mm."""
-        from sppm_pipeline.numerics.grading.hexahedra import block_of, mapped_in_block
+    def _mesh(self) -> HexahedralMesh:
+        return mesh_of(self._read, self.path, self.unit)
 
+    @cached_property
+    def _block(self) -> NDArray[np.float64] | str:
+        """Nodes of the block, (nx + 1, ny + 1, nz + 1, 3) mm, or why the mesh is none."""
+        from sppm_pipeline.numerics.grading.hexahedra import block_of
+
+        mesh = self._mesh
         try:
-            nodes = block_of(self._read.elements)
+            return mesh.nodes[block_of(mesh.hexahedra)]
         except ValueError as error:
+            reason = str(error)
+        # ends of a block that touch, as those of a ring, stay apart where the file lists their nodes twice
+        try:
+            return self._read.points[block_of(mesh.listed)] * UNITS_IN_MM[self.unit]
+        except ValueError:
+            return reason
+
+    @property
+    def _corners(self) -> NDArray[np.float64]:
+        if isinstance(self._block, str):
             raise InputError(
-                f"{self.path.name} is no block of hexahedra: {error}",
+                f"{self.path.name} is no block of hexahedra: {self._block}",
                 hint="scatter pores in it by `tile.hexahedra`, or cut it into blocks",
-            ) from None
-        corners = self._read.points[nodes] * UNITS_IN_MM[self.unit]
-        size = np.array(nodes.shape) - 1
-        site = np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), -1).reshape(-1, 3)
-        for corner in np.ndindex(2, 2, 2):
-            # just inside, as a corner belongs to several elements
-            inner = site + 1e-9 + np.array(corner) * (1 - 2e-9)
-            det = mapped_in_block(corners, inner)[1]
-            if (det <= 0).any():
-                bad = site[int(np.argmax(det <= 0))].tolist()
-                raise InputError(
-                    f"{self.path.name}: element {bad} of the block is inside out or flat at a corner",
-                    hint="repair the mesh; if all elements are, exchange their lower and upper nodes",
-                )
-        return corners
+            )
+        return self._block
+
+    def run(self, context: Context, field: ScalarField) -> ScalarField:
+        """Read and check the mesh, then map the graph or the field."""
+        tell_of_order(self._mesh, self.path, context)
+        return super().run(context, field)
 
     def _cells(self, field: ScalarField) -> tuple[int, int, int]:
         """Cells of the box; those of a lone cell that repeats are as many as the elements."""
@@ -78,19 +90,16 @@ class WarpHexahedra(Warper):
         return (nx, ny, nz) if field.periodic and tuple(field.cells) == (1, 1, 1) else field.cells
 
     def curved(self, tiling: ScalarField) -> HexahedralCells:
-        from sppm_pipeline.numerics.grading.hexahedra import block_of, mapped_in_block
+        from sppm_pipeline.numerics.grading.hexahedra import mapped_in_block
 
-        if not isinstance(tiling, Tiling) and tiling.periodic:
-            try:
-                block_of(self._read.elements)
-            except ValueError as error:
-                if not looks_alike_from_all_sides(tiling):
-                    raise InputError(
-                        f"{self.path.name} is no block of hexahedra ({error}), and the cell of the field looks "
-                        "different from its sides, so that cells would not fit each other",
-                        hint="take a block, or a field with the symmetry of a cube, such as a Schwarz P surface",
-                    ) from None
-                return cells_of_mesh(self._read, self.path, self.unit, 1)
+        if not isinstance(tiling, Tiling) and tiling.periodic and isinstance(self._block, str):
+            if not looks_alike_from_all_sides(tiling):
+                raise InputError(
+                    f"{self.path.name} is no block of hexahedra ({self._block}), and the cell of the field looks "
+                    "different from its sides, so that cells would not fit each other",
+                    hint="take a block, or a field with the symmetry of a cube, such as a Schwarz P surface",
+                )
+            return HexahedralCells(self._mesh.corners)
         shape = self._cells(tiling)
         self._check_cells(shape)
         size = np.array(self._corners.shape[:3]) - 1

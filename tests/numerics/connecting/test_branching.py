@@ -9,6 +9,7 @@ from sppm_pipeline.numerics.connecting import branching, exact
 from sppm_pipeline.numerics.connecting.bounded import spanning_subgraph
 from sppm_pipeline.numerics.connecting.branching import shortest_choice
 from sppm_pipeline.numerics.connecting.program import Program
+from sppm_pipeline.numerics.connecting.trees import edge_lengths
 from sppm_pipeline.numerics.metric import stretched_metric
 
 
@@ -81,3 +82,43 @@ def test_what_takes_too_long_or_is_too_large_is_left_to_the_solver(monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(branching, "_LARGEST", 10)
     assert shortest_choice(two_triangles(), None, 1e-9) is None
+
+
+@pytest.mark.parametrize(
+    ("shape", "degree", "options"),
+    [
+        ((3, 3, 3), (3, 5), {}),
+        ((4, 4, 2), (3, 5), {"periodic": True}),
+        ((5, 5, 1), (2, 3), {"two_edge_connected": True}),
+        ((4, 3, 3), (3, 3), {}),
+        ((6, 4, 1), (2, 4), {"periodic": True, "two_edge_connected": True}),
+    ],
+)
+def test_where_edges_of_grids_are_equally_long_no_choice_of_the_solver_is_shorter(monkeypatch, shape, degree, options):
+    grid, solved = np.argwhere(np.ones(shape)) / max(shape), []
+
+    def noted(*arguments):
+        solved.append(shortest_choice(*arguments))
+        return solved[-1]
+
+    for seed in range(3):
+        points = np.random.default_rng(seed).permutation(grid)[: len(grid) // 2 * 2 - 2 * seed]
+        with monkeypatch.context() as patch:
+            patch.setattr(exact, "shortest_choice", noted)
+            ours = spanning_subgraph(points, degree, **options)
+        theirs = by_the_solver(monkeypatch, points, degree, **options)
+        assert edge_lengths(points, *ours).sum() == pytest.approx(edge_lengths(points, *theirs).sum(), rel=1e-9)
+    assert sum(choice is not None for choice in solved) >= 2
+
+
+@pytest.mark.parametrize("seed", [3, 6, 18])
+def test_branching_goes_on_where_all_that_is_undecided_has_no_length(monkeypatch, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.random((5, 3))[rng.integers(0, 5, 17)]
+    found = []
+    with monkeypatch.context() as patch:
+        patch.setattr(exact, "shortest_choice", lambda *given: found.append(shortest_choice(*given)) or found[-1])
+        ours = spanning_subgraph(points, (2, 3), k=9, two_edge_connected=True)
+    theirs = by_the_solver(monkeypatch, points, (2, 3), k=9, two_edge_connected=True)
+    assert [choice is not None for choice in found] == [True]
+    assert edge_lengths(points, *ours).sum() == pytest.approx(edge_lengths(points, *theirs).sum(), rel=1e-9)

@@ -67,6 +67,31 @@ def test_some_of_these_programs_can_not_be_satisfied_and_some_have_values_betwee
     assert halves >= 5
 
 
+@pytest.mark.parametrize("free", [0.0, 0.4])
+def test_whatever_is_fixed_takes_its_value_even_where_it_was_at_a_bound_and_costs_nothing(free):
+    moved = 0
+    for seed in range(6):
+        cost, matrix, low, high = random_program(seed, 8, 15)
+        cost[np.random.default_rng(seed).random(15) < free] = 0.0
+        program = DualSimplex(cost, np.ones(15))
+        program.add(matrix, low, high)
+        if (x := program.solution(1000)) is None:
+            continue
+        for variable, value in np.ndindex(15, 2):
+            bounds = np.stack([np.zeros(15), np.ones(15)], axis=1)
+            bounds[variable] = value
+            branch = program.copy()
+            branch.fix(variable, float(value))
+            own, known = branch.solution(1000), reference(cost, matrix, low, high, bounds)
+            assert (own is None) == (known.status == 2)
+            if own is not None:
+                assert own[variable] == pytest.approx(value, abs=1e-9)
+                assert cost @ own == pytest.approx(known.fun, abs=1e-9)
+                assert branch.lower_bound() == pytest.approx(known.fun, abs=1e-9)
+                moved += x[variable] == 1 - value
+    assert moved > 20
+
+
 def test_too_few_pivots_prove_nothing_wrong():
     cost, matrix = random_program(1, 12, 25)[:2]
     low, high = np.full(12, 1.0), np.full(12, 3.0)

@@ -7,6 +7,7 @@ from scipy.ndimage import label
 from sppm_pipeline.data.grading import Grading, TableLaw
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
@@ -17,7 +18,7 @@ from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
 from sppm_pipeline.stages.field.gaussian import GaussianField
 from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
 from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
-from sppm_pipeline.stages.tile.graded import GradedTiling
+from sppm_pipeline.stages.tile.graded import SPARE, GradedTiling
 from sppm_pipeline.stages.tune.local_porosity import TuneLocalPorosity
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 from sppm_pipeline.testing.recount import laid_kernels, recounted_porosity
@@ -123,6 +124,52 @@ def test_the_check_sees_what_is_there(bar, tmp_path):
     bad = context.reported
     assert bad["cell_error_max"] == pytest.approx(0.2, abs=0.03)
     assert bad["cell_error_mean"] == pytest.approx(0, abs=0.03)
+
+
+PAPER = recipe_of(
+    MirroredFaces(edge=Length(2), total=66, share=0.5),
+    DartThrowing(total=66),
+    BoundedDegreeSubgraph(degree=(3, 5), mode="greedy"),
+    GaussianField(omega=30, mu=30, level=0.25),
+)
+"""Half of the pores are on the faces, and nearly suffice for a porosity of .2."""
+
+
+@pytest.mark.parametrize(("seed", "drawn_anew"), [(8, False), (29, True)])
+def test_where_faces_hold_nearly_all_pores_of_a_cell_its_level_stays_near_that_of_the_recipe(
+    monkeypatch, seed, drawn_anew
+):
+    grading, context, draws = Grading((steps((0.2, 0.8)),)), PlainContext(seed), []
+    laid = GradedTiling._laid
+
+    def noted(self, context, recipe, grading, palette, *others):
+        draws.append([0, 0] if palette.draws is None else palette.draws.tolist())
+        return laid(self, context, recipe, grading, palette, *others)
+
+    monkeypatch.setattr(GradedTiling, "_laid", noted)
+    tiling = GradedTiling(cell=Length(20, "mm"), cells=(2, 1, 1)).run(context, PAPER, grading, None)
+    tiling.check()
+    pores = tiling.tileset.micro.graph.pores
+    assert np.bincount(pores.piece)[0] < 4  # between faces with twenty
+    tuned = TuneLocalPorosity().run(context, tiling, grading)
+    assert np.abs(np.exp(tuned.control) / tiling.solid_below - 1).max() < 0.033
+    assert (draws[-1] != [0, 0]) == drawn_anew
+    assert len(draws) <= 1 + 2 + 1 + SPARE // 2 + 1
+    name = "interiors_with_relaxed_degree"
+    assert [values[name] for values in context.log.values.values() if name in values] == [1]
+
+
+def test_another_draw_of_one_interior_leaves_the_others_as_they_are():
+    totals = np.array([40, 40])
+    first, other = (
+        recipe_of(DartThrowing(total=40, share=0.5)).run(
+            PlainContext(1), palette=Palette(2, totals=totals, draws=draws)
+        )
+        for draws in (None, np.array([0, 2]))
+    )
+    for interior, same in ((0, True), (1, False)):
+        assert np.array_equal(first.of_piece(interior), other.of_piece(interior)) == same
+    assert len(other.of_piece(1)) == 40
 
 
 @pytest.mark.parametrize("faces", ["fresh", "graded"])

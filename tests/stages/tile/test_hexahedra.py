@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from sppm_pipeline.data.curved_cells import HexahedralCells
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.families import Sampler
+from sppm_pipeline.families.hexahedral_cloud import Surroundings
 from sppm_pipeline.fields.level_field import LevelField
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.warped import WarpedTiling
@@ -266,3 +268,19 @@ def test_another_order_of_nodes_is_taken_with_a_word(tmp_path):
         5 * EDGE**3 * np.sin(2 * np.pi / 5) * 1000
     )
     assert any("upper four nodes first" in warning for warning in context.warnings)
+
+
+def test_no_spacing_is_wider_than_what_is_searched():
+    """In a hexahedron that is much larger at one corner sizes exceed twice that of a cube with its volume."""
+    nodes = [[-1.8, 1.7, 1.3], [1.4, -0.7, -0.1], [0.2, 2.1, 1.0], [-0.4, 0.6, 0.9],
+             [2.4, -1.0, -1.9], [3.6, 2.3, 1.7], [2.0, 2.9, -1.1], [-1.1, 0.0, 2.7]]  # fmt: skip
+    cells = HexahedralCells(np.array(nodes).reshape(1, 2, 2, 2, 3))
+    around = Surroundings(cells, None)
+    t = np.linspace(0, 1, 9)
+    within = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
+    sizes = around.size_at(cells.points(np.zeros(len(within), int), within))
+    assert sizes.max() > 2 * around.edges[0]
+    assert sizes.max() <= around.largest_edges[0] * (1 + 1e-9)
+    assert Surroundings(cells, 2.5).largest_edges.tolist() == [2.5]
+    cube = HexahedralCells(cells.corners * 0 + 2.0 * np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), -1))
+    np.testing.assert_allclose(Surroundings(cube, None).largest_edges, 2.0)

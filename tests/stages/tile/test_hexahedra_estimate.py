@@ -9,7 +9,8 @@ import pytest
 from sppm_pipeline.data.size import ONE
 from sppm_pipeline.engine.plan.estimate import estimate_plan
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
-from sppm_pipeline.families import hexahedra
+from sppm_pipeline.families import curved_porosity, hexahedra
+from sppm_pipeline.families.curved_porosity import MORE_LAYERS, CurvedSamples
 from sppm_pipeline.numerics.meshcheck.measures import volume
 from sppm_pipeline.stages.read.hexahedra import ReadHexahedra
 from sppm_pipeline.testing.hexahedral_meshes import o_grid, squares, star
@@ -77,6 +78,21 @@ def made_by(plan):
 
     step = next(step for step in plan.steps if step.id == "tile.hexahedra")
     return run_step(step, step.stage, {"grading": None}, PlainContext(seed=2), plan.recipes)
+
+
+@pytest.mark.parametrize("squares_along", [(6, 5), (2, 2)])
+def test_samples_held_at_a_time_are_foretold(tmp_path, monkeypatch, squares_along):
+    """A slab has some layers however wide they are."""
+    monkeypatch.setattr(curved_porosity, "SLAB", 20_000)
+    nx, ny = squares_along
+    path = saved(tmp_path, squares([(i, j) for i in range(nx) for j in range(ny)], 4.0, layers=2))
+    plan = planned(path, "porosity: 0.5, rounds: 0, resolution: 16, trials: 1")
+    found = estimate_plan(plan).stages[1].size.resident
+    samples = CurvedSamples(made := made_by(plan), made.curved, 16)
+    x, y, _ = samples.grid.shape
+    held = max(stop - start + MORE_LAYERS for start, stop, _ in samples._slabs()) * x * y
+    assert x * y > (5000 if nx == 6 else 0)
+    assert 0.6 < found / held < 1.1
 
 
 def test_rounds_and_finer_grids_take_more(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import meshio
@@ -141,6 +142,29 @@ def test_a_tube_keeps_its_porosity_ring_by_ring(tileset):
     assert context.reported["volume_max"] > 1.4
 
 
+def test_tunnels_beyond_the_cells_make_no_grid_finer(tmp_path, tileset):
+    """Towards the axis of a tube, and beyond elements that taper, what is mapped becomes as small as one likes."""
+    shape = (3, 3, 3)
+    tube = WarpCylinder(inner_radius=Length(1.0, "mm")).run(PlainContext(), laid(tileset, (8, 2, 2), periodic=True))
+    path = saved(tmp_path / "a.vtu", nodes(shape, bend=1.5), elements(shape))
+    block = WarpHexahedra(path=path).run(PlainContext(), laid(tileset, shape))
+    flat = laid(tileset, shape).finest_radius * EDGE
+    for made in (tube, block):
+        t = np.linspace(0.02, 0.98, 7)
+        within = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
+        cell = np.repeat(np.arange(made.curved.count), len(within))
+        least = np.cbrt(made.curved.mapped_with_volume(cell, np.tile(within, (made.curved.count, 1)))[1].min()) / EDGE
+        assert 0.7 * least < made.finest_radius * made.edge / flat < 1.5 * least
+        assert made.finest_radius > 2 * made.tileset.micro.finest_radius
+        assert made.coarse_pitch > 1.5 * made.tileset.micro.coarse_pitch
+        assert made.exactly().coarse_pitch is None
+    grid, place = grid_over(block, np.full(3, 4.0), np.full(3, 5.0), 300)
+    inside = block.curved.places(place.reshape(-1, 3)).cell.reshape(grid.shape) >= 0
+    flips = (block.sample(grid) >= 0) != (block.exactly().sample(grid) >= 0)
+    assert inside.mean() > 0.9
+    assert 0 < flips[inside].mean() < 1e-4  # interpolated, and well
+
+
 def test_a_zone_of_a_shell_keeps_its_porosity(tileset):
     tiling = laid(tileset, (12, 5, 1), periodic=True)
     flat = (tiling.sample(20) >= 0).mean()
@@ -205,6 +229,44 @@ def test_places_between_nodes_are_trilinear():
     np.testing.assert_allclose(at, [corners[0, 0, 0], corners[1, 1, 0], corners[2, 1, 1]])
 
 
+def test_a_block_is_found_however_its_nodes_are_listed(tmp_path, tileset):
+    """Once an element, or in the order of other programs; the same graph comes out, and the order is told."""
+    shape = (3, 2, 1)
+    tiling, points, hexes = laid(tileset, shape), nodes(shape, bend=0.4), elements(shape)
+    upside_down = [4, 5, 6, 7, 0, 1, 2, 3]
+    graphs = []
+    for where, cells, words in (
+        (points, hexes, []),
+        (points.reshape(-1, 3)[hexes], np.arange(hexes.size).reshape(-1, 8), []),
+        (points, hexes[:, upside_down], ["numbered with the upper four nodes first"]),
+    ):
+        context = PlainContext()
+        made = WarpHexahedra(path=saved(tmp_path / "a.vtu", where, cells)).run(context, tiling)
+        assert len(context.warnings) == len(words)
+        assert all(word in told for word, told in zip(words, context.warnings, strict=True))
+        graphs.append(made.tileset.micro.graph)
+    for graph in graphs[1:]:
+        np.testing.assert_array_equal(graph.pores.centers, graphs[0].pores.centers)
+        np.testing.assert_array_equal(graph.edges, graphs[0].edges)
+
+
+def test_a_ring_stays_open_where_its_nodes_are_listed_twice(tmp_path, tileset):
+    shape = (6, 1, 1)
+    place = nodes(shape) / EDGE
+    angle, r = -2 * np.pi * place[..., 0] / 6, 3 * EDGE + EDGE * place[..., 1]
+    ring = np.stack([r * np.cos(angle), r * np.sin(angle), EDGE * place[..., 2]], -1)
+    ring[-1] = ring[0]  # equal to the last bit
+    hexes = elements(shape)[:, [3, 2, 1, 0, 7, 6, 5, 4]][:, [4, 5, 6, 7, 0, 1, 2, 3]]
+    tiling = laid(tileset, shape)
+    made = WarpHexahedra(path=saved(tmp_path / "a.vtu", ring, hexes)).run(PlainContext(), tiling)
+    assert made.curved.shape == shape
+    joined = hexes.copy()
+    for there in np.flatnonzero((place[..., 0] == 6).ravel()):
+        joined[joined == there] = np.argmin(np.abs(ring.reshape(-1, 3) - ring.reshape(-1, 3)[there]).sum(-1))
+    with pytest.raises(InputError, match="neighbors in two ways"):
+        WarpHexahedra(path=saved(tmp_path / "b.vtu", ring, joined)).run(PlainContext(), tiling)
+
+
 def test_what_cannot_be_warped(tmp_path, tileset):
     shape = (2, 2, 2)
     tiling, hexes, points = laid(tileset, shape), elements(shape), nodes(shape)
@@ -220,7 +282,7 @@ def test_what_cannot_be_warped(tmp_path, tileset):
     folded[1, 1, 1] = 3 * EDGE
     for where, cells, words in (
         (points, hexes[:7], "do not fill a block of 2 x 2 x 2"), (points, hexes[[0, 7]], "not all connected"),
-        (folded, hexes, "of the block is inside out"), (points, flipped, "inside out"),
+        (folded, hexes, "hexahedron 1 is inside out or flat at a corner"), (points, flipped, "inside out"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             WarpHexahedra(path=saved(tmp_path / "a.vtu", where, cells)).run(PlainContext(), tiling)
@@ -229,6 +291,33 @@ def test_what_cannot_be_warped(tmp_path, tileset):
         WarpHexahedra(path=path).run(PlainContext(), laid(tileset, (3, 2, 2)))
     finer = WarpHexahedra(path=path).run(PlainContext(), laid(tileset, (4, 2, 2)))
     np.testing.assert_allclose(finer.tileset.micro.graph.pores.per_cell, 60, rtol=0.5)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Octet(FormulaField):
+    """Struts from each corner and middle of a face to those next to it, which meet in sharp joints."""
+
+    def evaluate(self, x, y, z):
+        squared = []
+        for across, along in ((x - y, z), (x + y, z), (x - z, y), (x + z, y), (y - z, x), (y + z, x)):
+            for start in (0.0, 0.5):
+                u, v = across - start, along - start
+                squared.append((u - np.round(u)) ** 2 / 2 + (v - np.round(v)) ** 2)
+        return np.sqrt(functools.reduce(np.minimum, squared)) - 0.05
+
+
+def test_a_lone_cell_that_repeats_is_sampled_more_finely():
+    """Sharp joints are kinks of the field, which cubics round off."""
+    base, flips = Octet(edge=EDGE), {}
+    field = PeriodicTiling(cell=Length(EDGE, "mm"), cells=(8, 1, 2)).run(PlainContext(), base, None)
+    within = np.random.default_rng(0).random((100_000, 3))
+    for resolution in (None, 64):
+        made = WarpCylinder(inner_radius=Length(3.0, "mm"), resolution=resolution).run(PlainContext(), field)
+        assert made.samples == (resolution or 128)
+        found = made._at(made.curved.points(np.zeros(len(within), int), within)) < 0
+        flips[resolution] = np.mean(found != (base.evaluate(*within.T) < 0))
+    assert flips[None] < 1.5e-4
+    assert flips[None] < 0.5 * flips[64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
