@@ -11,12 +11,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.numerics.homogenization.mortar import collocation, face_pairs, mortar
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
 from sppm_pipeline.numerics.homogenization.tetrahedral_assembly import assemble
-from sppm_pipeline.numerics.homogenization.tetrahedral_multigrid import (
-    Blocks,
-    Vectors,
-    aggregation,
-    linear_below_quadratic,
-)
+from sppm_pipeline.numerics.homogenization.tetrahedral_blocks import Blocks, Vectors
+from sppm_pipeline.numerics.homogenization.tetrahedral_multigrid import aggregation, linear_below_quadratic
 
 _SPRINGS = 1.0
 """Stiffness of the springs of `tied` over the mean of the diagonal. Measured on a cell of the paper with quadratic
@@ -109,20 +105,23 @@ def homogenize_tetrahedra(
         count = joined.shape[0]
         if count:
             project = Projector(joined)
-    points = nodes[kept]
+    loads, mean, volume = built.loads, built.mean, built.volume
+    # of displacements that fulfill the constraints both are the same, and one of them is enough to hold
     held = built.matrix if project is None else tied(built.matrix, joined)
+    del built
+    points, matrix = nodes[kept], Blocks(held)
     if cells.shape[1] == 4:
-        precondition = aggregation(held, rigid_modes(points))
+        precondition = aggregation(held, rigid_modes(points), matrix)
     else:
-        precondition = linear_below_quadratic(held, numbers[cells], points, rigid_modes)
-    matrix = Blocks(built.matrix)
-    found = conjugate_gradients(matrix, -built.loads.T, precondition, project, tolerance, iterations, progress)
+        precondition = linear_below_quadratic(held, matrix, numbers[cells], points, rigid_modes)
+    del held
+    found = conjugate_gradients(matrix, -loads.T, precondition, project, tolerance, iterations, progress)
     u = np.ascontiguousarray(found.values.T)
     forces = np.ascontiguousarray(matrix.product(found.values).T)
-    work = np.einsum("in,jn->ij", u, built.loads)
-    energy = built.mean + work + work.T + np.einsum("in,jn->ij", u, forces)
+    work = np.einsum("in,jn->ij", u, loads)
+    energy = mean + work + work.T + np.einsum("in,jn->ij", u, forces)
     stiffness = (energy + energy.T) / 2 / float(np.prod(box[1] - box[0]))
-    return TetHomogenized(stiffness, found.iterations, found.residuals, 3 * len(kept), 3 * count, built.volume)
+    return TetHomogenized(stiffness, found.iterations, found.residuals, 3 * len(kept), 3 * count, volume)
 
 
 class Solution(NamedTuple):
@@ -168,12 +167,14 @@ def tied(matrix: Any, constraints: Any) -> Any:
     -------
     scipy.sparse.bsr_matrix, (3 n, 3 n)
     """
-    from scipy.sparse import diags, identity, kron
+    from scipy.sparse import bsr_matrix, diags
 
     squares = np.asarray(constraints.multiply(constraints).sum(axis=1)).reshape(-1)
     stiff = _SPRINGS * float(matrix.diagonal().mean())
-    springs = constraints.T @ diags(stiff / squares) @ constraints
-    made = (matrix + kron(springs, identity(3), format="bsr")).tobsr((3, 3))
+    springs = (constraints.T @ diags(stiff / squares) @ constraints).tocsr()
+    springs.sort_indices()
+    blocks = springs.data[:, None, None] * np.eye(3)
+    made = matrix + bsr_matrix((blocks, springs.indices, springs.indptr), shape=matrix.shape)
     made.sort_indices()
     return made
 
@@ -198,7 +199,9 @@ class Projector:
         self._columns = self._rows.T.tocsr()
         self._gram = (self._rows @ self._columns).tocsc()
         shift = 1e-10 * float(self._gram.diagonal().max())
-        self._factor = splu(self._gram + shift * identity(self._gram.shape[0], format="csc"))
+        # as is usual for a symmetric matrix: two thirds of the factors, which are read at every solution
+        order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+        self._factor = splu(self._gram + shift * identity(self._gram.shape[0], format="csc"), **order)
 
     def __call__(self, values: Vectors) -> Vectors:
         """Project (3 n, 6), the components of a node next to each other."""
@@ -212,8 +215,7 @@ class Projector:
 
     def _multipliers(self, excess: Vectors) -> Vectors:
         found: Vectors = self._factor.solve(excess)
-        for _ in range(2):
-            found += self._factor.solve(excess - self._gram @ found)
+        found += self._factor.solve(excess - self._gram @ found)
         return found
 
 

@@ -8,12 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.compiled import inline_jit
-
-Vectors = NDArray[np.float64]
-
-CASES = 6
-"""Load cases that are solved at a time, so that the matrix is read once for all of them."""
+from sppm_pipeline.numerics.homogenization.tetrahedral_blocks import CASES, Blocks, Vectors
 
 COARSEST = 60
 """Unknowns of the coarsest grid; small enough that its dense solution never runs in several threads, whose number
@@ -28,35 +23,7 @@ _ENDS = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 """Corners at the ends of the edges that the mid-edge nodes 4 ... 9 of a tetrahedron lie on."""
 
 
-class Blocks:
-    """A sparse matrix of 3 x 3 blocks that multiplies, and is relaxed for, six vectors at a time.
-
-    Parameters
-    ----------
-    matrix : scipy.sparse.bsr_matrix, (3 n, 3 n)
-        Symmetric; its diagonal blocks are positive definite.
-    """
-
-    def __init__(self, matrix: Any) -> None:
-        self._starts, self._columns, self._values = matrix.indptr, matrix.indices, matrix.data
-        rows = np.repeat(np.arange(len(self._starts) - 1), np.diff(self._starts))
-        self._inverses = np.linalg.inv(self._values[rows == self._columns])
-
-    def product(self, x: Vectors) -> Vectors:
-        """The matrix times each column of `x`, (3 n, 6)."""
-        made = np.empty((len(x) // 3, 3, CASES))
-        _multiply(self._starts, self._columns, self._values, x.reshape(-1, 3, CASES), made)
-        return made.reshape(-1, CASES)
-
-    def relax(self, right: Vectors, x: Vectors, forward: bool) -> None:
-        """One sweep of Gauss and Seidel over the blocks, from the first to the last or back; changes `x`, (3 n, 6)."""
-        rows = np.arange(len(self._inverses))
-        order = rows if forward else rows[::-1].copy()
-        right, x = right.reshape(-1, 3, CASES), x.reshape(-1, 3, CASES)
-        _relax(order, self._starts, self._columns, self._values, self._inverses, right, x)
-
-
-def aggregation(matrix: Any, modes: NDArray[np.float64]) -> Callable[[Vectors], Vectors]:
+def aggregation(matrix: Any, modes: NDArray[np.float64], blocks: Blocks | None = None) -> Callable[[Vectors], Vectors]:
     """One V-cycle of smoothed aggregation as a preconditioner.
 
     Parameters
@@ -65,6 +32,8 @@ def aggregation(matrix: Any, modes: NDArray[np.float64]) -> Callable[[Vectors], 
         Symmetric, positive semidefinite.
     modes : (3 n, 6) float64
         Modes of little energy.
+    blocks : Blocks, optional
+        The same matrix, if it has been made.
 
     Returns
     -------
@@ -101,11 +70,15 @@ def aggregation(matrix: Any, modes: NDArray[np.float64]) -> Callable[[Vectors], 
     def columns(residuals: Vectors) -> Vectors:
         return np.stack([rest.matvec(residuals[:, case].copy()) for case in range(CASES)], axis=1)
 
-    return two_levels(Blocks(matrix), finest.P, columns) if below else columns
+    return two_levels(blocks or Blocks(matrix), finest.P, columns) if below else columns
 
 
 def linear_below_quadratic(
-    matrix: Any, cells: NDArray[np.int64], points: NDArray[np.float64], modes: Callable[[Vectors], Vectors]
+    matrix: Any,
+    blocks: Blocks,
+    cells: NDArray[np.int64],
+    points: NDArray[np.float64],
+    modes: Callable[[Vectors], Vectors],
 ) -> Callable[[Vectors], Vectors]:
     """A preconditioner of quadratic elements, whose coarse space are the linear elements on the same mesh.
 
@@ -113,6 +86,8 @@ def linear_below_quadratic(
     ----------
     matrix : scipy.sparse.bsr_matrix, (3 n, 3 n)
         Symmetric, positive semidefinite.
+    blocks : Blocks
+        The same matrix.
     cells : (m, 10) int64
         Unknowns of each tetrahedron, mid-edge nodes last.
     points : (n, 3) float64
@@ -127,7 +102,7 @@ def linear_below_quadratic(
     inject = kron(shares, identity(3), format="bsr")
     linear = (inject.T.tobsr((3, 3)) @ (matrix @ inject)).tobsr((3, 3))
     linear.sort_indices()
-    return two_levels(Blocks(matrix), inject, aggregation(linear, modes(points[corners])))
+    return two_levels(blocks, shares, aggregation(linear, modes(points[corners])))
 
 
 def interpolation(cells: NDArray[np.int64], count: int) -> Any:
@@ -156,68 +131,18 @@ def interpolation(cells: NDArray[np.int64], count: int) -> Any:
 
 
 def two_levels(matrix: Blocks, up: Any, coarse: Callable[[Vectors], Vectors]) -> Callable[[Vectors], Vectors]:
-    """A symmetric V-cycle: a sweep forward, the correction on the coarse level, a sweep back."""
+    """A symmetric V-cycle: a sweep forward, the correction on the coarse level, a sweep back.
+
+    The interpolation `up` is a sparse matrix of numbers of unknowns, or of numbers of nodes.
+    """
     down = up.T.tocsr()
     up = up.tocsr()
 
     def cycle(residuals: Vectors) -> Vectors:
-        x = np.zeros_like(residuals)
-        matrix.relax(residuals, x, forward=True)
-        x += up @ coarse(down @ (residuals - matrix.product(x)))
-        matrix.relax(residuals, x, forward=False)
+        x, left = matrix.relaxed(residuals)
+        found = coarse((down @ left.reshape(up.shape[0], -1)).reshape(-1, CASES))
+        x += (up @ found.reshape(up.shape[1], -1)).reshape(x.shape)
+        matrix.relax_back(residuals, x)
         return x
 
     return cycle
-
-
-@inline_jit
-def _multiply(
-    starts: NDArray[np.int32],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float64],
-    x: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:
-    """Rows of the matrix times (n, 3, 6)."""
-    total = np.empty((3, CASES))
-    for row in range(len(out)):
-        for i in range(3):
-            for k in range(CASES):
-                total[i, k] = 0.0
-        for at in range(starts[row], starts[row + 1]):
-            column = columns[at]
-            for i in range(3):
-                a, b, c = values[at, i, 0], values[at, i, 1], values[at, i, 2]
-                for k in range(CASES):
-                    total[i, k] += a * x[column, 0, k] + b * x[column, 1, k] + c * x[column, 2, k]
-        for i in range(3):
-            for k in range(CASES):
-                out[row, i, k] = total[i, k]
-
-
-@inline_jit
-def _relax(
-    order: NDArray[np.int64],
-    starts: NDArray[np.int32],
-    columns: NDArray[np.int32],
-    values: NDArray[np.float64],
-    inverses: NDArray[np.float64],
-    right: NDArray[np.float64],
-    x: NDArray[np.float64],
-) -> None:
-    """Add to each row in turn what its own residual asks for."""
-    left = np.empty((3, CASES))
-    for row in order:
-        for i in range(3):
-            for k in range(CASES):
-                left[i, k] = right[row, i, k]
-        for at in range(starts[row], starts[row + 1]):
-            column = columns[at]
-            for i in range(3):
-                a, b, c = values[at, i, 0], values[at, i, 1], values[at, i, 2]
-                for k in range(CASES):
-                    left[i, k] -= a * x[column, 0, k] + b * x[column, 1, k] + c * x[column, 2, k]
-        for i in range(3):
-            a, b, c = inverses[row, i, 0], inverses[row, i, 1], inverses[row, i, 2]
-            for k in range(CASES):
-                x[row, i, k] += a * left[0, k] + b * left[1, k] + c * left[2, k]

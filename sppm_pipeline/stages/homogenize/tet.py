@@ -35,7 +35,7 @@ class HomogenizeTet(Stage):
     """
 
     name: ClassVar[str] = "homogenize.tet"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     reported: ClassVar[tuple[str, ...]] = ()
     headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
     advice: ClassVar[str] = "mesh with a lower `resolution`, or with `order: 1`"
@@ -51,7 +51,7 @@ class HomogenizeTet(Stage):
     face_tolerance: float = option(
         1e-6, help="how far nodes of a face may lie from the box, over its longest edge", above=0, maximum=0.05
     )
-    residual: float = options.residual(1e-8, above=0, minimum=None, maximum=0.01, formerly="tolerance")
+    residual: float = options.residual(1e-6, above=0, minimum=None, maximum=0.01, formerly="tolerance")
     iterations: int = options.iterations(2000)
 
     def estimate(self, palette: Palette, mesh: Size) -> Size:

@@ -10,7 +10,8 @@ from sppm_pipeline.numerics.homogenization.elastic_level import elastic_hierarch
 from sppm_pipeline.numerics.homogenization.multigrid.solver import Stop, solve
 from sppm_pipeline.numerics.homogenization.tetrahedral import conjugate_gradients, rigid_modes
 from sppm_pipeline.numerics.homogenization.tetrahedral_assembly import assemble
-from sppm_pipeline.numerics.homogenization.tetrahedral_multigrid import Blocks, aggregation
+from sppm_pipeline.numerics.homogenization.tetrahedral_blocks import Blocks
+from sppm_pipeline.numerics.homogenization.tetrahedral_multigrid import aggregation
 
 SIZES = (8, 16, 32)
 STOP = Stop(1e-10, 0.0, 100)

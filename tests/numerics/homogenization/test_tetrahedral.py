@@ -4,14 +4,20 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix, identity, kron
+from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix, identity, kron, vstack
 from scipy.sparse.linalg import splu
 
 from sppm_pipeline.numerics.homogenization.mortar import collocation, face_pairs, mortar
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import PAIRS, isotropic, lame, rotated
-from sppm_pipeline.numerics.homogenization.tetrahedral import homogenize_tetrahedra, rigid_modes, tied
+from sppm_pipeline.numerics.homogenization.tetrahedral import (
+    Projector,
+    homogenize_tetrahedra,
+    rigid_modes,
+    tied,
+)
 from sppm_pipeline.numerics.homogenization.tetrahedral_assembly import assemble
-from sppm_pipeline.numerics.homogenization.tetrahedral_multigrid import Blocks, aggregation, interpolation
+from sppm_pipeline.numerics.homogenization.tetrahedral_blocks import Blocks
+from sppm_pipeline.numerics.homogenization.tetrahedral_multigrid import aggregation, interpolation
 from sppm_pipeline.numerics.tetrahedra.periodic import matched_nodes
 
 BOX = np.array([[0, 0, 0], [1, 1, 1.0]])
@@ -386,12 +392,31 @@ def test_six_vectors_at_a_time_are_one_after_the_other(assembled):
     x, right = rng.standard_normal((2, matrix.shape[0], 6))
     assert blocks.product(x) == pytest.approx(matrix @ x, abs=1e-12)
     dense, rows = matrix.toarray(), np.arange(matrix.shape[0]).reshape(-1, 3)
-    for forward in (True, False):
-        slow, fast = x.copy(), x.copy()
-        for row in rows if forward else rows[::-1]:
+
+    def swept(start, order):
+        slow = start.copy()
+        for row in order:
             slow[row] += np.linalg.solve(dense[np.ix_(row, row)], right[row] - dense[row] @ slow)
-        blocks.relax(right, fast, forward)
-        assert fast == pytest.approx(slow, abs=1e-10)
+        return slow
+
+    first, left = blocks.relaxed(right)
+    assert first == pytest.approx(swept(np.zeros_like(x), rows), abs=1e-10)
+    assert left == pytest.approx(right - matrix @ first, abs=1e-10)
+    expected, given = swept(x, rows[::-1]), right.copy()
+    blocks.relax_back(right, x)
+    assert x == pytest.approx(expected, abs=1e-10)
+    assert np.array_equal(right, given)
+
+
+def test_what_is_projected_fulfills_constraints_that_repeat_each_other_and_nothing_more_is_taken():
+    nodes, cells = cube(3, 2)
+    joined = vstack([mortar(nodes, pair) for pair in face_pairs(nodes, cells, BOX, 1e-6)]).toarray()
+    assert np.linalg.matrix_rank(joined) < len(joined)  # where faces meet
+    values = np.random.default_rng(5).standard_normal((3 * len(nodes), 6))
+    by_node = values.reshape(len(nodes), 18)
+    projected = Projector(csr_matrix(joined))(values).reshape(by_node.shape)
+    assert np.abs(joined @ projected).max() < 1e-13
+    assert projected == pytest.approx(by_node - np.linalg.pinv(joined) @ (joined @ by_node), abs=1e-12)
 
 
 def test_iterations_on_quadratic_elements_do_not_grow_with_the_mesh():
