@@ -1,0 +1,214 @@
+"""Whole sweeps on real local clusters: long ones, deadly rows, workers of another version, lost schedulers, cancel."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import dask
+import pytest
+from distributed import Client, LocalCluster
+from sppm_dask.executor import LOCAL
+
+from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.sweep import run_sweep
+from sppm_pipeline.errors import ConfigError
+
+STAGE = '''
+import os, signal, time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+from sppm_pipeline import Context, PoreSet, Stage, option
+
+@dataclass(frozen=True, kw_only=True)
+class Trouble(Stage):
+    """Do to the row what a file says: kill its worker, once or each time, or wait until the file is gone."""
+    name: ClassVar[str] = "check.trouble"
+    row: int = option(help="number of the row")
+    def run(self, context: Context, pores: PoreSet) -> None:
+        once, always, waits = (Path(__file__).with_name(f"{word}-{self.row}") for word in ("once", "always", "waits"))
+        if once.exists():
+            once.unlink()
+            os.kill(os.getpid(), signal.SIGKILL)
+        if always.exists():
+            os.kill(os.getpid(), signal.SIGKILL)
+        while waits.exists():
+            time.sleep(0.02)
+'''
+
+SWEEP = """sppm: 1
+name: troubled
+params: {n: 0}
+plugins: [trouble.py]
+pipeline:
+  - {stage: sample.dart_throwing, count: 8}
+  - {stage: connect.mst}
+  - {stage: check.trouble, row: "${n}"}
+  - {stage: write.graph, path: graph.json}
+sweep: {n: {from: 0, to: LAST, step: 1}}
+"""
+
+
+def prepare(folder: Path, rows: int, *trouble: str) -> Path:
+    (folder / "trouble.py").write_text(STAGE)
+    file = folder / "troubled.yaml"
+    file.write_text(SWEEP.replace("LAST", str(rows - 1)))
+    for name in trouble:
+        (folder / name).touch()
+    return file
+
+
+@pytest.fixture
+def cluster():
+    """Two workers, as the executor starts them, in the hands of the test."""
+    with (
+        dask.config.set(LOCAL),
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=100) as cluster,
+    ):
+        yield cluster
+
+
+def swept(file: Path, to: str, executor: str, *, cache: Path | None = None, monitor: Monitor | None = None):
+    """The record and the folder of a sweep."""
+    session = open_session(RunRequest(str(file)))
+    folder = file.parent / to
+    record = run_sweep(
+        session,
+        session.plan(),
+        folder,
+        workers=2,
+        executor=executor,
+        threads=2,
+        monitor=monitor,
+        cache=cache,
+    )
+    return record, folder
+
+
+def outputs(folder: Path) -> dict[str, bytes]:
+    """What the rows wrote, and the table."""
+    files = [file for file in folder.rglob("*") if file.is_file() and file.name not in ("run.json", "SHA256SUMS")]
+    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
+
+
+def table_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / "sweep.csv").open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def statuses(record) -> list[str]:
+    return [row["status"] for row in record["runs"]]
+
+
+# what a worker is made to run
+ANOTHER_PROGRAM = """
+from sppm_pipeline.engine.run import workers
+workers.program_digest = lambda: "0" * 64
+"""
+
+
+def test_two_hundred_rows_have_the_bytes_of_a_serial_sweep_though_a_worker_is_killed(cluster, tmp_path):
+    file = prepare(tmp_path, 200)
+    serial, alone = swept(file, "serial", "serial")
+    (tmp_path / "once-101").touch()
+    record, folder = swept(file, "cluster", f"dask:{cluster.scheduler_address}")
+    assert not (tmp_path / "once-101").exists()  # the worker has died
+    assert statuses(serial) == statuses(record) == ["done"] * 200
+    assert outputs(alone) == outputs(folder)
+    assert len(outputs(alone)) == 200 + 2
+
+
+def test_a_deadly_row_fails_alone(cluster, tmp_path):
+    file = prepare(tmp_path, 6, "always-2")
+    record, folder = swept(file, "out", f"dask:{cluster.scheduler_address}")
+    assert record["status"] == "failed"
+    assert statuses(record) == ["done", "done", "failed", "done", "done", "done"]
+    assert record["runs"][2]["error"]["exit_code"] == 6
+    assert record["runs"][2]["attempts"] == 3
+    assert [bool(row["error"]) for row in table_of(folder)] == [False, False, True, False, False, False]
+
+
+def test_workers_with_another_program_are_refused(cluster, tmp_path):
+    file = prepare(tmp_path, 3)
+    with Client(cluster, set_as_default=False) as client:
+        client.run(exec, ANOTHER_PROGRAM)
+    with pytest.raises(ConfigError, match="sppm_pipeline with the digest 000000000000 instead of"):
+        swept(file, "out", f"dask:{cluster.scheduler_address}")
+    assert ["is not that of" in row["error"] for row in table_of(tmp_path / "out")] == [True] * 3
+
+
+def test_a_scheduler_that_goes_leaves_a_table_and_the_sweep_goes_on_later(cluster, tmp_path):
+    file = prepare(tmp_path, 8)
+    _, alone = swept(file, "serial", "serial")
+    for row in range(5, 8):
+        (tmp_path / f"waits-{row}").touch()
+
+    class Closing(Monitor):
+        ended = 0
+
+        def row_finished(self, done, total, result):
+            self.ended += 1
+            if self.ended == 4:
+                threading.Thread(target=cluster.close, daemon=True).start()
+
+    cache = tmp_path / "cache"
+    record, folder = swept(file, "out", f"dask:{cluster.scheduler_address}", cache=cache, monitor=Closing())
+    assert statuses(record)[5:] == ["failed"] * 3
+    assert statuses(record).count("done") >= 4
+    assert all("scheduler is gone" in row["error"] for row in table_of(folder)[5:])
+    for row in range(5, 8):
+        (tmp_path / f"waits-{row}").unlink()
+    record, folder = swept(file, "out", "processes", cache=cache)
+    assert statuses(record) == ["done"] * 8
+    assert outputs(alone) == outputs(folder)
+
+
+def test_a_canceled_sweep_leaves_nobody_behind_and_goes_on(tmp_path):
+    file = prepare(tmp_path, 8)
+    _, alone = swept(file, "serial", "serial")
+    for row in range(4, 8):
+        (tmp_path / f"waits-{row}").touch()
+    command = [sys.executable, "-m", "sppm_pipeline", "run", str(file), "-o", str(tmp_path / "out"), "-q"]
+    command += ["-j", "2", "--executor", "dask", "--cache", str(tmp_path / "cache")]
+    records = [tmp_path / "out" / "runs" / f"{row:04}" / "run.json" for row in range(4)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        deadline = time.monotonic() + 60
+        while not all(_has_ended(record) for record in records) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+    assert not _session(process.pid)
+    for row in range(4, 8):
+        (tmp_path / f"waits-{row}").unlink()
+    again = subprocess.run([*command, "--json"], capture_output=True, text=True, timeout=120, check=True)
+    record = json.loads(again.stdout)
+    assert statuses(record) == ["done"] * 8
+    assert outputs(tmp_path / "out") == outputs(alone)
+
+
+def _has_ended(record: Path) -> bool:
+    try:
+        return json.loads(record.read_bytes())["status"] == "done"
+    except (OSError, ValueError):
+        return False
+
+
+def _session(leader: int) -> list[int]:
+    """Processes of a session that are still there."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = status.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == leader and fields[0] != "Z":
+            found.append(int(status.parent.name))
+    return found
