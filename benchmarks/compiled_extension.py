@@ -131,7 +131,12 @@ def main() -> None:
             differ = sum(int((a != b).sum()) for a, b in zip(found, (expected.rows, expected.bounds), strict=True))
             rows.append(["", name, cpu * 1e3, differ, ""])
         path = libraries["C, any with AVX2"]
-        for name, load in (("Numba, kept", BY_NUMBA), ("C, any with AVX2", BY_EXTENSION.format(path=str(path)))):
+        for name, load, kept in (
+            ("Numba, from its cache", BY_NUMBA, "off"),
+            ("Numba, code kept", BY_NUMBA, "on"),
+            ("C, any with AVX2", BY_EXTENSION.format(path=str(path)), "on"),
+        ):
+            os.environ["SPPM_KEPT_KERNELS"] = kept
             process = median([sys.executable, "-c", PROCESS.format(load=load)])
             rows.append(["start, load and call both", name, process.cpu * 1e3, "", process.peak])
         cold = run(

@@ -100,6 +100,14 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
 """,
         {**SIZES, "r": (24, 24, 40, 64), "mesh": ("mesh.stl",) * 4},
     ),
+    "large meshes": (
+        TILES + """
+  - {stage: tileset.wang_3color, recipe: cell, porosity: 0.6, resolution: 16, tolerance: 0.05, colors: 2}
+  - {stage: tile.wang_3color, cells: [$c, $c, $c], cell: 4 mm}
+  - {stage: extract.marching_cubes, resolution: $r}
+""",
+        {"n": (42, 42, 60, 72), "c": (2, 3, 5, 7), "r": (32, 32, 40, 32)},
+    ),
     "level set": (
         "pipeline:" + CELL + "  - {stage: extract.manifold_sdf, resolution: $r}\n",
         {**SIZES, "r": (12, 12, 16, 24)},

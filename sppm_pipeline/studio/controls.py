@@ -164,14 +164,14 @@ def _kind(kinds: tuple[Any, ...], spec: OptionSpec, value: Any) -> str | None:
 
 
 def _number(value: Any) -> float | None:
-    """The number of a value, without its unit."""
-    if isinstance(value, str):
-        value = value.split()[0] if value else value
-        try:
-            return float(value)
-        except ValueError:
-            return None
-    return None if isinstance(value, bool) or value is None else float(value)
+    """The number of a value, without its unit; None if it has none, or an infinite one."""
+    if isinstance(value, bool) or value is None:
+        return None
+    try:
+        number = float(value.split()[0] if isinstance(value, str) and value else value)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _slider(spec: OptionSpec, numbers: Sequence[float], whole: bool) -> tuple[float, float, float]:
@@ -185,11 +185,13 @@ def _slider(spec: OptionSpec, numbers: Sequence[float], whole: bool) -> tuple[fl
         high = most
         low = least if least is not None and least >= 0 else low
     low, high = max(low, -math.inf if least is None else least), min(high, math.inf if most is None else most)
-    step = 1.0 if whole else 10.0 ** math.floor(math.log10((high - low) / 50))
-    low, high = step * math.ceil(low / step - 1e-9), step * math.floor(high / step + 1e-9)
+    power = 0 if whole else math.floor(math.log10((high - low or size) / 50))
+    step = float(f"1e{power}")
+    low, high = round(step * math.ceil(low / step - 1e-9), -power), round(step * math.floor(high / step + 1e-9), -power)
     # exclusive bounds are no values
     if low == spec.above:
-        low += step
+        low = round(low + step, -power)
     if high == spec.below:
-        high -= step
-    return round(low, 9), round(high, 9), round(step, 9)
+        high = round(high - step, -power)
+    # values stay as they are, if between steps or beside a bound
+    return min(low, min(numbers)), max(high, max(numbers)), step

@@ -3,6 +3,7 @@
 import contextlib
 import http.client
 import json
+import math
 import struct
 import threading
 import time
@@ -23,7 +24,7 @@ from sppm_pipeline.errors import ConfigError, InputError, SppmError
 from sppm_pipeline.fields.live_view import view_of
 from sppm_pipeline.process import interruption
 from sppm_pipeline.stage import OptionSpec
-from sppm_pipeline.studio.controls import _slider
+from sppm_pipeline.studio.controls import _number, _slider
 from sppm_pipeline.studio.design import START, Design, Superseded
 from sppm_pipeline.studio.server import server_of
 
@@ -105,10 +106,54 @@ def test_controls_are_the_declarations(started):
     assert not any(key.startswith("pipeline.6") for key in found)  # writes a file, after the cell
 
 
-def test_sliders_hold_the_value_they_begin_with():
-    for numbers in ([-5.0], [-5.0, 2.0], [0.0], [3.0]):
-        low, high, _ = _slider(OptionSpec("", minimum=-1e15, maximum=1e15), numbers, False)
+BOUNDS = [
+    {}, {"minimum": -1e15, "maximum": 1e15}, {"above": 0.0}, {"minimum": 0.0, "maximum": 1.0},
+    {"above": 0.0, "below": 1.0}, {"minimum": 1e-12, "maximum": 1e-3}, {"above": 0.3, "below": 0.7},
+]  # fmt: skip
+LISTS = [
+    [-5.0], [-5.0, 2.0], [0.0], [3.0], [1e-6, 1.0], [2e-8], [3e-9], [4.7e-12], [0.31, 0.69], [0.5], [1.0], [1e-12],
+    [1.7e9], [0.123456789012],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("bounds", BOUNDS, ids=str)
+@pytest.mark.parametrize("whole", [False, True])
+def test_sliders_hold_their_value_in_some_steps_within_bounds(bounds, whole):
+    spec = OptionSpec("", **bounds)
+    tried = 0
+    for numbers in LISTS:
+        if whole:
+            numbers = sorted({float(round(number)) for number in numbers})
+        good = all(
+            bounds.get("minimum", -math.inf) <= n <= bounds.get("maximum", math.inf)
+            and bounds.get("above", -math.inf) < n < bounds.get("below", math.inf)
+            for n in numbers
+        )
+        if not good:
+            continue
+        tried += 1
+        low, high, step = _slider(spec, numbers, whole)
         assert low <= min(numbers) <= max(numbers) <= high
+        assert step > 0
+        assert bounds.get("minimum", -math.inf) <= low
+        assert bounds.get("maximum", math.inf) >= high
+        assert bounds.get("above", -math.inf) < low
+        assert bounds.get("below", math.inf) > high
+        if whole:
+            assert step == 1.0
+            assert low == round(low)
+            assert high == round(high)
+        else:
+            assert low == high or 5 <= (high - low) / step <= 500
+    assert tried >= (not whole)
+
+
+def test_a_slider_of_a_value_that_can_not_vary_has_no_range():
+    assert _slider(OptionSpec("", minimum=2, maximum=2), [2.0], True) == (2.0, 2.0, 1.0)
+    assert _slider(OptionSpec("", minimum=0.5, maximum=0.5), [0.5], False)[:2] == (0.5, 0.5)
+    assert _number(".inf") is None
+    assert _number(math.nan) is None
+    assert _number("1e-9 mm") == 1e-9
 
 
 def test_a_request_that_is_late_does_not_end_a_newer_one(started):
