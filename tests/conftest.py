@@ -86,6 +86,14 @@ def small_recipe(**field):
     )
 
 
+def cubic(c11, c12, c44):
+    """The (6, 6) stiffness of a cubic material in Voigt notation."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = c12
+    matrix[range(6), range(6)] = [c11] * 3 + [c44] * 3
+    return matrix
+
+
 @pytest.fixture(scope="session")
 def recipe():
     """Makes small recipes."""

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 from sppm_pipeline.data.length import UNITS_IN_MM
+from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.stage import option
 
 
@@ -46,6 +47,7 @@ spacing = _shared("smallest distance between pores", unit="cell size", above=0, 
 pore_radius = _shared("radius of an isolated pore", unit="cell size", minimum=1e-9, maximum=1e6)
 tunnel_radius = _shared("radius of an isolated tunnel", unit="cell size", minimum=1e-9, maximum=1e6)
 tunnel_spread = _shared("standard deviation of the logarithm of the tunnel radii", minimum=0, maximum=1)
+degree = _shared("minimum and maximum number of tunnels of a pore, A and B", minimum=1, maximum=64)
 level = _shared("level C at which the sum of the kernels is cut", minimum=0.001, maximum=0.999)
 
 # porosity, tile sets and tuning
@@ -131,3 +133,14 @@ columns = _shared("columns of the table, from left to right", column=True)
 headings = _shared("headings of the columns; their names if omitted")
 sort = _shared("column by which rows are sorted; as they stand if empty", column=True)
 descending = _shared("sort from large to small")
+
+
+def check_degree(degree: tuple[int, int]) -> None:
+    """Refuse bounds of the option `degree` whose first is the larger one.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if degree[0] > degree[1]:
+        raise ConfigError(f"the degree bounds [{degree[0]}, {degree[1]}] are in the wrong order")

@@ -8,6 +8,7 @@ import pytest
 from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.engine.strict_json import json_text, jsonable
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic
+from tests.conftest import cubic
 
 SOLID = ((1.0, 2.0, 0.3),)
 POROUS = ((0.4, 1.0, 0.3), (0.6, 0.0, 0.0))
@@ -78,13 +79,6 @@ def test_error_bars_of_moduli_follow_those_of_the_matrix():
     report = StiffnessReport(isotropic(2.0, 0.3), SOLID, "voxels", error=0.01 * isotropic(2.0, 0.3))
     assert report.summary()["E_error"] == pytest.approx([0.02] * 3)
     assert report.summary()["G_error"] == pytest.approx([0.01 * 2 / 2.6] * 3)
-
-
-def cubic(a, b, c):
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = b
-    matrix[range(6), range(6)] = [a] * 3 + [c] * 3
-    return matrix
 
 
 def test_error_bars_of_moduli_take_all_entries_as_too_stiff():

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
-from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families import Cloud, Connector, Piece
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.families import Cloud, Connector, Piece, options
 from sppm_pipeline.families.interiors import MANY
 from sppm_pipeline.stage import Context, option
 
@@ -35,9 +35,7 @@ class BoundedDegreeSubgraph(Connector):
     name: ClassVar[str] = "connect.mbdst"
     follows_metric: ClassVar[bool] = True
 
-    degree: tuple[int, int] = option(
-        (3, 5), help="minimum and maximum number of tunnels of a pore, A and B", minimum=1, maximum=64
-    )
+    degree: tuple[int, int] = options.degree((3, 5))
     mode: str = option(
         "lp_fix",
         help="exact: proven optimum, for up to 500 pores in one piece, then lp_fix; lp_fix: within about 0.15 % of it, "
@@ -60,8 +58,7 @@ class BoundedDegreeSubgraph(Connector):
     )
 
     def check_options(self) -> None:
-        if self.degree[0] > self.degree[1]:
-            raise ConfigError(f"the degree bounds [{self.degree[0]}, {self.degree[1]}] are in the wrong order")
+        options.check_degree(self.degree)
 
     def edges_of_a_pore(self) -> float:
         return 1.05 * max(2.0, self.degree[0]) / 2

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
-from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.families import Cloud, Connector, Piece
-from sppm_pipeline.stage import Context, option
+from sppm_pipeline.families import Cloud, Connector, Piece, options
+from sppm_pipeline.stage import Context
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,13 +26,10 @@ class RelativeNeighbors(Connector):
 
     name: ClassVar[str] = "connect.relative_neighbors"
 
-    degree: tuple[int, int] = option(
-        (3, 5), help="minimum and maximum number of tunnels of a pore, A and B", minimum=1, maximum=64
-    )
+    degree: tuple[int, int] = options.degree((3, 5))
 
     def check_options(self) -> None:
-        if self.degree[0] > self.degree[1]:
-            raise ConfigError(f"the degree bounds [{self.degree[0]}, {self.degree[1]}] are in the wrong order")
+        options.check_degree(self.degree)
 
     def edges_of_a_pore(self) -> float:
         return max(1.8, 1.1 * self.degree[0] / 2)

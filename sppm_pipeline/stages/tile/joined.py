@@ -72,9 +72,7 @@ class JoinedTiling(Stage):
 
     cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
     cells: tuple[int, int, int] | None = options.cells(None)
-    degree: tuple[int, int] = option(
-        (3, 5), help="minimum and maximum number of tunnels of a pore, A and B", minimum=1, maximum=64
-    )
+    degree: tuple[int, int] = options.degree((3, 5))
     rounds: int = options.rounds(
         2, note="in which pores of transition cells are added and taken away", minimum=0, maximum=10
     )
@@ -82,8 +80,7 @@ class JoinedTiling(Stage):
     limit: int = option(20_000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
 
     def check_options(self) -> None:
-        if self.degree[0] > self.degree[1]:
-            raise ConfigError(f"the degree bounds [{self.degree[0]}, {self.degree[1]}] are in the wrong order")
+        options.check_degree(self.degree)
 
     def estimate(self, palette: Palette, sets: Size, grading: Size, cover: Size | None) -> Size:
         return tiling_size(self.cell, self.cells, cover, sets)

@@ -13,15 +13,9 @@ from sppm_pipeline.formats.inp import abaqus_constants
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic
 from sppm_pipeline.stages.write.stiffness import WriteStiffness
 from sppm_pipeline.testing.plain_context import PlainContext
+from tests.conftest import cubic
 
 PHASES = ((0.4, 1.0, 0.3), (0.6, 0.0, 0.0))
-
-
-def cubic(a, b, c):
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = b
-    matrix[range(6), range(6)] = [a] * 3 + [c] * 3
-    return matrix
 
 
 def test_the_folder(tmp_path):

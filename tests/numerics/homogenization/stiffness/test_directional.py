@@ -5,14 +5,7 @@ import pytest
 
 from sppm_pipeline.numerics.homogenization.stiffness.directional import extremes, sphere_mesh, young_along
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import engineering_constants, isotropic, rotated
-
-
-def cubic(a, b, c):
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = b
-    matrix[range(6), range(6)] = [a] * 3 + [c] * 3
-    return matrix
-
+from tests.conftest import cubic
 
 IRON = cubic(231.4, 134.7, 116.4)
 

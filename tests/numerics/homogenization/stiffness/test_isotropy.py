@@ -14,6 +14,7 @@ from sppm_pipeline.numerics.homogenization.stiffness.isotropy import (
     zener,
 )
 from sppm_pipeline.numerics.homogenization.stiffness.voigt import isotropic, mandel, rotated
+from tests.conftest import cubic
 
 
 def random_stiffness(seed):
@@ -21,13 +22,6 @@ def random_stiffness(seed):
     weight = np.array([1, 1, 1, *(2**0.5,) * 3])
     factor = rng.normal(size=(6, 9))
     return factor @ factor.T / np.outer(weight, weight)
-
-
-def cubic(a, b, c):
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = b
-    matrix[range(6), range(6)] = [a] * 3 + [c] * 3
-    return matrix
 
 
 TURN = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
