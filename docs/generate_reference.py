@@ -31,8 +31,14 @@ from sppm_pipeline.stage import FAMILIES, Stage
 
 FOLDER = Path(__file__).resolve().parent / "reference"
 BY_HAND = ("yaml.md", "python.md")
-PARTS = ("Cell", "Grid", "Kernels", "Length", "Palette", "Pieces", "TilingArrays")
-"""Classes of the public face that data types consist of, or stages ask for."""
+# fmt: off
+PARTS = (
+    "Blocks", "Bounds", "Cell", "CellDesign", "CellFrame", "Cloud", "EncodedLayers", "Geometry", "Grid",
+    "InteriorBox", "Kernels", "Law", "Length", "Palette", "Piece", "Pieces", "Place", "PoreParameters",
+    "Printer", "Solved", "TilingArrays", "VoxelCell",
+)
+# fmt: on
+"""Classes of the public face that data types consist of, or that stages ask for or are handed."""
 NOTICE = "<!-- Written by docs/generate_reference.py from the code; edit the code, not this page. -->\n"
 
 

@@ -64,15 +64,16 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.data.artifact import Artifact, frozen
     from sppm_pipeline.data.compression import CompressionCurve, CrushedBody
     from sppm_pipeline.data.conductivity import ConductivityReport
-    from sppm_pipeline.data.grading import Grading
+    from sppm_pipeline.data.grading import CellFrame, Grading, Law, Place
     from sppm_pipeline.data.length import Cell, Length
     from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
-    from sppm_pipeline.data.palette import Palette
+    from sppm_pipeline.data.palette import Blocks, KeptPores, Palette
     from sppm_pipeline.data.permeability import PermeabilityReport
     from sppm_pipeline.data.pores import PoreSet
-    from sppm_pipeline.data.size import Size
+    from sppm_pipeline.data.printer import Motion, Printer
+    from sppm_pipeline.data.size import CellDesign, Geometry, RecipeSize, Size
     from sppm_pipeline.data.stiffness import StiffnessReport
-    from sppm_pipeline.data.table import Table
+    from sppm_pipeline.data.table import RunFile, Table
     from sppm_pipeline.data.tunnels import TunnelGraph
     from sppm_pipeline.data.volume_mesh import VolumeMesh
     from sppm_pipeline.data.voxels import Voxels
@@ -83,11 +84,13 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         InputError,
         NativeCrash,
         PluginError,
+        Position,
         ResourceError,
         SppmError,
         WiringError,
     )
     from sppm_pipeline.families import (
+        Cloud,
         Connector,
         FieldMaker,
         Grader,
@@ -105,21 +108,27 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         lattice_for,
         options,
     )
-    from sppm_pipeline.fields.formula import CellIndex, CellwiseField, FormulaField, PlacedField
-    from sppm_pipeline.fields.microstructure import Microstructure
+    from sppm_pipeline.families.homogenizer import VoxelCell
+    from sppm_pipeline.families.layer_writer import EncodedLayers, LayerObserver
+    from sppm_pipeline.fields.formula import CellCache, CellIndex, CellwiseField, FormulaField, PlacedField
+    from sppm_pipeline.fields.microstructure import Microstructure, PeriodicTile
     from sppm_pipeline.fields.part import Part
     from sppm_pipeline.fields.scalar_field import ScalarField
-    from sppm_pipeline.fields.slice_stack import SliceStack
+    from sppm_pipeline.fields.slice_stack import Slab, Slabs, SliceStack
     from sppm_pipeline.fields.tileset import TileSet
     from sppm_pipeline.fields.tiling import Tiling
     from sppm_pipeline.fields.wrapped import WrappedField
-    from sppm_pipeline.hookspecs import Preset, hookimpl
-    from sppm_pipeline.numerics.assembly.contents import Pieces, TilingArrays
-    from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
+    from sppm_pipeline.hookspecs import Command, Preset, StageEvent, hookimpl
+    from sppm_pipeline.numerics.assembly.contents import PieceNumbers, Pieces, TilingArrays
+    from sppm_pipeline.numerics.assembly.gather import Catalog, make_catalog, sample_exact
     from sppm_pipeline.numerics.compiled import inline_jit, jit
+    from sppm_pipeline.numerics.flow.acoustics import PoreParameters
     from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
+    from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved
+    from sppm_pipeline.numerics.homogenization.stiffness.bounds import Bounds, Interval
     from sppm_pipeline.numerics.kernels.kernels import Kernels
     from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
+    from sppm_pipeline.numerics.meshcheck.measures import EdgeCounts, SurfaceMeasures
     from sppm_pipeline.numerics.meshcheck.measures import components as mesh_components
     from sppm_pipeline.numerics.meshcheck.measures import edge_counts as mesh_edges
     from sppm_pipeline.numerics.meshcheck.measures import measure_surface as mesh_measures
@@ -127,66 +136,75 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.numerics.meshcheck.measures import volume as mesh_volume
     from sppm_pipeline.numerics.sampling.capacity import largest_spacing
     from sppm_pipeline.numerics.sampling.darts import throw as throw_darts
+    from sppm_pipeline.numerics.sampling.many import Surrounding
     from sppm_pipeline.numerics.sampling.spacing import min_spacing as smallest_spacing
     from sppm_pipeline.numerics.tiling.corners import tile_corners
     from sppm_pipeline.numerics.tiling.hashed import tile_hashed
-    from sppm_pipeline.numerics.tiling.lattice import hash_places
+    from sppm_pipeline.numerics.tiling.lattice import Laid, hash_places
     from sppm_pipeline.process import ArraySpec, NativeResult, notify, run_native
+    from sppm_pipeline.process.interruption import Stop
     from sppm_pipeline.process.interruption import requested as stop_requested
-    from sppm_pipeline.stage import Context, Headline, Recipe, Rejected, Stage, option
+    from sppm_pipeline.stage import Context, Headline, Observed, Recipe, Rejected, Stage, StageAlias, option
 
 _PLACES = {
     "api.bound_stage": "SppmWarning",
-    "api.functions": "StageFunction check connect extract field fill grade homogenize measure mesh "
-    "read sample slice step tile tileset tune warp write",
+    "api.functions": "StageFunction check connect extract field fill grade homogenize measure mesh read sample "
+    "slice step tile tileset tune warp write",
     "api.pipeline": "Pipeline load run",
     "api.run": "Run",
     "data.acoustics": "AcousticReport",
     "data.artifact": "Artifact frozen",
     "data.compression": "CompressionCurve CrushedBody",
     "data.conductivity": "ConductivityReport",
-    "data.grading": "Grading",
+    "data.grading": "CellFrame Grading Law Place",
     "data.length": "Cell Length",
     "data.mesh": "RepeatedMesh SurfaceMesh",
-    "data.palette": "Palette",
+    "data.palette": "Blocks KeptPores Palette",
     "data.permeability": "PermeabilityReport",
     "data.pores": "PoreSet",
-    "data.size": "Size",
+    "data.printer": "Motion Printer",
+    "data.size": "CellDesign Geometry RecipeSize Size",
     "data.stiffness": "StiffnessReport",
-    "data.table": "Table",
+    "data.table": "RunFile Table",
     "data.tunnels": "TunnelGraph",
     "data.volume_mesh": "VolumeMesh",
     "data.voxels": "Voxels",
-    "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError ResourceError "
+    "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError Position ResourceError "
     "SppmError WiringError",
-    "families": "Connector FieldMaker Grader InteriorBox Interiors Lattice LayerWriter MeshWriter PartFieldMaker "
-    "Piece Sampler TileSetMaker Tiler Homogenizer lattice_for options",
-    "fields.formula": "CellIndex CellwiseField FormulaField PlacedField",
-    "fields.microstructure": "Microstructure",
+    "families": "Cloud Connector FieldMaker Grader Homogenizer InteriorBox Interiors Lattice LayerWriter MeshWriter "
+    "PartFieldMaker Piece Sampler TileSetMaker Tiler lattice_for options",
+    "families.homogenizer": "VoxelCell",
+    "families.layer_writer": "EncodedLayers LayerObserver",
+    "fields.formula": "CellCache CellIndex CellwiseField FormulaField PlacedField",
+    "fields.microstructure": "Microstructure PeriodicTile",
     "fields.part": "Part",
     "fields.scalar_field": "ScalarField",
-    "fields.slice_stack": "SliceStack",
+    "fields.slice_stack": "Slab Slabs SliceStack",
     "fields.tileset": "TileSet",
     "fields.tiling": "Tiling",
     "fields.wrapped": "WrappedField",
-    "hookspecs": "Preset hookimpl",
-    "numerics.assembly.contents": "Pieces TilingArrays",
-    "numerics.assembly.gather": "make_catalog sample_exact",
+    "hookspecs": "Command Preset StageEvent hookimpl",
+    "numerics.assembly.contents": "PieceNumbers Pieces TilingArrays",
+    "numerics.assembly.gather": "Catalog make_catalog sample_exact",
     "numerics.compiled": "inline_jit jit",
+    "numerics.flow.acoustics": "PoreParameters",
     "numerics.grid": "Grid cell_centers cell_nodes",
+    "numerics.homogenization.multigrid.solver": "Solved",
+    "numerics.homogenization.stiffness.bounds": "Bounds Interval",
     "numerics.kernels.kernels": "Kernels",
     "numerics.kernels.profiles": "TUNNEL_PROFILES omega_from_radius",
-    "numerics.meshcheck.measures": "mesh_area=surface_area mesh_components=components mesh_edges=edge_counts "
-    "mesh_measures=measure_surface mesh_volume=volume",
+    "numerics.meshcheck.measures": "EdgeCounts SurfaceMeasures mesh_area=surface_area mesh_components=components "
+    "mesh_edges=edge_counts mesh_measures=measure_surface mesh_volume=volume",
     "numerics.sampling.capacity": "largest_spacing",
     "numerics.sampling.darts": "throw_darts=throw",
+    "numerics.sampling.many": "Surrounding",
     "numerics.sampling.spacing": "smallest_spacing=min_spacing",
     "numerics.tiling.corners": "tile_corners",
     "numerics.tiling.hashed": "tile_hashed",
-    "numerics.tiling.lattice": "hash_places",
+    "numerics.tiling.lattice": "Laid hash_places",
     "process": "ArraySpec NativeResult notify run_native",
-    "process.interruption": "stop_requested=requested",
-    "stage": "Context Headline Recipe Rejected Stage option",
+    "process.interruption": "Stop stop_requested=requested",
+    "stage": "Context Headline Observed Recipe Rejected Stage StageAlias option",
 }
 """Modules below this package, and what the public face takes from each: ``name``, or ``public name=name there``."""
 
@@ -201,9 +219,17 @@ __all__ = [
     "AcousticReport",
     "ArraySpec",
     "Artifact",
+    "Blocks",
+    "Bounds",
+    "Catalog",
     "Cell",
+    "CellCache",
+    "CellDesign",
+    "CellFrame",
     "CellIndex",
     "CellwiseField",
+    "Cloud",
+    "Command",
     "CompressionCurve",
     "ConductivityReport",
     "ConfigError",
@@ -212,8 +238,11 @@ __all__ = [
     "Context",
     "CrushedBody",
     "DesignError",
+    "EdgeCounts",
+    "EncodedLayers",
     "FieldMaker",
     "FormulaField",
+    "Geometry",
     "Grader",
     "Grading",
     "Grid",
@@ -222,40 +251,63 @@ __all__ = [
     "InputError",
     "InteriorBox",
     "Interiors",
+    "Interval",
+    "KeptPores",
     "Kernels",
+    "Laid",
     "Lattice",
+    "Law",
+    "LayerObserver",
     "LayerWriter",
     "Length",
     "MeshWriter",
     "Microstructure",
+    "Motion",
     "NativeCrash",
     "NativeResult",
+    "Observed",
     "Palette",
     "Part",
     "PartFieldMaker",
+    "PeriodicTile",
     "PermeabilityReport",
     "Piece",
+    "PieceNumbers",
     "Pieces",
     "Pipeline",
+    "Place",
     "PlacedField",
     "PluginError",
+    "PoreParameters",
     "PoreSet",
+    "Position",
     "Preset",
+    "Printer",
     "Recipe",
+    "RecipeSize",
     "Rejected",
     "RepeatedMesh",
     "ResourceError",
     "Run",
+    "RunFile",
     "Sampler",
     "ScalarField",
     "Size",
+    "Slab",
+    "Slabs",
     "SliceStack",
+    "Solved",
     "SppmError",
     "SppmWarning",
     "Stage",
+    "StageAlias",
+    "StageEvent",
     "StageFunction",
     "StiffnessReport",
+    "Stop",
+    "SurfaceMeasures",
     "SurfaceMesh",
+    "Surrounding",
     "Table",
     "TileSet",
     "TileSetMaker",
@@ -264,6 +316,7 @@ __all__ = [
     "TilingArrays",
     "TunnelGraph",
     "VolumeMesh",
+    "VoxelCell",
     "Voxels",
     "WiringError",
     "WrappedField",

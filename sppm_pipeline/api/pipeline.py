@@ -34,9 +34,6 @@ from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.runner import available_threads
 from sppm_pipeline.errors import ConfigError, InputError
 
-Cache = bool | str | Path
-"""Where results are kept between runs: True for where the command line keeps them, False for nowhere, or a folder."""
-
 
 class Pipeline:
     """A design: stages with options, in order. A value; what changes it makes another one.
@@ -214,7 +211,7 @@ class Pipeline:
         threads: int | None = None,
         jobs: int = 1,
         until: str | None = None,
-        cache: Cache = True,
+        cache: bool | str | Path = True,
     ) -> Run:
         """Run the pipeline, or each row of its sweep.
 
@@ -279,7 +276,7 @@ def run(
     threads: int | None = None,
     jobs: int = 1,
     until: str | None = None,
-    cache: Cache = True,
+    cache: bool | str | Path = True,
 ) -> Run:
     """Run a configuration, as ``sppm run`` does; see `Pipeline.with_` and `Pipeline.run`.
 
@@ -296,7 +293,7 @@ def run(
     return pipeline.run(output, threads=threads, jobs=jobs, until=until, cache=cache)
 
 
-def load(path: str | Path, *, cache: Cache = True) -> Run:
+def load(path: str | Path, *, cache: bool | str | Path = True) -> Run:
     """The run in a run directory: its record and numbers; artifacts come from the cache, or are made again.
 
     Raises
@@ -318,7 +315,7 @@ def load(path: str | Path, *, cache: Cache = True) -> Run:
     return run
 
 
-def _cache_folder(cache: Cache) -> Path | None:
+def _cache_folder(cache: bool | str | Path) -> Path | None:
     if isinstance(cache, bool):
         return cache_folder() if cache else None
     return cache_folder(Path(cache))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.data.artifact import Artifact
 
 if TYPE_CHECKING:
-    from sppm_pipeline.numerics.flow.acoustics import Pores
+    from sppm_pipeline.numerics.flow.acoustics import PoreParameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +77,11 @@ class AcousticReport(Artifact):
             raise ValueError("static tortuosities are not below those of high frequencies")
 
     @property
-    def pores(self) -> Pores:
+    def pores(self) -> PoreParameters:
         """The parameters in meters."""
-        from sppm_pipeline.numerics.flow.acoustics import Pores
+        from sppm_pipeline.numerics.flow.acoustics import PoreParameters
 
-        return Pores(
+        return PoreParameters(
             self.porosity, self.permeability, self.thermal_permeability, self.tortuosity, self.viscous_tortuosity,
             self.thermal_tortuosity, 1e-3 * self.viscous_length, 1e-3 * self.thermal_length,
         )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ class Formula(Stage):
         """
         raise NotImplementedError(f"{type(self).__name__} needs the method `evaluate`")
 
-    def cut_at(self, value: float) -> Formula | None:
+    def cut_at(self, value: float) -> Self | None:
         """The stage whose solid is where this one's values are smaller than `value`; None to subtract the value."""
         return None
 

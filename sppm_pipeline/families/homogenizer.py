@@ -36,7 +36,7 @@ ELASTIC_HEADLINE = (
 """What is shown of an effective stiffness: E along x, y, z, G for yz, xz, xy, nu by pair of axes."""
 
 
-class Cell(NamedTuple):
+class VoxelCell(NamedTuple):
     """A periodic cell of voxels, indexed x, y, z; x is contiguous in memory, so that solvers take the transpose.
 
     Attributes
@@ -226,24 +226,24 @@ class Homogenizer(Stage):
         self._check_memory(context, (x, y, z), bytes_per_voxel)
         return (x, y, z), (1.0, 1.0, 1.0)
 
-    def cell_of(self, context: Context, source: ScalarField | Voxels) -> Cell:
+    def cell_of(self, context: Context, source: ScalarField | Voxels) -> VoxelCell:
         """Voxels of a periodic cell; errors as of `grid_of`."""
         shape, edges = self.grid_of(context, source)
         if isinstance(source, Voxels):
             values = source.values
             if not source.fractions:
-                return Cell(np.asfortranarray(values, np.uint8), None, edges)
+                return VoxelCell(np.asfortranarray(values, np.uint8), None, edges)
             if self.fractions == "binary":
-                return Cell((values >= 0.5).astype(np.uint8), None, edges)
-            return Cell(None, np.asfortranarray(values, np.float32), edges)
+                return VoxelCell((values >= 0.5).astype(np.uint8), None, edges)
+            return VoxelCell(None, np.asfortranarray(values, np.float32), edges)
         if self.fractions == "binary":
-            return Cell(source.solid(cell_centers(self.resolution, source.cells), context.threads), None, edges)
+            return VoxelCell(source.solid(cell_centers(self.resolution, source.cells), context.threads), None, edges)
         from sppm_pipeline.numerics.porosity.fractions import solid_fractions
 
         fraction = solid_fractions(
             lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads), shape, self.resolution
         )
-        return Cell(None, fraction.T, edges)
+        return VoxelCell(None, fraction.T, edges)
 
     def solver_options(self, threads: int) -> dict[str, Any]:
         """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""

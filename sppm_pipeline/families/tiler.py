@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from sppm_pipeline.families import options
 from sppm_pipeline.fields.tileset import TileSet
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.stage import Context, Stage
+
+if TYPE_CHECKING:
+    from sppm_pipeline.numerics.tiling.lattice import Laid
 
 
 class Lattice(NamedTuple):
@@ -101,10 +104,6 @@ def laid_cells(made: Size, periodic: bool) -> float:
         return made.cells
     x, y, z = (n + 2.0 * HALO for n in made.body.box)
     return min(x * y * z, made.cells + HALO * made.body.envelope)
-
-
-Laid = tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]
-"""What a tile rule returns: the interiors, and the face colors of each axis; see `Tiler.lay`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from sppm_pipeline.numerics.grid import Grid
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.domain.crossings import Crossings
     from sppm_pipeline.numerics.domain.inside import Method
-    from sppm_pipeline.numerics.domain.scanline import Scan
+    from sppm_pipeline.numerics.domain.ray_crossings import Scan
     from sppm_pipeline.numerics.domain.spanned import SpannedScan
     from sppm_pipeline.numerics.domain.three_axis import ThreeAxisScan
 
@@ -88,7 +88,8 @@ class DomainSampler:
         """`inside` as bits, (stop - start, ny, words), see `numerics.bit_rows`."""
         from sppm_pipeline.numerics.bit_rows import pack
         from sppm_pipeline.numerics.domain.inside import prepare_inside
-        from sppm_pipeline.numerics.domain.scanline import Scan, scan_bits
+        from sppm_pipeline.numerics.domain.ray_crossings import Scan
+        from sppm_pipeline.numerics.domain.scanline import scan_bits
 
         if self._scan is None:
             self._scan = prepare_inside(self._domain.vertices, self._domain.faces, self._world, self._method)

@@ -309,7 +309,8 @@ class MeshSlices(SampledSlices):
     ) -> Iterator[BitSlab]:
         from sppm_pipeline.numerics.bit_rows import pack
         from sppm_pipeline.numerics.domain.inside import inside_layers
-        from sppm_pipeline.numerics.domain.scanline import Scan, scan_bits
+        from sppm_pipeline.numerics.domain.ray_crossings import Scan
+        from sppm_pipeline.numerics.domain.scanline import scan_bits
 
         scan = self.prepared() if prepared is None else prepared
         for first, last in self.spans(start, stop):

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import pytest
 
 from sppm_pipeline.engine.config.options import options_of
-from sppm_pipeline.engine.plan.describe import explain_plan, purpose_of, stage_data, stage_list, stage_text
+from sppm_pipeline.engine.plan.describe import (
+    explain_plan,
+    purpose_in_source,
+    purpose_of,
+    stage_data,
+    stage_list,
+    stage_text,
+)
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.schema import configuration_schema
+from sppm_pipeline.stages import BUILT_IN
 from sppm_pipeline.testing.synthetic import Varied
 
 
@@ -88,3 +98,14 @@ def test_a_plan_is_explained_with_options_inputs_and_seeds(work):
         "number: best",
     ):
         assert words in text
+
+
+def test_what_built_in_stages_are_for_is_read_in_their_sources():
+    registry = Registry(load_plugins(["sppm_pipeline.stages"], distributions=False))
+    for name in BUILT_IN:
+        assert purpose_in_source(name, registry) == purpose_of(registry.get(name)) != ""
+    listing = "import sys; from sppm_pipeline.cli.main import main; main(['stages', '--no-plugins']); "
+    code = f"{listing}print(*(m for m in sys.modules if m.count('.') == 3 and m.startswith('sppm_pipeline.stages.')))"
+    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert out.splitlines()[-1] == ""
+    assert "  tune.retry" in out

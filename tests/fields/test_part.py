@@ -9,7 +9,8 @@ from sppm_pipeline.fields.domain_sampler import VOTED_LAYERS
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.bit_rows import unpack
 from sppm_pipeline.numerics.domain import primitive_meshes
-from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.ray_crossings import prepare_scan
+from sppm_pipeline.numerics.domain.scanline import scan_layers
 from sppm_pipeline.numerics.grid import Grid, cell_centers
 
 

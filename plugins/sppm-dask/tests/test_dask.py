@@ -1,4 +1,4 @@
-"""Sweeps on real local clusters: same bytes as in serial, workers that die, and places that are none."""
+"""The executor on real local clusters: its contract, workers that die, and places that are none."""
 
 from __future__ import annotations
 
@@ -8,82 +8,14 @@ import os
 import sys
 import time
 from concurrent.futures import BrokenExecutor
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import sppm_dask.executor as places
 from sppm_dask.executor import DaskExecutor
 
-from sppm_pipeline.engine.plan.session import RunRequest, open_session
-from sppm_pipeline.engine.run.crew import Crew
-from sppm_pipeline.engine.run.runner import run_plan
-from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.errors import ConfigError, NativeCrash, ResourceError
 from sppm_pipeline.testing.contracts import ExecutorContract
-
-STAGE = '''
-import os, signal
-from dataclasses import dataclass
-from pathlib import Path
-from typing import ClassVar
-from sppm_pipeline.data.pores import PoreSet
-from sppm_pipeline.stage import Context, Stage, option
-
-@dataclass(frozen=True, kw_only=True)
-class Kill(Stage):
-    """Kill the worker with the number that is asked for, once."""
-    name: ClassVar[str] = "check.kill"
-    seed: int = option(help="no worker dies of others than 5")
-    def run(self, context: Context, pores: PoreSet) -> None:
-        once = Path(__file__).with_name("once")
-        if self.seed == 5 and not once.exists():
-            once.write_text(str(os.getpid()))
-            os.kill(os.getpid(), signal.SIGKILL)
-'''
-
-SWEEP = """sppm: 1
-params: {n: 1}
-pipeline:
-  - {stage: sample.dart_throwing, count: 8}
-  - {stage: check.kill, seed: "${n}"}
-  - {stage: connect.mst}
-  - {stage: write.graph, path: graph.json}
-sweep: {n: [1, 2, 3, 4, 5, 6, 7, 8]}
-"""
-
-
-WRITER = '''
-import os, signal
-from dataclasses import dataclass
-from pathlib import Path
-from typing import ClassVar
-from sppm_pipeline import LayerWriter, option
-
-@dataclass(frozen=True, kw_only=True)
-class WriteRaw(LayerWriter):
-    """Raw layers; the first worker to encode one dies of it."""
-    name: ClassVar[str] = "write.raw"
-    suffix: ClassVar[str] = ".raw"
-    path: str = option("layers", help="folder to write", output=True)
-
-    def encode(self, image, stack):
-        once = Path(__file__).with_name("once")
-        if not once.exists():
-            once.write_text(str(os.getpid()))
-            os.kill(os.getpid(), signal.SIGKILL)
-        return image.tobytes()
-'''
-
-PART = """sppm: 1
-pipeline:
-  - {stage: sample.dart_throwing, total: 40}
-  - {stage: connect.mst}
-  - {stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.04}
-  - {stage: tile.periodic, cells: [2, 2, 2], cell: 2 mm}
-  - {stage: slice.field, pixel: 0.1 mm}
-  - {stage: write.raw}
-"""
 
 
 @pytest.fixture(scope="module")
@@ -182,42 +114,3 @@ def test_a_queue_starts_as_many_jobs_as_are_asked_for(cluster, monkeypatch):
     with DaskExecutor(7, "slurm") as executor:
         assert executor.about.endswith("at most 7 jobs of slurm")
     assert asked == [{"minimum_jobs": 1, "maximum_jobs": 7}, "ended"]
-
-
-def outputs(folder: Path) -> dict[str, bytes]:
-    """What the rows wrote, and the table."""
-    files = [file for file in folder.rglob("*") if file.is_file() and file.name not in ("run.json", "SHA256SUMS")]
-    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in files}
-
-
-def test_a_sweep_survives_a_worker_that_is_killed_with_the_bytes_of_a_serial_one(cluster, tmp_path):
-    (tmp_path / "kill.py").write_text(STAGE)
-    (tmp_path / "once").write_text("not in serial")
-    session = open_session(
-        RunRequest("sweep.yaml", plugins=(str(tmp_path / "kill.py"),), text=SWEEP, folder=str(tmp_path))
-    )
-    found = []
-    for to, executor in (("serial", "serial"), ("cluster", f"dask:{cluster.scheduler_address}")):
-        folder = tmp_path / to
-        record = run_sweep(session, session.plan(), folder, workers=2, executor=executor, threads=2)
-        assert [row["status"] for row in record["runs"]] == ["done"] * 8
-        found.append(outputs(folder))
-        (tmp_path / "once").unlink()  # of the worker that has died
-    assert found[0] == found[1]
-    assert len(found[0]) == 8 + 2
-
-
-def test_a_part_is_sliced_by_workers_with_the_bytes_of_one_process(cluster, tmp_path):
-    (tmp_path / "raw.py").write_text(WRITER)
-    (tmp_path / "once").write_text("not in serial")
-    session = open_session(RunRequest("part.yaml", plugins=(str(tmp_path / "raw.py"),), text=PART))
-    found = []
-    for to, executor in (("serial", None), ("cluster", f"dask:{cluster.scheduler_address}")):
-        path, crew = tmp_path / to, None
-        if executor is not None:
-            crew = Crew(session.plugins, path, executor=executor, workers=2, threads=2)
-        record = run_plan(session.plan(), path, threads=2, crew=crew)
-        found.append((outputs(path), record["stages"][-1]["summary"]))
-        (tmp_path / "once").unlink()  # of the worker that has died
-    assert found[0] == found[1]
-    assert len(found[0][0]) == 40 + 2  # manifest.json and the overview

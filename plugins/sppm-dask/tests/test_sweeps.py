@@ -1,4 +1,4 @@
-"""Whole sweeps on real local clusters: long ones, deadly rows, workers of another version, lost schedulers, cancel."""
+"""Whole runs on real local clusters: long sweeps, deadly rows, other versions, lost schedulers, cancel, and slabs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from distributed import Client, LocalCluster
 from sppm_dask.executor import LOCAL
 
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
+from sppm_pipeline.engine.run.crew import Crew
 from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.errors import ConfigError
 
@@ -54,6 +56,39 @@ pipeline:
   - {stage: check.trouble, row: "${n}"}
   - {stage: write.graph, path: graph.json}
 sweep: {n: {from: 0, to: LAST, step: 1}}
+"""
+
+
+WRITER = '''
+import os, signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+from sppm_pipeline import LayerWriter, option
+
+@dataclass(frozen=True, kw_only=True)
+class WriteRaw(LayerWriter):
+    """Raw layers; the first worker to encode one dies of it."""
+    name: ClassVar[str] = "write.raw"
+    suffix: ClassVar[str] = ".raw"
+    path: str = option("layers", help="folder to write", output=True)
+
+    def encode(self, image, stack):
+        once = Path(__file__).with_name("once")
+        if not once.exists():
+            once.write_text(str(os.getpid()))
+            os.kill(os.getpid(), signal.SIGKILL)
+        return image.tobytes()
+'''
+
+PART = """sppm: 1
+pipeline:
+  - {stage: sample.dart_throwing, total: 40}
+  - {stage: connect.mst}
+  - {stage: field.gaussian, pore_radius: 0.16, tunnel_radius: 0.04}
+  - {stage: tile.periodic, cells: [2, 2, 2], cell: 2 mm}
+  - {stage: slice.field, pixel: 0.1 mm}
+  - {stage: write.raw}
 """
 
 
@@ -192,6 +227,22 @@ def test_a_canceled_sweep_leaves_nobody_behind_and_goes_on(tmp_path):
     record = json.loads(again.stdout)
     assert statuses(record) == ["done"] * 8
     assert outputs(tmp_path / "out") == outputs(alone)
+
+
+def test_a_part_is_sliced_by_workers_with_the_bytes_of_one_process(cluster, tmp_path):
+    (tmp_path / "raw.py").write_text(WRITER)
+    (tmp_path / "once").write_text("not in serial")
+    session = open_session(RunRequest("part.yaml", plugins=(str(tmp_path / "raw.py"),), text=PART))
+    found = []
+    for to, executor in (("serial", None), ("cluster", f"dask:{cluster.scheduler_address}")):
+        path, crew = tmp_path / to, None
+        if executor is not None:
+            crew = Crew(session.plugins, path, executor=executor, workers=2, threads=2)
+        record = run_plan(session.plan(), path, threads=2, crew=crew)
+        found.append((outputs(path), record["stages"][-1]["summary"]))
+        (tmp_path / "once").unlink()  # of the worker that has died
+    assert found[0] == found[1]
+    assert len(found[0][0]) == 40 + 2  # manifest.json and the overview
 
 
 def _has_ended(record: Path) -> bool:

@@ -11,29 +11,15 @@ import socket
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.config.names import REPORT, collide, folded, output_parts
 from sppm_pipeline.engine.config.names import STAGING as _STAGING
-from sppm_pipeline.engine.files import (
-    DISK,
-    clear,
-    file_digest,
-    files_in,
-    remove,
-    size_of,
-    sync,
-    tree_digest,
-    write_whole,
-)
+from sppm_pipeline.engine.files import DISK, clear, remove, size_of, write_whole
 from sppm_pipeline.engine.locks import CLAIM, FolderLock
+from sppm_pipeline.engine.run.digests import WrittenFiles
 from sppm_pipeline.errors import ConfigError, PluginError, ResourceError
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future, ThreadPoolExecutor
-
-_AnyPath = TypeVar("_AnyPath", bound="str | Path")
 
 RECORD = "run.json"
 SUMS = "SHA256SUMS"
@@ -44,13 +30,6 @@ def staging_name() -> str:
     """A name in a run directory that no process of any machine has given."""
     host = "".join(char for char in socket.gethostname()[:64] if char.isalnum() or char in "-.")
     return f"{_STAGING}{host}-{os.getpid()}-{secrets.token_hex(3)}"
-
-
-_TOGETHER = 16
-"""Files that one task reads or waits for."""
-
-MAX_SYNCED = 4096
-"""Files of one output that the run waits for until the disk has them; more would hold it up for minutes."""
 
 
 class RunFolder:
@@ -74,14 +53,10 @@ class RunFolder:
     def __init__(self, path: Path, threads: int = 1) -> None:
         self.path = path
         self.earlier: set[str] = set()
-        self._threads = threads
+        self._files = WrittenFiles(threads)
         self._staging = path / staging_name()
         self._claims: dict[tuple[str, ...], tuple[str, str]] = {}
         self._pending: dict[str, Path] = {}
-        self._sums: dict[str, str] = {}
-        self._hashed: dict[str, tuple[int, int, str]] = {}
-        self._syncing: list[Future[None]] = []
-        self._pool: ThreadPoolExecutor | None = None
         self._places = 0
         self._lock = threading.Lock()
         self._folder_lock = FolderLock(path)
@@ -181,16 +156,14 @@ class RunFolder:
             if not staged.exists():
                 raise PluginError(f"the output {name!r} was announced but not written")
         try:
-            outputs = [self._described(name, staged) for name, staged in pending.items()]
+            outputs = [self._files.described(name, staged) for name, staged in pending.items()]
             for name, staged in pending.items():
                 final = self.path / name
                 final.parent.mkdir(parents=True, exist_ok=True)
                 if (final.is_dir() or staged.is_dir()) and os.path.lexists(final):
                     os.replace(final, self._aside())  # only files take each other's place in one step
                 os.replace(staged, final)
-                files = [os.path.join(final, inside) for inside in files_in(final)] if final.is_dir() else [final]
-                for part in _parts(files[:MAX_SYNCED]):
-                    self._syncing.append(self._workers().submit(_sync_all, part))
+                self._files.sync(final)
         except OSError as error:
             raise ResourceError(f"can't put the output {name!r} into place: {error.strerror}", hint=DISK) from error
         self.earlier -= set(pending)
@@ -203,7 +176,7 @@ class RunFolder:
                 path = self.path.joinpath(*output_parts(output["path"]))
                 if path.is_symlink() or path.is_dir() != ("files" in output) or size_of(path) != output["bytes"]:
                     return False
-            if any(self._described(o["path"], self.path / o["path"]) != o for o in outputs):
+            if any(self._files.described(o["path"], self.path / o["path"]) != o for o in outputs):
                 return False
             for output in outputs:
                 self.claim(stage, output["path"])
@@ -219,8 +192,7 @@ class RunFolder:
         """Take the digest of a staged file from whoever wrote it; it counts as long as the file is left as it is."""
         name = "/".join(output_parts(name))
         with self._lock:
-            about = self._pending[name].stat()
-            self._hashed[name] = (about.st_size, about.st_mtime_ns, sha256)
+            self._files.hashed(name, self._pending[name], sha256)
 
     def temporary(self) -> Path:
         """A folder for temporary files, which goes when the run ends."""
@@ -233,9 +205,7 @@ class RunFolder:
 
     def settle(self) -> None:
         """Wait until the disk has what was written, and remove what only an earlier run accounts for."""
-        for job in self._syncing:
-            job.result()
-        self._syncing.clear()
+        self._files.settle()
         for name in sorted(self.earlier):
             path = self.path / name
             remove(path)
@@ -248,15 +218,10 @@ class RunFolder:
 
     def write_sums(self, outputs: Collection[str]) -> dict[str, Any] | None:
         """List the digests of all files of these outputs in ``SHA256SUMS``, as ``sha256sum -c`` reads it."""
-        lines = [
-            f"{digest}  {name}\n"
-            for name, digest in sorted(self._sums.items())
-            if any(name == output or name.startswith(f"{output}/") for output in outputs)
-        ]
-        if not lines:
+        text = self._files.sums(outputs)
+        if not text:
             (self.path / SUMS).unlink(missing_ok=True)
             return None
-        text = "".join(lines)
         write_whole(self.path / SUMS, text)
         return {"path": SUMS, "bytes": len(text.encode()), "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
@@ -264,13 +229,11 @@ class RunFolder:
         """Write a text file of the run's own; its path, size and digest."""
         write_whole(self.path / name, text)
         self.earlier.discard(name)
-        return self._described(name, self.path / name)
+        return self._files.described(name, self.path / name)
 
     def discard(self) -> None:
         """Remove the staging area and let others use the directory."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = None
+        self._files.close()
         clear(self._staging)
         self._folder_lock.release()
         clear(self._staging)  # with the descriptor of the lock, if there was no other
@@ -280,50 +243,6 @@ class RunFolder:
         self._places += 1
         self._staging.mkdir(exist_ok=True)
         return self._staging / f"{_STAGING}{self._places}"
-
-    def _workers(self) -> ThreadPoolExecutor:
-        if self._pool is None:
-            from concurrent.futures import ThreadPoolExecutor
-
-            self._pool = ThreadPoolExecutor(max(2, self._threads), thread_name_prefix="sppm-files")
-        return self._pool
-
-    def _described(self, name: str, path: Path) -> dict[str, Any]:
-        """Size, number of files and digest of an output."""
-        folder = path.is_dir()
-        inside = files_in(path) if folder else [""]
-        about = path.stat()
-        size, time, known = self._hashed.pop(name, (-1, -1, ""))
-        if not folder and (size, time) == (about.st_size, about.st_mtime_ns):
-            read = [(known, size)]
-        elif len(inside) > 1:
-            names = [os.path.join(path, relative) for relative in inside]
-            read = [one for part in self._workers().map(_digests, _parts(names)) for one in part]
-        else:
-            read = [file_digest(path / relative if relative else path) for relative in inside]
-        digests = [digest for digest, _ in read]
-        described: dict[str, Any] = {"path": name, "bytes": sum(size for _, size in read)}
-        if folder:
-            described["files"] = len(inside)
-            described["sha256"] = tree_digest(dict(zip(inside, digests, strict=True)))
-        else:
-            described["sha256"] = digests[0]
-        for relative, digest in zip(inside, digests, strict=True):
-            self._sums[f"{name}/{relative}" if relative else name] = digest
-        return described
-
-
-def _parts(paths: Sequence[_AnyPath]) -> list[Sequence[_AnyPath]]:
-    return [paths[first : first + _TOGETHER] for first in range(0, len(paths), _TOGETHER)]
-
-
-def _sync_all(paths: Sequence[str | Path]) -> None:
-    for path in paths:
-        sync(path)
-
-
-def _digests(paths: Sequence[str]) -> list[tuple[str, int]]:
-    return [file_digest(path) for path in paths]
 
 
 class Scratch:

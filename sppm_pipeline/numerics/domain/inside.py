@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.ray_crossings import Scan, prepare_scan
+from sppm_pipeline.numerics.domain.scanline import Occupancy, scan_layers
 from sppm_pipeline.numerics.domain.spanned import SpannedScan, prepare_spanned, spanned_layers
 from sppm_pipeline.numerics.domain.three_axis import ThreeAxisScan, prepare_three_axis, vote_layers
 from sppm_pipeline.numerics.grid import Grid

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, as_mesh, prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.ray_crossings import Scan, as_mesh, prepare_scan
+from sppm_pipeline.numerics.domain.scanline import Occupancy, scan_layers
 from sppm_pipeline.numerics.domain.triangle_distance import squared_to_triangle
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.box_tree import DEPTH, box_tree

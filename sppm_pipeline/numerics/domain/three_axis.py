@@ -11,7 +11,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sppm_pipeline.numerics.domain.scanline import Occupancy, Scan, count_inside, prepare_scan
+from sppm_pipeline.numerics.domain.ray_crossings import Scan, prepare_scan
+from sppm_pipeline.numerics.domain.scanline import Occupancy, count_inside
 from sppm_pipeline.numerics.grid import Grid
 
 

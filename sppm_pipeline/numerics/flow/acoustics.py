@@ -53,7 +53,7 @@ def air(celsius: float) -> Gas:
     return Gas(pressure / (287.05 * kelvin), viscosity, conductivity, 1006.0, 1.4, pressure)
 
 
-class Pores(NamedTuple):
+class PoreParameters(NamedTuple):
     """Parameters of the model, in meters.
 
     Attributes
@@ -80,13 +80,13 @@ class Pores(NamedTuple):
 
 
 def equivalent_fluid(
-    pores: Pores, gas: Gas, frequency: ArrayLike
+    pores: PoreParameters, gas: Gas, frequency: ArrayLike
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Density (kg / m^3) and bulk modulus (Pa) of the fluid that takes the place of material and gas.
 
     Parameters
     ----------
-    pores : Pores
+    pores : PoreParameters
     gas : Gas
     frequency : (n,)
         Hz, positive.

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.numerics.tiling.lattice import (
     CORNER,
     INTERIOR,
-    Faces,
+    Laid,
     check_count,
     checked_mask,
     face_presence,
@@ -38,7 +38,7 @@ def _combined(corners: NDArray[np.int32], colors: int, axes: tuple[int, ...]) ->
 
 def tile_corners(
     mask: ArrayLike, seed: int, colors: int, interiors: int | None = None, *, periodic: bool = False
-) -> tuple[NDArray[np.int32], Faces]:
+) -> Laid:
     """Fill cells by coloring the corners of the lattice.
 
     Parameters

@@ -8,12 +8,12 @@ an assembly of any size without looking at the others.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sppm_pipeline.numerics.tiling.lattice import (
     FACE,
     INTERIOR,
-    Faces,
+    Laid,
     check_count,
     checked_mask,
     face_presence,
@@ -21,9 +21,7 @@ from sppm_pipeline.numerics.tiling.lattice import (
 )
 
 
-def tile_hashed(
-    mask: ArrayLike, seed: int, interiors: int, colors: int, *, periodic: bool = False
-) -> tuple[NDArray[np.int32], Faces]:
+def tile_hashed(mask: ArrayLike, seed: int, interiors: int, colors: int, *, periodic: bool = False) -> Laid:
     """Fill cells with interiors and face colors that are drawn independently of each other.
 
     Parameters

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.errors import DesignError
 
 Faces = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+Laid = tuple[NDArray[np.int32], Faces]
+"""Interiors of cells (nx, ny, nz), -1 for none, and the colors of their faces perpendicular to x, y and z."""
 
 
 def checked_mask(mask: ArrayLike) -> NDArray[np.bool_]:
@@ -172,7 +174,7 @@ def _numbered(there: NDArray[np.bool_]) -> NDArray[np.int32]:
     return np.ascontiguousarray(numbers.transpose(2, 1, 0))
 
 
-def tile_fresh(mask: ArrayLike, *, periodic: bool = False) -> tuple[NDArray[np.int32], Faces]:
+def tile_fresh(mask: ArrayLike, *, periodic: bool = False) -> Laid:
     """Number cells and faces consecutively in raster order, x fastest.
 
     Parameters

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.numerics.compiled import jit
-from sppm_pipeline.numerics.tiling.lattice import TIE, Faces, check_count, checked_mask, faces_of_cells, hash_places
+from sppm_pipeline.numerics.tiling.lattice import TIE, Laid, check_count, checked_mask, faces_of_cells, hash_places
 
 _MAX_COLORS = 1290  # 1290^3 is the largest cube below 2^31
 
@@ -148,9 +148,7 @@ def tile_colors(colors: int = 3) -> NDArray[np.int32]:
     return np.stack([tile // colors**2, tile // colors % colors, tile % colors], axis=1)
 
 
-def tile_wang(
-    mask: ArrayLike, seed: int, colors: int = 3, *, scored: bool = True, periodic: bool = False
-) -> tuple[NDArray[np.int32], Faces]:
+def tile_wang(mask: ArrayLike, seed: int, colors: int = 3, *, scored: bool = True, periodic: bool = False) -> Laid:
     """Fill cells with the paper's tiles by Rule 1 and Rule 2, in raster order with x fastest.
 
     Tiles of equal score (all of them, for the first cell) are drawn by a hash of the seed and the cell.

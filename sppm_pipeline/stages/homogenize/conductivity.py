@@ -15,7 +15,7 @@ from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.homogenizer import Cell, Homogenizer, per_phase
+from sppm_pipeline.families.homogenizer import Homogenizer, VoxelCell, per_phase
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
 
@@ -114,7 +114,7 @@ class HomogenizeConductivity(Homogenizer):
             warnings=tuple(warnings),
         )
 
-    def _leaks(self, source: ScalarField | Voxels, cell: Cell, k: NDArray[Any]) -> list[str]:
+    def _leaks(self, source: ScalarField | Voxels, cell: VoxelCell, k: NDArray[Any]) -> list[str]:
         """Warnings for flow through walls that are too thin for the voxels."""
         from sppm_pipeline.numerics.connectivity.components import phase_report
 
@@ -137,7 +137,7 @@ class HomogenizeConductivity(Homogenizer):
             f"or throats: compare with {finer}"
         ]
 
-    def _conductivities(self, cell: Cell) -> NDArray[Any]:
+    def _conductivities(self, cell: VoxelCell) -> NDArray[Any]:
         """Of all voxels, (nz, ny, nx)."""
         dtype = np.float32 if self.precision == "single" else np.float64
         if self.of != "void":

@@ -14,7 +14,7 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Cell, Homogenizer, grids_below, per_phase, refined
+from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Homogenizer, VoxelCell, grids_below, per_phase, refined
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
 
@@ -111,7 +111,7 @@ class ElasticHomogenizer(Homogenizer):
             },
         )
 
-    def _phases(self, cell: Cell) -> tuple[tuple[float, float, float], ...]:
+    def _phases(self, cell: VoxelCell) -> tuple[tuple[float, float, float], ...]:
         """Volume fraction, Young's modulus and Poisson's ratio of each phase, that of the void last."""
         young, poisson = self._materials()
         if cell.phase is None:
@@ -128,7 +128,7 @@ class ElasticHomogenizer(Homogenizer):
 
         return [lame(e, v) for e, v in (self._void(), *zip(*self._materials(), strict=True))]
 
-    def _expansion(self, cell: Cell, expansion: tuple[float, ...], bulk: NDArray[Any]) -> NDArray[Any]:
+    def _expansion(self, cell: VoxelCell, expansion: tuple[float, ...], bulk: NDArray[Any]) -> NDArray[Any]:
         """Coefficients of all voxels, (nz, ny, nx), of which `bulk` has the bulk moduli.
 
         What is mixed in a voxel by volume is the stress that holds an expansion back, so that Levin's relation between
@@ -138,7 +138,7 @@ class ElasticHomogenizer(Homogenizer):
         stress = cell.of_voxels(tuple(k * alpha for k, alpha in zip(moduli, expansion, strict=True)), np.float64)
         return np.asarray(np.divide(stress, bulk, out=np.zeros_like(stress), where=bulk > 0))
 
-    def _body(self, cell: Cell, expansion: tuple[float, ...]) -> tuple[ElasticBody, NDArray[Any] | None]:
+    def _body(self, cell: VoxelCell, expansion: tuple[float, ...]) -> tuple[ElasticBody, NDArray[Any] | None]:
         """The cell as it is solved, and the coefficients of expansion of its voxels, if there are any."""
         from sppm_pipeline.numerics.homogenization.elasticity import ElasticBody
 

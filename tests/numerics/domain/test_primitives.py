@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.domain import primitive_meshes as meshes
-from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.ray_crossings import prepare_scan
+from sppm_pipeline.numerics.domain.scanline import scan_layers
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.meshcheck.measures import measure_surface, surface_area, volume
 

@@ -14,7 +14,8 @@ from sppm_pipeline.numerics.domain.primitive_meshes import (
     torus_knot_mesh,
     torus_mesh,
 )
-from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_bits, scan_layers
+from sppm_pipeline.numerics.domain.ray_crossings import prepare_scan
+from sppm_pipeline.numerics.domain.scanline import scan_bits, scan_layers
 from sppm_pipeline.numerics.grid import Grid
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from sppm_pipeline.numerics.domain.inside import inside_layers, inside_test, prepare_inside
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_knot_mesh
-from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.ray_crossings import prepare_scan
+from sppm_pipeline.numerics.domain.scanline import scan_layers
 from sppm_pipeline.numerics.domain.signed_distance import signed_distance
 from sppm_pipeline.numerics.domain.spanned import prepare_spanned, spanned_layers, spanning_triangles
 from sppm_pipeline.numerics.grid import Grid

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh, torus_knot_mesh
-from sppm_pipeline.numerics.domain.scanline import prepare_scan, scan_layers
+from sppm_pipeline.numerics.domain.ray_crossings import prepare_scan
+from sppm_pipeline.numerics.domain.scanline import scan_layers
 from sppm_pipeline.numerics.domain.three_axis import prepare_three_axis, vote_layers
 from sppm_pipeline.numerics.grid import Grid
 

@@ -1,0 +1,113 @@
+"""Sizes and digests of the files of a run, and the wait until the disk has them: both by threads, beside the stages."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from sppm_pipeline.engine.files import file_digest, files_in, sync, tree_digest
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
+
+_AnyPath = TypeVar("_AnyPath", bound="str | Path")
+
+_TOGETHER = 16
+"""Files that one task reads or waits for."""
+
+MAX_SYNCED = 4096
+"""Files of one output that the run waits for until the disk has them; more would hold it up for minutes."""
+
+
+class WrittenFiles:
+    """The outputs of a run: what each is described by in the record, and whether the disk has them.
+
+    Parameters
+    ----------
+    threads : int
+        Threads that read files to compute their digests.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self._threads = threads
+        self._sums: dict[str, str] = {}
+        self._hashed: dict[str, tuple[int, int, str]] = {}
+        self._syncing: list[Future[None]] = []
+        self._pool: ThreadPoolExecutor | None = None
+
+    def hashed(self, name: str, path: Path, sha256: str) -> None:
+        """Take the digest of a file from whoever wrote it; it counts as long as the file is left as it is."""
+        about = path.stat()
+        self._hashed[name] = (about.st_size, about.st_mtime_ns, sha256)
+
+    def described(self, name: str, path: Path) -> dict[str, Any]:
+        """Size, number of files and digest of an output that lies at `path`."""
+        folder = path.is_dir()
+        inside = files_in(path) if folder else [""]
+        about = path.stat()
+        size, time, known = self._hashed.pop(name, (-1, -1, ""))
+        if not folder and (size, time) == (about.st_size, about.st_mtime_ns):
+            read = [(known, size)]
+        elif len(inside) > 1:
+            names = [os.path.join(path, relative) for relative in inside]
+            read = [one for part in self._workers().map(_digests, _parts(names)) for one in part]
+        else:
+            read = [file_digest(path / relative if relative else path) for relative in inside]
+        digests = [digest for digest, _ in read]
+        described: dict[str, Any] = {"path": name, "bytes": sum(size for _, size in read)}
+        if folder:
+            described["files"] = len(inside)
+            described["sha256"] = tree_digest(dict(zip(inside, digests, strict=True)))
+        else:
+            described["sha256"] = digests[0]
+        for relative, digest in zip(inside, digests, strict=True):
+            self._sums[f"{name}/{relative}" if relative else name] = digest
+        return described
+
+    def sums(self, outputs: Collection[str]) -> str:
+        """Digests of all files of these outputs, as ``sha256sum -c`` reads them; a line for each file."""
+        return "".join(
+            f"{digest}  {name}\n"
+            for name, digest in sorted(self._sums.items())
+            if any(name == output or name.startswith(f"{output}/") for output in outputs)
+        )
+
+    def sync(self, path: Path) -> None:
+        """Begin to wait until the disk has an output."""
+        files = [os.path.join(path, inside) for inside in files_in(path)] if path.is_dir() else [path]
+        for part in _parts(files[:MAX_SYNCED]):
+            self._syncing.append(self._workers().submit(_sync_all, part))
+
+    def settle(self) -> None:
+        """Wait until the disk has all of them."""
+        for job in self._syncing:
+            job.result()
+        self._syncing.clear()
+
+    def close(self) -> None:
+        """End the threads, whatever they still wait for."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+    def _workers(self) -> ThreadPoolExecutor:
+        if self._pool is None:
+            from concurrent.futures import ThreadPoolExecutor
+
+            self._pool = ThreadPoolExecutor(max(2, self._threads), thread_name_prefix="sppm-files")
+        return self._pool
+
+
+def _parts(paths: Sequence[_AnyPath]) -> list[Sequence[_AnyPath]]:
+    return [paths[first : first + _TOGETHER] for first in range(0, len(paths), _TOGETHER)]
+
+
+def _sync_all(paths: Sequence[str | Path]) -> None:
+    for path in paths:
+        sync(path)
+
+
+def _digests(paths: Sequence[str]) -> list[tuple[str, int]]:
+    return [file_digest(path) for path in paths]
