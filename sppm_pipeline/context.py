@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,8 @@ class Context(ABC):
         Processes that `map` hands work to, here or on other machines; 0 if it is done in this one.
     worker_threads : int
         Threads that a function may use which `map` calls.
+    begun : object or None
+        What `Stage.begin` of this stage has returned, if the stage before has asked for it.
     """
 
     threads: int
@@ -38,6 +40,7 @@ class Context(ABC):
     memory_limit: int | None = None
     workers: int = 0
     worker_threads: int = 1
+    begun: Any = None
 
     @abstractmethod
     def rng(self, *key: int) -> np.random.Generator:
@@ -84,6 +87,18 @@ class Context(ABC):
         from sppm_pipeline.numerics.threads import ordered_map
 
         return ordered_map(functools.partial(function, common), items, self.threads)
+
+    def begin_readers(self) -> Sequence[Any]:
+        """Begin all stages that read what this stage makes, so that they work on the pieces of it while it is made.
+
+        Returns
+        -------
+        sequence of object
+            What `Stage.begin` of each has returned; they expect every piece. Empty if there is no such stage, or if one
+            of them, or anybody else, wants the result whole. Otherwise nobody will ask for more of the result than
+            these have been told, and its summary.
+        """
+        return ()
 
     def worth_workers(self, samples: float) -> bool:
         """Whether so many samples, all that `map` would evaluate, are worth handing to workers; False without any.

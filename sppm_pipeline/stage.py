@@ -309,6 +309,15 @@ class Stage(ABC):
     def run(self, context: Context, *inputs: Any) -> Any:
         """Do the work; subclasses state their ports and result by annotation."""
 
+    def begin(self, context: Context) -> Any:
+        """What takes the pieces of this stage's only input while the stage before makes it; None if it is wanted whole.
+
+        Called before this stage's turn, if the stage before asks for it (`Context.begin_readers`); `run` finds it in
+        `Context.begun`, whether it was given all pieces or none. Stage before and reader agree on what pieces are, as
+        `extract.marching_cubes` and `write.mesh` do. Nothing but temporary files may come of it.
+        """
+        return None
+
     def estimate(self, palette: Palette, *inputs: Any, **ports: Any) -> Size | None:
         """Tell how large the result and the work will be, in milliseconds; None if that is unknown.
 

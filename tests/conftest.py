@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from sppm_pipeline.data.length import Cell, Length
 from sppm_pipeline.data.mesh import SurfaceMesh
@@ -31,6 +32,10 @@ os.environ["SPPM_CACHE"] = (
 )
 
 os.environ["SPPM_COMPILE_AHEAD"] = "off"  # all processors are busy with tests already
+
+# The same examples each time, however long a busy machine takes for one of them, or for thinking it up.
+settings.register_profile("sppm", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("sppm")
 
 # Whoever starts the tests in the background may have turned signals off, which all processes would inherit.
 for _number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):

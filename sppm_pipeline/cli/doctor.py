@@ -104,6 +104,7 @@ def _kernel_cache() -> Iterator[Finding]:
     """Where compiled kernels are kept."""
     from sppm_pipeline.cli.kernels import listed_kernels, missing
     from sppm_pipeline.numerics.kernel_cache import kernel_cache_root
+    from sppm_pipeline.numerics.machine_code import hindrance
 
     folder = kernel_cache_root()
     writable, found = _writable(folder)
@@ -112,6 +113,8 @@ def _kernel_cache() -> Iterator[Finding]:
     listed = listed_kernels()
     if left := missing(listed):
         state += f"; {len(left)} of {len(listed)} that are common are not, which `sppm doctor --kernels` compiles"
+    if why := hindrance():
+        state += f"; Numba starts them ({why}), which takes longer"
     yield writable, "kernel cache", f"{folder}: {found}, {state}"
 
 

@@ -69,6 +69,30 @@ class SurfaceMesh(Artifact):
         return mesh
 
     @classmethod
+    def handed_on(
+        cls,
+        vertices: int,
+        faces: int,
+        name: str,
+        box_and_volume: tuple[NDArray[np.float64], NDArray[np.float64], float],
+    ) -> SurfaceMesh:
+        """A mesh that was given away in pieces (`Context.begin_readers`): its numbers, and no arrays at all."""
+        mesh = object.__new__(cls)
+        mesh.__dict__.update(name=name, groups=(), _counts=(vertices, faces), _measured=box_and_volume)
+        return mesh
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether there are arrays; not so of a mesh that was given away in pieces, which nobody else asks for."""
+        return "_counts" not in self.__dict__
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of vertices and triangles."""
+        given: tuple[int, int] | None = self.__dict__.get("_counts")
+        return given or (len(self.vertices), len(self.faces))
+
+    @classmethod
     def from_trimesh(cls, mesh: Any, name: str = "mesh") -> SurfaceMesh:
         """A `trimesh.Trimesh`; see `from_arrays`."""
         return cls.from_arrays(mesh.vertices, mesh.faces, name)
@@ -95,6 +119,8 @@ class SurfaceMesh(Artifact):
 
     def check(self) -> None:
         """Finite vertices, indices in range."""
+        if not self.is_whole:
+            return  # those who took the pieces have seen to it
         for rows in blocks(len(self.vertices), self.vertices):
             if not np.isfinite(self.vertices[rows]).all():
                 raise ValueError("mesh vertices must be finite")
@@ -138,12 +164,13 @@ class SurfaceMesh(Artifact):
 
     def summary(self) -> dict[str, Any]:
         """Counts, box and signed volume."""
-        if not len(self.faces):
-            return {"name": self.name, "vertices": len(self.vertices), "triangles": 0}
+        vertices, triangles = self.counts
+        if not triangles:
+            return {"name": self.name, "vertices": vertices, "triangles": 0}
         return {
             "name": self.name,
-            "vertices": len(self.vertices),
-            "triangles": len(self.faces),
+            "vertices": vertices,
+            "triangles": triangles,
             "size_mm": [float(v) for v in self.upper - self.lower],
             "volume_mm3": self._measured[2],
         }

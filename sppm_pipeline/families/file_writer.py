@@ -8,7 +8,7 @@ from abc import abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import ClassVar
+from typing import IO, ClassVar, Protocol
 
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Palette
@@ -19,6 +19,12 @@ from sppm_pipeline.stage import Context, Stage
 
 ADVICE = "extract with a lower `resolution`, or slice without a mesh (`slice.field`)"
 """What to change if a mesh does not fit."""
+
+
+class Digest(Protocol):
+    """A digest of `hashlib`."""
+
+    def update(self, data: memoryview, /) -> None: ...
 
 
 def extension_of(path: str) -> str:
@@ -66,6 +72,17 @@ def write_pieces(context: Context, path: str, pieces: Iterable[bytes | memoryvie
     With more than one thread, pieces are hashed while they are written.
     """
     digest = hashlib.sha256()
+    with context.output(path).open("wb", buffering=0) as file:
+        size = write_hashed(file, pieces, digest, context.threads)
+    context.hashed(path, digest.hexdigest())
+    return size
+
+
+def write_hashed(file: IO[bytes], pieces: Iterable[bytes | memoryview], digest: Digest, threads: int) -> int:
+    """Write pieces where a file without a buffer stands, and hash them; returns their size in bytes.
+
+    With more than one thread, pieces are hashed while they are written.
+    """
 
     def hashed() -> Iterator[memoryview]:
         for piece in pieces:
@@ -76,14 +93,16 @@ def write_pieces(context: Context, path: str, pieces: Iterable[bytes | memoryvie
                 yield rows
 
     size = 0
-    with context.output(path).open("wb", buffering=0) as file:
-        for rest in computed_ahead(hashed(), context.threads):
-            while rest:  # without a buffer, one call may write less than it was given
-                written = file.write(rest)
-                size += written
-                rest = rest[written:]
-    context.hashed(path, digest.hexdigest())
+    for rows in computed_ahead(hashed(), threads):
+        size += rows.nbytes
+        write_all(file, rows)
     return size
+
+
+def write_all(file: IO[bytes], rest: memoryview) -> None:
+    """Write bytes where a file without a buffer stands."""
+    while rest:  # without a buffer, one call may write less than it was given
+        rest = rest[file.write(rest) :]
 
 
 @dataclass(frozen=True, kw_only=True)

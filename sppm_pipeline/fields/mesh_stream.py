@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -31,6 +31,60 @@ class MeshPiece(NamedTuple):
     kinds: NDArray[np.uint8]
 
 
+class Foreseen(NamedTuple):
+    """What is known for certain of a mesh before there is any of it.
+
+    Attributes
+    ----------
+    vertices, faces : int
+    least, most : (2, 3) float64
+        Low and high corner of the box of its vertices: it reaches as far as the first, and no farther than the second.
+    """
+
+    vertices: int
+    faces: int
+    least: NDArray[np.float64]
+    most: NDArray[np.float64]
+
+    def moved(self, scale: float, origin: NDArray[np.float64]) -> Foreseen:
+        """Of the mesh times a scale, and moved by an origin."""
+        return self._replace(least=self.least * scale + origin, most=self.most * scale + origin)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Between these lies the largest absolute coordinate."""
+        least, most = (max(float(box[1].max()), float(-box[0].min())) for box in (self.least, self.most))
+        return least, most
+
+
+class PieceTaker(Protocol):
+    """Works on the pieces of a mesh while the next ones are made, as whoever writes a file does."""
+
+    def begin(self, foreseen: Foreseen) -> bool:
+        """Whether such a mesh can be taken in pieces; called before anything else, once for each try."""
+
+    def add(self, points: NDArray[np.float64], base: int, known: int, faces: NDArray[np.int32]) -> None:
+        """Take the next piece.
+
+        Parameters
+        ----------
+        points : (n, 3) float64
+            The vertices of the piece before, and of this one; they stay as they are until the call after the next one.
+        base : int
+            The number of the first of them.
+        known : int
+            How many of them are of the piece before.
+        faces : (m, 3) int32
+            Of this piece, all with corners among these points.
+        """
+
+    def finish(self) -> bool:
+        """Whether it has all, and all was as foreseen; if not, nothing of it is used."""
+
+    def drop(self) -> None:
+        """Forget what it has."""
+
+
 class Source(Protocol):
     """What a mesh is extracted from."""
 
@@ -41,6 +95,10 @@ class Source(Protocol):
     @property
     def findings(self) -> dict[str, Any]:
         """What was removed."""
+
+    @property
+    def foresee(self) -> Callable[[], Foreseen] | None:
+        """Finds out what is certain of the mesh; None if nothing is."""
 
 
 class MeshStream:
@@ -76,6 +134,10 @@ class MeshStream:
     def findings(self) -> dict[str, Any]:
         """What was removed."""
         return self._source.findings
+
+    def foreseen(self) -> Foreseen | None:
+        """What is certain of the mesh beforehand, which takes some time to find out; None if nothing is."""
+        return None if self._source.foresee is None else self._source.foresee()
 
 
 class RimPoints:
@@ -128,3 +190,36 @@ class RimPoints:
             self._room = grown
         self._room[self._count : total] = points
         self._count = total
+
+
+class PieceWindow:
+    """The vertices of a piece behind those of the piece before, times a scale and moved by an origin.
+
+    Parameters
+    ----------
+    scale : float
+    origin : (3,) float64
+    """
+
+    def __init__(self, scale: float, origin: NDArray[np.float64]) -> None:
+        self._scale, self._origin = scale, origin
+        self._rooms = [np.empty((0, 3)), np.empty((0, 3))]  # in turn, so that the last but one stays as it is
+        self._last = np.empty((0, 3))
+        self.base = self.known = 0
+        """Number of the first vertex, and how many are of the piece before."""
+
+    def push(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take the next vertices, (n, 3); the window, which stays as it is until the call after the next one."""
+        from sppm_pipeline.numerics.surface.placing import put_rescaled
+
+        self.base += self.known
+        self.known = len(self._last)
+        count = self.known + len(vertices)
+        self._rooms.reverse()
+        if count > len(self._rooms[0]):
+            self._rooms[0] = np.empty((count + count // 4, 3))
+        window = self._rooms[0][:count]
+        window[: self.known] = self._last
+        put_rescaled(vertices, self._scale, self._origin, window[self.known :])
+        self._last = window[self.known :]
+        return window

@@ -41,6 +41,30 @@ class Written(NamedTuple):
     largest: float
 
 
+class InPieces(NamedTuple):
+    """How a file is written while its mesh comes piece by piece: a head, what comes in front, what comes behind.
+
+    Attributes
+    ----------
+    head : bytes
+    front : function
+        Of the points of the piece before and of this one, how many of them are known, and the triangles of this piece
+        with corners among these points, numbered from 0: bytes that follow upon those of the piece before.
+    back : function or None
+        Of the triangles of a piece, with corners numbered in the whole mesh: bytes that come behind all in front.
+    back_at : int or None
+        Where these begin; None if that is known at the end only.
+    fits : function
+        Of the largest absolute coordinate: whether this is the file that `encode` makes.
+    """
+
+    head: bytes
+    front: Callable[[NDArray[np.float64], int, NDArray[np.int32]], memoryview]
+    back: Callable[[NDArray[np.int32]], memoryview] | None = None
+    back_at: int | None = None
+    fits: Callable[[float], bool] = np.isfinite
+
+
 def as_written(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Written:
     """Check a mesh and bring its arrays into shape.
 

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.formats.decimals import Words, decimal_scale, face_rows, vertex_rows
-from sppm_pipeline.formats.encoding import as_written, in_blocks
+from sppm_pipeline.formats.encoding import InPieces, as_written, in_blocks
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, GroupLog, Groups, decoded, require_content
 from sppm_pipeline.formats.text import Lines, fan, shown
 
+_HEAD = b"# OBJ written by sppm\n"
 _NAMES = {b"o": "object", b"g": "group", b"usemtl": "material"}
 _VERTEX, _FACE = Words.of(b"v ", b" ", b" ", b"\n"), Words.of(b"f ", b" ", b" ", b"\n")
 
@@ -74,7 +75,20 @@ def encode(
     """
     mesh = as_written(vertices, faces)
     scale = decimal_scale(mesh.largest)
-    yield b"# OBJ written by sppm\n"
+    yield _HEAD
     points, faces, _ = mesh
     yield from in_blocks(len(points), lambda rows: vertex_rows(points[rows], scale, _VERTEX), threads, points)
     yield from in_blocks(len(faces), lambda rows: face_rows(faces[rows], 1, _FACE), threads, faces)
+
+
+def in_pieces(vertices: int, faces: int, reach: tuple[float, float]) -> InPieces | None:
+    """See `ply.in_pieces`."""
+    scale = decimal_scale(reach[1])
+    if decimal_scale(reach[0]) != scale:
+        return None
+    return InPieces(
+        _HEAD,
+        lambda points, known, _: vertex_rows(points[known:], scale, _VERTEX),
+        lambda corners: face_rows(corners, 1, _FACE),
+        fits=lambda largest: np.isfinite(largest) and decimal_scale(largest) == scale,
+    )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.encoding import Bytes, as_written, in_blocks, little_endian, store4
+from sppm_pipeline.formats.encoding import Bytes, InPieces, as_written, in_blocks, little_endian, store4
 from sppm_pipeline.formats.mesh_arrays import DecodedMesh, decoded, require_content, require_faces, require_room
 from sppm_pipeline.formats.text import Lines, fan, shown
 from sppm_pipeline.numerics.compiled import jit
@@ -364,13 +364,36 @@ def encode(
     Positions keep their type: float32 as ``float``, everything else as ``double``. Same mesh, same bytes.
     """
     points, triangles, _ = as_written(vertices, faces)
-    kind = "float" if points.dtype == np.float32 else "double"
-    lines = ["ply", "format binary_little_endian 1.0", "comment written by sppm", f"element vertex {points.shape[0]}"]
-    lines += [f"property {kind} {axis}" for axis in "xyz"]
-    lines += [f"element face {triangles.shape[0]}", "property list uchar int vertex_indices", "end_header"]
-    yield ("\n".join(lines) + "\n").encode()
+    yield _head_of(len(points), len(triangles), "float" if points.dtype == np.float32 else "double")
     yield from in_blocks(len(points), lambda rows: little_endian(points[rows]), 1, points)
     yield from in_blocks(len(triangles), lambda rows: _face_records(triangles[rows]), threads, triangles)
+
+
+def in_pieces(vertices: int, faces: int, reach: tuple[float, float]) -> InPieces | None:
+    """What `encode` writes of a mesh of float64 with so many vertices and faces, while it comes in pieces.
+
+    Parameters
+    ----------
+    vertices, faces : int
+    reach : (float, float)
+        Between these lies the largest absolute coordinate.
+
+    Returns
+    -------
+    InPieces or None
+        None if more of the mesh has to be known.
+    """
+    head = _head_of(vertices, faces, "double")
+    return InPieces(
+        head, lambda points, known, _: little_endian(points[known:]), _face_records, len(head) + 24 * vertices
+    )
+
+
+def _head_of(vertices: int, faces: int, kind: str) -> bytes:
+    lines = ["ply", "format binary_little_endian 1.0", "comment written by sppm", f"element vertex {vertices}"]
+    lines += [f"property {kind} {axis}" for axis in "xyz"]
+    lines += [f"element face {faces}", "property list uchar int vertex_indices", "end_header"]
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _face_records(faces: NDArray[np.int32]) -> memoryview:

@@ -10,7 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError, InputError
-from sppm_pipeline.formats.encoding import Bytes, as_written, in_blocks, largest, require_float32, store2, store4
+from sppm_pipeline.formats.encoding import (
+    Bytes,
+    InPieces,
+    as_written,
+    in_blocks,
+    largest,
+    require_float32,
+    store2,
+    store4,
+)
 from sppm_pipeline.formats.mesh_arrays import (
     DecodedMesh,
     GroupLog,
@@ -165,9 +174,20 @@ def encode(
     require_float32(mesh, "STL")
     if len(mesh.faces) >= 2**32:
         raise DesignError("STL counts up to 2^32 - 1 triangles", hint="write the mesh as PLY")
-    # A binary STL must not begin with "solid".
-    yield b"binary STL written by sppm".ljust(80) + len(mesh.faces).to_bytes(4, "little")
+    yield _head_of(len(mesh.faces))
     yield from in_blocks(len(mesh.faces), lambda rows: _records(mesh.points, mesh.faces[rows]), threads, *mesh[:2])
+
+
+def in_pieces(vertices: int, faces: int, reach: tuple[float, float]) -> InPieces | None:
+    """See `ply.in_pieces`."""
+    if faces >= 2**32 or reach[1] > float(np.finfo(np.float32).max):
+        return None  # which `encode` refuses
+    return InPieces(_head_of(faces), lambda points, known, corners: _records(points, corners))
+
+
+def _head_of(faces: int) -> bytes:
+    # A binary STL must not begin with "solid".
+    return b"binary STL written by sppm".ljust(80) + faces.to_bytes(4, "little")
 
 
 def _records(points: NDArray[np.floating], faces: NDArray[np.int32]) -> memoryview:

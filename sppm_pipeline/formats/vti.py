@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import binascii
 import zlib
+from collections.abc import Iterator
 from typing import Any, NoReturn
 from xml.parsers import expat
 
@@ -16,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
-from sppm_pipeline.formats.voxel_image import VoxelImage, checked_shape
+from sppm_pipeline.formats.voxel_image import VoxelImage, checked_shape, raw_values
 
 _TYPES = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
     "UInt64": "u8", "Float32": "f4", "Float64": "f8",
 }  # fmt: skip
+_NAMES = {"uint8": "UInt8", "float32": "Float32"}
 _HINT = "save the image again by ParaView or VTK, or as .nrrd, .tif or .npy"
 
 
@@ -246,3 +248,29 @@ def _decoded(header: _Header, text: bytes) -> bytes:
         return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError):
         header.fail("the base64 text of an array is damaged")
+
+
+def encode(
+    values: NDArray[Any], spacing: tuple[float, float, float], origin: tuple[float, float, float], array: str
+) -> Iterator[bytes]:
+    """The bytes of a .vti file with one value a voxel (cell data), raw appended data, piece by piece."""
+    values = values.view(np.uint8) if values.dtype == bool else values
+    kind = _NAMES[values.dtype.name]
+    extent = " ".join(f"0 {n}" for n in values.shape)
+    place = " ".join(repr(float(v)) for v in origin)
+    steps = " ".join(repr(float(v)) for v in spacing)
+    yield (
+        '<?xml version="1.0"?>\n'
+        '<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
+        f'  <ImageData WholeExtent="{extent}" Origin="{place}" Spacing="{steps}">\n'
+        f'    <Piece Extent="{extent}">\n'
+        f'      <CellData Scalars="{array}">\n'
+        f'        <DataArray type="{kind}" Name="{array}" format="appended" offset="0"/>\n'
+        "      </CellData>\n"
+        "    </Piece>\n"
+        "  </ImageData>\n"
+        '  <AppendedData encoding="raw">\n_'
+    ).encode()
+    yield np.uint64(values.size * values.dtype.itemsize).astype("<u8").tobytes()
+    yield from raw_values(values)
+    yield b"\n  </AppendedData>\n</VTKFile>\n"

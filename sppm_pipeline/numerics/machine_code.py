@@ -127,16 +127,23 @@ class Code(NamedTuple):
 
 
 @functools.cache
+def hindrance() -> str:
+    """Why no kept code is used; nothing where it is."""
+    if sys.platform != "linux" or os.uname().machine != "x86_64":
+        return "tried on Linux on x86-64 only"
+    if os.environ.get(SWITCH, "").lower() == "off":
+        return f"{SWITCH}=off"
+    if settings := [n for n in sorted(os.environ) if n.startswith("NUMBA_") and n not in _SETTINGS]:
+        return f"{settings[0]} is set"
+    if os.path.exists(".numba_config.yaml"):  # where Numba looks for settings, too
+        return "there is a .numba_config.yaml here"
+    version = _version()
+    return "" if version.rpartition(".")[0] in TRIED else f"not tried with Numba {version}"
+
+
 def usable() -> bool:
     """Whether kept code is used at all."""
-    return (
-        sys.platform == "linux"
-        and os.uname().machine == "x86_64"
-        and os.environ.get(SWITCH, "").lower() != "off"
-        and not any(name.startswith("NUMBA_") and name not in _SETTINGS for name in os.environ)
-        and not os.path.exists(".numba_config.yaml")  # where Numba looks for settings, too
-        and _version().rpartition(".")[0] in TRIED
-    )
+    return not hindrance()
 
 
 def _version() -> str:

@@ -411,7 +411,7 @@ class Sleep(Stage):
     def run(self, context: Context) -> None:
         context.output("half.txt").write_text("half")
         Path(f"started{self.value}").touch()
-        time.sleep(60)
+        time.sleep(600)
 """
 
 
@@ -423,11 +423,11 @@ def test_signals_end_a_run_cleanly(here, number, code, sweep):
         "sppm: 1\nplugins: [sleeper.py]\nparams: {v: 1}\npipeline: [{stage: write.sleep, value: '${v}'}]\n" + sweep
     )
     process = start("run", "sleep.yaml", "-o", "out", "-j", "2", start_new_session=True)
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 120
     while not list(here.glob("started*")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
     os.kill(process.pid, number)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=120)
     assert process.returncode == code, err
     assert err.endswith("sppm: interrupted\n"), err
     assert "Traceback" not in err

@@ -145,7 +145,7 @@ def test_children_compile_what_a_later_process_finds(empty, monkeypatch):
         assert told[0] == (0, 2)
     finally:
         ahead.close()
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     while multiprocessing.active_children() and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not multiprocessing.active_children()
@@ -161,6 +161,7 @@ def test_children_compile_what_a_later_process_finds(empty, monkeypatch):
 def test_doctor_compiles_what_is_missing(empty, monkeypatch, capsys):
     one = [k for k in listed_kernels() if k.place.endswith("encoding:_largest_bits")]
     monkeypatch.setattr("sppm_pipeline.cli.kernels.listed_kernels", lambda: one)
+    monkeypatch.setattr("sppm_pipeline.numerics.machine_code.hindrance", lambda: "")
     main(["doctor"])
     assert "empty; 1 of 1 that are common are not, which `sppm doctor --kernels` compiles" in capsys.readouterr().out
     main(["doctor", "--kernels"])
@@ -168,6 +169,10 @@ def test_doctor_compiles_what_is_missing(empty, monkeypatch, capsys):
     assert "1 kernels compiled" in found
     assert "that are common are not" not in found
     assert missing(one) == []
+    assert "Numba starts them" not in found
+    monkeypatch.setattr("sppm_pipeline.numerics.machine_code.hindrance", lambda: "not tried with Numba 0.99")
+    main(["doctor"])
+    assert "; Numba starts them (not tried with Numba 0.99), which takes longer" in capsys.readouterr().out
     one[0] = one[0]._replace(place=one[0].place + "_no_more")
     assert main(["doctor", "--kernels"]) == 1
     assert re.search(r"BAD +kernel +\S+_largest_bits_no_more: AttributeError", capsys.readouterr().out)

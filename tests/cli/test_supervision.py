@@ -23,11 +23,12 @@ from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.stage import Context, Stage
 
 def sleep(*words):
-    process = subprocess.Popen(["sleep", "60"], start_new_session=True, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(["sleep", "600"], start_new_session=True, stdout=subprocess.DEVNULL)
     open("pid", "w").write(str(process.pid))
 
 HOW = os.environ["HOW"]
 if HOW.startswith("import "):
+    open("busy", "w").close()
     exec(HOW.removeprefix("import "))
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Odd(Stage):
         exec(HOW.removeprefix("import ") if not HOW.startswith("import ") else "")
         return Numbers(np.array([None]) if HOW == "'objects'" else values)
 '''
-LOCKED = "ctypes.PyDLL(None).usleep(59_000_000)"
+LOCKED = "ctypes.PyDLL(None).usleep(590_000_000)"
 
 
 @pytest.fixture
@@ -88,7 +89,7 @@ IMPORT = "the import of the plugin "
 )
 def test_the_offender_and_its_stage_are_named(start, tmp_path, how, code, words):
     process = start(how)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=120)
     assert process.returncode == code, err
     assert words.format(folder=tmp_path) in err
     assert "odd.yaml:4:5: stage 'sample.odd': " in err
@@ -100,7 +101,7 @@ def test_the_offender_and_its_stage_are_named(start, tmp_path, how, code, words)
 
 def test_a_process_that_the_system_kills_is_interrupted_and_named(start, tmp_path):
     process = start("os.kill(os.getpid(), 9)")
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=120)
     assert process.returncode == 137
     assert (
         f"ended by SIGKILL, perhaps because memory ran out, while this was running: the plugin {tmp_path}/{STAGE}"
@@ -113,18 +114,19 @@ def test_a_process_that_the_system_kills_is_interrupted_and_named(start, tmp_pat
 @pytest.mark.parametrize(("how", "code"), [("os._exit(0)", 4), ("ctypes.string_at(0)", 6)])
 def test_what_ends_at_its_import(start, tmp_path, verb, how, code):
     process = start(f"import {how}", verb=verb)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=120)
     assert process.returncode == code
     assert f"{IMPORT}{tmp_path}/odd.py" in err
 
 
-@pytest.mark.parametrize("how", ["time.sleep(60)", LOCKED, f"import {LOCKED}", f"sleep(); {LOCKED}"])
+@pytest.mark.parametrize("how", ["time.sleep(600)", LOCKED, f"import {LOCKED}", f"sleep(); {LOCKED}"])
 def test_the_time_limit_ends_what_hangs(start, tmp_path, how):
-    began = time.monotonic()
-    process = start(how, "--time-limit", "3")
-    _, err = process.communicate(timeout=60)
-    assert time.monotonic() - began < 30
-    assert process.returncode == 5
+    for limit in (3, 10, 100):
+        process = start(how, "--time-limit", str(limit))
+        _, err = process.communicate(timeout=150)
+        assert process.returncode == 5
+        if (tmp_path / "busy").exists():
+            break  # else the machine is so slow that it was not even begun
     assert "the run took longer than --time-limit allows, while this was running: " in err
     assert (IMPORT if how.startswith("import") else STAGE) in err
     if not how.startswith("import"):
@@ -133,24 +135,24 @@ def test_the_time_limit_ends_what_hangs(start, tmp_path, how):
 
 def test_the_supervisor_ends_a_stage_that_keeps_the_lock(start, tmp_path):
     process = start(LOCKED, "--stage-time", "0.1")  # and twelve seconds of patience
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=120)
     assert process.returncode == 4
     assert f"a stage took longer than --stage-time allows, while this was running: the plugin {tmp_path}/{STAGE}" in err
 
 
 def test_an_interrupt_ends_an_import_that_keeps_the_lock(start, tmp_path):
-    process = start(f"import open('busy', 'w').close(); {LOCKED}", verb="check")
+    process = start(f"import {LOCKED}", verb="check")
     while not (tmp_path / "busy").exists() and process.poll() is None:
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=120)
     assert process.returncode == 130
     assert err == "sppm: interrupted\n"
 
 
 def test_a_process_that_is_left_behind_is_ended(start, tmp_path):
     process = start("sleep()")
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=120)
     assert process.returncode == 0
     assert "a process that was left behind was ended" in err
     assert not psutil.pid_exists(int((tmp_path / "pid").read_text()))

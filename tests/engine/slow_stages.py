@@ -1,4 +1,4 @@
-"""Stages that note when they run, and are slow enough for their results to be worth keeping."""
+"""Stages that note when they run."""
 
 from __future__ import annotations
 
@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.artifact import Artifact
 from sppm_pipeline.stage import Context, Recipe, Stage, option
-
-SLOW = 0.05
-"""Seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +42,13 @@ def ran(context: Context) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Draw(Stage):
-    """Draw numbers, slowly."""
+    """Draw numbers."""
 
     name: ClassVar[str] = "sample.draw"
     count: int = option(1000, help="how many", minimum=1)
 
     def run(self, context: Context) -> Numbers:
         ran(context)
-        time.sleep(SLOW)
         return Numbers(context.rng().random(self.count))
 
 
@@ -65,13 +61,12 @@ class Load(Stage):
 
     def run(self, context: Context) -> Numbers:
         ran(context)
-        time.sleep(SLOW)
         return Numbers(np.array(self.path.read_text().split(), float))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shift(Stage):
-    """Add to numbers, quickly, so that it is not worth keeping."""
+    """Add to numbers, which is not worth keeping."""
 
     name: ClassVar[str] = "field.shift"
     by: float = option(1.0, help="how much")
@@ -89,7 +84,6 @@ class Look(Stage):
 
     def run(self, context: Context, numbers: N) -> N:
         ran(context)
-        time.sleep(SLOW)
         context.warn("these are numbers")
         context.report(largest=numbers.values.max())
         return numbers
@@ -116,7 +110,6 @@ class Clock(Stage):
 
     def run(self, context: Context) -> Numbers:
         ran(context)
-        time.sleep(SLOW)
         return Numbers(np.array([float(time.time_ns())]))
 
 
@@ -128,21 +121,19 @@ class Close(Stage):
 
     def run(self, context: Context, numbers: Numbers) -> Closed:
         ran(context)
-        time.sleep(SLOW)
         total = float(numbers.values.sum())
         return Closed(lambda: total)
 
 
 @dataclass(frozen=True, kw_only=True)
 class WriteNumbers(Stage):
-    """Write numbers as a file and as a folder of files, slowly."""
+    """Write numbers as a file and as a folder of files."""
 
     name: ClassVar[str] = "write.numbers"
     path: str = option("numbers", help="name of the output")
 
     def run(self, context: Context, source: Numbers | Closed) -> None:
         ran(context)
-        time.sleep(SLOW)
         values = source.values if isinstance(source, Numbers) else np.array([source.function()])
         context.output(f"{self.path}.txt").write_text("\n".join(map(repr, values.tolist())))
         folder = context.output(self.path)

@@ -55,7 +55,7 @@ def power(common, item):
         raise ValueError("three is too much")
     if how == "wait":
         Path(common.folder, f"pid-{os.getpid()}").touch()
-        time.sleep(60)
+        time.sleep(600)
     if how == "slow" and number == 0:
         time.sleep(0.3)
     return common.values ** number, os.getpid(), LOADED.count(os.getpid())
@@ -142,13 +142,11 @@ def test_an_interrupt_ends_the_workers(work, monkeypatch):
 
     check = crew_module.check
     monkeypatch.setattr(crew_module, "check", soon)
-    begun = time.monotonic()
     try:
         with pytest.raises(KeyboardInterrupt):
             run(work, "wait")
     finally:
         interruption.reset()
-    assert time.monotonic() - begun < 30
     for file in work.folder.glob("pid-*"):
         with pytest.raises(ProcessLookupError):
             os.kill(int(file.name[4:]), 0)
@@ -204,11 +202,13 @@ def test_all_that_calls_of_a_stage_had_in_common_goes_with_it(here, tmp_path):
 
 def test_what_is_common_goes_with_its_stage(here, tmp_path, monkeypatch):
     common = (2, Path("a"))
-    monkeypatch.setattr(items_module, "IDLE", 0.05)
+    monkeypatch.setattr(items_module, "IDLE", 600)
     items_module._loaded.cache_clear()
     assert list(here.map(operator.contains, [Path("a")], common)) == [True]
     assert items_module._loaded.cache_info().currsize == 1
-    deadline = time.monotonic() + 10
+    monkeypatch.setattr(items_module, "IDLE", 0.05)
+    assert list(here.map(operator.contains, [Path("a")], common)) == [True]
+    deadline = time.monotonic() + 60
     while items_module._loaded.cache_info().currsize and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not items_module._loaded.cache_info().currsize

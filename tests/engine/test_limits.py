@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import time
 
 import pytest
@@ -108,10 +109,15 @@ def test_versions_that_are_read(version):
 
 
 def seconds(text: str) -> float:
+    gc.collect()
+    gc.disable()  # it would look through all that other tests have left
     began = time.process_time()
-    with contextlib.suppress(ConfigError):
-        parse_yaml(text, "f.yaml")
-    return time.process_time() - began
+    try:
+        with contextlib.suppress(ConfigError):
+            parse_yaml(text, "f.yaml")
+        return time.process_time() - began
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize(
@@ -123,7 +129,7 @@ def test_the_time_grows_with_the_size_only(line):
     # what was quadratic took 40 to 1000 times as long as these short lines of the same size
     size = 190_000
     text = "sppm:\n" + f"{line}\n" * (size // len(line))
-    assert seconds(text) < 4 * seconds("sppm:\n" + "# x x x\n- |\n  xx\n" * (size // 17)) + 0.1
+    assert seconds(text) < 10 * seconds("sppm:\n" + "# x x x\n- |\n  xx\n" * (size // 17)) + 0.2
 
 
 def test_values_of_the_command_line_have_the_same_limits():

@@ -20,7 +20,7 @@ from PIL import Image
 
 from sppm_pipeline.errors import InputError, ResourceError
 from sppm_pipeline.formats import image_stack, nrrd, vti
-from sppm_pipeline.formats.voxel_image import decode_npy, encode_npy, encode_vti
+from sppm_pipeline.formats.voxel_files import decode_npy, encode_npy
 
 IMAGE = np.random.default_rng(0).integers(0, 3, (3, 4, 5)).astype(np.uint8)
 GRAY = np.random.default_rng(1).random((4, 3, 2)).astype(np.float32)
@@ -76,7 +76,7 @@ def test_nrrd_of_a_scanner():
 
 @pytest.mark.parametrize("values", [IMAGE, GRAY, IMAGE > 1], ids=["phases", "gray", "bool"])
 def test_vti_is_xml_with_the_values_behind_it(values):
-    data = b"".join(encode_vti(np.asfortranarray(values), (1, 2, 3), (0, 0, 0), "phase"))
+    data = b"".join(vti.encode(np.asfortranarray(values), (1, 2, 3), (0, 0, 0), "phase"))
     head, _, rest = data.partition(b"\n_")
     raw = rest[: -len(b"\n  </AppendedData>\n</VTKFile>\n")]
     (image,) = ElementTree.fromstring(head + b"</AppendedData></VTKFile>").findall("ImageData")

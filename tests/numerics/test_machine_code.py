@@ -263,7 +263,20 @@ def test_versions_of_numba_that_were_not_tried_start_their_code_themselves(versi
     for name in [name for name in os.environ if name.startswith("NUMBA_")]:
         monkeypatch.delenv(name)
     here = sys.platform == "linux" and os.uname().machine == "x86_64"
-    assert machine_code.usable.__wrapped__() == (fits and here)
+    why = machine_code.hindrance.__wrapped__()
+    assert why == (
+        "" if fits and here else f"not tried with Numba {version}" if here else "tried on Linux on x86-64 only"
+    )
+
+
+@pytest.mark.skipif(sys.platform != "linux" or os.uname().machine != "x86_64", reason="says so before it looks further")
+@pytest.mark.parametrize(
+    ("name", "value", "why"),
+    [("SPPM_KEPT_KERNELS", "OFF", "SPPM_KEPT_KERNELS=off"), ("NUMBA_BOUNDSCHECK", "1", "NUMBA_BOUNDSCHECK is set")],
+)
+def test_settings_of_others_leave_kernels_to_numba(name, value, why, monkeypatch):
+    monkeypatch.setenv(name, value)
+    assert machine_code.hindrance.__wrapped__() == why
 
 
 def test_the_version_is_that_of_numba():

@@ -38,7 +38,7 @@ def test_the_next_item_is_computed_while_one_is_in_use():
             yield n
 
     for n in computed_ahead(items(), 2):
-        assert n == 2 or begun[n + 1].wait(10)
+        assert n == 2 or begun[n + 1].wait(60)
 
 
 @pytest.mark.parametrize("threads", [1, 2])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 
+from sppm_pipeline.process import interruption
 from sppm_pipeline.process.interruption import raise_in
 
 
@@ -15,13 +17,12 @@ class Hit(BaseException):
 def test_the_right_thread_is_hit_while_it_starts_others():
     # a thread that is about to begin has the number of the one that starts it: without care, most rounds hit that one
     for delay in range(40):
-        hit = []
+        hit, over = [], threading.Event()
 
-        def work(hit=hit):
+        def work(hit=hit, over=over):
             try:
-                for _ in range(400):
+                while not over.is_set():
                     threading.Thread(target=lambda: None).start()
-                time.sleep(0.01)
             except Hit:
                 hit.append(True)
 
@@ -29,12 +30,13 @@ def test_the_right_thread_is_hit_while_it_starts_others():
         thread.start()
         time.sleep(0.0005 * (delay % 7))
         raise_in(thread.ident, Hit)
-        thread.join(10)
+        thread.join(60)
+        over.set()
+        thread.join()
         assert hit
-        assert not thread.is_alive()
 
 
-def test_what_was_not_raised_yet_is_taken_back():
+def test_what_was_not_raised_yet_is_taken_back(monkeypatch):
     begun, go = threading.Event(), threading.Event()
     seen = []
 
@@ -46,9 +48,14 @@ def test_what_was_not_raised_yet_is_taken_back():
     thread = threading.Thread(target=work)
     thread.start()
     begun.wait()
-    time.sleep(0.05)  # it waits without a step of Python
-    raise_in(thread.ident, Hit)
-    raise_in(thread.ident, None)
+    monkeypatch.setattr(interruption, "BEGINNING", 0)  # nor is any other test's thread waited for
+    switching = sys.getswitchinterval()
+    sys.setswitchinterval(60)  # it takes no step of Python until both are done, wherever it is
+    try:
+        raise_in(thread.ident, Hit)
+        raise_in(thread.ident, None)
+    finally:
+        sys.setswitchinterval(switching)
     go.set()
-    thread.join(10)
+    thread.join()
     assert seen == [True]

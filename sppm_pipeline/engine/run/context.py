@@ -119,6 +119,10 @@ class RunContext(Context):
         The cache, which keeps what stages have not finished; None if nothing is kept.
     crew : Crew or None
         The run's workers; None if all work is done in this process.
+    begun : object or None
+        See `Context`.
+    readers : function
+        What `begin_readers` returns.
     """
 
     def __init__(
@@ -133,8 +137,12 @@ class RunContext(Context):
         folder: RunFolder | Scratch | None,
         store: Store | None = None,
         crew: Crew | None = None,
+        begun: Any = None,
+        readers: Callable[[], Sequence[Any]] = tuple,
     ) -> None:
         self._seed = seed
+        self.begun = begun
+        self._readers = readers
         self._store = store
         self._crew = crew
         if crew is not None:
@@ -199,6 +207,11 @@ class RunContext(Context):
         if self._crew is None:
             return super().map(function, items, common)
         return self._crew.map(function, items, common)
+
+    def begin_readers(self) -> Sequence[Any]:
+        """See `Context.begin_readers`."""
+        check(self._stop)
+        return self._readers()
 
     def worth_workers(self, samples: float) -> bool:
         """See `Context.worth_workers`."""

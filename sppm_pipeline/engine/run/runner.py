@@ -20,7 +20,7 @@ from sppm_pipeline.engine.run.context import RunContext, StageLog
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.run.record import Recorder
-from sppm_pipeline.engine.run.steps import RecipeSteps, run_step, summary_of
+from sppm_pipeline.engine.run.steps import RecipeSteps, is_strict, run_step, summary_of
 from sppm_pipeline.engine.run.verification import finished_run
 from sppm_pipeline.errors import SppmError
 from sppm_pipeline.hookspecs import StageEvent
@@ -188,6 +188,8 @@ class StepRunner:
         self._earlier = earlier
         self._crew = crew
         self._facts: dict[str, dict[str, Any]] = {}
+        self._begun: dict[str, Any] = {}
+        self._handed_on: set[str] = set()  # steps that gave away what they made, and those that took it
         self._results = dict(available)
         self._cache: CacheSession | None = None
         if store is not None:
@@ -241,7 +243,9 @@ class StepRunner:
                     for id_ in {id_ for done in last[:number] for id_ in done} - set(self._keep):
                         self._results.pop(id_, None)
             if self._cache is not None:
-                learn(self._cache.store, steps, self._recipes, self.entries)
+                # time that one stage has spent on the work of another says nothing about either
+                own = [entry for entry in self.entries if entry["id"] not in self._handed_on]
+                learn(self._cache.store, steps, self._recipes, own)
         finally:
             if self._cache is not None:
                 self._cache.close()
@@ -337,7 +341,7 @@ class StepRunner:
         started = time.perf_counter()
         made, rejection = None, None
         try:
-            made = self._made(step, inputs, log, self._folder)
+            made = self._made(step, inputs, log, self._folder, lambda: self._readers(step))
         except Rejected as error:
             if not error.keep_outputs or isinstance(self._folder, Scratch):
                 raise
@@ -349,6 +353,9 @@ class StepRunner:
             "outputs": [],
             "inner": list(log.inner.values()),
         }
+        whole = getattr(made, "is_whole", True)
+        if not whole:
+            self._handed_on |= {step.id, *self._begun}
         wrote = bool(self._folder.pending())
         files: list[tuple[str, Path]] = []
         if isinstance(self._folder, Scratch):
@@ -365,12 +372,31 @@ class StepRunner:
             return {**facts, "wrote": wrote, "rejection": rejection}
         if self._cache is not None and not (wrote and isinstance(self._folder, Scratch)):
             seconds = time.perf_counter() - started
-            self._cache.keep(step, facts, made, inputs, outputs=files, seconds=seconds, drew=log.drew)
+            self._cache.keep(
+                step, facts, made if whole else None, inputs, outputs=files, seconds=seconds, drew=log.drew
+            )
         self._results[step.id] = made
         return {**facts, "wrote": wrote}
 
-    def _made(self, step: Step, inputs: Mapping[str, Any], log: StageLog, folder: RunFolder | Scratch) -> Any:
-        context = RunContext(
+    def _made(
+        self,
+        step: Step,
+        inputs: Mapping[str, Any],
+        log: StageLog,
+        folder: RunFolder | Scratch,
+        readers: Callable[[], Sequence[Any]] = tuple,
+    ) -> Any:
+        context = self._context(step, log, folder, readers)
+        try:
+            return run_step(step, step.stage, inputs, context, self._recipes)
+        finally:
+            if self._crew is not None:
+                self._crew.forget()
+
+    def _context(
+        self, step: Step, log: StageLog, folder: RunFolder | Scratch, readers: Callable[[], Sequence[Any]] = tuple
+    ) -> RunContext:
+        return RunContext(
             seed=self._seed,
             path=(step.id,),
             address=step.address,
@@ -380,12 +406,26 @@ class StepRunner:
             folder=folder,
             store=None if self._cache is None else self._cache.store,
             crew=self._crew,
+            begun=self._begun.pop(step.id, None),
+            readers=readers,
         )
-        try:
-            return run_step(step, step.stage, inputs, context, self._recipes)
-        finally:
-            if self._crew is not None:
-                self._crew.forget()
+
+    def _readers(self, step: Step) -> Sequence[Any]:
+        """Begin all steps that read what a step makes; see `Context.begin_readers`."""
+        readers = [other for other in self._steps.values() if step.id in other.inputs.values()]
+        if isinstance(self._folder, Scratch) or self._keep or self._earlier is not None or is_strict():
+            return ()
+        if any(len(other.inputs) > 1 or not other.owner.builtin for other in readers):
+            return ()
+        begun = []
+        for other in readers:
+            log = StageLog(self._monitor, other.address)
+            taker = other.stage.begin(self._context(other, log, self._folder))
+            if taker is None:
+                return ()
+            begun.append(taker)
+        self._begun |= {other.id: taker for other, taker in zip(readers, begun, strict=True)}
+        return begun
 
     def _inputs(self, step: Step) -> dict[str, Any]:
         return {port: self.result(source) if source else None for port, source in step.inputs.items()}

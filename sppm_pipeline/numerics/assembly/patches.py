@@ -11,6 +11,7 @@ the memory, and sums that are exact whatever their order.
 from __future__ import annotations
 
 import math
+from threading import Condition
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,6 +35,7 @@ from sppm_pipeline.numerics.threads import ordered_map
 
 #: The level in units of an int16 bank. One patch at the level makes a voxel void, so nothing above it is kept.
 FULL = 32767
+_SHIFT = np.uint64(4)
 
 
 class PatchBank(NamedTuple):
@@ -206,39 +208,40 @@ def build_bank(
     # Upper bound of the length; memory that is never touched costs nothing, and the rest is given back below.
     kind = np.float32 if solid_level is None else np.int16
     data: NDArray[Any] = np.empty(int((size.prod(axis=1, dtype=np.int64)).sum()), dtype=kind)
-    used = 0
     # Working space goes from patch to patch: fresh memory takes longer to get than to fill.
     most = int(size.prod(axis=1, dtype=np.int64).max(initial=0))
-    free: list[NDArray[np.float32]] = []
-    rounded: NDArray[np.int16] = np.empty(0 if solid_level is None else most, dtype=np.int16)
     scale = 1.0 if solid_level is None else FULL / solid_level
+    free: list[tuple[NDArray[np.float32], NDArray[np.int16]]] = []
+    ends = _Ends()
 
-    def sampled(p: int) -> NDArray[np.float32]:
-        room = free.pop() if free else np.empty(most, np.float32)
-        room[: rows[p] * size[p, 0]] = 0.0
-        dense = room[: rows[p] * size[p, 0]].reshape(size[p, 2], size[p, 1], size[p, 0])
-        origin = (low[p] + offset) / n
-        grid = Grid((origin[0], origin[1], origin[2]), (1.0 / n,) * 3, (dense.shape[2], dense.shape[1], dense.shape[0]))
-        add_kernels(dense, grid, kernels[there[p]], cutoff)
-        return room
-
-    for p, room in enumerate(ordered_map(sampled, range(len(there)), threads, ahead=threads)):
+    def sampled(p: int) -> None:
+        try:
+            rooms = free.pop()
+        except IndexError:
+            rooms = np.empty(most, np.float32), np.empty(0 if solid_level is None else most, np.int16)
         part = slice(first_row[p], first_row[p] + rows[p])
-        dense: NDArray[Any] = room[: rows[p] * size[p, 0]]
-        if solid_level is not None:
-            _round(dense, np.float32(scale), rounded[: dense.size])
-            dense = rounded[: dense.size]
-        used = _pack(
-            dense.reshape(size[p, 2], size[p, 1], size[p, 0]),
-            np.float32(cutoff * scale),
-            int(low[p, 0]),
-            row_low[part],
-            row_blocks[part],
-            row_start[part],
-            data,
-            used,
-        )
-        free.append(room)
+        table = row_low[part], row_blocks[part], row_start[part]
+        count, begin = 0, None
+        try:
+            room = rooms[0][: rows[p] * size[p, 0]]
+            room[:] = 0.0
+            values = room.reshape(size[p, 2], size[p, 1], size[p, 0])
+            x, y, z = ((low[p] + offset) / n).tolist()
+            add_kernels(values, Grid((x, y, z), (1.0 / n,) * 3, values.shape[::-1]), kernels[there[p]], cutoff)
+            dense: NDArray[Any] = room
+            if solid_level is not None:
+                dense = rooms[1][: room.size]
+                _round(room, np.float32(scale), dense)
+            count = _measure(dense.reshape(-1, size[p, 0]), np.float32(cutoff * scale), int(low[p, 0]), *table)
+        finally:  # whatever happens, the next patch may wait for this one
+            begin = ends.take(p, count)
+        table[2][:] += begin
+        _copy_rows(dense.reshape(-1, size[p, 0]), int(low[p, 0]), *table, data)
+        free.append(rooms)
+
+    for _ in ordered_map(sampled, range(len(there)), threads):
+        pass
+    used = ends.last
     data.resize(used, refcheck=False)
 
     patch = np.full(len(kernels), -1, dtype=np.int32)
@@ -281,38 +284,74 @@ def _round(samples: NDArray[np.float32], scale: np.float32, out: NDArray[np.int1
 
 
 @jit
-def _pack(
+def _measure(
     dense: NDArray,
     threshold: np.float32,
     low: int,
     row_low: NDArray[np.int32],
     row_blocks: NDArray[np.int32],
     row_start: NDArray[np.int64],
-    data: NDArray,
-    used: int,
 ) -> int:
-    """Copy the samples of each row between the first and last above the threshold; returns the end in `data`."""
-    nz, ny, nx = dense.shape
-    for z in range(nz):
-        for y in range(ny):
-            first = 0
-            while first < nx and dense[z, y, first] < threshold:
-                first += 1
-            if first == nx:
-                continue
-            last = nx - 1
-            while dense[z, y, last] < threshold:
-                last -= 1
-            blocks = (last - first + LANES) // LANES
-            first = min(first, nx - LANES * blocks)
-            row = z * ny + y
-            row_low[row] = low + first
-            row_blocks[row] = blocks
-            row_start[row] = used
-            for i in range(LANES * blocks):
-                data[used + i] = dense[z, y, first + i]
-            used += LANES * blocks
+    """Write what each row (rows, nx) keeps, from the first to the last sample above the threshold; returns how much.
+
+    Rows begin where the one before ends, the first at 0.
+    """
+    nx = dense.shape[1]
+    used = 0
+    for row in range(dense.shape[0]):
+        row_start[row] = used
+        first = 0
+        while first < nx and dense[row, first] < threshold:
+            first += 1
+        if first == nx:
+            continue
+        last = nx - 1
+        while dense[row, last] < threshold:
+            last -= 1
+        blocks = (last - first + LANES) // LANES
+        row_low[row] = low + min(first, nx - LANES * blocks)
+        row_blocks[row] = blocks
+        used += LANES * blocks
     return used
+
+
+@jit
+def _copy_rows(
+    dense: NDArray,
+    low: int,
+    row_low: NDArray[np.int32],
+    row_blocks: NDArray[np.int32],
+    row_start: NDArray[np.int64],
+    data: NDArray,
+) -> None:
+    """Copy what each row keeps to where it begins in `data`."""
+    flat = dense.reshape(-1)
+    for row in range(dense.shape[0]):
+        source, to = np.uint64(row * dense.shape[1] + row_low[row] - low), np.uint64(row_start[row])
+        for i in range(np.uint64(row_blocks[row]) << _SHIFT):
+            data[to + i] = flat[source + i]
+
+
+class _Ends:
+    """Where patches of unknown lengths end that lie one after the other, while threads find out how long they are."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, int] = {-1: 0}
+        self._changed = Condition()
+
+    def take(self, number: int, length: int) -> int:
+        """Where a patch begins: when all before it have said how long they are."""
+        with self._changed:
+            self._changed.wait_for(lambda: number - 1 in self._known)
+            begin = self._known[number - 1]
+            self._known[number] = begin + length
+            self._changed.notify_all()
+        return begin
+
+    @property
+    def last(self) -> int:
+        """The end of the last one."""
+        return max(self._known.values())
 
 
 def patches_at(

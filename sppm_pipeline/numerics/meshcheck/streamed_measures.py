@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.meshcheck.measures import add_sums, edge_balance, nothing_found, read_only
 
+_NO_RIMS = np.empty((0, 3))
+
 
 class StreamedMeasures:
     """`box_and_volume` and `balanced_edges` of a mesh that comes in pieces, to the bit.
@@ -36,16 +38,26 @@ class StreamedMeasures:
         rims : (k, 3) float64
         """
         both = np.concatenate([self._before, vertices])
+        self.add_window(both, self._base, faces, rims)
+        self._base += len(self._before)
+        self._before = both[len(self._before) :]
+
+    def add_window(
+        self,
+        both: NDArray[np.float64],
+        base: int,
+        faces: NDArray[np.int32],
+        rims: NDArray[np.float64] = _NO_RIMS,
+    ) -> None:
+        """`add`, with the vertices of the piece before in front; the first of them has the number `base`."""
         if len(faces):
             if self._start is None:
                 v = int(faces[0, 0])
-                self._start = both[v - self._base] if v >= 0 else rims[-1 - v] * self._scale + self._origin
+                self._start = both[v - base].copy() if v >= 0 else rims[-1 - v] * self._scale + self._origin
             numbered = read_only(faces)
-            given = read_only(both), self._base, numbered, read_only(rims), self._scale, self._origin
+            given = read_only(both), base, numbered, read_only(rims), self._scale, self._origin
             add_sums(*given, self._start, self._found)
             self._balance = (self._balance + int(edge_balance(numbered))) % 2**64
-        self._base += len(self._before)
-        self._before = both[len(self._before) :]
 
     @property
     def balanced(self) -> bool:

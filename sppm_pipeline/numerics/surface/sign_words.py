@@ -66,7 +66,7 @@ def cells_mask(w: int, nx: int) -> np.uint64:
 
 
 @jit
-def _plane_crossings(words: NDArray[np.uint64], nx: int) -> int:
+def plane_crossings(words: NDArray[np.uint64], nx: int) -> int:
     """Number of edges along x and y within one plane of samples that the surface crosses."""
     ny, n_words = words.shape
     n = 0
@@ -115,11 +115,11 @@ def slab_counts(words: NDArray[np.uint64], nx: int, first: bool) -> tuple[int, i
     most four cubes.
     """
     planes = words.shape[0]
-    before = _plane_crossings(words[0], nx)
+    before = plane_crossings(words[0], nx)
     vertices = before if first else 0
     triangles = 0
     for p in range(1, planes):
-        here = _plane_crossings(words[p], nx)
+        here = plane_crossings(words[p], nx)
         edges, cubes = _layer_counts(words[p - 1], words[p], nx)
         vertices += here + edges
         triangles += 2 * (before + here) + 4 * edges - 2 * cubes

@@ -218,7 +218,7 @@ class CheckLocalPorosity(Stage):
     ) -> None:
         from PIL import Image
 
-        from sppm_pipeline.formats.voxel_image import encode_vti
+        from sppm_pipeline.formats import vti
         from sppm_pipeline.numerics.grading.local_means import BLOCKS
         from sppm_pipeline.render.local_maps import map_sections, porosity_scatter
 
@@ -244,7 +244,7 @@ class CheckLocalPorosity(Stage):
         def shown(name: str, picture: str, wanted: NDArray[np.float64], found: NDArray[np.float64]) -> None:
             image = np.where(there, found, np.nan).astype(np.float32)
             with (folder / f"{name}.vti").open("wb") as file:
-                file.writelines(encode_vti(image, spacing, (x, y, z), name))
+                file.writelines(vti.encode(image, spacing, (x, y, z), name))
             known = there & np.isfinite(wanted) & np.isfinite(found)
             Image.fromarray(map_sections(wanted, found, known, name)).save(folder / picture)
 

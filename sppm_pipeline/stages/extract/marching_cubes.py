@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from sppm_pipeline.fields.field_surface import (
     voxels_along_edge,
 )
 from sppm_pipeline.fields.mesh_store import MeshStore
+from sppm_pipeline.fields.mesh_stream import MeshStream, PieceTaker, PieceWindow
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Stage, option
@@ -75,58 +77,103 @@ class MarchingCubes(Stage):
 
     def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
         """Sample the nodes of a grid and extract the surface, in mm (cell sizes for a cell without a size)."""
-        from sppm_pipeline.numerics.meshcheck.streamed_measures import StreamedMeasures
-
         n = voxels_along_edge(field, self.resolution, self.voxel)
         if (coarse := field.coarseness(1 / n)) is not None:
             context.warn(coarse)
         surface = FieldSurface(field.exactly() if self.exact else field, node_grid(field, n), self.islands, self.caps)
         scale = field.edge_mm if field.edge_mm is not None else 1.0
-        measures = StreamedMeasures(scale, np.array(field.origin_mm))
         if self.backend == "reference":
-            vertices, faces, findings = _by_reference(surface, context)
-            vertices *= scale
-            vertices += np.array(field.origin_mm)
-            measures.add(vertices, faces, np.empty((0, 3)))
+            made = _by_reference(surface, context, scale, field.origin_mm)
         else:
-            vertices, faces, findings = _streamed(surface, context, scale, field.origin_mm, measures)
-        context.report(resolution=n, voxel=scale / n, **findings)
-        if not len(faces):
+            made = _compiled(surface, context, scale, field.origin_mm)
+        context.report(resolution=n, voxel=scale / n, **made.findings)
+        if not made.counts[1]:
             raise DesignError(
                 "there is no surface to mesh: at this resolution the whole box is void, or solid without `caps`",
                 hint="there is no solid if the porosity is too high or the level too low; lower the porosity",
             )
-        if self.caps and not measures.balanced:
+        if self.caps and not made.measures.balanced:
             raise ValueError("the mesh is not closed")
         if field.edge_mm is None:
             context.warn("the cell has no physical size: one cell size is written as 1 mm")
-        return SurfaceMesh.measured(vertices, faces, "surface", measures.box_and_volume)
+        if made.arrays is None:
+            return SurfaceMesh.handed_on(*made.counts, "surface", made.measures.box_and_volume)
+        return SurfaceMesh.measured(*made.arrays, "surface", made.measures.box_and_volume)
 
 
-def _streamed(
-    surface: FieldSurface,
-    context: Context,
-    scale: float,
-    origin: tuple[float, float, float],
-    measures: StreamedMeasures,
-) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
-    """The mesh in mm; one that takes more than a share of the memory lies in files."""
-    stream = surface.stream(context.threads, lambda done, of: context.progress(done, of, "planes"))
+class _Extracted(NamedTuple):
+    """A mesh, or what is known of one that was given away in pieces."""
+
+    arrays: tuple[NDArray[np.float64], NDArray[np.int32]] | None
+    counts: tuple[int, int]
+    measures: StreamedMeasures
+    findings: dict[str, Any]
+
+
+def _compiled(surface: FieldSurface, context: Context, scale: float, origin: tuple[float, float, float]) -> _Extracted:
+    """The mesh in mm, given away piece by piece if those who read it take it so."""
+
+    def stream() -> MeshStream:
+        return surface.stream(context.threads, lambda done, of: context.progress(done, of, "planes"))
+
+    pieces = stream()
+    readers: Sequence[PieceTaker] = context.begin_readers()
+    foreseen = pieces.foreseen() if readers else None
+    if foreseen is None or not foreseen.faces:
+        return _stored(pieces, context, scale, origin)
+    try:
+        if all(reader.begin(foreseen.moved(scale, np.array(origin))) for reader in readers):
+            if (given := _handed_on(pieces, readers, scale, origin)) is not None:
+                return given
+            pieces = stream()
+    except BaseException:
+        for reader in readers:
+            reader.drop()
+        raise
+    for reader in readers:
+        reader.drop()
+    return _stored(pieces, context, scale, origin)
+
+
+def _handed_on(
+    pieces: MeshStream, readers: Sequence[PieceTaker], scale: float, origin: tuple[float, float, float]
+) -> _Extracted | None:
+    """Give away all pieces; None if a reader finds that the mesh is not as foreseen."""
+    from sppm_pipeline.numerics.meshcheck.streamed_measures import StreamedMeasures
+
+    measures, window = StreamedMeasures(scale, np.array(origin)), PieceWindow(scale, np.array(origin))
+    faces = 0
+    for piece in pieces:
+        points = window.push(piece.vertices)
+        measures.add_window(points, window.base, piece.faces)
+        for reader in readers:
+            reader.add(points, window.base, window.known, piece.faces)
+        faces += len(piece.faces)
+    if not all(reader.finish() for reader in readers):
+        return None
+    return _Extracted(None, (window.base + len(points), faces), measures, pieces.findings)
+
+
+def _stored(stream: MeshStream, context: Context, scale: float, origin: tuple[float, float, float]) -> _Extracted:
+    """The whole mesh; one that takes more than a share of the memory lies in files."""
+    from sppm_pipeline.numerics.meshcheck.streamed_measures import StreamedMeasures
+
+    measures = StreamedMeasures(scale, np.array(origin))
     store: MeshStore | None = None
     for piece in stream:
         if store is None:  # what to expect is known once the first piece is there
             store = MeshStore(context.memory // MEMORY_SHARE, context.scratch(), stream.expected, scale, origin)
         measures.add(store.add(piece.vertices, piece.faces), piece.faces, stream.points)
-    if store is None:
-        return np.empty((0, 3)), np.empty((0, 3), np.int32), stream.findings
-    vertices, faces = store.finish(stream.points)
-    return vertices, faces, stream.findings
+    nothing = np.empty((0, 3)), np.empty((0, 3), np.int32)
+    arrays = nothing if store is None else store.finish(stream.points)
+    return _Extracted(arrays, (len(arrays[0]), len(arrays[1])), measures, stream.findings)
 
 
 def _by_reference(
-    surface: FieldSurface, context: Context
-) -> tuple[NDArray[np.float64], NDArray[np.int32], dict[str, Any]]:
+    surface: FieldSurface, context: Context, scale: float, origin: tuple[float, float, float]
+) -> _Extracted:
     from sppm_pipeline.numerics.domain.crossings import Crossings
+    from sppm_pipeline.numerics.meshcheck.streamed_measures import StreamedMeasures
     from sppm_pipeline.numerics.surface.placing import Samples, place_vertices
     from sppm_pipeline.numerics.surface.reference import marching_cubes_reference
 
@@ -145,4 +192,8 @@ def _by_reference(
         edge, share, triangle = (np.concatenate([c[a] for c in found]) for a in range(3))
         samples = Samples(grid, 0, field, domain, skin, Crossings(edge, share, triangle, found[0].normals))
     place_vertices(vertices, samples)
-    return vertices, faces, sampled.findings
+    vertices *= scale
+    vertices += np.array(origin)
+    measures = StreamedMeasures(scale, np.array(origin))
+    measures.add(vertices, faces, np.empty((0, 3)))
+    return _Extracted((vertices, faces), (len(vertices), len(faces)), measures, sampled.findings)

@@ -46,7 +46,7 @@ class GradeImage(DataGrader):
 
     def data(self, context: Context, part: SurfaceMesh | None) -> ImageLaw:
         """Read the image and put it into its place."""
-        from sppm_pipeline.formats.voxel_image import read_image
+        from sppm_pipeline.formats.voxel_files import read_image
 
         image = read_image(self.path, self.array)
         values = image.values if self.axes == "xyz" or self.path.suffix != ".npy" else image.values.transpose(2, 1, 0)

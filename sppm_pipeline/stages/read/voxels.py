@@ -51,7 +51,7 @@ class ReadVoxels(Stage):
 
     def run(self, context: Context) -> Voxels:
         """Read the image and make phases or fractions of it."""
-        from sppm_pipeline.formats.voxel_image import read_image
+        from sppm_pipeline.formats.voxel_files import read_image
 
         image = read_image(self.path)
         values = image.values if self.axes == "xyz" or self.path.suffix != ".npy" else image.values.transpose(2, 1, 0)

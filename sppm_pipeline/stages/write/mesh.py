@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import sppm_pipeline
 from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
@@ -15,8 +15,14 @@ from sppm_pipeline.families import options
 from sppm_pipeline.families.file_writer import ADVICE, extension_of, require_format, require_triangles, write_pieces
 from sppm_pipeline.stage import Context, Stage, option
 
+if TYPE_CHECKING:
+    from sppm_pipeline.families.piece_file import PieceFile
+
 ENCODERS = {".stl": "stl", ".ply": "ply", ".obj": "obj", ".off": "off", ".3mf": "three_mf_encode", ".glb": "glb_encode"}
 """Extension -> module of `sppm_pipeline.formats`."""
+
+IN_PIECES = (".stl", ".ply", ".obj")
+"""What can be written while the mesh is made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +70,20 @@ class WriteMesh(Stage):
     def rated_as(self) -> str:
         return f"write{extension_of(self.path)}" + (".normals" if self.normals else "")
 
+    def begin(self, context: Context) -> PieceFile | None:
+        extension = extension_of(self.path)
+        if extension not in IN_PIECES:
+            return None
+        from sppm_pipeline.families.piece_file import PieceFile
+
+        in_pieces = importlib.import_module(f"sppm_pipeline.formats.{ENCODERS[extension]}").in_pieces
+        return PieceFile(context.scratch(), in_pieces, context.threads)
+
     def run(self, context: Context, mesh: SurfaceMesh | RepeatedMesh) -> None:
         """Write the file."""
+        if isinstance(mesh, SurfaceMesh) and not mesh.is_whole:
+            context.report(bytes=context.begun.hand_over(context, self.path), triangles=mesh.counts[1])
+            return
         extension = extension_of(self.path)
         options: dict[str, Any] = {"threads": context.threads}
         placed = 1

@@ -48,14 +48,14 @@ class WriteVoxels(Stage):
         context.report(bytes=size, voxels=voxels.values.size)
 
     def _encoded(self, voxels: Voxels) -> Iterable[bytes]:
-        from sppm_pipeline.formats import image_stack, nrrd, voxel_image
+        from sppm_pipeline.formats import image_stack, nrrd, voxel_files, vti
 
         extension = extension_of(self.path)
         if extension == ".npy":
-            return voxel_image.encode_npy(voxels.values)
+            return voxel_files.encode_npy(voxels.values)
         if extension == ".vti":
             array = "fraction" if voxels.fractions else "phase"
-            return voxel_image.encode_vti(voxels.values, voxels.spacing, (0.0, 0.0, 0.0), array)
+            return vti.encode(voxels.values, voxels.spacing, (0.0, 0.0, 0.0), array)
         spacing = voxels.spacing if voxels.physical else None
         if extension == ".nrrd":
             return nrrd.encode(voxels.values, spacing)

@@ -8,9 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sppm_pipeline.numerics.connectivity.islands import clear_runs
+from sppm_pipeline.numerics.connectivity.runs import find_runs
 from sppm_pipeline.numerics.meshcheck.measures import measure_surface
 from sppm_pipeline.numerics.surface.closing import capped_marching_cubes, capped_marching_cubes_slabs, wrapped
 from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes
+from sppm_pipeline.numerics.surface.run_counts import count_mesh
 
 ORIGIN, SPACING = (0.3, -1.0, 2.0), (0.5, 0.25, 0.125)
 fixed = settings(derandomize=True, deadline=None, max_examples=30)
@@ -134,3 +137,23 @@ def test_wrong_arguments() -> None:
         capped_marching_cubes(np.zeros((2, 2, 2), np.float32), border="edges")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="2 x 2 x 2"):
         capped_marching_cubes(np.zeros((2, 1, 2), np.float32))
+
+
+@pytest.mark.parametrize("capped", [True, False])
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("shape", [(5, 6, 7), (9, 3, 64), (4, 5, 62), (3, 4, 130), (2, 2, 2)])
+def test_counts_from_runs_are_those_of_the_mesh(capped: bool, threads: int, shape: tuple[int, int, int]) -> None:
+    random = np.random.default_rng(sum(shape))
+    for share in (0.5, 0.1, 0.95, 0.0, 1.0):
+        solid = random.random(shape) < share
+        runs = find_runs(solid.view(np.uint8))
+        keep = random.random(runs.n_runs) < 0.8
+        clear_runs(runs.rows, runs.bounds, keep, solid.view(np.uint8))
+        field = np.where(solid, np.float32(-1), np.float32(1))
+        vertices, faces = capped_marching_cubes(field, axes=(capped,) * 3)
+        found = count_mesh(runs, keep, capped, threads)
+        assert (found.vertices, found.faces) == (len(vertices), len(faces))
+        if solid.any():
+            z, y, x = np.nonzero(solid)
+            assert found.low.tolist() == [x.min(), y.min(), z.min()]
+            assert found.high.tolist() == [x.max(), y.max(), z.max()]

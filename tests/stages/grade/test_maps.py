@@ -9,7 +9,7 @@ from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.storage import load_value, save_value
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
-from sppm_pipeline.formats.voxel_image import encode_vti
+from sppm_pipeline.formats import vti
 from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh
 from sppm_pipeline.stages.grade.distance import GradeDistance
 from sppm_pipeline.stages.grade.formula import GradeFormula
@@ -69,8 +69,10 @@ def sampled(tmp_path):
         image = values.reshape(n, n, n)
         np.save(tmp_path / "a.npy", image)
         # values at points, which the readers takes as the middles of voxels around them
-        vti = b"".join(encode_vti(np.asfortranarray(image.astype(np.float32)), tuple(h), tuple(LOW - h / 2), "value"))
-        (tmp_path / "a.vti").write_bytes(vti)
+        written = b"".join(
+            vti.encode(np.asfortranarray(image.astype(np.float32)), tuple(h), tuple(LOW - h / 2), "value")
+        )
+        (tmp_path / "a.vti").write_bytes(written)
         rows = np.random.default_rng(0).permutation(np.column_stack([nodes / 10, values]))
         text = "# made for a test\nValue;Z;Y;X\n" + "\n".join(";".join(map(repr, row[::-1].tolist())) for row in rows)
         (tmp_path / "a.csv").write_text(text, encoding="utf-8")
