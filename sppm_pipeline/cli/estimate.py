@@ -37,11 +37,12 @@ def execute(args: Namespace) -> int:
         found = estimates(session, plan, rows, args.until, speed)
         largest = max(found, key=lambda estimate: estimate.memory)
         runs = max(1, len(rows))
+        start = found[0].program.seconds  # once, however many rows there are
         total = {
             "runs": runs,
             "memory_bytes": round(largest.memory),
             "disk_bytes": round(sum(one.disk for one in found) / len(found) * runs),
-            "seconds": round(sum(one.seconds for one in found) / len(found) * runs, 3),
+            "seconds": round(start + sum(one.seconds - start for one in found) / len(found) * runs, 3),
         }
         stages = _stages(largest)
         if args.json:

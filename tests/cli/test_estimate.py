@@ -191,10 +191,12 @@ def test_too_small_a_disk_is_refused_before_any_work(here, capsys, verb, monkeyp
 def test_a_sweep_counts_all_its_runs(here, capsys):
     text = PART.replace("name: part", "name: part\nparams: {n: 16}").replace("resolution: 24", 'resolution: "${n}"')
     (here / "sweep.yaml").write_text(text + "sweep: {n: [16, 24, 32]}\n")
-    one = [estimated(capsys, "sweep.yaml", "-p", f"n={n}")["disk_bytes"] for n in (16, 24, 32)]
+    one = [estimated(capsys, "sweep.yaml", "-p", f"n={n}") for n in (16, 24, 32)]
     found = estimated(capsys, "sweep.yaml")
     assert found["runs"] == 3
-    assert found["disk_bytes"] == pytest.approx(sum(one), rel=1e-6)
+    assert found["disk_bytes"] == pytest.approx(sum(row["disk_bytes"] for row in one), rel=1e-6)
+    start = rates.table()["sppm"]["seconds"]["1"]  # once, as the rows share a process
+    assert found["seconds"] == pytest.approx(sum(row["seconds"] for row in one) - 2 * start, abs=3e-3)
 
 
 def test_work_for_years_is_refused_by_its_size(here, capsys):
