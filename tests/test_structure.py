@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,3 +40,36 @@ def test_packages_say_what_they_are_for():
     for folder in {path.parent for path in python_files()}:
         tree = ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))
         assert ast.get_docstring(tree), folder
+
+
+def names_in(folder: Path) -> set[str]:
+    """Modules and packages in a folder, and what these define at their top."""
+    found = set()
+    for path in folder.iterdir():
+        if path.is_dir() or path.suffix == ".py":
+            found.add(path.stem)
+        if path.suffix == ".py":
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            found |= {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    return found
+
+
+def test_packages_name_only_what_is_there():
+    """What a package's docstring puts between backticks is something in it, or below this package."""
+    public = ast.literal_eval(
+        next(
+            node.value
+            for node in ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8")).body
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+        )
+    )
+    missing = {}
+    for folder in {path.parent for path in python_files()}:
+        text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or ""
+        for name in re.findall(r"(?<!`)`([A-Za-z_][\w.]*)`(?!`)", text):
+            *packages, last = name.removeprefix("sppm_pipeline.").split(".")
+            inside = (PACKAGE if name.startswith("sppm_pipeline.") else folder).joinpath(*packages)
+            known = names_in(inside) if inside.is_dir() else names_in(inside.parent) if packages else set()
+            if last not in known and name not in public and not (packages and inside.with_suffix(".py").is_file()):
+                missing.setdefault(folder.relative_to(ROOT).as_posix(), []).append(name)
+    assert missing == {}

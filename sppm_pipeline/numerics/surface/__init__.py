@@ -1,1 +1,1 @@
-"""Triangle surfaces of a sampled field: marching cubes, caps at the border of the box, and measures of a mesh."""
+"""Triangle surfaces of a sampled field: marching cubes, sharp rims, caps at the border of the box, and Booleans."""
