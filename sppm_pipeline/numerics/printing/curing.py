@@ -21,11 +21,6 @@ TAIL = 1e-3
 """Doses of layers farther up than this share of the critical one, all together, are left out."""
 
 
-def print_through(cure_depth: float, penetration: float, layer: float) -> float:
-    """Depth of cured resin below a thick horizontal ceiling, from the bottom of its lowest layer."""
-    return cure_depth + penetration * math.log(1 / (1 - math.exp(-layer / penetration)))
-
-
 class CureThrough:
     """Layers as they cure; `add` those that are exposed, then `finish`.
 

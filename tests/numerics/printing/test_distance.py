@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sppm_pipeline.numerics.printing.curing import CureThrough, print_through
+from sppm_pipeline.numerics.printing.curing import CureThrough
 from sppm_pipeline.numerics.printing.depth import Depth
 from sppm_pipeline.numerics.printing.distance import Coarsened, StreamedDistance, coarse_factors
 from sppm_pipeline.numerics.printing.openings import ThinFeatures, Throats
@@ -127,6 +127,11 @@ def test_a_wall_is_thin_up_to_its_width():
             shares.append(found[15:25].sum() / total[15:25].sum())
         # only the rims of the wall are rounded off by balls that fit
         assert [share > 0.5 for share in shares] == [d > width for d in (1, 3, 5, 7)]
+
+
+def print_through(cure_depth, penetration, layer):
+    """Depth of cured resin below a thick horizontal ceiling, from the bottom of its lowest layer."""
+    return cure_depth + penetration * math.log(1 / (1 - math.exp(-layer / penetration)))
 
 
 @pytest.mark.parametrize(("penetration", "depth"), [(0.1, 0.1), (0.12, 0.06), (0.05, 0.2)])
