@@ -54,7 +54,7 @@ def seconds(text: str) -> float:
 @contextlib.contextmanager
 def limits_of(args: Namespace) -> Iterator[None]:
     """Put the limits into the environment, where stages of this and of worker processes find them."""
-    from sppm_pipeline.engine.run.steps import CONTRACT
+    from sppm_pipeline.engine.run.contract import CONTRACT
     from sppm_pipeline.process.budget import MEMORY
     from sppm_pipeline.process.containment import STAGE_TIME
 
