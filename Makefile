@@ -19,7 +19,8 @@ test: $(VENV)/.installed-tests  ## set up and pass all checks and tests
 
 test-oldest:  ## the tests with the oldest libraries that pyproject.toml allows; in an environment of its own
 	$(PYTHON) -m venv $(VENV)-oldest
-	$(VENV)-oldest/bin/pip install --quiet --constraint tests/oldest.txt --editable ".[test,images,volume]"
+	$(VENV)-oldest/bin/pip install --quiet --constraint tests/oldest.txt --editable ".[test,images,volume]" \
+		$(foreach plugin,$(wildcard plugins/*/pyproject.toml),--editable $(dir $(plugin)))
 	$(VENV)-oldest/bin/python -m pytest -n auto --dist loadfile tests
 
 docs: $(VENV)/.installed-docs  ## run the gallery and make a site of the documentation in build/site; warnings are errors

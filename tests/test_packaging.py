@@ -50,7 +50,7 @@ def environment(built, tmp_path_factory) -> Path:
 def run(environment: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [str(environment / "bin" / "python"), "-m", "sppm_pipeline", *arguments],
-        cwd=folder, capture_output=True, text=True, timeout=300,
+        cwd=folder, capture_output=True, text=True, timeout=600,
         env={**os.environ, "SPPM_CACHE": str(folder / "cache")},  # a report takes the field of its live view from there
     )  # fmt: skip
 

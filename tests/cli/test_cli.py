@@ -427,7 +427,7 @@ def test_signals_end_a_run_cleanly(here, number, code, sweep):
     while not list(here.glob("started*")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
     os.kill(process.pid, number)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=400)
     assert process.returncode == code, err
     assert err.endswith("sppm: interrupted\n"), err
     assert "Traceback" not in err

@@ -143,7 +143,7 @@ def finish(folder: Path, *words: str, sweep: bool = False) -> None:
     (folder / "wait").unlink()
     before = (folder / "ran.txt").read_text().count("first")
     process = start(folder, "kernel", *words, sweep=sweep)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=400)
     assert process.returncode == 0, err
     assert json.loads((folder / "out" / "run.json").read_text())["status"] == "done"
     assert (folder / "ran.txt").read_text().count("first") == before
@@ -170,7 +170,7 @@ def test_a_signal_ends_a_run_whatever_it_does(tmp_path, how, number):
     process = start(tmp_path, how)
     pids = wait_for(tmp_path, process)
     os.kill(process.pid, number)
-    _, err = process.communicate(timeout=120)  # of the ten minutes that it would have taken
+    _, err = process.communicate(timeout=400)  # of the ten minutes that it would have taken
     assert process.returncode == CODES[number], err
     assert err.splitlines() == ["sppm: interrupted; the same command again goes on with the stages that had ended"]
     assert gone(pids)
@@ -186,7 +186,7 @@ def test_the_whole_group_is_interrupted_as_a_terminal_does(tmp_path):
     process = start(tmp_path, "kernel", "-j", "2", sweep=True)
     pids = wait_for(tmp_path, process, 2)
     os.killpg(process.pid, signal.SIGINT)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=400)
     assert process.returncode == 130
     assert "Traceback" not in err
     assert gone(pids)
@@ -202,7 +202,7 @@ def test_sweeps_end_at_once(tmp_path, executor):
     process = start(tmp_path, "kernel", "-j", "2", "--executor", executor, sweep=True)
     pids = wait_for(tmp_path, process)
     os.kill(process.pid, signal.SIGTERM)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=400)
     assert process.returncode == 143, err
     assert gone(pids)
     assert json.loads((tmp_path / "out" / "run.json").read_text())["status"] == "interrupted"
@@ -216,7 +216,7 @@ def test_nobody_outlives_a_kill(tmp_path, victim, sweep):
     pids = wait_for(tmp_path, process, 2 if sweep else 1)
     (child,) = (child.pid for child in psutil.Process(process.pid).children())
     os.kill(process.pid if victim == "parent" else child, signal.SIGKILL)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=400)
     assert process.returncode == (-9 if victim == "parent" else 137)
     assert gone([*pids, child])
     if victim == "child":
@@ -229,7 +229,7 @@ def test_nobody_outlives_a_kill(tmp_path, victim, sweep):
 def test_a_crash_of_a_native_library_has_its_own_exit_code(tmp_path, how, name):
     (tmp_path / "wait").touch()
     process = start(tmp_path, how)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=400)
     assert process.returncode == 6
     assert f"a native library crashed ({name})" in err
     record = json.loads((tmp_path / "out" / "run.json").read_text())
@@ -239,7 +239,7 @@ def test_a_crash_of_a_native_library_has_its_own_exit_code(tmp_path, how, name):
 def test_a_row_that_takes_the_whole_sweep_down_names_its_run(tmp_path):
     (tmp_path / "wait").touch()
     process = start(tmp_path, "segfault", sweep=True)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=400)
     assert process.returncode == 6
     assert "'write.busy' of run '0000'" in err
     assert "stages.py" in err
@@ -249,7 +249,7 @@ def test_a_row_that_takes_the_whole_sweep_down_names_its_run(tmp_path):
     assert "of run '0000'" in record["error"]["message"]
     # as the hint says: each row has its own error
     process = start(tmp_path, "segfault", "--executor", "processes", sweep=True)
-    process.communicate(timeout=120)
+    process.communicate(timeout=400)
     record = json.loads((tmp_path / "out" / "run.json").read_text())
     assert [row["error"]["message"].count(f"run {row['run']!r}") for row in record["runs"]] == [1, 1]
 
@@ -259,12 +259,12 @@ def test_a_second_run_into_a_directory_is_refused(tmp_path):
     first = start(tmp_path, "kernel")
     wait_for(tmp_path, first)
     second = start(tmp_path, "kernel")
-    _, err = second.communicate(timeout=120)
+    _, err = second.communicate(timeout=400)
     assert second.returncode == 5
     assert "another run is writing into 'out'" in err
     assert json.loads((tmp_path / "out" / "run.json").read_text())["status"] == "running"
     os.kill(first.pid, signal.SIGTERM)
-    first.communicate(timeout=120)
+    first.communicate(timeout=400)
 
 
 def test_a_signal_that_was_turned_off_stays_so(tmp_path):
@@ -290,6 +290,6 @@ def test_a_signal_that_was_turned_off_stays_so(tmp_path):
         process.wait(0.5)
     assert process.poll() is None
     os.kill(process.pid, signal.SIGTERM)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=400)
     assert process.returncode == 143
     assert err == "sppm: interrupted\n"

@@ -228,7 +228,7 @@ def test_the_notice_about_compilation_is_given_once(monkeypatch):
 def test_numba_gives_the_notice(monkeypatch):
     import numba
 
-    import sppm_pipeline.numerics.compiled  # noqa: F401 - listens to Numba
+    import sppm_pipeline.numerics.compiling  # noqa: F401 - listens to Numba
 
     monkeypatch.setattr(kernel_cache, "waiting", [])
     told = []

@@ -44,7 +44,7 @@ def here(tmp_path):
 def sppm(*words: str, cwd: Path, before=None, **how) -> subprocess.CompletedProcess:
     how = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **how}
     command = [sys.executable, "-m", "sppm_pipeline.cli.main", *words, "--no-plugins"]
-    return subprocess.run(command, cwd=cwd, preexec_fn=before, text=True, timeout=120, check=False, **how)
+    return subprocess.run(command, cwd=cwd, preexec_fn=before, text=True, timeout=600, check=False, **how)
 
 
 def one_line(done: subprocess.CompletedProcess, *words: str) -> None:

@@ -15,7 +15,7 @@ import nbformat
 from nbclient import NotebookClient
 
 notebook = nbformat.read(sys.argv[1], as_version=4)
-NotebookClient(notebook, timeout=300, kernel_name="python3", record_timing=False).execute()
+NotebookClient(notebook, timeout=600, kernel_name="python3", record_timing=False).execute()
 nbformat.write(notebook, sys.argv[2])
 """
 
@@ -35,7 +35,7 @@ def outputs(path):
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_shows_what_it_says(path, tmp_path):
     again = tmp_path / path.name
-    subprocess.run([sys.executable, "-c", EXECUTE, str(path), str(again)], check=True, cwd=tmp_path, timeout=300)
+    subprocess.run([sys.executable, "-c", EXECUTE, str(path), str(again)], check=True, cwd=tmp_path, timeout=600)
     stored, now = outputs(path), outputs(again)
     assert [kinds for _, kinds, _ in now] == [kinds for _, kinds, _ in stored]
     assert [text for _, _, text in now] == [text for _, _, text in stored]

@@ -25,7 +25,7 @@ from sppm_pipeline.cli.main import main as sppm
 from sppm_pipeline.engine.plan import plugins, session
 
 ROOT = Path(__file__).resolve().parents[2]
-LONGEST = 30.0
+LONGEST = 120.0
 """Seconds after which a check counts as hanging."""
 
 VALUES = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import operator
 import os
 import time
@@ -217,6 +218,36 @@ def test_what_is_common_goes_with_its_stage(here, tmp_path, monkeypatch):
     assert not list((tmp_path / "run").glob(".*/*/value.json"))
     here.forget()
     assert list(here.map(operator.contains, [3], common)) == [False]  # written anew
+
+
+def test_what_is_common_stays_while_an_item_is_in_work(monkeypatch):
+    timers = []
+
+    class Timer:
+        def __init__(self, seconds, function):
+            self.function, self.daemon, self.canceled = function, False, False
+
+        def start(self):
+            timers.append(self)
+
+        def cancel(self):
+            self.canceled = True
+
+    monkeypatch.setattr(items_module.threading, "Timer", Timer)
+    monkeypatch.setattr(items_module, "_idle", None)
+    monkeypatch.setattr(items_module, "_loaded", functools.lru_cache(maxsize=1)(lambda kept: kept))
+    with items_module._at_work():
+        items_module._loaded(1)
+        with items_module._at_work():
+            pass
+        assert timers == []
+        items_module._forget_if_idle()  # as a timer does that has gone off just before
+        assert items_module._loaded.cache_info().currsize == 1
+    with items_module._at_work():
+        assert timers[0].canceled
+    timers[1].function()
+    assert items_module._loaded.cache_info().currsize == 0
+    assert len(timers) == 2
 
 
 def test_items_are_taken_as_they_are_needed(here):

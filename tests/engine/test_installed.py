@@ -38,7 +38,8 @@ def test_they_are_those_that_the_standard_library_finds(group):
 def test_every_way_of_writing_them(place):
     place(
         "my_thing-1.0.dist-info",
-        "[other]\na = b\n\n[sppm]\n# a comment\none = os\ntwo=posixpath:join\nthree = os : path.sep [extra]\n[x]\nc=d",
+        "[other]\na = b\n\n[sppm]\n# a comment\n# none = none\n"
+        "one = os\ntwo=posixpath:join\nthree = os : path.sep [extra]\n[x]\nc=d",
         "Metadata-Version: 2.1\nName: My.Thing\nVersion: 1.0.post1\n\nName: not this\n",
     )
     found = {e.name: e for e in installed.entry_points("sppm") if e.dist.name == "My.Thing"}
@@ -47,6 +48,21 @@ def test_every_way_of_writing_them(place):
     assert found["one"].dist.version == "1.0.post1"
     mine = [row for row in as_rows(importlib.metadata.entry_points(group="sppm")) if row[2] == "My.Thing"]
     assert mine == as_rows(found.values())
+
+
+def test_an_empty_place_on_the_path_is_the_working_folder(place, tmp_path, monkeypatch):
+    place("here-1.0.dist-info")
+    monkeypatch.setattr(sys, "path", ["" if path == str(tmp_path) else path for path in sys.path])
+    assert "here" not in installed.distributions()
+    monkeypatch.chdir(tmp_path)
+    assert installed.distributions()["here"].version == "1.0"
+
+
+def test_names_are_compared_and_read_however_they_are_written(place, tmp_path):
+    assert installed.normal("A.-b__c") == "a-b-c"
+    place("cafe-1.0.dist-info")
+    (tmp_path / "cafe-1.0.dist-info/METADATA").write_bytes(b"Name: caf\xe9\nVersion: 1.0\n")
+    assert "Version: 1.0" in installed.metadata_of(installed.distributions()["cafe"])
 
 
 @pytest.mark.parametrize("value", ["no target at all", "", "a:b:c"])

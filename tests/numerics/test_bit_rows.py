@@ -15,6 +15,7 @@ def test_bits_are_the_bytes_they_were_made_of(nx):
     assert bits.shape == (3, 5, words_of(nx))
     assert np.array_equal(unpack(bits, nx), mask > 0)
     assert np.array_equal(unpack(bits[:, ::-1], nx, 255), (mask[:, ::-1] > 0) * 255)
+    assert np.array_equal(unpack(np.asfortranarray(bits), nx), mask > 0)
     assert count(bits) == np.count_nonzero(mask)
     x = nx - 1
     assert bits[1, 2, x // 64] >> np.uint64(x % 64) == (mask[1, 2, x] > 0)  # nothing is set behind the last one

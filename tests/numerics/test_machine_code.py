@@ -131,7 +131,7 @@ def program(tmp_path):
         own = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
         own |= {"NUMBA_CACHE_DIR": str(tmp_path / "kernels"), **environment}
         done = subprocess.run(
-            [sys.executable, "calls.py"], cwd=tmp_path, env=own, capture_output=True, text=True, timeout=300
+            [sys.executable, "calls.py"], cwd=tmp_path, env=own, capture_output=True, text=True, timeout=600
         )
         assert done.returncode == 0, done.stderr
         with_numba, results = done.stdout.split()

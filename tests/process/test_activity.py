@@ -8,7 +8,8 @@ import warnings
 
 import pytest
 
-from sppm_pipeline.process import activity
+from sppm_pipeline.errors import PluginError
+from sppm_pipeline.process import activity, containment
 from sppm_pipeline.process.activity import Activity, doing
 
 
@@ -31,6 +32,28 @@ def test_the_earliest_deadline_of_what_is_being_done_holds(shared):
         assert not activity.was_left()
     assert activity.current() is None
     assert activity.deadlines() == (run, math.inf)
+
+
+def test_the_supervisor_waits_longer_than_the_stage_and_its_own_process(shared, monkeypatch):
+    monkeypatch.setenv(containment.STAGE_TIME, "5e5")
+    monkeypatch.setattr(containment, "GRACE", 1e7)
+    monkeypatch.setattr(containment, "LAST", 1e6)
+    with containment.limited("somebody", builtin=False):
+        assert activity.deadlines()[1] - time.monotonic() == pytest.approx(11.5e6, abs=1e4)
+
+
+def test_of_two_limits_the_one_that_is_up_is_told(monkeypatch):
+    def work():
+        with containment.limited("the outer one", builtin=False):
+            monkeypatch.setenv(containment.STAGE_TIME, "1e5")
+            with containment.limited("the inner one", builtin=False):
+                until = time.monotonic() + 60
+                while time.monotonic() < until:
+                    time.sleep(0.01)
+
+    monkeypatch.setenv(containment.STAGE_TIME, "0.2")
+    with pytest.raises(PluginError, match="the outer one took longer"):
+        work()
 
 
 def test_of_too_long_a_text_the_end_is_cut(shared):

@@ -94,6 +94,13 @@ def test_what_was_not_specified_is_refused(call, what, words):
     assert f"numpy {np.__version__} " in caught.value.message
 
 
+def test_complex_numbers_are_to_be_finite_as_well():
+    assert (
+        ArraySpec("complex128", (2,)).problem(np.array([1, complex(0, np.inf)])) == "has 1 values that are not finite"
+    )
+    assert ArraySpec("complex128", (None,)).problem(np.array([1, 1j])) is None
+
+
 @pytest.mark.parametrize(
     ("what", "kind", "message", "hint"),
     [

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 import time
 
+import psutil
+import pytest
+
 from sppm_pipeline.process import interruption
 from sppm_pipeline.process.interruption import raise_in
+from sppm_pipeline.process.tree import signal_below
 
 
 class Hit(BaseException):
@@ -59,3 +64,25 @@ def test_what_was_not_raised_yet_is_taken_back(monkeypatch):
     go.set()
     thread.join()
     assert seen == [True]
+
+
+@pytest.mark.parametrize("recursive", [False, True])
+def test_signals_reach_children_or_all_below(monkeypatch, recursive):
+    class Below:
+        """Process 1 has the child 2, and that the child 3."""
+
+        def __init__(self, pid):
+            self.pid = pid
+
+        def children(self, recursive):
+            return [Below(2), Below(3)] if recursive else [Below(2)]
+
+        def send_signal(self, number):
+            sent.append((self.pid, number))
+            if self.pid == 2:
+                raise psutil.NoSuchProcess(2)
+
+    sent = []
+    monkeypatch.setattr(psutil, "Process", Below)
+    signal_below(1, signal.SIGTERM, recursive=recursive)
+    assert sent == [(2, signal.SIGTERM), (3, signal.SIGTERM)][: 1 + recursive]

@@ -4,6 +4,8 @@ import mmap
 import threading
 import time
 
+import pytest
+
 from sppm_pipeline.process import resident
 from sppm_pipeline.process.resident import PeakWatch
 
@@ -43,6 +45,17 @@ def test_a_new_peak_is_exact_however_short(monkeypatch):
     with PeakWatch() as watch:
         held(above).close()
     assert before + 150 < watch.mb < before + 250
+
+
+@pytest.mark.parametrize(("first", "last"), [(5e6, 3e6), (3e6, 5e6)])
+def test_beginning_and_end_are_looked_at_whatever_the_thread_does(monkeypatch, first, last):
+    now = [first]
+    monkeypatch.setattr(resident, "_look", lambda: None)
+    monkeypatch.setattr(resident, "highest", lambda: 10**10)
+    monkeypatch.setattr(resident, "resident", lambda: now[0])
+    with PeakWatch() as watch:
+        now[0] = last
+    assert watch.mb == 5
 
 
 def test_the_thread_ends_by_itself(monkeypatch):

@@ -155,7 +155,7 @@ def test_a_style_of_the_user_changes_nothing_and_is_left_alone(tmp_path):
         "sys.stdout.buffer.write(chart(series, 'a.svg', title='T'))"
     )
     environment = {"MATPLOTLIBRC": str(settings), "MPLBACKEND": "pdf", "HOME": str(tmp_path), "PATH": ""}
-    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True, timeout=120)
+    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True, timeout=600)
     assert found.stdout == plain
 
 

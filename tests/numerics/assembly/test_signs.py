@@ -12,7 +12,15 @@ from sppm_pipeline.numerics.assembly.gather import make_catalog, sample_exact
 from sppm_pipeline.numerics.assembly.signs import SignSampler
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import Kernels, steepest
-from sppm_pipeline.numerics.kernels.signs import coarse_grid, crowd_of, decide_rows, find_bounds, one_level
+from sppm_pipeline.numerics.kernels.signs import (
+    DROPPED,
+    Levels,
+    coarse_grid,
+    crowd_of,
+    decide_rows,
+    find_bounds,
+    one_level,
+)
 from sppm_pipeline.numerics.metric import stretched_metric
 from sppm_pipeline.testing.exact_sum import exact_sum
 
@@ -129,6 +137,20 @@ def test_any_kernels_will_do(pores, tunnels):
 def test_coarse_grids_and_levels_of_no_surface_are_left_to_the_sums():
     for level, pitch in ((0.25, 0.04), (1.2, 0.01), (0.0, 0.01)):
         assert find_bounds(115.0, 46.0, "linear", one_level(level), (pitch,) * 3, CUTOFF) is None
+
+
+def test_bounds_leave_open_what_kernels_that_were_dropped_could_change():
+    """At coarse samples themselves nothing is interpolated; where the level drifts, its change to the next counts."""
+    level, spacing = 0.25, (0.01, 0.01, 0.01)
+    bounds = find_bounds(70.0, 40.0, "linear", one_level(level), spacing, CUTOFF)
+    dropped = DROPPED * CUTOFF
+    assert (bounds.solid[0], bounds.void[0]) == pytest.approx((level - dropped, level + dropped), rel=1e-6)
+    drifting = find_bounds(70.0, 40.0, "linear", Levels(level, level, level, 1.5), spacing, CUTOFF)
+    drift = 1.5 * sum(step * h for step, h in zip(bounds.steps, spacing, strict=True))
+    assert drifting.steps == bounds.steps
+    assert drift > 0.05
+    np.testing.assert_allclose(drifting.solid, bounds.solid * math.exp(-drift), rtol=1e-6)
+    np.testing.assert_allclose(drifting.void, bounds.void * math.exp(drift), rtol=1e-6)
 
 
 def test_a_crowd_is_not_exceeded():

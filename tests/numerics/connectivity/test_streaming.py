@@ -32,6 +32,14 @@ def both_passes(mask, sizes, connectivity, keep):
     return np.concatenate([islands.clear(slab) for slab in cut(mask, sizes[::-1])]), statistics
 
 
+def test_after_each_layer_the_largest_component_so_far_is_known():
+    islands = IslandFilter(1, 9)
+    for layer, main, others in (([1, 0, 1, 1, 0, 0, 0, 0, 0], 1, 1), ([0, 0, 0, 0, 0, 1, 1, 1, 1], 2, 0)):
+        islands.observe(np.array([[layer]], np.uint8))
+        assert islands._remembered[-1].main == main
+        assert len(islands._remembered[-1].runs) == others
+
+
 @settings(deadline=None, derandomize=True, max_examples=120)
 @given(
     st.integers(0, 2**32 - 1),

@@ -80,7 +80,7 @@ def test_calculix_finds_the_stiffness_of_the_homogenizer(mesh):
     path, _keep = written(
         WriteVolumeMesh(path="mesh.inp", tie_faces=True, job=True, young=young, poisson=poisson), mesh
     )
-    subprocess.run([solver, "mesh"], cwd=path.parent, check=True, capture_output=True, timeout=120)
+    subprocess.run([solver, "mesh"], cwd=path.parent, check=True, capture_output=True, timeout=600)
     dat = path.with_suffix(".dat").read_text()
     code = re.search(r"```python\n(.*?)```", RECIPE.read_text(), re.DOTALL)
     names: dict = {}
