@@ -186,7 +186,7 @@ def build_bank(
     threads : int
         Number of threads; the result does not depend on it.
     solid_level : float, optional
-        Build an int16 bank, which serves `assemble_solid` at this level only, with half the memory. With p patches over
+        Build an int16 bank, which serves `assemble_bits` at this level only, with half the memory. With p patches over
         a voxel, rounding changes the sum by at most ``p / 2 / 32767`` of the level.
     """
     if solid_level is not None and not solid_level > 0.0:
