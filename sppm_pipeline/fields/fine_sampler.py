@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from sppm_pipeline.numerics.interpolation import (
     stretch,
     taps_at,
 )
+from sppm_pipeline.numerics.threads import share_out
 
 if TYPE_CHECKING:
     from sppm_pipeline.fields.kernel_sum import KernelSum, Patches
@@ -127,7 +127,7 @@ class FineSampler:
                     None if solid is None else solid[own],
                 )
 
-            _in_threads(work, range(0, ny, self._band_rows), threads)
+            share_out(work, range(0, ny, self._band_rows), threads)
         if stop == nz:
             self._chunks, self._rooms, self._sums = {}, [], np.zeros((0, 0, 0), np.float32)
 
@@ -272,7 +272,7 @@ class _Chunk:
             for (from_y, to_y), (from_x, to_x) in product(y.own, x.own):
                 self._sums[:, to_y, to_x] = sums[:, from_y, from_x]
 
-        _in_threads(add, sorted(columns), threads)
+        share_out(add, sorted(columns), threads)
         self.done |= columns
         for j in {j for _, j in columns}:
             for _, rows in spans[1][j].own:
@@ -285,7 +285,7 @@ class _Chunk:
             stretch(sums[some], self.band, rows, self.stretched[some], blocks)
 
         cuts = [len(self.planes) * part // threads for part in range(threads + 1)]
-        _in_threads(work, [slice(*ends) for ends in pairwise(cuts)], threads)
+        share_out(work, [slice(*ends) for ends in pairwise(cuts)], threads)
 
 
 def _spans(window: range, n: int, cells: int, periodic: bool) -> list[Span]:
@@ -303,12 +303,3 @@ def _spans(window: range, n: int, cells: int, periodic: bool) -> list[Span]:
             span = found.setdefault(number, Span(low + shift, high - low, []))
             span.own.append((slice(a - low, b - low), slice(a - window.start, b - window.start)))
     return list(found.values())
-
-
-def _in_threads(work: Callable[[Any], None], tasks: Iterable[Any], threads: int) -> None:
-    if threads > 1:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(work, tasks))
-    else:
-        for task in tasks:
-            work(task)

@@ -7,8 +7,6 @@ nor on the number of threads, and they repeat with a periodic tiling.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +14,7 @@ from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.assembly.patches import FULL, PatchBank, patches_at
 from sppm_pipeline.numerics.bit_rows import empty_bits, gather
 from sppm_pipeline.numerics.compiled import inline_jit, jit
+from sppm_pipeline.numerics.threads import share_out
 
 # Samples that are summed at a time: 512 kB of float32 stay in the second level cache beside the patches.
 _BLOCK_SAMPLES = 1 << 17
@@ -193,13 +192,9 @@ def _run(
         )
 
     blocks = down * across
-    if threads > 1 and blocks > 1:
-        parts = min(blocks, 4 * threads)
-        cuts = [blocks * i // parts for i in range(parts + 1)]
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(work, map(range, cuts[:-1], cuts[1:])))
-    else:
-        work(range(blocks))
+    parts = min(blocks, 4 * threads) if threads > 1 else 1
+    cuts = [blocks * i // parts for i in range(parts + 1)]
+    share_out(work, map(range, cuts[:-1], cuts[1:]), threads)
 
 
 @inline_jit
