@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.numerics.domain.occupancy import spans_in_any
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.interpolation import (
     BEFORE,
@@ -21,6 +21,7 @@ from sppm_pipeline.numerics.interpolation import (
     stretch,
     taps_at,
 )
+from sppm_pipeline.numerics.threads import share_out
 
 if TYPE_CHECKING:
     from sppm_pipeline.fields.kernel_sum import KernelSum, Patches
@@ -38,6 +39,10 @@ planes between them stay in the cache: the six of a layer take 768 kB."""
 
 MARGIN = BEFORE + 1
 """Coarse samples beyond the lattice that are summed with its outermost cells."""
+
+
+NEARBY = 4
+"""Coarse rows beyond those wanted whose patches are added up as well, as the next layers may want them."""
 
 
 class Span(NamedTuple):
@@ -80,6 +85,8 @@ class FineSampler:
         rows = max(TAPS, BAND_SAMPLES // grid.shape[0])
         self._band_rows = max(1, rows * grid.shape[1] // len(self._window[1]))
         self._chunks: dict[int, _Chunk] = {}
+        self._rooms: list[NDArray[np.float32]] = []
+        self._sums = np.zeros((0, 0, 0), np.float32)
 
     def sample(
         self,
@@ -120,9 +127,9 @@ class FineSampler:
                     None if solid is None else solid[own],
                 )
 
-            _in_threads(work, range(0, ny, self._band_rows), threads)
+            share_out(work, range(0, ny, self._band_rows), threads)
         if stop == nz:
-            self._chunks = {}
+            self._chunks, self._rooms, self._sums = {}, [], np.zeros((0, 0, 0), np.float32)
 
     def _groups(self, start: int, stop: int) -> list[tuple[int, int]]:
         """Runs of layers that are interpolated from the same chunks."""
@@ -137,27 +144,48 @@ class FineSampler:
         low, high = (int(self._taps[2].first[layer]) for layer in (first, last - 1))
         high += TAPS - 1
         x, y, z = self._window
-        chunks = {}
-        for c in range((low + MARGIN) // self._height, (high + MARGIN) // self._height + 1):
+        numbers = range((low + MARGIN) // self._height, (high + MARGIN) // self._height + 1)
+        for c in set(self._chunks) - set(numbers):  # fresh memory takes longer to get than to fill
+            self._rooms.append(self._chunks.pop(c).room)
+        for c in set(numbers) - set(self._chunks):
             first = c * self._height - MARGIN
             planes = range(max(first, z.start), min(first + self._height, z.stop))
-            chunks[c] = self._chunks.get(c) or _Chunk(planes, x, y, self._band)
-        self._chunks = chunks
+            room = self._rooms.pop() if self._rooms else self._new_room(len(self._band.first) * BLOCK)
+            self._chunks[c] = _Chunk(planes, x, y, self._band, room)
+        chunks = [self._chunks[c] for c in numbers]
         if (patches := field.patches(self._n, 0.0, threads)) is not None:
-            for chunk in chunks.values():
-                chunk.add_patches(patches, threads)
+            rows = self._coarse_rows(spans_in_any(wanted))
+            for chunk in chunks:
+                chunk.add_patches(patches, rows, self._scratch, threads)
         else:
             columns = self._columns(wanted)
-            for chunk in chunks.values():
+            for chunk in chunks:
                 chunk.sum_columns(field, self._n, columns - chunk.done, self._spans, threads)
-        return list(chunks.values())
+        return chunks
+
+    def _new_room(self, columns: int) -> NDArray[np.float32]:
+        return np.empty((self._height, len(self._window[1]), columns), np.float32)
+
+    def _scratch(self) -> NDArray[np.float32]:
+        """Room for the sums of a chunk, for one after the other."""
+        if not self._sums.size:
+            self._sums = self._new_room(len(self._window[0]))
+        return self._sums
+
+    def _coarse_rows(self, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
+        """What of each coarse row, in fine samples, is needed for the wanted part of each fine row; both (rows, 2)."""
+        first = self._taps[1].first - self._taps[1].first[0]
+        rows = np.empty((len(self._window[1]), 2), np.int32)
+        rows[:] = self.of[0].shape[0], 0
+        for tap in range(TAPS):
+            np.minimum.at(rows[:, 0], first + tap, wanted[:, 0])
+            np.maximum.at(rows[:, 1], first + tap, wanted[:, 1])
+        return rows
 
     def _columns(self, wanted: NDArray[np.int32]) -> set[tuple[int, int]]:
         """Numbers of the spans along x and y whose samples the wanted ones depend on."""
         first_x, first_y = (taps.first - taps.first[0] for taps in self._taps[:2])
-        there = wanted[..., 0] < wanted[..., 1]
-        start = np.where(there, wanted[..., 0], self.of[0].shape[0]).min(0)
-        stop = np.where(there, wanted[..., 1], 0).max(0)
+        start, stop = spans_in_any(wanted).T
         found = set()
         for j, span_y in enumerate(self._spans[1]):
             rows = np.zeros(len(start), bool)
@@ -172,24 +200,57 @@ class FineSampler:
         return found
 
 
+def _widened(
+    low: NDArray[np.int32], high: NDArray[np.int32], blocks: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Ranges of blocks, one more on either side, joined with those of `NEARBY` rows."""
+    low, high = np.where(low < high, low, blocks), np.where(low < high, high, 0)
+    wide_low, wide_high = low.copy(), high.copy()
+    for by in range(1, NEARBY + 1):
+        wide_low[by:], wide_low[:-by] = np.minimum(wide_low[by:], low[:-by]), np.minimum(wide_low[:-by], low[by:])
+        wide_high[by:], wide_high[:-by] = np.maximum(wide_high[by:], high[:-by]), np.maximum(wide_high[:-by], high[by:])
+    there = wide_low < wide_high
+    return np.where(there, np.maximum(wide_low - 1, 0), 0), np.where(there, np.minimum(wide_high + 1, blocks), 0)
+
+
 class _Chunk:
     """Consecutive coarse planes, stretched along x; the kernels are summed where they are needed."""
 
-    def __init__(self, planes: range, x: range, y: range, band: Band) -> None:
-        self.planes, self.x, self.y, self.band = planes, x, y, band
-        self.stretched = np.empty((len(planes), len(y), len(band.first) * BLOCK), np.float32)
+    def __init__(self, planes: range, x: range, y: range, band: Band, room: NDArray[np.float32]) -> None:
+        self.planes, self.x, self.y, self.band, self.room = planes, x, y, band, room
+        self.stretched = room[: len(planes)]
         self.done: set[tuple[int, int]] = set()
+        self._blocks = np.zeros((len(y), 2), np.int32)
         self._sums = np.zeros((0, 0, 0), np.float32)
 
-    def add_patches(self, patches: Patches, threads: int) -> None:
-        """Add up patches for all of the chunk, unless that is done."""
+    def add_patches(
+        self, patches: Patches, needed: NDArray[np.int32], scratch: Callable[[], NDArray[np.float32]], threads: int
+    ) -> None:
+        """Add up patches for the needed parts of rows, (cy, 2) fine samples, unless that is done."""
         from sppm_pipeline.numerics.assembly.overlap_add import assemble
 
-        if not self.done:
-            x, y, z = self.x, self.y, self.planes
-            sums = assemble(*patches, z.start, z.stop, x.start, x.stop, y.start, y.stop, threads=threads)
-            self._stretch(sums, range(len(y)), threads)
-            self.done.add((0, 0))
+        low, high, done = needed[:, 0] // BLOCK, -(-needed[:, 1] // BLOCK), self._blocks
+        if not ((low < high) & ((low < done[:, 0]) | (high > done[:, 1]))).any():
+            return
+        # the next layers want about the same; what they want beyond that is summed then, with the rows it belongs to
+        low, high = _widened(low, high, len(self.band.first))
+        x, y, z = self.x, self.y, self.planes
+        first = self.band.first.astype(np.int32)
+        empty = done[:, 0] >= done[:, 1]
+        left = np.stack([low, np.where(empty, high, done[:, 0])], axis=1)
+        right = np.stack([np.where(empty, high, done[:, 1]), high], axis=1)
+        for blocks in (left, right):
+            blocks[blocks[:, 0] >= blocks[:, 1]] = 0
+            if not blocks.any():
+                continue
+            columns = np.stack([first[blocks[:, 0], 0], first[blocks[:, 1] - 1, -1] + TAPS], axis=1)
+            columns[blocks[:, 1] == 0] = 0
+            sums = scratch()[: len(z)]
+            assemble(*patches, z.start, z.stop, x.start, x.stop, y.start, y.stop, sums, threads, columns)
+            self._stretch(sums, range(len(y)), threads, blocks)
+        there = low < high
+        done[:, 0] = np.where(there & (empty | (low < done[:, 0])), low, done[:, 0])
+        done[:, 1] = np.where(there, np.maximum(high, done[:, 1]), done[:, 1])
 
     def sum_columns(
         self, field: KernelSum, n: int, columns: set[tuple[int, int]], spans: list[list[Span]], threads: int
@@ -211,18 +272,20 @@ class _Chunk:
             for (from_y, to_y), (from_x, to_x) in product(y.own, x.own):
                 self._sums[:, to_y, to_x] = sums[:, from_y, from_x]
 
-        _in_threads(add, sorted(columns), threads)
+        share_out(add, sorted(columns), threads)
         self.done |= columns
         for j in {j for _, j in columns}:
             for _, rows in spans[1][j].own:
                 self._stretch(self._sums, range(rows.start, rows.stop), threads)
 
-    def _stretch(self, sums: NDArray[np.float32], rows: range, threads: int) -> None:
+    def _stretch(
+        self, sums: NDArray[np.float32], rows: range, threads: int, blocks: NDArray[np.int32] | None = None
+    ) -> None:
         def work(some: slice) -> None:
-            stretch(sums[some], self.band, rows, self.stretched[some])
+            stretch(sums[some], self.band, rows, self.stretched[some], blocks)
 
         cuts = [len(self.planes) * part // threads for part in range(threads + 1)]
-        _in_threads(work, [slice(*ends) for ends in pairwise(cuts)], threads)
+        share_out(work, [slice(*ends) for ends in pairwise(cuts)], threads)
 
 
 def _spans(window: range, n: int, cells: int, periodic: bool) -> list[Span]:
@@ -240,12 +303,3 @@ def _spans(window: range, n: int, cells: int, periodic: bool) -> list[Span]:
             span = found.setdefault(number, Span(low + shift, high - low, []))
             span.own.append((slice(a - low, b - low), slice(a - window.start, b - window.start)))
     return list(found.values())
-
-
-def _in_threads(work: Callable[[Any], None], tasks: Iterable[Any], threads: int) -> None:
-    if threads > 1:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(work, tasks))
-    else:
-        for task in tasks:
-            work(task)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.data.size import PAYING_SHARE, PAYING_SHARE_OF_PATCHES
 from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.numerics.bit_rows import unpack
+from sppm_pipeline.numerics.domain.occupancy import spans_in_any
 from sppm_pipeline.numerics.grid import Grid, sample_one_period
 
 if TYPE_CHECKING:
@@ -29,6 +31,34 @@ class Patches(NamedTuple):
 
     bank: PatchBank
     arrays: TilingArrays
+
+
+class _Placed(NamedTuple):
+    """Patches, and the indices of those of their samples along x, y and z that a grid stands for."""
+
+    patches: Patches
+    x: tuple[int, int]
+    y: tuple[int, int]
+    z: tuple[int, int]
+
+    def sums(self, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None = None) -> NDArray[np.float32]:
+        """G in the layers start <= k < stop of the grid; `wanted` as for `solid_layers`."""
+        from sppm_pipeline.numerics.assembly.overlap_add import assemble
+
+        rows = None if wanted is None else spans_in_any(wanted)
+        return assemble(*self.patches, *self._box(start, stop), threads=threads, wanted=rows)
+
+    def bits(
+        self, level: float, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint64]:
+        """Where G lies below the level."""
+        from sppm_pipeline.numerics.assembly.overlap_add import assemble_bits
+
+        rows = None if wanted is None else spans_in_any(wanted)
+        return assemble_bits(*self.patches, level, *self._box(start, stop), threads=threads, wanted=rows)
+
+    def _box(self, start: int, stop: int) -> tuple[int, int, int, int, int, int]:
+        return (self.z[0] + start, self.z[0] + stop, *self.x, *self.y)
 
 
 class KernelSum(ScalarField):
@@ -135,11 +165,7 @@ class KernelSum(ScalarField):
                 fine.sample(self, start, stop, threads, rows, None, out)
                 return out
             if (placed := self._placed(grid, threads, solid=True)) is not None:
-                from sppm_pipeline.numerics.assembly.overlap_add import assemble_solid
-
-                (bank, arrays), (x, y, z) = placed
-                box = (z[0] + start, z[0] + stop, *x, *y)
-                return assemble_solid(bank, arrays, self.solid_below, *box, threads=threads)
+                return unpack(placed.bits(self.solid_below, start, stop, threads, rows), grid.shape[0])
             if (signs := self._signs(grid)) is not None:
                 return signs.sample(start, stop, threads, rows)
             return (self._summed(grid, start, stop, threads, rows) < np.float32(self.solid_below)).view(np.uint8)
@@ -151,11 +177,7 @@ class KernelSum(ScalarField):
     ) -> NDArray[np.uint64]:
         summed = not self.periodic and self.additive and self._fine(grid, threads) is None
         if summed and (placed := self._placed(grid, threads, solid=True)) is not None:
-            from sppm_pipeline.numerics.assembly.overlap_add import assemble_bits
-
-            (bank, arrays), (x, y, z) = placed
-            box = (z[0] + start, z[0] + stop, *x, *y)
-            return assemble_bits(bank, arrays, self.solid_below, *box, threads=threads)
+            return placed.bits(self.solid_below, start, stop, threads, wanted)
         return super().solid_bits(grid, start, stop, threads, wanted)
 
     def slabs_in_threads(self, grid: Grid) -> bool:
@@ -171,12 +193,10 @@ class KernelSum(ScalarField):
     def _summed(
         self, grid: Grid, start: int, stop: int, threads: int, wanted: NDArray[np.int32] | None
     ) -> NDArray[np.float32]:
-        if (placed := self._placed(grid, threads)) is None:
+        placed = self._placed(grid, threads)
+        if placed is None:
             return self.kernel_sums(grid, start, stop, threads, wanted)
-        from sppm_pipeline.numerics.assembly.overlap_add import assemble
-
-        (bank, arrays), (x, y, z) = placed
-        return assemble(bank, arrays, z[0] + start, z[0] + stop, *x, *y, threads=threads)
+        return placed.sums(start, stop, threads, wanted)
 
     def _fine(self, grid: Grid, threads: int) -> FineSampler | None:
         """The sampler that interpolates on this grid, if that pays; the last one is kept for the next layers."""
@@ -216,11 +236,11 @@ class KernelSum(ScalarField):
             kept = _SIGNS[self] = grid, self.sign_sampler(grid)
         return kept[1]
 
-    def _placed(self, grid: Grid, threads: int, solid: bool = False) -> tuple[Patches, list[tuple[int, int]]] | None:
-        """The patches and, for x, y, z, the range of their samples that a grid stands for; None if there are none."""
+    def _placed(self, grid: Grid, threads: int, solid: bool = False) -> _Placed | None:
+        """The patches and those of their samples that a grid stands for; None if there are none."""
         lattice = _lattice_of(grid)
         patches = self.patches(*lattice[:2], threads, solid) if lattice is not None else None
-        return (patches, lattice[2]) if lattice is not None and patches is not None else None
+        return _Placed(patches, *lattice[2]) if lattice is not None and patches is not None else None
 
 
 def _lattice_of(grid: Grid) -> tuple[int, float, list[tuple[int, int]]] | None:

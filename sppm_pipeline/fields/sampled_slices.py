@@ -16,7 +16,7 @@ from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.fields.slice_stack import Slab, Slabs, SliceStack
 from sppm_pipeline.fields.spool import Spool
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.threads import ordered_map
+from sppm_pipeline.numerics.threads import computed_ahead, ordered_map
 
 if TYPE_CHECKING:
     from sppm_pipeline.fields.slab_passes import Survey
@@ -278,7 +278,11 @@ class FieldSlices(SampledSlices):
         def slab(span: tuple[int, int]) -> BitSlab:
             return span[0], self.source.solid_bits(self.samples, *span, 1 if apart else threads)
 
-        yield from ordered_map(slab, self.spans(start, stop), threads if apart else 1, ahead=threads - 1)
+        spans = self.spans(start, stop)
+        if apart:
+            yield from ordered_map(slab, spans, threads, ahead=threads - 1)
+        else:  # whoever takes a slab looks for islands in it, by one thread
+            yield from computed_ahead(map(slab, spans), threads)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,33 @@ IN_MEMORY = 2**27
 
 OF_THE_DISK = 0.25
 """Share of what is free where temporary files go that a spool may take; a choice."""
+
+
+SPARSE = 0.5
+"""Share of words with bits up to which a slab is kept as these words alone. Around a body most are empty: those of a
+bunny take a third, and memory that the system has to give costs more time than to leave words out."""
+
+
+class _Words(NamedTuple):
+    """The words of a slab that are not 0, and which these are."""
+
+    there: NDArray[np.uint8]  # a bit a word
+    words: NDArray[np.uint64]
+    shape: tuple[int, ...]
+
+    def bits(self) -> NDArray[np.uint64]:
+        bits = np.zeros(self.shape, np.uint64)
+        bits.reshape(-1)[np.unpackbits(self.there, count=bits.size).view(np.bool_)] = self.words
+        return bits
+
+
+def _kept(bits: NDArray[np.uint64]) -> NDArray[np.uint64] | _Words:
+    """A slab, or its words if there are few."""
+    words = bits.reshape(-1)
+    there = words != 0
+    if np.count_nonzero(there) > SPARSE * len(words):
+        return bits
+    return _Words(np.packbits(there), words[there], bits.shape)
 
 
 class Spool:
@@ -30,7 +57,7 @@ class Spool:
 
     def __init__(self) -> None:
         self._slabs: list[tuple[int, tuple[int, ...], int]] = []  # first sheet, shape, place in the file
-        self._bits: list[NDArray[np.uint64]] = []
+        self._bits: list[NDArray[np.uint64] | _Words] = []
         self._held = 0
         self._written = 0
         self._file: IO[bytes] | None = None
@@ -42,8 +69,9 @@ class Spool:
             return
         self._slabs.append((start, bits.shape, self._written))
         if self._file is None and self._held + bits.nbytes <= IN_MEMORY:
-            self._held += bits.nbytes
-            self._bits.append(bits)
+            kept = _kept(bits)
+            self._held += bits.nbytes if isinstance(kept, np.ndarray) else kept.there.nbytes + kept.words.nbytes
+            self._bits.append(kept)
             return
         try:
             if self._file is None:
@@ -65,7 +93,8 @@ class Spool:
         """The first sheet of a slab, and the slab; who changes it says so by `replace`."""
         start, shape, offset = self._slabs[number]
         if number < len(self._bits):
-            return start, self._bits[number]
+            kept = self._bits[number]
+            return start, kept if isinstance(kept, np.ndarray) else kept.bits()
         assert self._file is not None
         self._file.seek(offset)
         bits = np.empty(shape, np.uint64)
@@ -76,7 +105,7 @@ class Spool:
     def replace(self, number: int, bits: NDArray[np.uint64]) -> None:
         """Another content for a slab of the same shape."""
         if number < len(self._bits):
-            self._bits[number] = bits
+            self._bits[number] = _kept(bits)
         else:
             assert self._file is not None
             self._file.seek(self._slabs[number][2])

@@ -91,7 +91,13 @@ def band_of(taps: Taps) -> Band:
     return Band(start.astype(np.uint64), np.where(counts, found, np.float32(0)))
 
 
-def stretch(coarse: NDArray[np.float32], band: Band, rows: range, out: NDArray[np.float32]) -> None:
+def stretch(
+    coarse: NDArray[np.float32],
+    band: Band,
+    rows: range,
+    out: NDArray[np.float32],
+    wanted: NDArray[np.int32] | None = None,
+) -> None:
     """Interpolate rows of coarse planes along x.
 
     Parameters
@@ -104,10 +110,14 @@ def stretch(coarse: NDArray[np.float32], band: Band, rows: range, out: NDArray[n
         Rows to stretch.
     out : (n, cy, nx') float32, C-contiguous
         Receives as many samples as there are in all blocks.
+    wanted : (cy, 2) int32, optional
+        The first block of each row that matters, and the one after the last; others are left as they are.
     """
+    if wanted is None:
+        wanted = np.tile(np.array([0, len(band.first)], np.int32), (coarse.shape[1], 1))
     parts = np.uint64(band.first.shape[1])
     ends = np.uint64(rows.start), np.uint64(rows.stop)
-    _stretch(coarse, band.first.reshape(-1), parts, band.weights.reshape(-1), *ends, out)
+    _stretch(coarse, band.first.reshape(-1), parts, band.weights.reshape(-1), *ends, wanted, out)
 
 
 def interpolate_layers(
@@ -236,14 +246,15 @@ def _stretch(
     weights: NDArray[np.float32],
     row_start: np.uint64,
     row_stop: np.uint64,
+    wanted: NDArray[np.int32],
     out: NDArray[np.float32],
 ) -> None:
     """Row after row, block after block; coarse samples that are no taps add zero, which changes no sum."""
-    blocks, step = np.uint64(len(first)) // parts, np.uint64(TAPS * BLOCK)
+    step = np.uint64(TAPS * BLOCK)
     one, two, three, four, five = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(5)
     for p in range(np.uint64(coarse.shape[0])):
         for row in range(row_start, row_stop):
-            for block in range(blocks):
+            for block in range(np.uint64(wanted[row, 0]), np.uint64(max(wanted[row, 0], wanted[row, 1]))):
                 x = block * _BLOCK
                 for i in range(_BLOCK):
                     out[p, row, x + i] = np.float32(0)

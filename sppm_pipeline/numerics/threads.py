@@ -1,14 +1,17 @@
-"""Work done by threads, its results in order: a bounded map, bands of layers, and a sequence one element ahead.
+"""Work done by threads: calls shared out, a bounded map, bands of layers, and a sequence one element ahead.
 
-All keep only a few results at once, however long the sequence is. None changes what is computed: the results are
+Maps keep only a few results at once, however long the sequence is. None changes what is computed: the results are
 those of the plain loop for any number of threads.
 """
 
 from __future__ import annotations
 
+import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from queue import SimpleQueue
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
@@ -56,6 +59,88 @@ def ordered_map(
         pool.shutdown(cancel_futures=True)
 
 
+def share_out(function: Callable[[Item], object], items: Iterable[Item], threads: int) -> None:
+    """Call a function for each item, in the caller's thread and others, which are kept for the next time.
+
+    A slab of layers is shared out a dozen times. To start a thread and to wait for it takes a tenth of a millisecond,
+    and the caller would look on meanwhile.
+
+    Parameters
+    ----------
+    function : callable
+        Runs in several threads at once, the caller's among them; what it returns is dropped.
+    items : iterable
+        Arguments; they are taken by one thread at a time, in their order.
+    threads : int
+        Number of threads, the caller's included.
+
+    Raises
+    ------
+    Exception
+        The first error of a call, when all that have begun have ended; no others begin.
+    """
+    waiting = list(items)
+    others = min(threads, len(waiting)) - 1
+    if others <= 0:
+        for item in waiting:
+            function(item)
+        return
+    waiting.reverse()
+    errors: list[Exception] = []
+
+    def some() -> None:
+        while not errors:
+            try:
+                item = waiting.pop()  # by one thread at a time
+            except IndexError:
+                return
+            try:
+                function(item)
+            except Exception as error:
+                errors.append(error)
+
+    ended = [_helped(some) for _ in range(others)]
+    try:
+        some()
+    finally:  # an interrupt may come between two calls
+        waiting.clear()
+        for event in ended:
+            event.wait()
+    if errors:
+        raise errors[0]
+
+
+_Task = tuple[Callable[[], None], threading.Event]
+_idle: deque[SimpleQueue[_Task]] = deque()
+
+
+def _helped(work: Callable[[], None]) -> threading.Event:
+    """Have a thread do something, one that waits for work or a new one; says when it is done."""
+    done = threading.Event()
+    try:
+        tasks = _idle.pop()
+    except IndexError:  # nobody waits for a thread that is busy, so calls may be nested
+        tasks = SimpleQueue()
+        threading.Thread(target=_help, args=(tasks,), name="sppm-helper", daemon=True).start()
+    tasks.put((work, done))
+    return done
+
+
+def _help(tasks: SimpleQueue[_Task]) -> None:
+    while True:
+        work, done = tasks.get()
+        try:
+            work()
+        finally:
+            del work  # which may hold arrays
+            _idle.append(tasks)
+            done.set()
+
+
+if hasattr(os, "register_at_fork"):  # a forked process has none of the threads
+    os.register_at_fork(after_in_child=_idle.clear)
+
+
 def in_bands(function: Callable[[int, int], None], layers: int, threads: int) -> None:
     """Call ``function(start, stop)`` for bands that make up all layers, some for each thread as they differ in work."""
     if threads <= 1:
@@ -63,8 +148,7 @@ def in_bands(function: Callable[[int, int], None], layers: int, threads: int) ->
         return
     height = max(1, -(-layers // (4 * threads)))
     starts = range(0, layers, height)
-    for _ in ordered_map(lambda start: function(start, min(start + height, layers)), starts, threads):
-        pass
+    share_out(lambda start: function(start, min(start + height, layers)), starts, threads)
 
 
 def computed_ahead(items: Iterator[Item], threads: int) -> Iterator[Item]:

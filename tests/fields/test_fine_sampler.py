@@ -1,14 +1,19 @@
 """Fine grids interpolated from coarse sums: near the direct sum, and a sample depends on its position alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.fields import fine_sampler
 from sppm_pipeline.fields.part import Part
+from sppm_pipeline.numerics.assembly import overlap_add
 from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
+from sppm_pipeline.stages.tile.free_faces import FreeFacesTiling
 from sppm_pipeline.stages.tile.fresh import FreshTiling
 from sppm_pipeline.stages.tile.periodic import PeriodicTiling
+from sppm_pipeline.stages.tileset.free_faces import FreeFacesTileSet
 from sppm_pipeline.testing.plain_context import PlainContext
 from tests.conftest import small_recipe
 
@@ -83,6 +88,36 @@ def test_a_part_asks_for_some_cells_of_a_layer_only(fresh, wedge, monkeypatch):
     )
     part.solid_layers(grid, 101, 102)
     assert {(x > 0.9, y > 0.9) for x, y, _ in asked} == {(False, False)}
+
+
+@pytest.mark.parametrize("nearby", [0, 4])
+@pytest.mark.parametrize("height", [1, 5, 90])
+def test_a_part_has_patches_added_where_it_is(many, wedge, height, nearby, monkeypatch):
+    monkeypatch.setattr(fine_sampler, "NEARBY", nearby)
+    grid = Grid((0.01, 0.02, 0.01), (0.0135, 0.0145, 0.0165), (200, 138, 90))
+    assert many.has_patches(many._fine(grid, 1)._n, 0.0)
+    part = Part(replace(many), wedge)  # whose sampler has kept nothing
+    inside = part._in_domain(grid).inside(0, 90).T
+    assert 0.05 < inside.mean() < 0.6
+    expected = many.solid(grid) & inside
+    added, assemble = [], overlap_add.assemble
+
+    def counted(*arguments):
+        wanted = arguments[-1]
+        added.append(np.maximum(wanted[:, 1] - wanted[:, 0], 0).mean() / (arguments[5] - arguments[4]))
+        return assemble(*arguments)
+
+    monkeypatch.setattr(overlap_add, "assemble", counted)
+    parts = [part.solid_layers(grid, k, min(k + height, 90), 2) for k in range(0, 90, height)]
+    assert np.array_equal(np.concatenate(parts, axis=2), expected)
+    assert sum(added) < 0.9 * len(many._fine(grid, 1)._window[2]) / many._fine(grid, 1)._height
+
+
+@pytest.fixture(scope="module")
+def many():
+    """So many cells for each interior that patches pay."""
+    made = FreeFacesTileSet(colors=2, interiors=3, resolution=16).run(PlainContext(6), small_recipe())
+    return FreeFacesTiling(cells=(3, 3, 2), cell=Length(4, "mm")).run(PlainContext(7), made, None)
 
 
 def test_coarse_grids_are_summed_as_they_are(cell, free_tiling):

@@ -82,6 +82,12 @@ def test_rows_are_stretched_at_any_pitch(pitch, count):
     expected = (coarse[..., first[:, None] + np.arange(TAPS)].astype(float) * taps.weights).sum(-1)
     assert np.abs(out[:, 1:, :count] - expected[:, 1:]).max() < 1e-6
     assert np.isnan(out[:, 0]).all()
+    some, at = np.full_like(out, np.nan), (len(band.first) - 1) // 2
+    block = slice(at * BLOCK, at * BLOCK + BLOCK)
+    stretch(coarse, band, range(1, 3), some, np.array([[0, 9], [at, at + 1], [1, 0]], np.int32))
+    assert some[:, 1, block].tobytes() == out[:, 1, block].tobytes()
+    some[:, 1, block] = np.nan
+    assert np.isnan(some).all()
 
 
 def test_it_is_continuous_where_the_taps_change():

@@ -1,11 +1,12 @@
 """Maps by threads: the order of the items, a bounded number of results, nothing begun after the caller has left."""
 
+import os
 import threading
 import time
 
 import pytest
 
-from sppm_pipeline.numerics.threads import computed_ahead, ordered_map
+from sppm_pipeline.numerics.threads import computed_ahead, in_bands, ordered_map, share_out
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -61,3 +62,65 @@ def test_errors_reach_the_caller_and_cancel_the_rest(threads):
 
     with pytest.raises(ValueError, match="item 2"):
         list(computed_ahead(broken(), threads))
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_each_item_is_called_for_once(threads):
+    called = []
+    share_out(called.append, range(100), threads)
+    assert sorted(called) == list(range(100))
+    assert share_out(called.append, [], threads) is None
+    bands = []
+    in_bands(lambda *band: bands.append(band), 37, threads)
+    bands.sort()
+    assert [begin for begin, _ in bands] == [0, *(stop for _, stop in bands[:-1])]
+    assert bands[-1][1] == 37
+
+
+def test_threads_work_at_once_and_calls_may_be_nested():
+    meeting = threading.Barrier(3, timeout=30)
+    inner = []
+
+    def outer(number):
+        meeting.wait()  # all three at once
+        share_out(lambda n: inner.append((number, n)), range(5), 3)
+
+    for _ in range(2):
+        share_out(outer, range(3), 3)
+    assert sorted(inner) == sorted([(a, b) for a in range(3) for b in range(5)] * 2)
+
+
+def test_threads_are_used_again():
+    def who():
+        meeting, found = threading.Barrier(2, timeout=30), []
+        share_out(lambda _: found.append(threading.get_ident()) or meeting.wait(), range(2), 2)
+        return set(found) - {threading.get_ident()}
+
+    assert who() == who() != set()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_error_is_raised_when_what_has_begun_has_ended(threads):
+    begun, ended = [], []
+
+    def fails(n):
+        begun.append(n)
+        time.sleep(0.01)
+        if n == 3:
+            raise ValueError("item 3")
+        ended.append(n)
+
+    with pytest.raises(ValueError, match="item 3"):
+        share_out(fails, range(1000), threads)
+    assert len(begun) < 20
+    assert sorted([*ended, 3]) == sorted(begun)
+    share_out(ended.append, [-1], threads)  # nothing is left over
+
+
+def test_a_forked_process_has_threads_of_its_own():
+    share_out(lambda _: time.sleep(0.01), range(4), 2)
+    child = os.fork()
+    if child == 0:
+        share_out(lambda _: None, range(4), 2)
+        os._exit(7)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -260,18 +260,19 @@ def sites_between(tiling: TilingArrays, first: NDArray[np.int64], stop: NDArray[
     index = [np.arange(first[a], stop[a]) + halo for a in range(3)]
     inside = [np.ones(len(i), dtype=bool) if tiling.periodic else i < shape[a] for a, i in enumerate(index)]
     wrapped = [i % shape[a] if tiling.periodic else np.minimum(i, shape[a] - 1) for a, i in enumerate(index)]
-    cell = inside[0][:, None, None] & inside[1][:, None] & inside[2]
+    along = _across(inside)
+    cell = along[0] & along[1] & along[2]
     low, high = [], []
     for axis, faces in enumerate(tiling.faces):
         across = inside.copy()
         across[axis] = np.ones_like(inside[axis])
         plane = wrapped.copy()
         plane[axis] = index[axis] % shape[axis] if tiling.periodic else index[axis]
-        exists = across[0][:, None, None] & across[1][:, None] & across[2]
-        low.append(np.where(exists, faces[np.ix_(*plane)], -1))
+        x, y, z = _across(across)
+        low.append(np.where(x & y & z, faces[_across(plane)], -1))
         plane[axis] = wrapped[axis] + 1
-        high.append(np.where(cell, faces[np.ix_(*plane)], -1))
-    interior = np.where(cell, tiling.interior[np.ix_(*wrapped)], -1)
+        high.append(np.where(cell, faces[_across(plane)], -1))
+    interior = np.where(cell, tiling.interior[_across(wrapped)], -1)
     high = [np.where(interior >= 0, faces, -1) for faces in high]
     order = (0, 3, 2, 1)
     return Sites(
@@ -281,6 +282,11 @@ def sites_between(tiling: TilingArrays, first: NDArray[np.int64], stop: NDArray[
         np.ascontiguousarray(np.array(low).transpose(order), dtype=np.int32),
         np.ascontiguousarray(np.array(high).transpose(order), dtype=np.int32),
     )
+
+
+def _across(index: list[NDArray[Any]]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Arrays along x, y and z that meet in a box; `np.ix_` is the same with checks that take longer than the box."""
+    return index[0][:, None, None], index[1][:, None], index[2]
 
 
 def site_pieces(numbers: PieceNumbers, sites: Sites) -> NDArray[np.int32]:

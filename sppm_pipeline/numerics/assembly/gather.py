@@ -15,13 +15,14 @@ from sppm_pipeline.numerics.assembly.contents import (
     site_pieces,
     sites_between,
 )
+from sppm_pipeline.numerics.compiled import jit
 from sppm_pipeline.numerics.grid import Grid
 from sppm_pipeline.numerics.kernels.kernels import (
     Kernels,
     boxes_meet,
     empty_kernels,
+    half_boxes,
     kernel_reaches,
-    reach_boxes,
 )
 from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF
 from sppm_pipeline.numerics.kernels.splat import add_kernels
@@ -187,22 +188,83 @@ def kernels_in_box(
         boxes_meet(catalog.lower.take(number, axis=0) + place, catalog.upper.take(number, axis=0) + place, lower, upper)
     )
     number, place = number.take(near), place.take(near, axis=0)
-    pore, shift = _expanded(catalog.first_pore, number, place)
-    tunnel, tunnel_shift = _expanded(catalog.first_tunnel, number, place)
-    found = catalog.kernels.taken(pore, tunnel)
-    # taken by indices, all arrays are copies
-    for array, by in ((found.centers, shift), (found.starts, tunnel_shift), (found.ends, tunnel_shift)):
-        array += by
-    boxes = reach_boxes(found, catalog.cutoff)
-    return found.taken(boxes_meet(boxes[0], boxes[1], lower, upper), boxes_meet(boxes[2], boxes[3], lower, upper))
+    every, cutoff = catalog.kernels, catalog.cutoff
+    pore, of_pore = _expanded(catalog.first_pore, number)
+    tunnel, of_tunnel = _expanded(catalog.first_tunnel, number)
+    pores, tunnels = half_boxes(every, pore, tunnel, cutoff)
+    ends = every.centers, every.centers, every.starts, every.ends
+    centers, _, pore = _moved(pore, of_pore, place, *ends[:2], pores, lower, upper)
+    starts, stops, tunnel = _moved(tunnel, of_tunnel, place, *ends[2:], tunnels, lower, upper)
+    metrics = (
+        None if metric is None else metric.take(own, axis=0)
+        for metric, own in ((every.pore_metric, pore), (every.tunnel_metric, tunnel))
+    )
+    return Kernels(centers, every.omega.take(pore), starts, stops, every.mu.take(tunnel), every.profile, *metrics)
 
 
-def _expanded(
-    begin: NDArray[np.int64], number: NDArray[np.int32], place: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Index and shift of every kernel of the pieces `number` at `place`."""
-    counts = begin[number + 1] - begin[number]
-    ends = np.cumsum(counts)
-    total = int(ends[-1]) if len(ends) else 0
-    index = np.arange(total) - np.repeat(ends - counts - begin[number], counts)
-    return index, place.take(np.repeat(np.arange(len(place)), counts), axis=0)
+def _expanded(begin: NDArray[np.int64], number: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """The kernels of the pieces `number`, one piece after the other, and which of these each belongs to."""
+    total = int((begin.take(number + 1) - begin.take(number)).sum())
+    index, owner = np.empty(total, np.int64), np.empty(total, np.int32)
+    _expand(begin, number, index, owner)
+    return index, owner
+
+
+def _moved(
+    index: NDArray[np.int64],
+    owner: NDArray[np.int32],
+    place: NDArray[np.float64],
+    starts: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    half: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Both ends, moved to the place of their owners, of those kernels that reach a box, and which these are.
+
+    `half` (n, 1 or 3) is how far each reaches.
+    """
+    found = np.empty((2, len(index), 3))
+    kept = np.empty(len(index), np.int64)
+    count = _move(index, owner, place, starts, ends, half, lower, upper, found[0], found[1], kept)
+    return found[0, :count], found[1, :count], kept[:count]
+
+
+@jit
+def _expand(
+    begin: NDArray[np.int64], number: NDArray[np.int32], index: NDArray[np.int64], owner: NDArray[np.int32]
+) -> None:
+    at = 0
+    for i in range(len(number)):
+        for k in range(begin[number[i]], begin[number[i] + 1]):
+            index[at], owner[at] = k, i
+            at += 1
+
+
+@jit
+def _move(
+    index: NDArray[np.int64],
+    owner: NDArray[np.int32],
+    place: NDArray[np.float64],
+    starts: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    half: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    moved_starts: NDArray[np.float64],
+    moved_ends: NDArray[np.float64],
+    kept: NDArray[np.int64],
+) -> int:
+    """Returns how many meet the box; they are written one after the other."""
+    count = 0
+    for i in range(len(index)):
+        k, own, meets = index[i], owner[i], True
+        for axis in range(3):
+            start, end = starts[k, axis] + place[own, axis], ends[k, axis] + place[own, axis]
+            reach = half[i, min(axis, half.shape[1] - 1)]
+            meets &= min(start, end) - reach <= upper[axis] and max(start, end) + reach >= lower[axis]
+            moved_starts[count, axis], moved_ends[count, axis] = start, end
+        if meets:
+            kept[count] = k
+            count += 1
+    return count

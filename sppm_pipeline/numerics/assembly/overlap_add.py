@@ -7,15 +7,14 @@ nor on the number of threads, and they repeat with a periodic tiling.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.assembly.contents import TilingArrays
 from sppm_pipeline.numerics.assembly.patches import FULL, PatchBank, patches_at
-from sppm_pipeline.numerics.bit_rows import empty_bits, gather, unpack
+from sppm_pipeline.numerics.bit_rows import empty_bits, gather
 from sppm_pipeline.numerics.compiled import inline_jit, jit
+from sppm_pipeline.numerics.threads import share_out
 
 # Samples that are summed at a time: 512 kB of float32 stay in the second level cache beside the patches.
 _BLOCK_SAMPLES = 1 << 17
@@ -34,6 +33,7 @@ def assemble(
     y1: int,
     out: NDArray[np.float32] | None = None,
     threads: int = 1,
+    wanted: NDArray[np.int32] | None = None,
 ) -> NDArray[np.float32]:
     """The field G in a box of samples, layer_start <= k < layer_stop, y0 <= j < y1, x0 <= i < x1.
 
@@ -50,6 +50,9 @@ def assemble(
         Receives the field; what it held is overwritten.
     threads : int
         Number of threads; the result does not depend on it.
+    wanted : (y1 - y0, 2) int32, optional
+        The part of each row that matters, in all layers: its first sample, counted from x0, and the one after the last.
+        Others are left as they are in `out`, 0 without it.
 
     Returns
     -------
@@ -64,27 +67,13 @@ def assemble(
     shape = _shape(layer_start, layer_stop, x0, x1, y0, y1)
     if bank.solid_level is not None:
         raise ValueError("an int16 bank distinguishes only solid and void; build one without solid_level")
-    field = np.empty(shape, dtype=np.float32) if out is None else out
+    if out is None:
+        out = np.empty(shape, np.float32) if wanted is None else np.zeros(shape, np.float32)
+    field = out
     if field.shape != shape or field.dtype != np.float32 or not field.flags.c_contiguous:
         raise ValueError(f"out must be a C-contiguous float32 array {shape}")
-    _run(bank, tiling, (x0, y0, layer_start), shape, field, None, 0.0, threads)
+    _run(bank, tiling, (x0, y0, layer_start), shape, field, None, 0.0, threads, wanted)
     return field
-
-
-def assemble_solid(
-    bank: PatchBank,
-    tiling: TilingArrays,
-    level: float,
-    layer_start: int,
-    layer_stop: int,
-    x0: int,
-    x1: int,
-    y0: int,
-    y1: int,
-    threads: int = 1,
-) -> NDArray[np.uint8]:
-    """`assemble_bits` as bytes, (layers, y1 - y0, x1 - x0) uint8: 1 = solid, 0 = void."""
-    return unpack(assemble_bits(bank, tiling, level, layer_start, layer_stop, x0, x1, y0, y1, threads), x1 - x0)
 
 
 def assemble_bits(
@@ -98,10 +87,12 @@ def assemble_bits(
     y0: int,
     y1: int,
     threads: int = 1,
+    wanted: NDArray[np.int32] | None = None,
 ) -> NDArray[np.uint64]:
     """Where the field lies below a level: set = solid. No layer of the field is held in memory.
 
-    Parameters and errors as for `assemble`; outside of the tiling the field is zero, which counts as solid.
+    Parameters and errors as for `assemble`; outside of the tiling the field is zero, which counts as solid. Bits of
+    what is not wanted are 0, or what they are.
 
     Parameters
     ----------
@@ -118,7 +109,9 @@ def assemble_bits(
     if bank.solid_level is not None and level != bank.solid_level:
         raise ValueError(f"the int16 bank was built for the level {bank.solid_level!r}, not {level!r}")
     solid = empty_bits(layers, rows, columns)
-    _run(bank, tiling, (x0, y0, layer_start), (layers, rows, columns), None, solid, level, threads)
+    if wanted is not None:
+        solid[:] = 0
+    _run(bank, tiling, (x0, y0, layer_start), (layers, rows, columns), None, solid, level, threads, wanted)
     return solid
 
 
@@ -137,6 +130,7 @@ def _run(
     solid: NDArray[np.uint64] | None,
     level: float,
     threads: int,
+    wanted: NDArray[np.int32] | None,
 ) -> None:
     """Cut the box, layers x rows x columns, into blocks of layers and rows, and fill one of the arrays."""
     layers, rows, columns = size
@@ -161,6 +155,10 @@ def _run(
     down, across = -(-layers // block_layers), -(-rows // block_rows)
     shape = np.array([layers, rows, columns])
     kind = np.float32 if bank.solid_level is None else np.int32
+    if wanted is None:
+        wanted = np.tile(np.array([0, columns], np.int32), (rows, 1))
+    elif wanted.shape != (rows, 2):
+        raise ValueError(f"wanted must be (rows, 2) with {rows} rows, not {wanted.shape}")
 
     def work(part: range) -> None:
         _assemble_blocks(
@@ -169,6 +167,7 @@ def _run(
             across,
             np.array([block_layers, block_rows, width]),
             np.zeros(block_layers * block_rows * width, dtype=kind),
+            wanted,
             base,
             start,
             shape,
@@ -193,13 +192,9 @@ def _run(
         )
 
     blocks = down * across
-    if threads > 1 and blocks > 1:
-        parts = min(blocks, 4 * threads)
-        cuts = [blocks * i // parts for i in range(parts + 1)]
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(work, map(range, cuts[:-1], cuts[1:])))
-    else:
-        work(range(blocks))
+    parts = min(blocks, 4 * threads) if threads > 1 else 1
+    cuts = [blocks * i // parts for i in range(parts + 1)]
+    share_out(work, map(range, cuts[:-1], cuts[1:]), threads)
 
 
 @inline_jit
@@ -208,20 +203,26 @@ def _add_rows(
     target: int,
     stride: int,
     count: int,
+    x: int,
+    first: int,
+    stop: int,
     row: np.uint64,
     row_low: NDArray[np.int32],
     row_blocks: NDArray[np.int32],
     row_start: NDArray[np.int64],
     data: NDArray,
 ) -> None:
-    """Add `count` rows of a patch, from number `row` on.
+    """Add `count` rows of a patch, from number `row` on, for the samples first <= i < stop; x is that of the cell.
 
     Unsigned indices and whole blocks let the compiler make a vector loop without a scalar remainder.
     """
     for i in range(np.uint64(count)):
-        to = np.uint64(target + np.int64(i) * stride + np.int64(row_low[row + i]))
-        source = np.uint64(row_start[row + i])
-        for k in range(np.uint64(row_blocks[row + i]) << _SHIFT):
+        low = x + int(row_low[row + i])
+        begin = max(first - low, 0) >> 4 << 4
+        end = int(min(row_blocks[row + i] << 4, (stop - low + 15) >> 4 << 4))
+        to = np.uint64(target + np.int64(i) * stride + low + begin)
+        source = np.uint64(row_start[row + i] + begin)
+        for k in range(np.uint64(max(end - begin, 0)) >> _SHIFT << _SHIFT):
             rows[to + k] += data[source + k]
 
 
@@ -265,6 +266,7 @@ def _assemble_blocks(
     across: int,
     block: NDArray[np.int64],
     rows: NDArray,
+    wanted: NDArray[np.int32],
     base: int,
     start: NDArray[np.int64],
     shape: NDArray[np.int64],
@@ -294,7 +296,19 @@ def _assemble_blocks(
         zb = min(za + block[0], start[2] + shape[0])
         ya = start[1] + number % across * block[1]
         yb = min(ya + block[1], start[1] + shape[1])
-        rows[:] = 0
+        # what is wanted of any row of the block
+        xa, xb = width, np.int64(0)
+        for y in range(ya - start[1], yb - start[1]):
+            if wanted[y, 0] < wanted[y, 1]:
+                xa, xb = min(xa, np.int64(wanted[y, 0])), max(xb, np.int64(wanted[y, 1]))
+        if xa >= xb:
+            continue
+        if threshold:  # whole words, but for the last one of a row
+            xa, xb = xa >> 6 << 6, min((xb + 63) >> 6 << 6, shape[2])
+        xa, xb = xa + start[0] - base, xb + start[0] - base
+        for row in range((zb - za) * block[1]):
+            for i in range(np.uint64(row * width + xa), np.uint64(row * width + xb)):
+                rows[i] = 0
         # Sites whose patches can reach the block: s n + lowest < b and s n + highest > a.
         sz0 = max((za - margins[3]) // n + 1 - first_site[2], 0)
         sz1 = min(-((margins[2] - zb) // n) - first_site[2], site_shape[0])
@@ -307,6 +321,8 @@ def _assemble_blocks(
                     x = (first_site[0] + sx) * n - base
                     for item in range(begin[site], begin[site + 1]):
                         p = patches[item]
+                        if x + low[p, 0] >= xb or x + low[p, 0] + size[p, 0] <= xa:
+                            continue
                         z_low = (first_site[2] + sz) * n + low[p, 2]
                         y_low = (first_site[1] + sy) * n + low[p, 1]
                         y0 = max(ya, y_low)
@@ -315,15 +331,23 @@ def _assemble_blocks(
                             continue
                         for z in range(max(za, z_low), min(zb, z_low + size[p, 2])):
                             row = first_row[p] + (z - z_low) * size[p, 1] + y0 - y_low
-                            target = ((z - za) * block[1] + y0 - ya) * width + x
-                            _add_rows(rows, target, width, count, np.uint64(row), row_low, row_blocks, row_start, data)
+                            target = ((z - za) * block[1] + y0 - ya) * width
+                            _add_rows(
+                                rows, target, width, count, x, xa, xb,
+                                np.uint64(row), row_low, row_blocks, row_start, data,
+                            )  # fmt: skip
         for z in range(za, zb):
             for y in range(ya, yb):
-                source = np.uint64(((z - za) * block[1] + y - ya) * width + start[0] - base)
+                first, stop = np.int64(wanted[y - start[1], 0]), np.int64(wanted[y - start[1], 1])
+                if first >= stop:
+                    continue
                 row = (z - start[2]) * shape[1] + y - start[1]
+                source = ((z - za) * block[1] + y - ya) * width + start[0] - base
                 if threshold:
-                    to = np.uint64(row * ((shape[2] + 63) // 64))
-                    _threshold_row(rows, source, solid, to, np.uint64(shape[2]), level, flags)
+                    first, stop = first >> 6 << 6, min((stop + 63) >> 6 << 6, shape[2])
+                    to = np.uint64(row * ((shape[2] + 63) // 64) + (first >> 6))
+                    count = np.uint64(stop - first)
+                    _threshold_row(rows, np.uint64(source + first), solid, to, count, level, flags)
                 else:
-                    to = np.uint64(row * shape[2])
-                    _copy_row(rows, source, field, to, np.uint64(shape[2]))
+                    to = np.uint64(row * shape[2] + first)
+                    _copy_row(rows, np.uint64(source + first), field, to, np.uint64(stop - first))

@@ -31,7 +31,7 @@ from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, reach_
 from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF, check_cutoff
 from sppm_pipeline.numerics.kernels.rows import LANES
 from sppm_pipeline.numerics.kernels.splat import add_kernels
-from sppm_pipeline.numerics.threads import ordered_map
+from sppm_pipeline.numerics.threads import share_out
 
 #: The level in units of an int16 bank. One patch at the level makes a voxel void, so nothing above it is kept.
 FULL = 32767
@@ -186,7 +186,7 @@ def build_bank(
     threads : int
         Number of threads; the result does not depend on it.
     solid_level : float, optional
-        Build an int16 bank, which serves `assemble_solid` at this level only, with half the memory. With p patches over
+        Build an int16 bank, which serves `assemble_bits` at this level only, with half the memory. With p patches over
         a voxel, rounding changes the sum by at most ``p / 2 / 32767`` of the level.
     """
     if solid_level is not None and not solid_level > 0.0:
@@ -239,8 +239,7 @@ def build_bank(
         _copy_rows(dense.reshape(-1, size[p, 0]), int(low[p, 0]), *table, data)
         free.append(rooms)
 
-    for _ in ordered_map(sampled, range(len(there)), threads):
-        pass
+    share_out(sampled, range(len(there)), threads)
     used = ends.last
     data.resize(used, refcheck=False)
 

@@ -29,7 +29,7 @@ from sppm_pipeline.numerics.kernels.signs import (
 )
 from sppm_pipeline.numerics.kernels.splat import Prepared, add_prepared, prepared
 from sppm_pipeline.numerics.kernels.stretched import packed_capsules
-from sppm_pipeline.numerics.threads import ordered_map
+from sppm_pipeline.numerics.threads import share_out
 
 # Cells whose kernels are listed together, and kernels of such lists that are kept: 12 MB.
 _SITES, _KEPT = 600, 60_000
@@ -143,8 +143,7 @@ class SignSampler:
             resolve(out, start, *part, *still_open, origin, spacing, *kernels, levels)
 
         step = max(8, -(-(rows[1] - rows[0]) // (4 * threads) // 8) * 8) if threads > 1 else rows[1] - rows[0]
-        for _ in ordered_map(decide, range(*rows, step), threads):
-            pass
+        share_out(decide, range(*rows, step), threads)
 
     def _over_level(
         self, sums: NDArray[np.float32], first: int, low: int, spline: Callable[[Grid, int, int], LayerSpline]

@@ -64,6 +64,20 @@ def row_spans_of_bits(bits: NDArray[np.uint64]) -> NDArray[np.int32]:
     return spans
 
 
+def spans_in_any(spans: NDArray[np.int32]) -> NDArray[np.int32]:
+    """What of each row lies in the span of any layer: (nz, ny, 2) int32 to (ny, 2); an empty row ends at 0.
+
+    An empty row begins beyond every sample, so that a minimum over rows leaves it out.
+    """
+    beyond = np.int32(np.iinfo(np.int32).max)
+    first, last = spans[..., 0], spans[..., 1]
+    there = first < last
+    found = np.empty((spans.shape[1], 2), np.int32)
+    np.where(there, first, beyond).min(0, initial=beyond, out=found[:, 0])
+    np.where(there, last, np.int32(0)).max(0, initial=0, out=found[:, 1])
+    return found
+
+
 @jit
 def _gray(samples: NDArray[np.uint8], fx: int, fy: int, gray: NDArray[np.uint8]) -> None:
     sheets = samples.shape[0]

@@ -141,14 +141,27 @@ def reach_boxes(
     tunnel_lower, tunnel_upper : (m, 3) float64
         Corners of the boxes of the tunnels.
     """
-    pores, tunnels = (reach[:, None] for reach in _reaches(kernels, cutoff))
-    if kernels.pore_metric is not None and kernels.tunnel_metric is not None:
-        pores, tunnels = pores * half_widths(kernels.pore_metric), tunnels * half_widths(kernels.tunnel_metric)
+    pores, tunnels = half_boxes(kernels, slice(None), slice(None), cutoff)
     return (
         kernels.centers - pores,
         kernels.centers + pores,
         np.minimum(kernels.starts, kernels.ends) - tunnels,
         np.maximum(kernels.starts, kernels.ends) + tunnels,
+    )
+
+
+def half_boxes(
+    kernels: Kernels, pores: slice | NDArray[np.int64], tunnels: slice | NDArray[np.int64], cutoff: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far some pores, (n, 1 or 3), and tunnels, (m, 1 or 3), reach along each axis, or along all."""
+    omega, mu = _rows(kernels.omega, pores), _rows(kernels.mu, tunnels)
+    reaches = PORE_PROFILE.reach(omega, cutoff), TUNNEL_PROFILES[kernels.profile].reach(mu, cutoff)
+    of_pores, of_tunnels = (reach[:, None] for reach in reaches)
+    if kernels.pore_metric is None or kernels.tunnel_metric is None:
+        return of_pores, of_tunnels
+    return (
+        of_pores * half_widths(_rows(kernels.pore_metric, pores)),
+        of_tunnels * half_widths(_rows(kernels.tunnel_metric, tunnels)),
     )
 
 

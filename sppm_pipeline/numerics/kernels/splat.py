@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import NamedTuple
 
@@ -38,6 +37,7 @@ from sppm_pipeline.numerics.kernels.rows import (
     want_rows,
 )
 from sppm_pipeline.numerics.metric import check_metric
+from sppm_pipeline.numerics.threads import share_out
 
 # Samples of one block of layers: 1 MB of float32 stays in the second level cache while kernels are added to it.
 _BLOCK_SAMPLES = 1 << 18
@@ -178,13 +178,7 @@ def add_prepared(
         if not whole:
             block += target[:, :, :nx]
 
-    starts = range(0, layers, height)
-    if threads > 1 and len(starts) > 1:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(add_block, starts))
-    else:
-        for start in starts:
-            add_block(start)
+    share_out(add_block, range(0, layers, height), threads)
 
 
 def _packed(kernels: Kernels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -4,13 +4,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.numerics.assembly.contents import Pieces, lone_periodic_cell
-from sppm_pipeline.numerics.assembly.overlap_add import assemble, assemble_solid
+from sppm_pipeline.numerics.assembly.overlap_add import assemble, assemble_bits
 from sppm_pipeline.numerics.assembly.patches import build_bank
+from sppm_pipeline.numerics.bit_rows import unpack
 from sppm_pipeline.numerics.kernels.kernels import concatenated, empty_kernels
 from sppm_pipeline.testing.exact_sum import cutoff_bound, exact_sum
 
 # Patches that can lie over one voxel: sites within one cell, ten pieces each.
 MAX_PATCHES = 27 * 10
+
+
+def assemble_solid(bank, tiling, level, z0, z1, x0, x1, *rest, **options) -> np.ndarray:
+    return unpack(assemble_bits(bank, tiling, level, z0, z1, x0, x1, *rest, **options), x1 - x0)
 
 
 def samples(low: tuple[int, int, int], high: tuple[int, int, int], n: int, offset: float) -> np.ndarray:
@@ -115,6 +120,47 @@ def test_many_small_blocks_give_the_same_bytes(whole_field, monkeypatch) -> None
     bank, tiling, whole = whole_field[1]
     monkeypatch.setattr("sppm_pipeline.numerics.assembly.overlap_add._BLOCK_SAMPLES", 700)
     assert assemble(bank, tiling, -9, 60, -9, 60, -9, 60, threads=2).tobytes() == whole.tobytes()
+
+
+@given(
+    data=st.data(),
+    lower=st.tuples(*[st.integers(-9, 20)] * 3),
+    size=st.tuples(st.integers(1, 90), st.integers(1, 40), st.integers(1, 20)),
+    threads=st.integers(1, 2),
+    level=st.sampled_from([None, 0.25]),
+)
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_wanted_parts_of_rows_are_those_of_the_whole(some_banks, data, lower, size, threads, level) -> None:
+    bank, tiling = some_banks[level]
+    (x0, y0, z0), (nx, ny, nz) = lower, size
+    box = (z0, z0 + nz, x0, x0 + nx, y0, y0 + ny)
+    ends = st.lists(st.integers(0, nx), min_size=ny, max_size=ny)
+    wanted = np.array([data.draw(ends), data.draw(ends)], np.int32).T.copy()  # some rows begin after their end
+    mask = np.array([(np.arange(nx) >= a) & (np.arange(nx) < b) for a, b in wanted])
+    whole = assemble_solid(bank, tiling, 0.25, *box)
+    some = assemble_solid(bank, tiling, 0.25, *box, threads=threads, wanted=wanted)
+    assert (some[:, mask] == whole[:, mask]).all()
+    assert (some <= whole).all()
+    if level is None:
+        out = np.full((nz, ny, nx), np.nan, np.float32)
+        assemble(bank, tiling, *box, out=out, threads=threads, wanted=wanted)
+        assert out[:, mask].tobytes() == assemble(bank, tiling, *box)[:, mask].tobytes()
+        assert np.isnan(out[:, ~mask]).all()
+        assert not assemble(bank, tiling, *box, wanted=wanted)[:, ~mask].any()
+
+
+@pytest.fixture(scope="module")
+def some_banks(sets):
+    pieces = sets.pieces(6)
+    tiling = sets.tiling(7, (3, 4, 3), pieces)
+    combinations = sets.combinations(tiling)
+    return {level: (build_bank(pieces, 13, combinations, solid_level=level), tiling) for level in (None, 0.25)}
+
+
+def test_wanted_has_a_pair_for_each_row(some_banks) -> None:
+    bank, tiling = some_banks[None]
+    with pytest.raises(ValueError, match="3 rows"):
+        assemble(bank, tiling, 0, 1, 0, 3, 0, 3, wanted=np.zeros((2, 2), np.int32))
 
 
 def test_outside_of_the_tiling_there_is_nothing(whole_field) -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sppm_pipeline.numerics.bit_rows import pack
-from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage, row_spans, row_spans_of_bits
+from sppm_pipeline.numerics.domain.occupancy import gray_by_coverage, row_spans, row_spans_of_bits, spans_in_any
 
 
 @settings(derandomize=True, deadline=None)
@@ -56,3 +56,12 @@ def test_first_and_last_of_each_row(seed, share):
             found = np.flatnonzero(mask[k, j])
             expected = (found[0], found[-1] + 1) if len(found) else (0, 0)
             assert tuple(spans[k, j]) == expected
+
+
+def test_the_span_of_a_row_in_any_layer():
+    spans = np.array([[[3, 5], [0, 0], [7, 2]], [[9, 11], [4, 4], [1, 2]]], np.int32)
+    found = spans_in_any(spans)
+    assert found[0].tolist() == [3, 11]
+    assert found[2].tolist() == [1, 2]
+    assert found[1, 1] == 0 < found[1, 0]
+    assert spans_in_any(spans[:0]).tolist() == [found[1].tolist()] * 3

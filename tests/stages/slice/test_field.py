@@ -91,6 +91,21 @@ def test_a_spool_leaves_most_of_the_disk_to_others(monkeypatch):
     assert start == 20  # 16000 of 64000 bytes are used
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_spool_gives_back_what_it_was_given(share):
+    rng = np.random.default_rng(4)
+    slabs = [np.where(rng.random((3, 7, 5)) < share, rng.integers(1, 2**63, (3, 7, 5)), 0).astype(np.uint64)] * 2
+    kept = spool.Spool()
+    for number, bits in enumerate(slabs):
+        kept.append(3 * number, bits)
+    assert kept._held < 2 * 850 if share < spool.SPARSE else kept._held == 2 * slabs[0].nbytes
+    kept.replace(1, slabs[1] & np.uint64(0xFF))
+    assert [(start, bits.tobytes()) for start, bits in map(kept.slab, range(2))] == [
+        (0, slabs[0].tobytes()),
+        (3, (slabs[1] & np.uint64(0xFF)).tobytes()),
+    ]
+
+
 @pytest.mark.parametrize("memory", [2**27, 1000])
 def test_layers_without_islands_are_evaluated_once_for_all_who_read_them(wang_tiling, monkeypatch, memory):
     monkeypatch.setattr(sampled_slices, "SLAB_PIXELS", 2000)
