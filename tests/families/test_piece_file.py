@@ -61,6 +61,21 @@ def given(file: PieceFile, made: list[tuple[np.ndarray, np.ndarray]], more: int 
     return file.finish(), SurfaceMesh(vertices, faces)
 
 
+def test_a_window_stays_until_the_call_after_the_next_one():
+    made = [vertices for vertices, _ in pieces()]
+    whole = np.concatenate(made) * SCALE + ORIGIN
+    window, before = PieceWindow(SCALE, ORIGIN), None
+    for vertices in made:
+        points = window.push(vertices)
+        first = window.base
+        assert len(vertices) == len(points) - window.known
+        if before is not None:
+            assert np.array_equal(before[0], whole[before[1] : before[1] + len(before[0])])
+        assert np.array_equal(points, whole[first : first + len(points)])
+        before = points, first
+    assert first + len(points) == len(whole)
+
+
 @pytest.mark.parametrize("kind", IN_PIECES)
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("rough", [False, True])

@@ -23,15 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.surface.bulging_steps import (
-    add_normals,
-    add_rises,
-    find_places,
-    find_takers,
-    move,
-    pass_on,
-    to_unit_length,
-)
+from sppm_pipeline.numerics.surface.bulging_steps import find_places, find_takers, move, pass_on
+from sppm_pipeline.numerics.surface.bulging_sums import add_normals, add_rises, to_unit_length
 
 PASSED_ON = 2
 """How often what vertices can't be moved is passed on to their neighbors; a choice."""

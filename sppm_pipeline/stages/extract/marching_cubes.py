@@ -42,7 +42,9 @@ class MarchingCubes(Stage):
     """Extract the boundary of the solid: closed, oriented outward, without degenerate triangles.
 
     Cells and tilings are capped at the border of their box; the nodes of the mesh on opposite faces of a periodic cell
-    match one by one. The field is sampled slab by slab, so that the memory is that of the mesh. With ``backend:
+    match one by one. The field is sampled slab by slab, so that the memory is that of the mesh. A tiling that is not
+    cut to a part takes not even that with ``islands: remove`` if only `write.mesh` reads the mesh, as STL, PLY or OBJ:
+    the file is written meanwhile, and the time of writing counts as that of this stage. With ``backend:
     reference`` scikit-image's independent implementation is used, slower and on all samples at once, for comparison.
     """
 
