@@ -7,6 +7,7 @@ import contextlib
 import gc
 import io
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from types import TracebackType
@@ -73,6 +74,9 @@ def leave() -> None:
     Taking down compiled kernels and their compiler in order takes a fifth of a second, for nothing: all files are
     closed and all threads have ended. So the exit handlers run, the streams are flushed, and the process is left.
     """
+    # Nothing has begun that would have to be put in order: an interrupt ends the program without a traceback.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     # Imports make a hundred thousand objects that live to the end; looking through them again and again costs 50 ms.
     gc.set_threshold(200_000, 50, 100)
     # NumPy's BLAS has its threads look for work for a twentieth of a second from the import on, and after each product,

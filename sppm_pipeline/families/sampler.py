@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,9 +165,14 @@ class Sampler(Stage):
 
     def thrown(self, context: Context, interior: int, box: InteriorBox) -> NDArray[np.float64]:
         """What `throw` returns for an interior, checked."""
-        points = np.asarray(self.throw(context.rng(*context.palette.key(interior)), box), np.float64)
-        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise ValueError(f"{self.name}.throw must return finite points of shape (n, 3), got {points.shape}")
+        made: Any = self.throw(context.rng(*context.palette.key(interior)), box)
+        if made is None:
+            raise ValueError(f"{self.name}.throw must return points of shape (n, 3), got nothing")
+        points = np.asarray(made, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ValueError(f"{self.name}.throw must return points of shape (n, 3), got {points.shape}")
+        if not np.isfinite(points).all():
+            raise ValueError(f"{self.name}.throw must return finite points, got {points[~np.isfinite(points)][0]}")
         return points
 
 

@@ -17,6 +17,9 @@ from sppm_pipeline.formats.trimesh_reader import decode_other, others
 #: The readers and writers of meshes by extension.
 FORMATS = {"stl": stl, "obj": obj, "ply": ply, "off": off, "glb": glb, "3mf": three_mf}
 
+CAD = ("step", "stp", "iges", "igs", "brep", "x_t", "sldprt", "ipt", "f3d", "fcstd", "3dm", "blend")
+"""Extensions of models whose surfaces are formulas, or that only one program reads."""
+
 _OTHER_CONTENT = {
     b"PK\x03\x04": "a zip archive",
     b"\x89PNG": "a PNG image",
@@ -42,6 +45,11 @@ def format_of_name(name: str) -> str:
     extension = PurePath(name).suffix[1:].lower()
     if extension == "gltf":
         raise InputError(f"{name}: glTF spread over several files is not read", hint="export it as GLB, in one file")
+    if extension in CAD:
+        raise InputError(
+            f"{name}: a .{extension} file holds a CAD model, not triangles",
+            hint="export it from the CAD program as STL or 3MF",
+        )
     if extension not in FORMATS and extension not in others():
         known = ", ".join(f".{known}" for known in FORMATS)
         close = get_close_matches(extension, FORMATS, n=1)

@@ -35,6 +35,9 @@ ORPHANS = 1.0
 INTERRUPTED = (129, 130, 143)
 """Exit codes of a child that was interrupted."""
 
+ENDING = tuple(getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n))
+"""Signals by which a user or the system ends a program."""
+
 CRASHES = tuple(getattr(signal, n) for n in ("SIGSEGV", "SIGBUS", "SIGABRT", "SIGILL", "SIGFPE") if hasattr(signal, n))
 """Signals by which a native library takes a process down."""
 
@@ -65,15 +68,22 @@ def supervised(work: Callable[[], int], notify: Callable[[str], None], exit_mess
             stream.flush()
     parent = os.getpid()
     activity.share()
-    child = os.fork()
+    # until each of the two has said what it does with a signal, one that comes has to wait
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    try:
+        child = os.fork()
+    except OSError:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        raise
     if child == 0:
+        # the terminal sends its signals to both; the parent decides what becomes of them
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for unused in (wake, alarm, reader):
             os.close(unused)
         _parents.append(parent)
         die_with_parent(parent)
-        # the terminal sends its signals to both; the parent decides what becomes of them
-        for name in ("SIGINT", "SIGHUP"):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
         _announce_runs(writer)
         code = 1
         try:
@@ -81,7 +91,9 @@ def supervised(work: Callable[[], int], notify: Callable[[str], None], exit_mess
         finally:
             activity.leave(code)
     os.close(writer)
-    return _Watch(child, (wake, alarm), reader, notify, exit_message, mark_ended).exit_code()
+    watch = _Watch(child, (wake, alarm), reader, notify, exit_message, mark_ended)
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return watch.exit_code()
 
 
 def _pipes() -> tuple[int, int, int, int]:
@@ -131,7 +143,7 @@ class _Watch:
         os.set_blocking(self._wake, False)
         os.set_blocking(reader, False)
         signal.set_wakeup_fd(alarm, warn_on_full_buffer=False)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in ENDING:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._arrived)
         signal.signal(signal.SIGCHLD, lambda number, frame: None)
@@ -143,7 +155,7 @@ class _Watch:
         """Wait for the child, and end it when a signal comes or its time is up; then end what it has left behind."""
         adopt_orphans()
         try:
-            status = self._wait(None)
+            status = self._wait(None, 0)
             code = self._ended(status) if status is not None else self._stop()
             if words := activity.last_message():
                 self._notify(words)
@@ -153,11 +165,11 @@ class _Watch:
 
     def _stop(self) -> int:
         """End the child because of a signal, or of its time."""
-        status = None
-        if self._signals:
+        status, arrived = None, len(self._signals)
+        if arrived:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._child, signal.SIGTERM)
-            status = self._wait(time.monotonic() + PATIENCE)
+            status = self._wait(time.monotonic() + PATIENCE, arrived)
         error = None if self._signals else self._overdue()
         if status is None:
             signal_below(self._child, signal.SIGKILL)
@@ -232,15 +244,14 @@ class _Watch:
         if left and not self._signals:
             self._notify("a process that was left behind was ended")
 
-    def _wait(self, deadline: float | None) -> int | None:
-        """The child's status when it has ended; None at a deadline, or if a (further) signal came."""
-        before = len(self._signals)
+    def _wait(self, deadline: float | None, known: int) -> int | None:
+        """The child's status when it has ended; None at a deadline, or when more signals than those known have come."""
         while True:
             pid, status = os.waitpid(self._child, os.WNOHANG)
             self._read()
             if pid:
                 return status
-            if len(self._signals) > before:
+            if len(self._signals) > known:
                 return None
             left = (min(activity.deadlines()) if deadline is None else deadline) - time.monotonic()
             if left <= 0:

@@ -293,3 +293,42 @@ def test_a_signal_that_was_turned_off_stays_so(tmp_path):
     _, err = process.communicate(timeout=400)
     assert process.returncode == 143
     assert err == "sppm: interrupted\n"
+
+
+EARLY = """
+import os, signal, time
+from sppm_pipeline.process import supervision
+HOW
+def work():
+    time.sleep(8)
+    return 0
+os._exit(supervision.supervised(work, print, "interrupted", lambda *words: None))
+"""
+AT_THE_FORK = """
+fork = os.fork
+def forked():
+    child = fork()
+    os.kill(os.getpid(), signal.SIGINT)  # both, as a terminal does
+    return child
+os.fork = forked
+"""
+BEFORE_THE_WAIT = """
+adopt = supervision.adopt_orphans
+def adopted():
+    os.kill(os.getpid(), signal.SIGINT)
+    adopt()
+supervision.adopt_orphans = adopted
+"""
+
+
+@pytest.mark.parametrize("how", [AT_THE_FORK, BEFORE_THE_WAIT])
+def test_an_interrupt_at_the_very_beginning_is_not_lost(how):
+    program = subprocess.Popen(
+        [sys.executable, "-c", EARLY.replace("HOW", how)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert program.communicate(timeout=60) == ("interrupted\n", "")
+    assert program.returncode == 130

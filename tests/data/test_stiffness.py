@@ -102,3 +102,13 @@ def test_a_report_keeps_what_it_was_given():
     assert not report.error.flags.writeable
     assert report.phases == ((1.0, 2.0, 0.5),)
     assert report.base == 2.0
+
+
+def test_what_rounding_leaves_of_a_solid_that_carries_nothing_is_no_contradiction():
+    left = np.diag([1.7e-10, 1e-11, 4e-12, 1e-12, 0.0, -1.4e-11])
+    left[0, 1] = 3e-12
+    report = StiffnessReport(left, POROUS, "voxels")
+    report.check()
+    assert report.summary()["E_relative"] == pytest.approx(0, abs=1e-9)
+    with pytest.raises(ValueError, match="no negative energy"):
+        StiffnessReport(np.diag([1.7e-3, 0, 0, 0, 0, -1e-6]), POROUS, "voxels").check()

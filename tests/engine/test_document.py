@@ -107,6 +107,21 @@ def test_what_is_refused_is_refused_at_its_place(text, words, line, column):
     assert (at_line, at_column) == (line, column)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: 1\n\tb: 2\n", "no tabs"),
+        ("a:\n  - 1\n   - 2\nb:\n  - 1\n - 2\n", "alike"),
+        ("a: [1, \u201c{b}\u201d]\n", "straight quotes"),
+        ("a: {b: 1\nc: [2]\n", "closing bracket"),
+    ],
+)
+def test_what_to_do_about_a_slip_of_the_syntax(text, words):
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, "f.yaml")
+    assert words in (caught.value.hint or "")
+
+
 def test_aliases_and_merge_keys_work():
     text = "x: &x {a: 1, b: 2}\ny: &y {b: 5}\nz: {<<: [*x, *y], a: 0}\nw: *x\n"
     assert plain(parse_yaml(text, "f")) == {

@@ -1,5 +1,6 @@
 """What a plan takes from elsewhere is looked at before any work: input files, and columns of a sweep's table."""
 
+import os
 import re
 
 import pytest
@@ -35,6 +36,13 @@ def test_files_that_are_not_there_are_all_found(check, tmp_path):
     assert "part.stl" in told.split("prat.stl", 1)[1]
     assert re.search(r"config.yaml:6:\d+.*there is no file or folder '.*part.stl'", told)
     check(TWO, until="read.primitive")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes in folders")
+def test_a_pipe_is_not_waited_for(check, tmp_path):
+    os.mkfifo(tmp_path / "part.stl")
+    with pytest.raises(ConfigError, match=r"part.stl' is a pipe or a device"):
+        check("pipeline: [{stage: read.mesh, path: part.stl}]")
 
 
 def test_files_of_a_sweep_and_of_recipes_are_looked_at(check, tmp_path):

@@ -277,3 +277,41 @@ def test_for_no_value_null_is_named():
     assert hint_of(declared["height"], "tall") == "size along z"
     assert hint_of(declared["word"], "none") == "a factor"
     assert parse_typed(declared["height"], None, Path()) is None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slipped(Stage):
+    """A stage."""
+
+    name: ClassVar[str] = "read.slipped"
+    share: float = option(0.5, help="a part of it", above=0, below=1)
+    length: Length = option(Length(1.0), help="a size", unit="mm")
+    word: str = option("", help="any")
+
+    def run(self, context):
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("share", "0,70", "written with a point"),
+        ("length", "0,05 mm", "written with a point"),
+        ("share", "70 %", "write 0.7, a share of 1"),
+        ("share", 70, "write 0.7 for 70 %"),
+        ("share", "$porosity", '"${porosity}"'),
+    ],
+)
+def test_slips_of_the_pen_are_named(name, value, words):
+    assert words in hint_of(options_of(Slipped)[name], value)
+
+
+@pytest.mark.parametrize(("name", "value"), [("share", 1.2), ("share", "a,b"), ("length", 70), ("word", "0,70")])
+def test_other_values_are_no_slips(name, value):
+    declared = options_of(Slipped)[name]
+    assert hint_of(declared, value) == declared.spec.help
+
+
+def test_a_comma_in_a_map_that_cuts_a_number_in_two_is_named(work):
+    errors = work.errors("pipeline: [{stage: read.number, value: 0,05 mm}]")
+    assert "decimals are written with a point" in str(errors[-1])

@@ -258,3 +258,16 @@ def test_what_a_plugin_raises_is_its_fault(work):
     assert caught.value.exit_code == 4
     assert caught.value.stage == "read.seven"
     assert isinstance(caught.value.__cause__, RuntimeError)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("def run", "def rnu", "Seven in .*mine.py is no stage yet: it lacks the method `run`"),
+        ("    name: ClassVar", "    nmae: ClassVar", "Seven in .*mine.py is no stage yet: it lacks `name: ClassVar"),
+    ],
+)
+def test_what_a_class_of_a_file_lacks_to_be_a_stage_is_said(work, before, after, words):
+    assert before in ONE_FILE
+    with pytest.raises(PluginError, match=words):
+        work.plan("pipeline: [read.seven]\n", plugins=[write(work, ONE_FILE.replace(before, after))])

@@ -195,6 +195,24 @@ def count_nodes(node: Node) -> int:
     return 1
 
 
+def _hint(text: str, problem: str, number: int) -> str | None:
+    """What to do about a line, counted from 0, at which the parser gave up."""
+    lines = text.splitlines()
+    line = lines[number] if number < len(lines) else ""
+    if "'\\t'" in problem:
+        return "indent with blanks; YAML allows no tabs there"
+    if set(line) & set(_TYPOGRAPHIC):
+        return "write straight quotes, \" or '; these are typographic ones, as word processors put them in"
+    if problem.startswith("expected <block end>"):
+        return "indent entries of one list or map alike; is this line too far in, or one before it?"
+    if problem.startswith("expected ',' or"):
+        return "is a comma missing, or a closing bracket or quote, here or in a line before?"
+    return None
+
+
+_TYPOGRAPHIC = "\u201c\u201d\u201e\u2018\u2019\u201a\u00ab\u00bb"
+
+
 class _Composer:
     """Builds the tree from the event stream and keeps count."""
 
@@ -236,7 +254,8 @@ class _Composer:
             opened = error.context_mark
             if opened is not None and self._fixed is None and mark is not None and opened.line != mark.line:
                 context += f" that starts in line {opened.line + 1}"
-            raise ConfigError(f"not valid YAML: {error.problem}{context}", where=where) from None
+            hint = _hint(text, str(error.problem), mark.line if mark else 0)
+            raise ConfigError(f"not valid YAML: {error.problem}{context}", where=where, hint=hint) from None
         except ReaderError as error:
             line = text.count("\n", 0, error.position) + 1
             column = error.position - text.rfind("\n", 0, error.position)

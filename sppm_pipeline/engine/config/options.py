@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import re
 import types
 import typing
 from collections.abc import Mapping
@@ -22,6 +23,11 @@ from sppm_pipeline.stage import OptionSpec, Stage
 
 SMALLEST_MM, LARGEST_MM = 1e-6, 1e6
 """A length with a unit lies between a nanometre and a kilometre; anything else is a slip."""
+
+DECIMALS = "decimals are written with a point: 0.05, not 0,05"
+_COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+\s*[A-Za-zµ]*")
+_AFTER_COMMA = re.compile(r"[0-9]+(?:\s*[A-Za-zµ]+)?")  # what is left in a map of a number with a comma
+_PERCENT = re.compile(r"[0-9]+(?:\.[0-9]*)?\s*%")
 
 Folder = typing.Callable[[Any], Path]
 """From a value's position to the folder that a relative path written there starts from."""
@@ -161,6 +167,8 @@ def parse_options(
         if name not in declared:
             complete = False
             hint = did_you_mean(name, declared) if declared else f"{cls.name} has no options"
+            if _AFTER_COMMA.fullmatch(name):
+                hint = DECIMALS
             problems.report(f"{cls.name} has no option {name!r}", entry.where, hint=hint, stage=stage)
             continue
         try:
@@ -339,6 +347,17 @@ def hint_of(option: Option, value: Any) -> str:
         and types.NoneType in _members(option.kind)
     ):
         return "for no value write null, or leave the option out"
+    if isinstance(value, str) and {int, float, Length} & set(_members(option.kind)):
+        text = value.strip()
+        if _COMMA.fullmatch(text):
+            return f"{DECIMALS}; {option.spec.help}"
+        if text.startswith("$"):
+            return f'a parameter is written "${{{text.strip("${}")}}}", with the quotes and braces'
+        if _PERCENT.fullmatch(text):
+            return f"write {float(text.rstrip('% ')) / 100:g}, a share of 1; {option.spec.help}"
+    below = (option.spec.maximum, option.spec.below)
+    if 1.0 in below and float in _members(option.kind) and type(value) in (int, float) and 2 < value < 100:
+        return f"write {value / 100:g} for {value:g} %; {option.spec.help}"
     return option.spec.help
 
 

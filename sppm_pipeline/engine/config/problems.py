@@ -51,6 +51,8 @@ class Problems:
 def nearest(word: str, known: Iterable[str]) -> list[str]:
     """Up to three of `known` that look like `word`, or whose last part is the same; the nearest first."""
     candidates = sorted(set(known))
+    if same := [name for name in candidates if name.lower() == word.lower()]:
+        return same[:3]
     near = difflib.get_close_matches(word, candidates, n=3, cutoff=0.6)
     if near:
         return near

@@ -19,7 +19,7 @@ OWN_COLUMNS = ("run", "status", "error")
 
 
 def missing_inputs(plan: Plan, until: str | None = None) -> Iterator[ConfigError]:
-    """An error for each input file that is not there, of the stages that run.
+    """An error for each input file that is not there or would be read without end, of the stages that run.
 
     Parameters
     ----------
@@ -40,6 +40,8 @@ def missing_inputs(plan: Plan, until: str | None = None) -> Iterator[ConfigError
         for option, value in _values(step):
             if isinstance(value, Path) and not value.exists():
                 yield _error(step, option, f"there is no file or folder {str(value)!r}", _near(value))
+            elif isinstance(value, Path) and not (value.is_file() or value.is_dir()):
+                yield _error(step, option, f"{str(value)!r} is a pipe or a device", "give the path of a file")
 
 
 def _near(path: Path) -> str | None:

@@ -88,6 +88,24 @@ def stage_classes(module: ModuleType) -> list[type[Stage]]:
     ]
 
 
+def incomplete_stages(plugins: Plugins) -> list[str]:
+    """What the classes of single files still lack to be stages."""
+    from sppm_pipeline.stage import Stage
+
+    found = []
+    for file in single_files(plugins):
+        module = import_file(Path(file))
+        for cls in vars(module).values():
+            if not (inspect.isclass(cls) and issubclass(cls, Stage) and cls.__module__ == module.__name__):
+                continue
+            lacking = [f"the method `{name}`" for name in sorted(getattr(cls, "__abstractmethods__", ()))]
+            if not isinstance(getattr(cls, "name", None), str):
+                lacking.insert(0, '`name: ClassVar[str] = "family.word"`')
+            if lacking:
+                found.append(f"{cls.__name__} in {file} is no stage yet: it lacks {' and '.join(lacking)}")
+    return found
+
+
 def missing_module(error: Exception) -> str | None:
     """The hint that names a module that is not installed, if that is why an import failed."""
     if isinstance(error, ModuleNotFoundError) and error.name:

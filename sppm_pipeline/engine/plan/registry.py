@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.config.problems import listed, nearest, shown
+from sppm_pipeline.engine.plan.plugin_files import incomplete_stages
 from sppm_pipeline.engine.plan.plugins import Plugin, Plugins, imported
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.errors import ConfigError, PluginError, Position
@@ -79,7 +80,8 @@ class Registry:
         if name not in self._owners:
             hint, near = self._hint(name)
             # a name that resembles none is that of a stage which a plugin supplies, if one that failed may do so
-            kind = PluginError if self.plugins.failed() and not near else ConfigError
+            broken = self.plugins.failed() or incomplete_stages(self.plugins)
+            kind = PluginError if broken and not near else ConfigError
             raise kind(f"there is no stage {shown(name)}", where=where, hint=hint)
         if name not in self._classes:
             self._classes[name] = self._load(name)
@@ -98,9 +100,10 @@ class Registry:
         else:
             hints = ["`sppm stages` lists all stages"]
         hints += [f"{plugin} could not be loaded and may supply it" for plugin in self.plugins.failed()]
+        hints += (incomplete := incomplete_stages(self.plugins))
         if self.plugins.disabled:
             hints.append("installed plugins are switched off by --no-plugins")
-        elif not near:
+        elif not (near or incomplete):
             hints.append("a plugin that supplies it may not be installed; `sppm plugins` lists those that are")
         return "; ".join(hints), bool(near)
 

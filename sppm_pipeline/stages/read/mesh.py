@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import Geometry, Size
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.families import options
-from sppm_pipeline.formats.input_file import content_of
+from sppm_pipeline.formats.input_file import content_of, require_file
 from sppm_pipeline.stage import Context, Stage, option
 
 LARGEST_FILE = 2 * 2**30
@@ -166,7 +167,9 @@ class ReadMesh(Stage):
 
 def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:
     """Number of triangles and size of the box in a file, as far as they can be known without reading all of it."""
-    length, extension = path.stat().st_size, path.suffix[1:].lower()
+    length, extension = require_file(path, LARGEST_FILE), path.suffix[1:].lower()
+    if extension not in TYPICAL_BYTES:
+        raise LookupError("how many triangles a file of this kind holds is unknown")
     with path.open("rb") as file:
         header = file.read(HEADER)
     count = int.from_bytes(header[80:84], "little") if extension == "stl" else 0
@@ -174,8 +177,9 @@ def _probed(path: Path) -> tuple[float, tuple[float, float, float] | None]:
         record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
         records = np.memmap(path, record, "r", 84)[:: max(1, count // PROBED)]
         corners = records["corners"].reshape(-1, 3).astype(np.float64)
-        x, y, z = (corners.max(0) - corners.min(0)).tolist()
-        return float(count), (x, y, z)
+        with np.errstate(invalid="ignore"):
+            x, y, z = (corners.max(0) - corners.min(0)).tolist()
+        return float(count), (x, y, z) if math.isfinite(x + y + z) else None
     found = re.search(rb"element face (\d+)" if extension == "ply" else rb"^OFF\s+\d+\s+(\d+)", header)
     return float(found[1]) if found else length / TYPICAL_BYTES[extension], None
 

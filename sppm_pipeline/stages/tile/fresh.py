@@ -11,7 +11,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.size import RecipeSize, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
-from sppm_pipeline.families.tiler import HALO, at_porosity, check_repeats, laid_cells
+from sppm_pipeline.families.tiler import HALO, at_porosity, check_repeats, laid_cells, measured_voxels
 from sppm_pipeline.families.tileset_maker import check_faces
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tileset import TileSet
@@ -29,6 +29,7 @@ class FreshTiling(Stage):
     """
 
     name: ClassVar[str] = "tile.fresh"
+    version: ClassVar[int] = 2
     advice: ClassVar[str] = "give larger cells, or use `tileset.free_faces` with many interiors"
 
     cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
@@ -42,7 +43,7 @@ class FreshTiling(Stage):
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
         cells = laid_cells(made, self.periodic)
         recipe(palette, cells)
-        trial = min(made.cells, 64) * float(self.resolution) ** 3 if self.porosity is not None else 0.0
+        trial = measured_voxels(made.cells, self.resolution) if self.porosity is not None else 0.0
         counts = {"cells": cells, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
         return made.at_porosity(self.porosity, **counts)
 

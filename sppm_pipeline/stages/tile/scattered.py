@@ -17,7 +17,7 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import lattice_for, options, tiling_size
 from sppm_pipeline.families.graded import DIRECTION, trial
 from sppm_pipeline.families.graded_cloud import ROOM, TOLD, GradedCloud, without_faces
-from sppm_pipeline.families.tiler import HALO, Lattice, at_porosity, check_repeats, laid_cells
+from sppm_pipeline.families.tiler import HALO, Lattice, at_porosity, check_repeats, laid_cells, measured_voxels
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.stage import Context, Recipe, Stage
@@ -42,7 +42,7 @@ class ScatteredTiling(Stage):
     """
 
     name: ClassVar[str] = "tile.scattered"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     advice: ClassVar[str] = "give larger cells, or use `tileset.free_faces` with many interiors"
 
     cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
@@ -56,7 +56,7 @@ class ScatteredTiling(Stage):
     def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None, grading: Size | None) -> Size:
         made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
         blocks = laid_cells(made, self.periodic)
-        trial = min(made.cells, 64) * float(self.resolution) ** 3 if self.porosity is not None else 0.0
+        trial = measured_voxels(made.cells, self.resolution) if self.porosity is not None else 0.0
         if grading is None:
             recipe(palette, blocks)
         else:  # drawn and measured in rounds, the last one but one closely, as are some cells in the end

@@ -1,10 +1,13 @@
 """Meshes from files: read, moved, tested for a volume."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
 from sppm_pipeline.data.length import Length
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.formats import obj, ply, stl
 from sppm_pipeline.numerics.domain import primitive_meshes
@@ -125,6 +128,23 @@ def test_flat_and_missing_and_broken(save, tmp_path, tetra):
     (tmp_path / "empty.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
     with pytest.raises(InputError):
         read(tmp_path / "empty.obj")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("part.step", "CAD"), ("part", "no mesh format"), ("part.stl", "finite"), (".", "folder")]
+)
+def test_what_is_no_mesh_is_refused_and_its_size_merely_unknown(save, tmp_path, wedge, name, words):
+    if name == "part.stl":
+        data = bytearray(save(wedge.vertices, wedge.faces, name).read_bytes())
+        data[84 + 12 : 84 + 16] = np.float32(np.nan).tobytes()
+        (tmp_path / name).write_bytes(data)
+    elif name != ".":
+        (tmp_path / name).write_text("ISO-10303-21;")
+    stage = ReadMesh(path=tmp_path / name)
+    with contextlib.suppress(InputError, LookupError):  # the engine takes these for a size that is unknown
+        assert stage.estimate(Palette()).geometry is None
+    with pytest.raises(InputError, match=words):
+        stage.run(PlainContext())
 
 
 @pytest.mark.parametrize("name", ["a.stl", "b/c.ply", "d.obj"])

@@ -17,6 +17,7 @@ from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import Sampler, start_of
 from sppm_pipeline.families.local_porosity import LatticeCells
+from sppm_pipeline.families.tiler import MEASURED_CLOSELY, measured_per_edge
 from sppm_pipeline.fields.live_view import _tiles
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.connectivity.components import phase_report
@@ -191,6 +192,24 @@ def test_the_porosity_is_that_of_the_part_not_of_its_cells(ball):
     inside = part.inside_zyx(grid, 0, grid.shape[2]) != 0
     assert np.mean(part.sample_zyx(grid, 0, grid.shape[2])[inside] >= 0) == pytest.approx(0.5, abs=2e-3)
     assert abs(np.mean(tiling.sample_zyx(grid, 0, grid.shape[2]) >= 0) - 0.5) > 4e-3
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_the_porosity_of_many_cells_is_measured_in_all_of_them(ball, seed):
+    """Cells differ by some per cent, so that some of them would not tell what all have."""
+    flat = replace(ball, vertices=ball.vertices * [1.0, 0.8, 0.4])
+    tiling = scattered(DartThrowing(total=20), TREE, FIELD, cell=Length(1.0), cover=flat, porosity=0.6, seed=seed)
+    part = Part(tiling, flat, 0.0, "keep")
+    assert (tiling.arrays.surrounded().interior >= 0).sum() > MEASURED_CLOSELY
+    n, cells = 16, part.cells
+    grid = Grid((0.5 / n,) * 3, (1 / n,) * 3, (cells[0] * n, cells[1] * n, cells[2] * n))
+    inside = part.inside_zyx(grid, 0, grid.shape[2]) != 0
+    assert np.mean(part.sample_zyx(grid, 0, grid.shape[2])[inside] >= 0) == pytest.approx(0.6, abs=1.5e-3)
+
+
+def test_so_many_cells_are_measured_with_fewer_samples_each():
+    assert [measured_per_edge(cells, 32) for cells in (1, 127, 128, 1016, 8128, 10**6)] == [32, 32, 31, 16, 8, 6]
+    assert [measured_per_edge(cells, 8) for cells in (127, 10**6)] == [8, 6]
 
 
 @pytest.mark.parametrize("name", ["torus", "box"])
