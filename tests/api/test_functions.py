@@ -87,6 +87,14 @@ def test_unknown_stages_have_a_hint():
     assert "discarding those closer" in sppm.sample.dart_throwing.__doc__
 
 
+@pytest.mark.parametrize(("ending", "stage"), [("nrrd", "voxels"), ("TIFF", "voxels"), ("STL", "mesh")])
+def test_who_asks_for_a_format_is_told_the_stage_that_writes_it(ending, stage):
+    with pytest.raises(AttributeError, match=f"did you mean 'write.{stage}'"):
+        getattr(sppm.write, ending)
+    with pytest.raises(AttributeError, match=r"stages of this family: .*write\.absorption"):
+        _ = sppm.write.svg
+
+
 def test_numbers_instead_of_what_is_made(cell):
     numbers = sppm.check.porosity(resolution=24).report(cell)
     assert numbers["porosity"] == pytest.approx(1 - cell.solid(24).mean(), abs=0.01)
