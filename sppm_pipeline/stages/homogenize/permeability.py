@@ -35,8 +35,8 @@ class FlowHomogenizer(Homogenizer):
     cell: Length | None = options.cell(None, note="if the cell has none yet, or another one is wanted")
 
     def bytes_of_a_voxel(self, threads: int) -> int:
-        """Grids of components and pressure, weights, torsion fields, flows, work space of each in progress."""
-        return 4 * (4 * 6 + 7 + 6 + 9 + 28 * min(threads, 3))
+        """Grids of components and pressure, graphs, weights, torsion fields, flows, work space of each in progress."""
+        return 4 * (4 * 6 + 5 + 7 + 6 + 9 + 28 * min(threads, 3))
 
     def edge_of(self, source: ScalarField | Voxels) -> float | None:
         """Edge of the cell in millimeters; of an image, its longest side."""
@@ -127,7 +127,7 @@ class HomogenizePermeability(FlowHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.permeability"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("k.1.1", "k11", "cell^2", "error.1.1"), Headline("k.2.2", "k22", "cell^2", "error.2.2"),
