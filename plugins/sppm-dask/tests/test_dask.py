@@ -23,7 +23,7 @@ from sppm_pipeline.errors import ConfigError, NativeCrash, ResourceError
 from sppm_pipeline.testing.contracts import ExecutorContract
 
 STAGE = '''
-import os, signal
+import os, signal, time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -39,6 +39,7 @@ class Kill(Stage):
         once = Path(__file__).with_name("once")
         if self.seed == 5 and not once.exists():
             once.write_text(str(os.getpid()))
+            time.sleep(2)  # its nanny is to know that it runs, or starts no other
             os.kill(os.getpid(), signal.SIGKILL)
 '''
 
@@ -54,7 +55,7 @@ sweep: {n: [1, 2, 3, 4, 5, 6, 7, 8]}
 
 
 WRITER = '''
-import os, signal
+import os, signal, time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -71,6 +72,7 @@ class WriteRaw(LayerWriter):
         once = Path(__file__).with_name("once")
         if not once.exists():
             once.write_text(str(os.getpid()))
+            time.sleep(2)  # its nanny is to know that it runs, or starts no other
             os.kill(os.getpid(), signal.SIGKILL)
         return image.tobytes()
 '''
