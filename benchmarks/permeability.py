@@ -82,7 +82,7 @@ def main(sizes: list[int]) -> None:
         velocity = [stokes._velocity_hierarchy(way.faces, (1.0, 1.0, 1.0), d, 1.0) for d in range(3)]
         nothing = [np.zeros(n**3, np.float32)] * 3
         weights = np.concatenate([weight.reshape(-1) for weight in way.faces.weights])
-        plain = stokes._Problem(weights, (1.0, 1.0, 1.0), velocity, nothing, (n, n, n), False)
+        plain = stokes._Problem(weights, (1.0, 1.0, 1.0), velocity, nothing, (n, n, n))
         _, cases = plain.solve([0, 1, 2], Stop(0.0, 1e-3, 500), 0.0, np.dtype(np.float32), 1)
         rows.append([
             f"{n}^3", f"{1e4 * found.permeability[0, 0] / n**2:.4f}",

@@ -372,7 +372,13 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Load a public name when it is first used."""
     if name not in _PLACE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        message = f"module {__name__!r} has no attribute {name!r}"
+        if not name.startswith("_"):
+            from difflib import get_close_matches
+
+            if near := get_close_matches(name, __all__, 1):
+                message += f"; did you mean {near[0]!r}?"
+        raise AttributeError(message)
     from importlib import import_module
 
     module, there = _PLACE_OF[name]

@@ -1,10 +1,13 @@
-"""The shape of the package: no long files, few tiny ones, and a sentence on what each folder is for."""
+"""The shape of the package: no long files, few tiny ones, no circles, and a sentence on what each folder is for."""
 
 from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Iterator
 from pathlib import Path
+
+import networkx as nx
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sppm_pipeline"
@@ -73,3 +76,47 @@ def test_packages_name_only_what_is_there():
             if last not in known and name not in public and not (packages and inside.with_suffix(".py").is_file()):
                 missing.setdefault(folder.relative_to(ROOT).as_posix(), []).append(name)
     assert missing == {}
+
+
+SHOWS_ITSELF = {
+    ("fields.scalar_field", "fields.wrapped"),  # a field cuts itself
+    ("fields.scalar_field", "fields.live_view"),
+    ("fields.scalar_field", "fields.picture"),
+    ("fields.tileset", "fields.live_view"),
+    ("fields.tileset", "fields.picture"),
+}
+"""Imports from above inside methods: nouns that notebooks and the studio ask for a picture of themselves."""
+
+
+def imports_at_run_time(path: Path) -> set[str]:
+    """What a file imports, at its top or inside functions, but not for type checkers alone."""
+
+    def found(node: ast.AST) -> Iterator[str]:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+                continue
+            if isinstance(child, ast.ImportFrom) and child.module and not child.level:
+                yield child.module
+                yield from (f"{child.module}.{alias.name}" for alias in child.names)
+            elif isinstance(child, ast.Import):
+                yield from (alias.name for alias in child.names)
+            yield from found(child)
+
+    return set(found(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+def test_no_file_needs_a_file_that_needs_it():
+    def name(path: Path) -> str:
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+    files = {name(path): path for path in python_files()}
+    needs = nx.DiGraph()
+    for place, path in files.items():
+        for other in imports_at_run_time(path):
+            below = other.removeprefix("sppm_pipeline.")
+            if other.startswith("sppm_pipeline.") and below in files and below != place:
+                needs.add_edge(place, below)
+    assert set(needs.edges) > SHOWS_ITSELF
+    needs.remove_edges_from(SHOWS_ITSELF)
+    assert [sorted(circle) for circle in nx.strongly_connected_components(needs) if len(circle) > 1] == []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
@@ -76,13 +76,13 @@ class BoundStage:
     ----------
     name : str
     options : mapping of option name to value
-    recipe : sequence of stages, or None
+    recipe : sequence of stages, name of a preset, or None
         What the stage repeats.
     """
 
     name: str
     options: Mapping[str, Any] = dataclass_field(default_factory=dict)
-    recipe: Sequence[Any] | None = None
+    recipe: Sequence[Any] | str | None = None
 
     def __post_init__(self) -> None:
         """Check the options, as they are known."""
@@ -177,7 +177,14 @@ class BoundStage:
                 else:
                     sources[port] = place
         document: dict[str, Any] = {"sppm": FORMAT, "pipeline": [entry]}
-        if self.recipe is not None:
+        if isinstance(self.recipe, str):
+            entry["recipe"] = self.recipe
+        elif self.recipe is not None:
+            if isinstance(self.recipe, (Mapping, BoundStage)) or not isinstance(self.recipe, Iterable):
+                raise ConfigError(
+                    f"the recipe of {self.name} must be a list of stages, got one {type(self.recipe).__name__}",
+                    hint="recipe=[sppm.step.FAMILY.NAME(...), ...], or the name of a preset",
+                )
             entry["recipe"] = RECIPE
             document["recipes"] = {RECIPE: [entry_of(stage) for stage in self.recipe]}
         where = f"sppm.{self.name}"

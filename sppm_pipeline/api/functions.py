@@ -42,7 +42,7 @@ class StageFunction:
     def __call__(
         self,
         *artifacts: Any,
-        recipe: Sequence[Any] | None = None,
+        recipe: Sequence[Any] | str | None = None,
         seed: int | None = None,
         threads: int | None = None,
         output: str | Path | None = None,
@@ -54,7 +54,7 @@ class StageFunction:
         ----------
         *artifacts
             What the stage takes.
-        recipe : sequence of stages, optional
+        recipe : sequence of stages, or name of a preset, optional
             What the stage repeats: calls without artifacts, entries made with `step`, names, or mappings as in YAML.
         seed, threads, output
             As for `BoundStage`.
@@ -62,6 +62,12 @@ class StageFunction:
             Options of the stage, and ports by name.
         """
         ports = [port for port in signature_of(registry().get(self.name)).ports if not port.is_recipe]
+        if not ports and artifacts:
+            first = next(iter(options_of(registry().get(self.name))), None)
+            raise ConfigError(
+                f"{self.name} takes no artifacts, got {type(artifacts[0]).__name__}",
+                hint=f"options are given by name, for example {first}=..." if first else "leave it out",
+            )
         named = {port.name: options.pop(port.name) for port in ports if port.name in options}
         bound = BoundStage(self.name, options, recipe)
         if artifacts or named or all(port.optional for port in ports):

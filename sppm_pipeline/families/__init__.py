@@ -32,7 +32,8 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from typing import Any
 
     from sppm_pipeline.families import options
-    from sppm_pipeline.families.connector import Cloud, Connector, Piece
+    from sppm_pipeline.families.cloud import Cloud, Piece
+    from sppm_pipeline.families.connector import Connector
     from sppm_pipeline.families.field_maker import FieldMaker, PartFieldMaker
     from sppm_pipeline.families.file_writer import MeshWriter
     from sppm_pipeline.families.grader import Grader
@@ -67,7 +68,8 @@ __all__ = [
 ]
 
 _PLACES = {
-    "connector": ("Cloud", "Connector", "Piece"),
+    "cloud": ("Cloud", "Piece"),
+    "connector": ("Connector",),
     "field_maker": ("FieldMaker", "PartFieldMaker"),
     "file_writer": ("MeshWriter",),
     "grader": ("Grader",),

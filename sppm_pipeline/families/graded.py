@@ -12,7 +12,7 @@ from sppm_pipeline.data.artifact import frozen
 from sppm_pipeline.data.grading import Grading
 from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.families.sampler import FEWEST
+from sppm_pipeline.families.interiors import FEWEST
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tiling import Tiling
 from sppm_pipeline.numerics.assembly.contents import TilingArrays

@@ -14,8 +14,8 @@ from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.data.palette import Blocks, KeptPores, Palette, StretchedBlocks
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.graded import curve_of, graded_radii, metric_at, recipe_total, trial
+from sppm_pipeline.families.interiors import FEWEST
 from sppm_pipeline.families.local_porosity import LatticeCells, Places, cell_means, error_summary
-from sppm_pipeline.families.sampler import FEWEST
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.fields.tileset import TileSet

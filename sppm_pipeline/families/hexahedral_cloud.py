@@ -17,8 +17,8 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families.curved_porosity import CurvedSamples, curved_targets
 from sppm_pipeline.families.graded import curve_of, recipe_total, trial
 from sppm_pipeline.families.graded_cloud import ROOM, without_faces
+from sppm_pipeline.families.interiors import FEWEST
 from sppm_pipeline.families.local_porosity import error_summary
-from sppm_pipeline.families.sampler import FEWEST
 from sppm_pipeline.families.tiler import HALO
 from sppm_pipeline.fields.microstructure import Microstructure
 from sppm_pipeline.fields.tiling import Tiling

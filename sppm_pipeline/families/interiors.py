@@ -16,6 +16,12 @@ from sppm_pipeline.data.pores import PoreSet
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.sampling.many import Surrounding
 
+FEWEST = 4
+"""Pores of a graded cell at the least: fewer have no three neighbors each."""
+
+FEWEST_BETWEEN_FACES = 1
+"""Pores of the interior of a graded cell at the least if there are pores on its faces, which are joined to it."""
+
 MANY = 64
 """Interiors or pieces from which a kernel that does many of them is worth its loading: a choice."""
 

@@ -15,15 +15,9 @@ from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.size import CellDesign, Size
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.interiors import InteriorBox, Interiors
+from sppm_pipeline.families.interiors import FEWEST, FEWEST_BETWEEN_FACES, InteriorBox, Interiors
 from sppm_pipeline.families.scattered import block_by_block
 from sppm_pipeline.stage import Context, Stage, option
-
-FEWEST = 4
-"""Pores of a graded cell at the least: fewer have no three neighbors each."""
-
-FEWEST_BETWEEN_FACES = 1
-"""Pores of the interior of a graded cell at the least if there are pores on its faces, which are joined to it."""
 
 
 @dataclass(frozen=True, kw_only=True)

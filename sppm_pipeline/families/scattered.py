@@ -13,6 +13,7 @@ from sppm_pipeline.data.palette import Blocks, HexahedralBlocks
 from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.data.tunnels import TunnelGraph
 from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.families.cloud import Cloud
 from sppm_pipeline.stage import Context
 
 if TYPE_CHECKING:
@@ -191,8 +192,6 @@ def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGrap
     ConfigError
         If the sampler knows nothing of blocks, or the connector nothing of stretched pores.
     """
-    from sppm_pipeline.families.connector import Cloud
-
     blocks = pores.blocks
     if blocks is None:
         raise ConfigError(

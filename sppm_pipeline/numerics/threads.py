@@ -76,8 +76,8 @@ def share_out(function: Callable[[Item], object], items: Iterable[Item], threads
 
     Raises
     ------
-    Exception
-        The first error of a call, when all that have begun have ended; no others begin.
+    BaseException
+        The first error of a call, an interrupt among them, when all that have begun have ended; no others begin.
     """
     waiting = list(items)
     others = min(threads, len(waiting)) - 1
@@ -86,7 +86,7 @@ def share_out(function: Callable[[Item], object], items: Iterable[Item], threads
             function(item)
         return
     waiting.reverse()
-    errors: list[Exception] = []
+    errors: list[BaseException] = []
 
     def some() -> None:
         while not errors:
@@ -96,7 +96,7 @@ def share_out(function: Callable[[Item], object], items: Iterable[Item], threads
                 return
             try:
                 function(item)
-            except Exception as error:
+            except BaseException as error:  # an interrupt as well: the caller has to know, and the thread lives on
                 errors.append(error)
 
     ended = [_helped(some) for _ in range(others)]

@@ -1,4 +1,4 @@
-"""The numbers at the top of a report: the porosity by every way it was found, volumes, layers, time and memory."""
+"""The numbers at the top of a report: porosity by every way it was found, stiffness, flow, layers, time, memory."""
 
 from __future__ import annotations
 
@@ -66,6 +66,7 @@ def boxes(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]], view: 
         gaps = ", ".join(f"{100 * gap:+.2f} to {name}".replace("-0.00", "+0.00") for name, gap in others)
         note = f"{gaps} ({stage})" if gaps else stage
         made.append(Box(f"porosity: {what}", f"{100 * value:.2f} %", note, far and what != "wanted"))
+    made += [box for stage in stages for box in _properties(stage)]
     numbers = {
         "solid volume": ("solid_volume_mm3", "mm³"), "layers": ("layers", ""), "pixel": ("pixel_mm", "mm"),
         "layer": ("layer_mm", "mm"), "islands removed": ("removed_share", "%"),
@@ -75,13 +76,40 @@ def boxes(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]], view: 
         for source in sorted(stages, key=lambda s: not str(s["stage"]).startswith("write.")):
             found = source.get("summary", {}).get(name)
             if found is not None:
-                text = f"{100 * found:.3g}" if unit == "%" and _number(found) else shown(found)
+                text = f"{100 * found:.3g}" if unit == "%" and _number(found) else _size(found)
                 made.append(Box(label, f"{text} {unit}".rstrip(), str(source["id"])))
                 break
     made.append(Box("time", duration(record.get("seconds")), f"{record.get('threads', '?')} threads"))
     if _number(record.get("peak_memory_mb")):
         made.append(Box("peak memory", f"{record['peak_memory_mb']:.0f} MB"))
     return made
+
+
+def _properties(stage: Mapping[str, Any]) -> list[Box]:
+    """Stiffness and permeability, if the stage reports them, with their error bars."""
+    summary, made = stage.get("summary", {}), []
+    moduli, errors = summary.get("E"), summary.get("E_error")
+    if stage.get("made") == "StiffnessReport" and isinstance(moduli, Sequence) and all(map(_number, moduli)):
+        unit = f" {summary['unit']}" if summary.get("unit") else ""
+        bar = isinstance(errors, Sequence) and errors and all(map(_number, errors))
+        note = f"± {max(errors):.2g}{unit}, {stage['id']}" if bar else str(stage["id"])
+        values = ", ".join(f"{value:.3g}" for value in moduli)
+        made.append(Box("Young's modulus x, y, z", f"{values}{unit}", note))
+    if stage.get("made") == "PermeabilityReport":
+        mean, share = summary.get("k_mean"), summary.get("error_relative")
+        note = f"± {100 * share:.2g} %, {stage['id']}" if _number(share) else str(stage["id"])
+        if _number(summary.get("darcy_mean")):
+            made.append(Box("permeability", f"{summary['darcy_mean']:.3g} darcy", note))
+        elif _number(mean):
+            made.append(Box("permeability", f"{mean:.3g} cell²", note))
+    return made
+
+
+def _size(found: Any) -> str:
+    """A number, or several along axes, once if they are the same."""
+    if isinstance(found, (list, tuple)):
+        return " x ".join(dict.fromkeys(map(shown, found)) if len(set(found)) == 1 else map(shown, found))
+    return shown(found)
 
 
 def duration(seconds: Any) -> str:

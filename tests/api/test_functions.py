@@ -7,6 +7,7 @@ import sppm_pipeline as sppm
 from sppm_pipeline.api.bound_stage import registry
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.plan.ports import signature_of
+from sppm_pipeline.errors import ConfigError
 
 CELL = {"pore_radius": 0.14, "tunnel_radius": 0.05}
 
@@ -86,6 +87,14 @@ def test_unknown_stages_have_a_hint():
     assert "discarding those closer" in sppm.sample.dart_throwing.__doc__
 
 
+@pytest.mark.parametrize(("ending", "stage"), [("nrrd", "voxels"), ("TIFF", "voxels"), ("STL", "mesh")])
+def test_who_asks_for_a_format_is_told_the_stage_that_writes_it(ending, stage):
+    with pytest.raises(AttributeError, match=f"did you mean 'write.{stage}'"):
+        getattr(sppm.write, ending)
+    with pytest.raises(AttributeError, match=r"stages of this family: .*write\.absorption"):
+        _ = sppm.write.svg
+
+
 def test_numbers_instead_of_what_is_made(cell):
     numbers = sppm.check.porosity(resolution=24).report(cell)
     assert numbers["porosity"] == pytest.approx(1 - cell.solid(24).mean(), abs=0.01)
@@ -99,6 +108,25 @@ def test_a_recipe_is_a_list_of_stages():
     ]
     tuned = sppm.tune.porosity(target=0.6, resolution=24, recipe=recipe, seed=2)
     assert 1 - tuned.solid(24).mean() == pytest.approx(0.6, abs=0.02)
+
+
+def test_a_recipe_may_be_the_name_of_a_preset_but_not_one_stage():
+    cell = sppm.tune.porosity(recipe="paper", target=0.6, seed=1)
+    assert sppm.check.porosity(resolution=24)(cell)["porosity"] == pytest.approx(0.6, abs=0.02)
+    for one in (sppm.step.sample.dart_throwing(total=40, share=0.5), lambda: None):
+        with pytest.raises(ConfigError, match=r"must be a list of stages, got one (dict|function)"):
+            sppm.tune.porosity(recipe=one, target=0.6)
+
+
+def test_options_by_position_are_refused_with_a_hint():
+    with pytest.raises(ConfigError, match=r"takes no artifacts, got str\n  hint: options are given by name, .* path="):
+        sppm.read.mesh("part.stl")
+
+
+def test_misspelt_families_have_a_hint():
+    with pytest.raises(AttributeError, match="did you mean 'sample'"):
+        _ = sppm.smaple
+    assert not hasattr(sppm, "__wrapped__")
 
 
 def test_files_go_where_they_are_asked_for(cell, tmp_path):

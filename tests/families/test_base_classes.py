@@ -43,4 +43,4 @@ def test_a_family_is_loaded_alone():
         "print(sorted(name.rpartition('.')[2] for name in sys.modules if name.startswith('sppm_pipeline.families.')))"
     )
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
-    assert found.strip() == "['interiors', 'options', 'sampler', 'scattered']"
+    assert found.strip() == "['cloud', 'interiors', 'options', 'sampler', 'scattered']"

@@ -281,3 +281,20 @@ def test_settings_of_others_leave_kernels_to_numba(name, value, why, monkeypatch
 
 def test_the_version_is_that_of_numba():
     assert machine_code._version() == numba.__version__
+
+
+def test_functions_that_are_made_anew_in_each_process_are_not_kept():
+    def made(held):
+        def kernel(value):
+            return value + held
+
+        kernel.__qualname__ = "kernel"
+        return kernel
+
+    def plain(value):
+        return value
+
+    assert machine_code._place_of(made(1), ["int64"]) is None
+    assert machine_code._place_of(plain, ["int64"]) is None  # of a function, which may be another one each time
+    plain.__qualname__ = "plain"
+    assert machine_code._place_of(plain, ["int64"]).endswith(".code")

@@ -117,6 +117,19 @@ def test_an_error_is_raised_when_what_has_begun_has_ended(threads):
     share_out(ended.append, [-1], threads)  # nothing is left over
 
 
+def test_an_interrupt_in_another_thread_reaches_the_caller_and_costs_no_thread():
+    caller, both = threading.get_ident(), threading.Barrier(2, timeout=30)
+
+    def interrupted(_):
+        both.wait()
+        if threading.get_ident() != caller:
+            raise KeyboardInterrupt
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            share_out(interrupted, range(2), 2)
+
+
 def test_a_forked_process_has_threads_of_its_own():
     share_out(lambda _: time.sleep(0.01), range(4), 2)
     child = os.fork()

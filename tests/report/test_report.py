@@ -339,3 +339,24 @@ def test_a_run_without_a_field_shows_its_mesh(tmp_path, capsys):
     assert head_of(view)["kind"] == "mesh"
     assert "triangles; coordinates have 16 bits" in html
     assert 'id="live-level"' not in html
+
+
+def test_stiffness_and_permeability_stand_at_the_top():
+    def found(made, **summary):
+        stages = [{"id": "x", "stage": "homogenize.x", "made": made, "summary": summary, "options": {}}]
+        return {box.label: (box.value, box.note) for box in boxes({"seconds": 1.0}, stages, None)}
+
+    stiff = found("StiffnessReport", E=[293.74, 287.9, 213.6], unit="MPa", E_error=[23.7, 20.3, 20.2])
+    assert stiff["Young's modulus x, y, z"] == ("294, 288, 214 MPa", "± 24 MPa, x")
+    assert found("StiffnessReport", E=[0.25, 0.0, None]).keys() == {"time"}
+    assert found("StiffnessReport", E=[0.25, 0.0, 0.1])["Young's modulus x, y, z"] == ("0.25, 0, 0.1", "x")
+    flow = found("PermeabilityReport", k_mean=7.54e-4, darcy_mean=19097.4, error_relative=0.25)
+    assert flow["permeability"] == ("1.91e+04 darcy", "± 25 %, x")
+    assert found("PermeabilityReport", k_mean=7.54e-4)["permeability"] == ("0.000754 cell²", "x")
+
+
+def test_pixels_that_are_square_have_one_size():
+    stages = [{"id": "s", "stage": "slice.field", "summary": {"pixel_mm": [0.05, 0.05]}, "options": {}}]
+    assert ("pixel", "0.05 mm") in [box[:2] for box in boxes({}, stages, None)]
+    stages[0]["summary"]["pixel_mm"] = [0.019, 0.024]
+    assert ("pixel", "0.019 x 0.024 mm") in [box[:2] for box in boxes({}, stages, None)]

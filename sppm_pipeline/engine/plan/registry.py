@@ -92,7 +92,7 @@ class Registry:
         family, _, word = name.partition(".")
         siblings = [known for known in self if known.startswith(f"{family}.")]
         near = [f"{family}.{found}" for found in nearest(word, [known.partition(".")[2] for known in siblings])]
-        near = near or ([] if siblings else nearest(name, self))
+        near = near or self._writing(siblings, word) or ([] if siblings else nearest(name, self))
         if near:
             hints = [f"did you mean {listed(near, 'or')}?"]
         elif siblings:
@@ -106,6 +106,16 @@ class Registry:
         elif not (near or incomplete):
             hints.append("a plugin that supplies it may not be installed; `sppm plugins` lists those that are")
         return "; ".join(hints), bool(near)
+
+    def _writing(self, names: list[str], ending: str) -> list[str]:
+        """The built-in stage that writes files of this ending, if it is one: for `write.nrrd` it is `write.voxels`."""
+        found = [
+            name
+            for name in names
+            if self.owner(name).builtin
+            and any(f".{ending.lower()}" in option.spec.suffixes for option in options_of(self.get(name)).values())
+        ]
+        return found if len(found) == 1 else []
 
     def _load(self, name: str) -> type[Stage]:
         owner = self._owners[name]

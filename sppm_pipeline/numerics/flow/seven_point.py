@@ -1,9 +1,9 @@
 """Seven-point operators on periodic grids with walls, their coarse grids, and the multigrid cycle for them.
 
 An unknown is joined to its six neighbors by weights, which are 0 across walls, and to the walls by their drag. Coarse
-grids unite 2 x 2 x 2 unknowns. Velocities are interpolated linearly between the centers of these, and are zero where a
-wall is; pressures, which jump across walls, are constant in each. In both cases half the sum of the fine weights joins
-coarse unknowns, for their distance is twice that of fine ones.
+grids unite 2 x 2 x 2 unknowns, and are for velocities, which are zero at walls: they are interpolated linearly between
+centers. Half the sum of the fine weights joins coarse unknowns, for their distance is twice that of fine ones.
+Pressures, which jump across walls, have the coarse grids of `channel_grids`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ _DAMPING = 0.8
 
 _LARGEST = 2.0
 """Of the eigenvalues of the matrix over its diagonal, which is the sum of the others in its row at least."""
+
+_FAR = np.float32(0.25)
+"""Share of the second nearest coarse unknown along an axis in the interpolation; the nearest has the rest."""
 
 _0, _1 = np.uint64(0), np.uint64(1)
 _HEAD, _BLOCK = np.uint64(HEAD), np.uint64(BLOCK)
@@ -146,19 +149,13 @@ def _united(values: NDArray[np.float32], axes: tuple[int, ...]) -> NDArray[np.fl
     return values
 
 
-def hierarchy_of(
-    walls: NDArray[np.float32], weights: tuple[NDArray[np.float32], ...], *, linear: bool, twice: bool = False
-) -> Hierarchy:
+def hierarchy_of(walls: NDArray[np.float32], weights: tuple[NDArray[np.float32], ...]) -> Hierarchy:
     """All grids, the coarsest of two unknowns along an axis at most.
 
     Parameters
     ----------
     walls, weights
         As of a `SevenPointLevel`.
-    linear : bool
-        Interpolate between coarse unknowns; otherwise the smoother takes a second step.
-    twice : bool
-        Visit coarse grids twice. That is not sure to be positive definite.
     """
     levels = [SevenPointLevel(walls, weights)]
     while coarser(levels[-1].shape) is not None:
@@ -175,10 +172,8 @@ def hierarchy_of(
         list(levels),
         SCRATCH_ROWS,
         _LARGEST,
-        transfers=[CellTransfer(fine, coarse, linear) for fine, coarse in pairwise(levels)],
+        transfers=[CellTransfer(fine, coarse) for fine, coarse in pairwise(levels)],
         damping=_DAMPING,
-        sweeps=1 if linear else 2,
-        twice=twice,
     )
 
 
@@ -188,24 +183,18 @@ class CellTransfer(NamedTuple):
     Attributes
     ----------
     fine, coarse : SevenPointLevel
-    linear : bool
-        Whether coarse values are interpolated; otherwise those of a pair are equal.
     """
 
     fine: SevenPointLevel
     coarse: SevenPointLevel
-    linear: bool
 
     def restrict(self, fine: NDArray[Any], out: NDArray[Any], line: NDArray[Any]) -> None:
         """The transpose of the interpolation; residuals are 0 where there is no unknown."""
-        restrict_cells(fine, out, self.coarse.weight, self.fine.size, self.coarse.size, self._share(), line)
+        restrict_cells(fine, out, self.coarse.weight, self.fine.size, self.coarse.size, _FAR, line)
 
     def interpolate_add(self, coarse: NDArray[Any], out: NDArray[Any], line: NDArray[Any]) -> None:
         """Add the interpolated vector where there are unknowns."""
-        interpolate_cells_add(coarse, out, self.fine.weight, self.fine.size, self.coarse.size, self._share(), line)
-
-    def _share(self) -> Any:
-        return np.float32(0.25 if self.linear else 0.0)
+        interpolate_cells_add(coarse, out, self.fine.weight, self.fine.size, self.coarse.size, _FAR, line)
 
 
 @inline_jit

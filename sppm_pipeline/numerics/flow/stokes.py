@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.numerics.compiled import inline_jit, jit
+from sppm_pipeline.numerics.flow.channel_grids import ChannelGrids, ChannelWork
 from sppm_pipeline.numerics.flow.faces import Faces
 from sppm_pipeline.numerics.flow.seven_point import SCRATCH_ROWS, SevenPointLevel, hierarchy_of
 from sppm_pipeline.numerics.homogenization.multigrid.hierarchy import Hierarchy, Workspace
@@ -43,6 +44,9 @@ _FLOOR = 1e-6
 
 _SPAN, _SLOWEST = 6, 0.98
 """So many changes tell what is to come; the fall from one to the next that counts at most."""
+
+_SAFETY = 2.0
+"""Measured: at porosities of .1 and of .8 to .9 the estimate without it is at most 1.9 times too small."""
 
 _SINGLE = 1e-5
 """Tolerances and residuals below this are beyond single precision; a cautious choice."""
@@ -127,8 +131,8 @@ def stokes_flow(
     stop, dtype = Stop(residual, tolerance, iterations), np.dtype(precision)
     if 0 < tolerance < _SINGLE or 0 < residual < _SINGLE:
         dtype = np.dtype(np.float64)
-    for attempt, twice in ((dtype, True), (dtype, False), (np.dtype(np.float64), False)):
-        problem = _Problem(weights, edges, velocity, weighted, faces.active[0].shape, twice)
+    problem = _Problem(weights, edges, velocity, weighted, faces.active[0].shape)
+    for attempt in (dtype, np.dtype(np.float64)):
         fields, solved = problem.solve(wanted, stop, _FLOOR * thermal, attempt, threads)
         if all(case.definite for case in solved):
             break
@@ -201,7 +205,7 @@ def _velocity_hierarchy(faces: Faces, edges: tuple[float, ...], d: int, longest:
     """Grids of one component of the velocity."""
     active = faces.active[d]
     weights = tuple((active & np.roll(active, 1, 2 - axis)) * np.float32(1 / edges[axis] ** 2) for axis in range(3))
-    return hierarchy_of(faces.walls[d] * np.float32(longest**2), weights, linear=True)
+    return hierarchy_of(faces.walls[d] * np.float32(longest**2), weights)
 
 
 def _torsion_fields(velocity: list[Hierarchy], weights: NDArray[np.float32], threads: int) -> list[NDArray[np.float32]]:
@@ -226,13 +230,12 @@ class _Problem:
         velocity: list[Hierarchy],
         torsion: list[NDArray[np.float32]],
         shape: tuple[int, ...],
-        twice: bool,
     ) -> None:
         self.velocity = velocity
         conductances = tuple(
             psi.reshape(shape) * np.float32(_CONDUCTS / h**2) for psi, h in zip(torsion, edges, strict=True)
         )
-        self.pressure = hierarchy_of(np.zeros(shape, np.float32), conductances, linear=False, twice=twice)
+        self.pressure = ChannelGrids(conductances)
         self.weights = weights
         self.inverse_edges = 1 / np.array(edges)
         self.size = np.array(shape[::-1], np.int64)
@@ -257,25 +260,26 @@ class _Problem:
         couple(x[: 3 * n], x[3 * n :], self.weights, self.inverse_edges.astype(x.dtype), self.size,
                out[: 3 * n], out[3 * n :])  # fmt: skip
 
-    def precondition(self, r: NDArray[Any], out: NDArray[Any], work: Workspace) -> None:
+    def precondition(self, r: NDArray[Any], out: NDArray[Any], work: Workspace, own: ChannelWork) -> None:
         """An approximate inverse times a residual."""
         n = len(r) // 4
-        for d, hierarchy in enumerate((*self.velocity, self.pressure)):
+        for d, hierarchy in enumerate(self.velocity):
             part = slice(d * n, (d + 1) * n)
-            z, _ = hierarchy.cycle(np.asarray(r[part], np.float32), work)
-            out[part] = z
+            out[part] = hierarchy.cycle(np.asarray(r[part], np.float32), work)[0]
+        out[3 * n :] = self.pressure.cycle(np.asarray(r[3 * n :], np.float32), work, own)
         out[3 * n :] += r[3 * n :]
 
     def _minres(self, axis: int, stop: Stop, floor: float, dtype: np.dtype[Any]) -> tuple[NDArray[Any], Solved]:
         """MINRES for a unit force along an axis; vectors of the pressure are kept only where they are needed."""
         n = len(self.weights) // 3
-        work, rows = self.pressure.workspace(), np.zeros(SCRATCH_ROWS * STRIDE, dtype)
+        work, own = self.velocity[0].workspace(), self.pressure.workspace()
+        rows = np.zeros(SCRATCH_ROWS * STRIDE, dtype)
         v, before, q, z = (np.zeros(4 * n, dtype) for _ in range(4))
         u, w, w_before = (np.zeros(3 * n, dtype) for _ in range(3))
         driven = slice(axis * n, (axis + 1) * n)
         force = self.weights[driven].astype(dtype)
         v[driven] = force
-        self.precondition(v, z, work)
+        self.precondition(v, z, work, own)
         start = gamma = math.sqrt(dot(z, v))
         eta, gamma_before, c, c_before, s, s_before = gamma, 1.0, 1.0, 1.0, 0.0, 0.0
         k, error, changes = 0.0, math.inf, list[float]()
@@ -291,7 +295,7 @@ class _Problem:
             # the next direction, but for its length a1, which the next gamma tells
             _combine(w_before, direction, 1.0, w, -a2, -a3)
             w, w_before = w_before, w
-            self.precondition(v, z, work)
+            self.precondition(v, z, work, own)
             square = dot(z, v)
             a1 = math.hypot(a0, math.sqrt(max(square, 0.0)))
             if not (math.isfinite(square) and square >= 0 and a1 > 0):
@@ -321,7 +325,7 @@ def _remaining(changes: list[float]) -> float:
     late, before = max(map(abs, changes[-_SPAN:])), changes[-2 * _SPAN : -_SPAN]
     early = max(map(abs, before)) if len(before) == _SPAN else 0.0
     fall = min((late / early) ** (1 / _SPAN), _SLOWEST) if early > 0 else 0.0
-    return late * max(1.0, fall / (1 - fall) / 4)
+    return _SAFETY * late * max(1.0, fall / (1 - fall) / 4)
 
 
 def _combine(

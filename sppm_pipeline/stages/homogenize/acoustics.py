@@ -39,7 +39,7 @@ class HomogenizeAcoustics(FlowHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.acoustics"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     reported: ClassVar[tuple[str, ...]] = ()
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("nrc", "NRC"), Headline("peak", "largest absorption"), Headline("peak_frequency", "at", "Hz"),

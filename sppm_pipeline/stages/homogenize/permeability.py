@@ -13,6 +13,7 @@ from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.data.permeability import PermeabilityReport
 from sppm_pipeline.data.size import Size
 from sppm_pipeline.data.voxels import Voxels
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.families import options
 from sppm_pipeline.families.homogenizer import Homogenizer, grids_below, refined
 from sppm_pipeline.fields.scalar_field import ScalarField
@@ -35,8 +36,8 @@ class FlowHomogenizer(Homogenizer):
     cell: Length | None = options.cell(None, note="if the cell has none yet, or another one is wanted")
 
     def bytes_of_a_voxel(self, threads: int) -> int:
-        """Grids of components and pressure, weights, torsion fields, flows, work space of each in progress."""
-        return 4 * (4 * 6 + 7 + 6 + 9 + 28 * min(threads, 3))
+        """Grids of components and pressure, graphs, weights, torsion fields, flows, work space of each in progress."""
+        return 4 * (4 * 6 + 5 + 7 + 6 + 9 + 28 * min(threads, 3))
 
     def edge_of(self, source: ScalarField | Voxels) -> float | None:
         """Edge of the cell in millimeters; of an image, its longest side."""
@@ -68,11 +69,22 @@ class FlowHomogenizer(Homogenizer):
         return faces, float(self.resolution)
 
     def flow_of(self, context: Context, source: ScalarField | Voxels) -> PermeabilityReport:
-        """Solve for the flow along each axis."""
+        """Solve for the flow along each axis.
+
+        Raises
+        ------
+        DesignError
+            If there are no walls.
+        """
         from sppm_pipeline.numerics.flow.faces import percolating
         from sppm_pipeline.numerics.flow.stokes import stokes_flow
 
         faces, edge = self.faces_of(context, source)
+        if not any(walls.any() for walls in faces.walls) and any(active.any() for active in faces.active):
+            raise DesignError(
+                "the cell has no solid, so nothing holds the fluid back: the permeability is infinite",
+                hint="check which side of the field or image is solid, and the `resolution` if the solid is thin",
+            )
         open_void = percolating(faces)
         porosity = faces.porosity * (1 - open_void.pocket_share)
         found = stokes_flow(open_void.faces, porosity, open_void.wraps, **self.solver_options(context.threads))
@@ -127,7 +139,7 @@ class HomogenizePermeability(FlowHomogenizer):
     """
 
     name: ClassVar[str] = "homogenize.permeability"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
     headline: ClassVar[tuple[Headline, ...]] = (
         Headline("k.1.1", "k11", "cell^2", "error.1.1"), Headline("k.2.2", "k22", "cell^2", "error.2.2"),

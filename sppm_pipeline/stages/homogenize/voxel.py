@@ -21,6 +21,13 @@ from sppm_pipeline.stage import Context, Headline, option
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.homogenization.elasticity import ElasticBody
 
+_LOCKING, _INCOMPRESSIBLE = 0.49, 0.4999
+"""Poisson's ratios above which results are warned of, and refused.
+
+Measured on a gyroid: from 12 to 24 voxels C11 falls by 3 % at .49 and by 15 % at .499. At .4999 a solution takes 300
+iterations; beyond .499999 single precision loses the shear modulus beside the bulk modulus.
+"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticHomogenizer(Homogenizer):
@@ -51,6 +58,16 @@ class ElasticHomogenizer(Homogenizer):
                 f"the void can't have the stiffness `ersatz: {self.ersatz:g}` and that of `filling_young` at once",
                 hint="leave out `ersatz`",
             )
+        if (largest := self._least_compressible()) > _INCOMPRESSIBLE:
+            raise ConfigError(
+                f"Poisson's ratio {largest:.10g} is so near to 0.5 that voxels lock and are many times too stiff",
+                hint=f"take {_LOCKING:g}; up to {_INCOMPRESSIBLE:g} there is a warning",
+            )
+
+    def _least_compressible(self) -> float:
+        """The largest of Poisson's ratios."""
+        filling = (self.filling_poisson,) if self.filling_young is not None else ()
+        return max(*self._materials()[1], *filling, -1.0)
 
     def _materials(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         young, poisson = per_phase(self.young), per_phase(self.poisson)
@@ -83,6 +100,11 @@ class ElasticHomogenizer(Homogenizer):
         del options["precision"]  # which the body has
         found = body.stiffness(expansion=expanding, **options)
         warnings = self.solver_warnings(found.solved, found.precision)
+        if (largest := self._least_compressible()) > _LOCKING:
+            warnings.append(
+                f"with Poisson's ratio {largest:g} voxels lock: the stiffness comes out too large, and falls slowly on "
+                "finer grids"
+            )
         without = [word for word, value in zip(_STRAINS, np.diag(found.stiffness), strict=True) if value == 0]
         if without:
             warnings.append(f"the solid has no load path along {', '.join(without)}")

@@ -24,8 +24,8 @@ from sppm_pipeline.families.graded import (
     sites_of,
     trial,
 )
+from sppm_pipeline.families.interiors import FEWEST
 from sppm_pipeline.families.local_porosity import LatticeCells, cell_means, error_summary
-from sppm_pipeline.families.sampler import FEWEST
 from sppm_pipeline.families.tiler import HALO, Lattice, laid_cells
 from sppm_pipeline.families.tileset_maker import check_faces
 from sppm_pipeline.fields.tileset import TileSet

@@ -128,6 +128,32 @@ def test_dilute_spheres_of_hasimoto(flow, spheres, centers, share, shape):
     assert 1 / (6 * np.pi * radius * len(centers) * k) == pytest.approx(1 / shape, rel=0.01)
 
 
+def tunnels(seed, count, least, most):
+    """Winding tunnels along the axes, of random places and radii."""
+    rng = np.random.default_rng(seed)
+    axes, places, radii = rng.integers(0, 3, count), rng.random((count, 3)), rng.uniform(least, most, count)
+
+    def field(*point):
+        inside = -1.0
+        for axis, place, radius in zip(axes, places, radii, strict=True):
+            bend = 0.05 * np.sin(2 * np.pi * point[axis])
+            beside = [(point[k] - place[k] - bend + 0.5) % 1 - 0.5 for k in range(3) if k != axis]
+            inside = np.maximum(inside, radius - np.hypot(*beside))
+        return inside
+
+    return field
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_tunnels_of_one_to_three_voxels(flow, seed):
+    # half again as many iterations with coarse grids of the pressure that unite what walls keep apart
+    field = tunnels(seed, 18, 0.03, 0.07)
+    found = flow(field, 24, tolerance=1e-4)
+    assert max(case.iterations for case in found.solved) <= 30
+    exact = flow(field, 24, tolerance=1e-7)
+    assert np.diag(found.permeability) == pytest.approx(np.diag(exact.permeability), rel=1e-4)
+
+
 def test_a_gyroid(flow, gyroid):
     options = {"tolerance": 1e-4}
     found, fine = flow(gyroid, 16, **options), flow(gyroid, 24, **options)

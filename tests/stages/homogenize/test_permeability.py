@@ -110,6 +110,19 @@ def test_a_cell_of_the_paper(cell, tmp_path):
     assert square[5:-5, 5:-5].mean() == pytest.approx(expected.mean(), abs=0.05)
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("shape", [(1, 1, 8), (7, 20, 9), (33, 3, 8)])
+def test_slits_in_cells_of_any_shape(shape, axis):
+    values = np.ones(shape, np.uint8)
+    values[..., 1:7] = 0
+    turned = np.moveaxis(values, 2, axis)
+    spacing = tuple(np.insert([2.0, 3.0], axis, 1.0).tolist())
+    k = solved(voxels(turned, spacing), solver_tolerance=1e-5).k
+    exact = 6**3 / 12 / shape[2] * (1 + 1 / (3 * 6**3))
+    assert np.diag(k)[axis] == 0
+    assert np.delete(np.diag(k), axis) == pytest.approx([exact] * 2, rel=1e-4)
+
+
 def test_refusals():
     image = voxels(slit())
     with pytest.raises(ConfigError, match="one grid only"):
@@ -118,6 +131,9 @@ def test_refusals():
         HomogenizePermeability(resolution=2, grids=3).run(PlainContext(), image)
     with pytest.raises(DesignError, match="periodic"):
         solved(voxels(slit(), periodic=(True, False, True)))
+    for shape in ((1, 1, 7), (4, 5, 6)):
+        with pytest.raises(DesignError, match="permeability is infinite"):
+            solved(voxels(np.zeros(shape, np.uint8)))
     report = solved(image)
     skew = PermeabilityReport(**{**vars(report), "k": report.k + np.eye(3)[[1, 0, 2]] * [1, 0, 0]})
     with pytest.raises(ValueError, match="symmetric"):

@@ -272,3 +272,72 @@ def test_fillings_are_whole():
     context = PlainContext()
     homogenized(voxels(cross()), context, young=(1.0, 2.0))
     assert "materials are given for 2 phases, and the image has 1" in context.warnings
+
+
+def blobs(shape, share, seed=3):
+    """Smooth random blobs of phase 1 that fill a share of the cell."""
+    waves = np.fft.fftn(np.random.default_rng(seed).standard_normal(shape))
+    squares = sum(k**2 for k in np.meshgrid(*(2 * np.pi * np.fft.fftfreq(n) for n in shape), indexing="ij"))
+    values = np.fft.ifftn(waves * np.exp(-2.4 * squares)).real
+    return (values < np.quantile(values, share)).astype(np.uint8)
+
+
+def mixed(phases, fractions):
+    """Bounds of Voigt and Reuss, from (young, poisson)."""
+    matrices = []
+    for young, poisson in phases:
+        lam, mu = lame(young, poisson)
+        matrix = np.diag([2 * mu] * 3 + [mu] * 3)
+        matrix[:3, :3] += lam
+        matrices.append(matrix)
+    upper = sum(f * c for f, c in zip(fractions, matrices, strict=True))
+    return upper, np.linalg.inv(sum(f * np.linalg.inv(c) for f, c in zip(fractions, matrices, strict=True)))
+
+
+@pytest.mark.parametrize("shape", [(9, 9, 9), (5, 8, 16)])
+@pytest.mark.parametrize("filling", [1e-9, 1e-4, 0.3, 1e4])
+@pytest.mark.parametrize("poisson", [-0.9, 0.49])
+def test_extreme_mixtures_keep_to_the_bounds(shape, filling, poisson):
+    values = blobs(shape, 0.5)
+    report = homogenized(voxels(values), poisson=poisson, filling_young=filling, filling_poisson=0.1)
+    c = report.stiffness
+    assert report.solver["converged"]
+    assert c == pytest.approx(c.T)
+    share = float(values.mean())
+    upper, lower = mixed(((1.0, poisson), (filling, 0.1)), (share, 1 - share))
+    slack = 1e-3 * np.linalg.eigvalsh(c)[0]
+    assert slack > 0
+    assert np.linalg.eigvalsh(upper - c)[0] > -slack
+    assert np.linalg.eigvalsh(c - lower)[0] > -slack
+    # a quarter of a turn about z
+    turned = homogenized(
+        voxels(np.rot90(values, axes=(0, 1))), poisson=poisson, filling_young=filling, filling_poisson=0.1
+    )
+    order, signs = [1, 0, 2, 4, 3, 5], np.array([1, 1, 1, 1, -1, -1])
+    expected = c[np.ix_(order, order)] * np.outer(signs, signs)
+    assert turned.stiffness == pytest.approx(expected, abs=1e-3 * np.abs(c).max())
+
+
+@pytest.mark.parametrize("share", [0.02, 0.98])
+def test_hardly_any_solid_and_hardly_any_void(share):
+    context = PlainContext()
+    report = homogenized(voxels(blobs((12, 12, 12), share)), context)
+    if share < 0.5:
+        assert (report.stiffness == 0).all()
+        assert any("no load path along xx, yy, zz" in text for text in context.warnings)
+    else:
+        assert np.linalg.eigvalsh(report.stiffness)[0] > 0.9 * lame(1, 0.3)[1]
+        assert not context.warnings
+
+
+def test_what_is_nearly_incompressible_is_warned_of_or_refused():
+    image, context = voxels(np.ones((2, 3, 1), np.uint8)), PlainContext()
+    lam, mu = lame(1, 0.499)
+    assert homogenized(image, context, poisson=0.499).stiffness[0, 0] == pytest.approx(lam + 2 * mu, rel=1e-6)
+    assert any("voxels lock" in text for text in context.warnings)
+    homogenized(image, quiet := PlainContext(), poisson=0.49)
+    assert not quiet.warnings
+    for options in ({"poisson": 0.49991}, {"filling_young": 0.1, "filling_poisson": 0.4999999999}):
+        with pytest.raises(ConfigError, match="voxels lock"):
+            HomogenizeVoxel(**options).check_options()
+    HomogenizeVoxel(filling_poisson=0.49995).check_options()

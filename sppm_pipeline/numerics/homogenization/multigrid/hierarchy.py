@@ -182,10 +182,8 @@ class Hierarchy:
     twice : bool
         Whether coarse grids are visited twice in a cycle. That saves iterations, but if a coarse grid is much softer
         than it should be, the cycle is no longer positive definite; with single visits it always is.
-    sweeps : int
-        Steps of the smoother before and after.
     planar : bool
-        Whether all levels are of `PlanarLevel`; then there is one step of the smoother.
+        Whether all levels are of `PlanarLevel`.
     stretch : float
         Factor of corrections from coarse grids, for those that are stiffer than they should be.
     """
@@ -195,7 +193,6 @@ class Hierarchy:
     inverse: NDArray[np.float64]
     scratch_rows: int
     twice: bool
-    sweeps: int = 1
     planar: bool = False
     stretch: float = 1.0
 
@@ -208,8 +205,6 @@ class Hierarchy:
         *,
         transfers: Sequence[Transfer] | None = None,
         damping: float = 0.5,
-        sweeps: int = 1,
-        twice: bool | None = None,
         planar: bool = False,
         stretch: float = 1.0,
     ) -> Hierarchy:
@@ -226,8 +221,8 @@ class Hierarchy:
             Those between nodes if omitted.
         damping : float
             Of the smoother, if `largest` allows so much.
-        sweeps, twice, planar, stretch
-            As the attributes; where `twice` is omitted, `largest` decides.
+        planar, stretch
+            As the attributes.
         """
         work = Workspace(levels, scratch_rows, planar)
         for level in levels:
@@ -240,8 +235,7 @@ class Hierarchy:
         if transfers is None:
             transfers = [NodalTransfer.between(fine.shape, coarse.shape) for fine, coarse in pairwise(levels)]
         inverse = _inverse(levels[-1], work)
-        twice = largest == 0 if twice is None else twice
-        return cls(levels, transfers, inverse, scratch_rows, twice, sweeps, planar, stretch)
+        return cls(levels, transfers, inverse, scratch_rows, largest == 0, planar, stretch)
 
     def workspace(self) -> Workspace:
         """For one thread."""
@@ -272,16 +266,10 @@ class Hierarchy:
             correction = self._correction(work, depth + 1)
             return z, thin.ascend(r, correction, self.transfers[depth], z, work)
         weighted(r, level.weight, z)
-        for _ in range(1, self.sweeps):
-            level.apply(SMOOTH, z, r, q, work)
-            z, q = q, z
         level.apply(RESIDUAL, z, r, q, work)
         self.transfers[depth].restrict(q, work.r[depth + 1], work.line)
         correction = self._correction(work, depth + 1)
         self.transfers[depth].interpolate_add(correction, z, work.line)
-        for _ in range(1, self.sweeps):
-            level.apply(SMOOTH, z, r, q, work)
-            z, q = q, z
         return q, level.apply(SMOOTH, z, r, q, work)
 
     def _correction(self, work: Workspace, depth: int) -> NDArray[Any]:
