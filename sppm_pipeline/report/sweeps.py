@@ -15,6 +15,7 @@ from sppm_pipeline.live.page import json_block
 from sppm_pipeline.report.boxes import Box, duration
 from sppm_pipeline.report.charts import Curve, line_chart
 from sppm_pipeline.report.layers import outputs_of, pictures_of
+from sppm_pipeline.stage import FAMILIES
 
 STATIC_ROWS = 200
 """Rows that stand in the page itself; its script shows the others and sorts them."""
@@ -84,9 +85,10 @@ def _names(table: Sequence[Mapping[str, Any]], params: Sequence[str]) -> list[st
 
 def _rank(name: str) -> int:
     """Smaller for what sweeps are mostly run for; a choice."""
-    words = ("porosity", "E_relative", "E.", "E", "nu", "xi", "volume", "share", "seconds")
-    own = name.rsplit(".", 2)[1:] if name.count(".") > 1 else name.split(".")[1:]
-    return next((i for i, word in enumerate(words) if any(part.startswith(word) for part in own)), len(words))
+    words = ("porosity", "E_relative", "k_mean", "E", "nu", "xi", "volume_mm3", "solid_volume_mm3", "removed_share")
+    first, *rest = name.split(".")
+    own = rest[1:] if first in FAMILIES and len(rest) > 1 else rest  # without the stage, which may be tune.porosity
+    return next((i for i, word in enumerate(words) if word in own), len(words))
 
 
 def _cell(value: Any) -> str:

@@ -360,3 +360,16 @@ def test_pixels_that_are_square_have_one_size():
     assert ("pixel", "0.05 mm") in [box[:2] for box in boxes({}, stages, None)]
     stages[0]["summary"]["pixel_mm"] = [0.019, 0.024]
     assert ("pixel", "0.019 x 0.024 mm") in [box[:2] for box in boxes({}, stages, None)]
+
+
+def test_columns_that_sweeps_are_run_for_come_first():
+    from sppm_pipeline.report.sweeps import _rank
+
+    names = [
+        "tune.porosity.level",
+        "tune.porosity.porosity",
+        "elastic.E.1",
+        "tune.porosity.pores",
+        "h.voxel.E_relative",
+    ]
+    assert sorted(names, key=_rank)[:3] == ["tune.porosity.porosity", "h.voxel.E_relative", "elastic.E.1"]
