@@ -35,6 +35,10 @@ ELASTIC_HEADLINE = (
 )
 """What is shown of an effective stiffness: E along x, y, z, G for yz, xz, xy, nu by pair of axes."""
 
+LOCKING = 0.49
+"""Poisson's ratio above which bricks and straight tetrahedra are warned of. On a gyroid C11 falls by 3 % from 12 to 24
+voxels at .49, and by 15 % at .499."""
+
 
 class VoxelCell(NamedTuple):
     """A periodic cell of voxels, indexed x, y, z; x is contiguous in memory, so that solvers take the transpose.

@@ -37,7 +37,7 @@ class FlowHomogenizer(Homogenizer):
 
     def bytes_of_a_voxel(self, threads: int) -> int:
         """Grids of components and pressure, graphs, weights, torsion fields, flows, work space of each in progress."""
-        return 4 * (4 * 6 + 5 + 7 + 6 + 9 + 28 * min(threads, 3))
+        return 4 * (4 * 6 + 14 + 7 + 6 + 9 + 28 * min(threads, 3))
 
     def edge_of(self, source: ScalarField | Voxels) -> float | None:
         """Edge of the cell in millimeters; of an image, its longest side."""

@@ -13,7 +13,7 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.volume_mesh import VolumeMesh
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE
+from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, LOCKING
 from sppm_pipeline.stage import Context, Headline, Stage, option
 
 MATCHED_TOLERANCE = 1e-6
@@ -99,6 +99,11 @@ class HomogenizeTet(Stage):
         except ValueError as error:
             raise InputError(f"{mesh.name} can't be homogenized: {error}", hint="see `check.volume_mesh`") from error
         self._refuse_loose(mesh, found.stiffness)
+        if mesh.cells.shape[1] == 4 and (largest := float(np.max(poisson))) > LOCKING:
+            context.warn(
+                f"with Poisson's ratio {largest:g} straight tetrahedra lock: the stiffness comes out too large, "
+                "at .4999 many times; mesh with `order: 2`"
+            )
         if max(found.residuals) > 100 * self.residual:
             raise DesignError(
                 f"the solution did not converge: residuals {', '.join(f'{r:.1e}' for r in found.residuals)} after "

@@ -14,19 +14,24 @@ from sppm_pipeline.data.stiffness import StiffnessReport
 from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.families import options
-from sppm_pipeline.families.homogenizer import ELASTIC_HEADLINE, Homogenizer, VoxelCell, grids_below, per_phase, refined
+from sppm_pipeline.families.homogenizer import (
+    ELASTIC_HEADLINE,
+    LOCKING,
+    Homogenizer,
+    VoxelCell,
+    grids_below,
+    per_phase,
+    refined,
+)
 from sppm_pipeline.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context, Headline, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.numerics.homogenization.elasticity import ElasticBody
 
-_LOCKING, _INCOMPRESSIBLE = 0.49, 0.4999
-"""Poisson's ratios above which results are warned of, and refused.
-
-Measured on a gyroid: from 12 to 24 voxels C11 falls by 3 % at .49 and by 15 % at .499. At .4999 a solution takes 300
-iterations; beyond .499999 single precision loses the shear modulus beside the bulk modulus.
-"""
+_INCOMPRESSIBLE = 0.4999
+"""Poisson's ratio above which voxels are refused: here a solution takes 300 iterations, and beyond .499999 single
+precision loses the shear modulus beside the bulk modulus."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +66,7 @@ class ElasticHomogenizer(Homogenizer):
         if (largest := self._least_compressible()) > _INCOMPRESSIBLE:
             raise ConfigError(
                 f"Poisson's ratio {largest:.10g} is so near to 0.5 that voxels lock and are many times too stiff",
-                hint=f"take {_LOCKING:g}; up to {_INCOMPRESSIBLE:g} there is a warning",
+                hint=f"take {LOCKING:g}; up to {_INCOMPRESSIBLE:g} there is a warning",
             )
 
     def _least_compressible(self) -> float:
@@ -100,7 +105,7 @@ class ElasticHomogenizer(Homogenizer):
         del options["precision"]  # which the body has
         found = body.stiffness(expansion=expanding, **options)
         warnings = self.solver_warnings(found.solved, found.precision)
-        if (largest := self._least_compressible()) > _LOCKING:
+        if (largest := self._least_compressible()) > LOCKING:
             warnings.append(
                 f"with Poisson's ratio {largest:g} voxels lock: the stiffness comes out too large, and falls slowly on "
                 "finer grids"

@@ -139,3 +139,12 @@ def test_what_carries_load_along_one_axis_only_is_homogenized():
     found.check()
     assert found.stiffness[2, 2] == pytest.approx(1 - found.porosity, rel=1e-4)
     assert np.abs(np.delete(found.stiffness, 2, 0)).max() < 1e-6
+
+
+def test_straight_tetrahedra_that_lock_are_told():
+    mesh = meshed(6)
+    soft, quiet = homogenized(mesh, poisson=0.49)
+    stiff, told = homogenized(mesh, poisson=0.499)
+    assert not quiet.warnings
+    assert any("tetrahedra lock" in text for text in told.warnings)
+    assert stiff.stiffness[0, 0] > 1.5 * soft.stiffness[0, 0]
