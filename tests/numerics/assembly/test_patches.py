@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 
 from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes
@@ -11,6 +12,19 @@ def test_prediction_is_an_upper_bound_and_not_a_wild_one(sets, merged: bool, lev
     for n in (12, 33):
         bank = build_bank(pieces, n, combinations, solid_level=level)
         assert bank.nbytes <= predicted_bytes(pieces, n, combinations, solid_level=level) < 6 * bank.nbytes
+
+
+@pytest.mark.parametrize("level", [None, 0.25])
+def test_rows_lie_one_after_the_other_and_begin_and_end_above_the_cut_off(sets, level) -> None:
+    bank = build_bank(sets.pieces(3), 20, threads=3, solid_level=level)
+    there = bank.row_blocks > 0
+    length = 16 * bank.row_blocks[there].astype(np.int64)
+    ends = np.cumsum(length)
+    assert len(bank.low) > 2
+    assert np.array_equal(bank.row_start[there], ends - length)
+    assert ends[-1] == bank.data.size
+    least = bank.cutoff * (1 if level is None else 32767 / level)
+    assert all(bank.data[end - size : end].max() >= np.float32(least) for end, size in zip(ends, length, strict=True))
 
 
 def test_threads_build_the_same_bank(sets) -> None:
