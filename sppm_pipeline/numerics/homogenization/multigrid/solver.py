@@ -278,9 +278,9 @@ def load_cases(
         if not all(case.definite for case in solved):
             continue
         matrix = measure.energies(threads)
-        # energies as the iterations kept count of them: if rounding took over, they differ
+        # energies as the iterations kept count of them: if rounding took over, they differ by more than matters
         counted = np.array([case.energy for case in solved]) / volume
-        slack = (_AGREEMENT + stop.energy) * np.abs(counted) + 100 * np.finfo(attempt).eps * mean
+        slack = (_AGREEMENT + stop.energy) * np.abs(counted) + (floor + 100 * np.finfo(attempt).eps) * mean
         if (np.abs(counted - np.diag(matrix)) <= slack).all():
             return matrix, solved, attempt.name
     raise ArithmeticError("the iteration does not converge, not even in double precision")
