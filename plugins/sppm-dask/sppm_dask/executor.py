@@ -9,6 +9,7 @@ import importlib.util
 import logging
 import multiprocessing
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, InvalidStateError
 from pathlib import Path
@@ -37,6 +38,12 @@ CONNECTING = "20s"
 
 AT_ONCE = 0.2
 """Seconds that an interrupted sweep waits for its cluster; a choice below the patience of the program."""
+
+WITHOUT_WORKERS = 60.0
+"""Seconds after which a cluster that was started here, has work and no worker is given up; a choice.
+
+Dask starts a worker again that has died, but not one that dies before its nanny has seen it run.
+"""
 
 LOCAL = {
     # a row that kills its worker is found soon: the engine repeats those that were hit, each alone
@@ -76,7 +83,9 @@ class DaskExecutor(Executor):
         # what it logs as errors are tracebacks, of what the rows' own errors say
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._ending = contextlib.ExitStack()
-        self._closed = False
+        self._closed, self._shut = False, threading.Event()
+        self._open: set[Future[Any]] = set()
+        self._broken = ""
         with contextlib.ExitStack() as ending:
             try:
                 self._client = ending.enter_context(_client(workers, where, ending))
@@ -88,6 +97,8 @@ class DaskExecutor(Executor):
             self._tasks = self._client.get_executor(pure=False)  # equal tasks are several tasks
             self._ending = ending.pop_all()
         self.about = f"Dask at {self._client.scheduler.address}, {_counted(workers, where, self._client)}"
+        if isinstance(self._client.cluster, LocalCluster):
+            threading.Thread(target=self._watch, name="sppm-dask-watch", daemon=True).start()
         if link := self._client.dashboard_link if importlib.util.find_spec("bokeh") else "":
             self.about += f", dashboard at {link}"
 
@@ -101,7 +112,7 @@ class DaskExecutor(Executor):
         Raises
         ------
         BrokenExecutor
-            If the scheduler is gone.
+            If the scheduler is gone, or all workers of a cluster that was started here.
         RuntimeError
             After `shutdown`.
         """
@@ -109,9 +120,13 @@ class DaskExecutor(Executor):
             raise RuntimeError("the executor was shut down")
         if not self._alive:
             raise BrokenExecutor("the Dask scheduler is gone")
+        if self._broken:
+            raise BrokenExecutor(self._broken)
         # the arguments are the task's own, and none of them Dask's
         inner = self._tasks.submit(functools.partial(fn, *args, **kwargs))
         outer: Future[Any] = Future()
+        self._open.add(outer)
+        outer.add_done_callback(self._open.discard)
         # cut when there is an outcome: the workers keep a result until nobody here refers to its future
         link = [inner]
         outer.add_done_callback(functools.partial(_cancel, link))
@@ -127,6 +142,7 @@ class DaskExecutor(Executor):
         if self._closed:
             return
         self._closed = True
+        self._shut.set()
         if stop_requested():
             closing = threading.Thread(target=self._ending.close, daemon=True)
             if isinstance(self._client.cluster, LocalCluster):
@@ -140,9 +156,22 @@ class DaskExecutor(Executor):
         try:
             # cancels what has not ended, unless it waits for it
             if self._alive:
-                self._tasks.shutdown(wait=wait and not cancel_futures)
+                self._tasks.shutdown(wait=wait and not cancel_futures and not self._broken)
         finally:
             self._ending.close()
+
+    def _watch(self) -> None:
+        """Give up all tasks when there has been no worker for them for a while."""
+        since = time.monotonic()
+        while not self._shut.wait(min(1.0, WITHOUT_WORKERS / 4)):
+            if not self._open or self._client.cluster.scheduler.workers:
+                since = time.monotonic()
+            elif time.monotonic() - since > WITHOUT_WORKERS:
+                self._broken = "all workers of the local Dask cluster died, and none could be started again"
+                for future in list(self._open):
+                    with contextlib.suppress(InvalidStateError):
+                        future.set_exception(BrokenExecutor(self._broken))
+                return
 
 
 def _client(workers: int, where: str, ending: contextlib.ExitStack) -> Any:

@@ -96,6 +96,20 @@ def test_a_task_that_the_scheduler_gives_up_says_so(cluster, tmp_path):
             executor.submit(int)
 
 
+def test_a_cluster_without_workers_is_given_up(monkeypatch):
+    monkeypatch.setattr("sppm_dask.executor.WITHOUT_WORKERS", 1.0)
+    with DaskExecutor(1) as executor:
+        assert executor.submit(int).result(timeout=600) == 0
+        executor._client.cluster.scale(0)
+        while executor._client.cluster.scheduler.workers:
+            time.sleep(0.01)
+        waiting = executor.submit(int)
+        with pytest.raises(BrokenExecutor, match="all workers of the local Dask cluster died"):
+            waiting.result(timeout=600)
+        with pytest.raises(BrokenExecutor, match="none could be started again"):
+            executor.submit(int)
+
+
 def test_a_queue_starts_as_many_jobs_as_are_asked_for(cluster, monkeypatch):
     asked = []
 
