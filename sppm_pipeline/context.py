@@ -94,9 +94,9 @@ class Context(ABC):
         Returns
         -------
         sequence of object
-            What `Stage.begin` of each has returned; they expect every piece. Empty if there is no such stage, or if one
-            of them, or anybody else, wants the result whole. Otherwise nobody will ask for more of the result than
-            these have been told, and its summary.
+            What `Stage.begin` of each has returned; they expect every piece. Empty if there is no such stage, if one of
+            them, or anybody else, wants the result whole, or if this stage or one of them is a plugin's. Otherwise
+            nobody will ask for more of the result than these have been told, and its summary.
         """
         return ()
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import time
 
 import numpy as np
 import pytest
 
 from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.engine.cache.session import CacheSession
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.runner import run_plan
@@ -17,6 +19,7 @@ from sppm_pipeline.families.piece_file import PieceFile
 from sppm_pipeline.fields.field_surface import FieldSurface, node_grid
 from sppm_pipeline.fields.mesh_stream import Foreseen, PieceWindow
 from sppm_pipeline.numerics.surface.marching_cubes import marching_cubes_slabs
+from sppm_pipeline.stages.extract import marching_cubes
 from sppm_pipeline.stages.write.mesh import ENCODERS, IN_PIECES, WriteMesh
 from sppm_pipeline.testing.plain_context import PlainContext
 
@@ -197,6 +200,52 @@ def test_who_comes_later_is_given_the_mesh(tmp_path):
     assert files(tmp_path / "first") == files(tmp_path / "then")
     (checked,) = [stage for stage in record["stages"] if stage["id"] == "check.mesh"]
     assert checked["summary"]["triangles"] > 1000
+
+
+LIFTED = """
+from dataclasses import dataclass
+from typing import ClassVar
+from sppm_pipeline import Context, ScalarField, SurfaceMesh, hookimpl
+from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
+
+@dataclass(frozen=True, kw_only=True)
+class Lifted(MarchingCubes):
+    \"\"\"Extract a surface, and lift it by a millimeter.\"\"\"
+    name: ClassVar[str] = "extract.lifted"
+
+    def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
+        mesh = super().run(context, field)
+        return SurfaceMesh(mesh.vertices + [0.0, 0.0, 1.0], mesh.faces, mesh.name)
+
+@hookimpl
+def sppm_stages():
+    return {"extract.lifted": Lifted}
+"""
+
+
+def test_a_stage_built_upon_another_is_given_the_mesh(run_yaml, tmp_path):
+    (tmp_path / "lifted.py").write_text(LIFTED)
+    text = YAML.replace("extract.marching_cubes", "extract.lifted") + WRITERS[1]
+    session = open_session(
+        RunRequest("lifted.yaml", plugins=(str(tmp_path / "lifted.py"),), distributions=False, text=text)
+    )
+    lifted = run_plan(session.plan(), tmp_path / "lifted", threads=2)["stages"]
+    plain, folder = run_yaml(YAML + WRITERS[1])
+    assert lifted[2]["summary"]["vertices"] == plain["stages"][2]["summary"]["vertices"]
+    assert files(tmp_path / "lifted")["mesh.ply"] != files(folder)["mesh.ply"]
+
+
+def test_what_it_costs_to_make_a_file_again_is_known(tmp_path, monkeypatch):
+    """A file that was written meanwhile is kept by what the whole took, not by the moment in which it was moved."""
+    cost = {}
+    was = CacheSession.keep
+    monkeypatch.setattr(CacheSession, "keep", lambda *a, **b: cost.update({a[1].id: b["seconds"]}) or was(*a, **b))
+    began = marching_cubes.node_grid
+    monkeypatch.setattr(marching_cubes, "node_grid", lambda *a: (time.sleep(0.2), began(*a))[1])
+    (tmp_path / "config.yaml").write_text(YAML + "".join(WRITERS[:2]))
+    session = open_session(RunRequest(str(tmp_path / "config.yaml"), distributions=False))
+    run_plan(session.plan(), tmp_path / "out", threads=2, store=Store(tmp_path / "cache"))
+    assert min(cost["stl"], cost["ply"]) > 0.1
 
 
 def test_other_formats_want_the_whole():

@@ -190,7 +190,8 @@ class StepRunner:
         self._crew = crew
         self._facts: dict[str, dict[str, Any]] = {}
         self._begun: dict[str, Any] = {}
-        self._handed_on: set[str] = set()  # steps that gave away what they made, and those that took it
+        # steps that gave away what they made, and those that took it, with their share of the seconds it took
+        self._handed_on: dict[str, float] = {}
         self._results = dict(available)
         self._cache: CacheSession | None = None
         if store is not None:
@@ -354,9 +355,10 @@ class StepRunner:
             "outputs": [],
             "inner": list(log.inner.values()),
         }
-        whole = getattr(made, "is_whole", True)
+        takers = [id_ for id_ in self._begun if step.id in self._steps[id_].inputs.values()]
+        whole = not takers or getattr(made, "is_whole", True)
         if not whole:
-            self._handed_on |= {step.id, *self._begun}
+            self._handed_on |= dict.fromkeys(takers, (time.perf_counter() - started) / len(takers)) | {step.id: 0.0}
         wrote = bool(self._folder.pending())
         files: list[tuple[str, Path]] = []
         if isinstance(self._folder, Scratch):
@@ -372,7 +374,8 @@ class StepRunner:
         if rejection is not None:
             return {**facts, "wrote": wrote, "rejection": rejection}
         if self._cache is not None and not (wrote and isinstance(self._folder, Scratch)):
-            seconds = time.perf_counter() - started
+            # what was taken from another stage while it was made can't be had without that stage
+            seconds = time.perf_counter() - started + self._handed_on.get(step.id, 0.0)
             self._cache.keep(
                 step, facts, made if whole else None, inputs, outputs=files, seconds=seconds, drew=log.drew
             )
@@ -417,6 +420,8 @@ class StepRunner:
         if isinstance(self._folder, Scratch) or self._keep or self._earlier is not None or is_strict():
             return ()
         if any(len(other.inputs) > 1 or not other.owner.builtin for other in readers):
+            return ()
+        if not step.owner.builtin:  # a plugin's stage may be built upon one that asks, and look at what that makes
             return ()
         begun = []
         for other in readers:
