@@ -259,8 +259,8 @@ class _Chunk:
         if not columns:
             return
         if not self._sums.size:
-            self._sums = np.zeros((len(self.planes), len(self.y), len(self.x)), np.float32)
             self.stretched[:] = 0  # samples of other columns enter nothing that is wanted, but are read
+            self._sums = np.zeros((len(self.planes), len(self.y), len(self.x)), np.float32)
 
         def add(column: tuple[int, int]) -> None:
             x, y = (spans[axis][number] for axis, number in enumerate(column))
@@ -273,10 +273,10 @@ class _Chunk:
                 self._sums[:, to_y, to_x] = sums[:, from_y, from_x]
 
         share_out(add, sorted(columns), threads)
-        self.done |= columns
         for j in {j for _, j in columns}:
             for _, rows in spans[1][j].own:
                 self._stretch(self._sums, range(rows.start, rows.stop), threads)
+        self.done |= columns  # not before: an interrupt may come, and the field be asked again
 
     def _stretch(
         self, sums: NDArray[np.float32], rows: range, threads: int, blocks: NDArray[np.int32] | None = None

@@ -140,3 +140,20 @@ def test_a_level_too_near_the_cut_off_or_above_every_tunnel_is_summed(cell):
     assert cell.with_level(1.5).coarse_pitch is None
     assert cell.with_level(0.05).coarse_pitch == cell.coarse_pitch  # lower levels make kernels no smoother
     assert cell.with_level(0.5).coarse_pitch < cell.coarse_pitch
+
+
+def test_a_field_may_be_asked_again_after_an_interrupt(fresh, monkeypatch):
+    field = replace(fresh)
+    expected, stretch = field.solid(FINE), fine_sampler.stretch
+    calls = []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        stretch(*arguments)
+
+    monkeypatch.setattr(fine_sampler, "stretch", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        field.solid(FINE)
+    assert np.array_equal(field.solid(FINE), expected)
