@@ -236,8 +236,8 @@ class _Chunk:
         low, high = _widened(low, high, len(self.band.first))
         x, y, z = self.x, self.y, self.planes
         first = self.band.first.astype(np.int32)
-        empty = done[:, 0] >= done[:, 1]
-        left = np.stack([low, np.where(empty, high, done[:, 0])], axis=1)
+        there, empty = low < high, done[:, 0] >= done[:, 1]
+        left = np.stack([low, np.where(there & ~empty, done[:, 0], high)], axis=1)
         right = np.stack([np.where(empty, high, done[:, 1]), high], axis=1)
         for blocks in (left, right):
             blocks[blocks[:, 0] >= blocks[:, 1]] = 0
@@ -248,7 +248,6 @@ class _Chunk:
             sums = scratch()[: len(z)]
             assemble(*patches, z.start, z.stop, x.start, x.stop, y.start, y.stop, sums, threads, columns)
             self._stretch(sums, range(len(y)), threads, blocks)
-        there = low < high
         done[:, 0] = np.where(there & (empty | (low < done[:, 0])), low, done[:, 0])
         done[:, 1] = np.where(there, np.maximum(high, done[:, 1]), done[:, 1])
 

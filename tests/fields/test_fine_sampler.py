@@ -113,6 +113,25 @@ def test_a_part_has_patches_added_where_it_is(many, wedge, height, nearby, monke
     assert sum(added) < 0.9 * len(many._fine(grid, 1)._window[2]) / many._fine(grid, 1)._height
 
 
+def test_what_is_not_wanted_any_more_is_not_added_up(many, monkeypatch):
+    grid = Grid((0.01, 0.02, 0.01), (0.0135, 0.0145, 0.0165), (200, 138, 90))
+    field, added, assemble = replace(many), [], overlap_add.assemble
+    expected = many.solid(grid)
+
+    def counted(*arguments):
+        added.append(np.maximum(arguments[-1][:, 1] - arguments[-1][:, 0], 0))
+        return assemble(*arguments)
+
+    monkeypatch.setattr(overlap_add, "assemble", counted)
+    for rows in (slice(0, 20), slice(110, 138)):  # the second ones are far from the first
+        wanted = np.zeros((1, 138, 2), np.int32)
+        wanted[:, rows] = 120, 140
+        solid = field.solid_layers(grid, 0, 1, 1, wanted)
+        assert np.array_equal(solid[120:140, rows], expected[120:140, rows, :1])
+    first, second = added
+    assert not ((first > 0) & (second > 0)).any()
+
+
 @pytest.fixture(scope="module")
 def many():
     """So many cells for each interior that patches pay."""

@@ -212,12 +212,13 @@ def build_bank(
     most = int(size.prod(axis=1, dtype=np.int64).max(initial=0))
     scale = 1.0 if solid_level is None else FULL / solid_level
     free: list[tuple[NDArray[np.float32], NDArray[np.int16]]] = []
-    ends = _Ends()
+    ends, numbers = _Ends(), iter(range(len(there)))
 
-    def sampled(p: int) -> None:
-        part = slice(first_row[p], first_row[p] + rows[p])
-        table = row_low[part], row_blocks[part], row_start[part]
+    def sampled(_: int) -> None:
         try:
+            p = next(numbers)  # not the caller's number, which an interrupt may lose when nobody has begun with it
+            part = slice(first_row[p], first_row[p] + rows[p])
+            table = row_low[part], row_blocks[part], row_start[part]
             try:
                 rooms = free.pop()
             except IndexError:
