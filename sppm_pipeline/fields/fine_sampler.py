@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise, product
+from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -57,6 +58,8 @@ class Span(NamedTuple):
 class FineSampler:
     """A sum of kernels on one fine grid; what all layers need is prepared once, the last coarse planes are kept.
 
+    Threads that ask for layers at once take turns.
+
     The coarse grid has its origin at that of the lattice and divides the cells, and its samples are summed cell by
     cell: a sample depends on its position alone, neither on the grid it belongs to nor on what else is asked for.
 
@@ -87,6 +90,7 @@ class FineSampler:
         self._chunks: dict[int, _Chunk] = {}
         self._rooms: list[NDArray[np.float32]] = []
         self._sums = np.zeros((0, 0, 0), np.float32)
+        self._lock = Lock()
 
     def sample(
         self,
@@ -99,6 +103,19 @@ class FineSampler:
         solid: NDArray[np.uint8] | None,
     ) -> None:
         """Write the field, or whether it is solid, in the layers start <= k < stop into one of the last arguments."""
+        with self._lock:
+            self._sample(field, start, stop, threads, wanted, values, solid)
+
+    def _sample(
+        self,
+        field: KernelSum,
+        start: int,
+        stop: int,
+        threads: int,
+        wanted: NDArray[np.int32] | None,
+        values: NDArray[np.float32] | None,
+        solid: NDArray[np.uint8] | None,
+    ) -> None:
         nx, ny, nz = self.of[0].shape
         if wanted is None:
             wanted = np.tile(np.array([0, nx], np.int32), (stop - start, ny, 1))

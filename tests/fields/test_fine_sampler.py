@@ -1,5 +1,6 @@
 """Fine grids interpolated from coarse sums: near the direct sum, and a sample depends on its position alone."""
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -176,3 +177,25 @@ def test_a_field_may_be_asked_again_after_an_interrupt(fresh, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         field.solid(FINE)
     assert np.array_equal(field.solid(FINE), expected)
+
+
+def test_threads_that_ask_at_once_take_turns(fresh, monkeypatch):
+    """The coarse planes of one reader must not become those of another before they are interpolated."""
+    field = replace(fresh)
+    expected, interpolate, other = field.solid(FINE), fine_sampler.interpolate_layers, []
+
+    def top():
+        other.append(field.solid_layers(FINE, 50, 65))
+
+    second = threading.Thread(target=top)
+
+    def interrupted(*arguments):
+        if second.ident is None:
+            second.start()
+            second.join(0.5)
+        interpolate(*arguments)
+
+    monkeypatch.setattr(fine_sampler, "interpolate_layers", interrupted)
+    assert np.array_equal(field.solid_layers(FINE, 0, 10), expected[:, :, :10])
+    second.join()
+    assert np.array_equal(other[0], expected[:, :, 50:])
