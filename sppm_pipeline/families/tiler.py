@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 MEASURED_CLOSELY, COARSEST = 127, 6
 """Cells up to which the porosity is measured at the full resolution, and voxels along an edge that many are given."""
 
+SPARE_SAMPLES = 2**20
+"""Samples of a box of cells that is measured at once though most of them are not there; a choice."""
+
 
 class Lattice(NamedTuple):
     """The cells a tiler has to fill.
@@ -215,12 +218,27 @@ def measured_voxels(cells: float, resolution: int) -> float:
     return cells * float(measured_per_edge(cells, resolution)) ** 3
 
 
+def boxes_of(cells: NDArray[np.int64], spare: float) -> list[tuple[NDArray[np.int64], tuple[int, int, int]]]:
+    """Low corners and shapes of boxes that hold these cells, (n, 3), each once.
+
+    Half of a box are cells that it is to hold, or it has no more than `spare` altogether: a layer of a ring or frame
+    would be hollow.
+    """
+    lower, size = cells.min(0), np.ptp(cells, 0) + 1
+    if size.prod() <= max(2 * len(cells), spare):
+        return [(lower, (int(size[0]), int(size[1]), int(size[2])))]
+    axis = int(size.argmax())
+    low = cells[:, axis] < lower[axis] + size[axis] // 2
+    return [*boxes_of(cells[low], spare), *boxes_of(cells[~low], spare)]
+
+
 def at_porosity(
     context: Context, tiling: Tiling, cover: SurfaceMesh | None, porosity: float, resolution: int
 ) -> Tiling:
     """The tiling cut at the level that gives this porosity, within the part if there is one.
 
-    Few cells are measured one by one, at `resolution` voxels along an edge; many in layers, at `measured_per_edge`.
+    Few cells are measured one by one, at `resolution` voxels along an edge; many in layers, or pieces of these, at
+    `measured_per_edge`.
     """
     from sppm_pipeline.fields.part import Part
     from sppm_pipeline.numerics.grid import Grid
@@ -236,22 +254,19 @@ def at_porosity(
         (x, y, z), (nx, ny, nz) = corner.astype(float), shape
         grid = Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (nx * per_edge, ny * per_edge, nz * per_edge))
         sums = tiling.sums(grid, context.threads)
-        if part is None:
-            inside = mask[tuple(slice(low, low + n) for low, n in zip(corner, shape, strict=True))]
-            for axis in range(3):
-                inside = inside.repeat(per_edge, axis)
-            return sums[inside]
-        within: NDArray[np.float32] = sums.T[part.inside_zyx(grid, 0, grid.shape[2]) != 0]
-        return within
+        if part is not None:
+            within: NDArray[np.float32] = sums.T[part.inside_zyx(grid, 0, grid.shape[2]) != 0]
+            return within
+        inside = mask[tuple(slice(low, low + n) for low, n in zip(corner, shape, strict=True))]
+        for axis in range(3):
+            inside = inside.repeat(per_edge, axis)
+        return sums[inside]
 
     if len(filled) <= MEASURED_CLOSELY:
         found = [samples_of(cell, (1, 1, 1)) for cell in filled]
     else:
-        found = []
-        for z in np.unique(filled[:, 2]):
-            cells = filled[filled[:, 2] == z]
-            lower, (nx, ny, _) = cells.min(0), np.ptp(cells, 0) + 1
-            found.append(samples_of(lower, (int(nx), int(ny), 1)))
+        layers = (filled[filled[:, 2] == z] for z in np.unique(filled[:, 2]))
+        found = [samples_of(*box) for cells in layers for box in boxes_of(cells, SPARE_SAMPLES / per_edge**3)]
     samples = np.concatenate(found)
     if not samples.size:
         raise DesignError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise, product
+from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -57,6 +58,8 @@ class Span(NamedTuple):
 class FineSampler:
     """A sum of kernels on one fine grid; what all layers need is prepared once, the last coarse planes are kept.
 
+    Threads that ask for layers at once take turns.
+
     The coarse grid has its origin at that of the lattice and divides the cells, and its samples are summed cell by
     cell: a sample depends on its position alone, neither on the grid it belongs to nor on what else is asked for.
 
@@ -87,6 +90,7 @@ class FineSampler:
         self._chunks: dict[int, _Chunk] = {}
         self._rooms: list[NDArray[np.float32]] = []
         self._sums = np.zeros((0, 0, 0), np.float32)
+        self._lock = Lock()
 
     def sample(
         self,
@@ -99,6 +103,19 @@ class FineSampler:
         solid: NDArray[np.uint8] | None,
     ) -> None:
         """Write the field, or whether it is solid, in the layers start <= k < stop into one of the last arguments."""
+        with self._lock:
+            self._sample(field, start, stop, threads, wanted, values, solid)
+
+    def _sample(
+        self,
+        field: KernelSum,
+        start: int,
+        stop: int,
+        threads: int,
+        wanted: NDArray[np.int32] | None,
+        values: NDArray[np.float32] | None,
+        solid: NDArray[np.uint8] | None,
+    ) -> None:
         nx, ny, nz = self.of[0].shape
         if wanted is None:
             wanted = np.tile(np.array([0, nx], np.int32), (stop - start, ny, 1))
@@ -236,8 +253,8 @@ class _Chunk:
         low, high = _widened(low, high, len(self.band.first))
         x, y, z = self.x, self.y, self.planes
         first = self.band.first.astype(np.int32)
-        empty = done[:, 0] >= done[:, 1]
-        left = np.stack([low, np.where(empty, high, done[:, 0])], axis=1)
+        there, empty = low < high, done[:, 0] >= done[:, 1]
+        left = np.stack([low, np.where(there & ~empty, done[:, 0], high)], axis=1)
         right = np.stack([np.where(empty, high, done[:, 1]), high], axis=1)
         for blocks in (left, right):
             blocks[blocks[:, 0] >= blocks[:, 1]] = 0
@@ -248,7 +265,6 @@ class _Chunk:
             sums = scratch()[: len(z)]
             assemble(*patches, z.start, z.stop, x.start, x.stop, y.start, y.stop, sums, threads, columns)
             self._stretch(sums, range(len(y)), threads, blocks)
-        there = low < high
         done[:, 0] = np.where(there & (empty | (low < done[:, 0])), low, done[:, 0])
         done[:, 1] = np.where(there, np.maximum(high, done[:, 1]), done[:, 1])
 
@@ -259,8 +275,8 @@ class _Chunk:
         if not columns:
             return
         if not self._sums.size:
-            self._sums = np.zeros((len(self.planes), len(self.y), len(self.x)), np.float32)
             self.stretched[:] = 0  # samples of other columns enter nothing that is wanted, but are read
+            self._sums = np.zeros((len(self.planes), len(self.y), len(self.x)), np.float32)
 
         def add(column: tuple[int, int]) -> None:
             x, y = (spans[axis][number] for axis, number in enumerate(column))
@@ -273,10 +289,10 @@ class _Chunk:
                 self._sums[:, to_y, to_x] = sums[:, from_y, from_x]
 
         share_out(add, sorted(columns), threads)
-        self.done |= columns
         for j in {j for _, j in columns}:
             for _, rows in spans[1][j].own:
                 self._stretch(self._sums, range(rows.start, rows.stop), threads)
+        self.done |= columns  # not before: an interrupt may come, and the field be asked again
 
     def _stretch(
         self, sums: NDArray[np.float32], rows: range, threads: int, blocks: NDArray[np.int32] | None = None

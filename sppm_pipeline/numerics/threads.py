@@ -99,13 +99,19 @@ def share_out(function: Callable[[Item], object], items: Iterable[Item], threads
             except BaseException as error:  # an interrupt as well: the caller has to know, and the thread lives on
                 errors.append(error)
 
-    ended = [_helped(some) for _ in range(others)]
+    ended: list[threading.Event] = []
     try:
+        ended.extend(_helped(some) for _ in range(others))
         some()
-    finally:  # an interrupt may come between two calls
-        waiting.clear()
-        for event in ended:
-            event.wait()
+    except BaseException as error:  # an interrupt may come between two calls, or the system has no thread to give
+        errors.append(error)
+    waiting.clear()
+    for event in ended:
+        while not event.is_set():
+            try:
+                event.wait()
+            except BaseException as error:  # who goes on would share arrays with those that still write into them
+                errors.append(error)
     if errors:
         raise errors[0]
 

@@ -1,5 +1,6 @@
 """Fine grids interpolated from coarse sums: near the direct sum, and a sample depends on its position alone."""
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -113,6 +114,25 @@ def test_a_part_has_patches_added_where_it_is(many, wedge, height, nearby, monke
     assert sum(added) < 0.9 * len(many._fine(grid, 1)._window[2]) / many._fine(grid, 1)._height
 
 
+def test_what_is_not_wanted_any_more_is_not_added_up(many, monkeypatch):
+    grid = Grid((0.01, 0.02, 0.01), (0.0135, 0.0145, 0.0165), (200, 138, 90))
+    field, added, assemble = replace(many), [], overlap_add.assemble
+    expected = many.solid(grid)
+
+    def counted(*arguments):
+        added.append(np.maximum(arguments[-1][:, 1] - arguments[-1][:, 0], 0))
+        return assemble(*arguments)
+
+    monkeypatch.setattr(overlap_add, "assemble", counted)
+    for rows in (slice(0, 20), slice(110, 138)):  # the second ones are far from the first
+        wanted = np.zeros((1, 138, 2), np.int32)
+        wanted[:, rows] = 120, 140
+        solid = field.solid_layers(grid, 0, 1, 1, wanted)
+        assert np.array_equal(solid[120:140, rows], expected[120:140, rows, :1])
+    first, second = added
+    assert not ((first > 0) & (second > 0)).any()
+
+
 @pytest.fixture(scope="module")
 def many():
     """So many cells for each interior that patches pay."""
@@ -140,3 +160,42 @@ def test_a_level_too_near_the_cut_off_or_above_every_tunnel_is_summed(cell):
     assert cell.with_level(1.5).coarse_pitch is None
     assert cell.with_level(0.05).coarse_pitch == cell.coarse_pitch  # lower levels make kernels no smoother
     assert cell.with_level(0.5).coarse_pitch < cell.coarse_pitch
+
+
+def test_a_field_may_be_asked_again_after_an_interrupt(fresh, monkeypatch):
+    field = replace(fresh)
+    expected, stretch = field.solid(FINE), fine_sampler.stretch
+    calls = []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        stretch(*arguments)
+
+    monkeypatch.setattr(fine_sampler, "stretch", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        field.solid(FINE)
+    assert np.array_equal(field.solid(FINE), expected)
+
+
+def test_threads_that_ask_at_once_take_turns(fresh, monkeypatch):
+    """The coarse planes of one reader must not become those of another before they are interpolated."""
+    field = replace(fresh)
+    expected, interpolate, other = field.solid(FINE), fine_sampler.interpolate_layers, []
+
+    def top():
+        other.append(field.solid_layers(FINE, 50, 65))
+
+    second = threading.Thread(target=top)
+
+    def interrupted(*arguments):
+        if second.ident is None:
+            second.start()
+            second.join(0.5)
+        interpolate(*arguments)
+
+    monkeypatch.setattr(fine_sampler, "interpolate_layers", interrupted)
+    assert np.array_equal(field.solid_layers(FINE, 0, 10), expected[:, :, :10])
+    second.join()
+    assert np.array_equal(other[0], expected[:, :, 50:])

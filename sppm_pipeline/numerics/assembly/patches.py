@@ -212,17 +212,17 @@ def build_bank(
     most = int(size.prod(axis=1, dtype=np.int64).max(initial=0))
     scale = 1.0 if solid_level is None else FULL / solid_level
     free: list[tuple[NDArray[np.float32], NDArray[np.int16]]] = []
-    ends = _Ends()
+    ends, numbers = _Ends(), iter(range(len(there)))
 
-    def sampled(p: int) -> None:
+    def sampled(_: int) -> None:
         try:
-            rooms = free.pop()
-        except IndexError:
-            rooms = np.empty(most, np.float32), np.empty(0 if solid_level is None else most, np.int16)
-        part = slice(first_row[p], first_row[p] + rows[p])
-        table = row_low[part], row_blocks[part], row_start[part]
-        count, begin = 0, None
-        try:
+            p = next(numbers)  # not the caller's number, which an interrupt may lose when nobody has begun with it
+            part = slice(first_row[p], first_row[p] + rows[p])
+            table = row_low[part], row_blocks[part], row_start[part]
+            try:
+                rooms = free.pop()
+            except IndexError:
+                rooms = np.empty(most, np.float32), np.empty(0 if solid_level is None else most, np.int16)
             room = rooms[0][: rows[p] * size[p, 0]]
             room[:] = 0.0
             values = room.reshape(size[p, 2], size[p, 1], size[p, 0])
@@ -233,8 +233,12 @@ def build_bank(
                 dense = rooms[1][: room.size]
                 _round(room, np.float32(scale), dense)
             count = _measure(dense.reshape(-1, size[p, 0]), np.float32(cutoff * scale), int(low[p, 0]), *table)
-        finally:  # whatever happens, the next patch may wait for this one
             begin = ends.take(p, count)
+        except BaseException:  # whatever happens, the next patch may wait for this one
+            ends.give_up()
+            raise
+        if begin is None:
+            return
         table[2][:] += begin
         _copy_rows(dense.reshape(-1, size[p, 0]), int(low[p, 0]), *table, data)
         free.append(rooms)
@@ -337,15 +341,24 @@ class _Ends:
     def __init__(self) -> None:
         self._known: dict[int, int] = {-1: 0}
         self._changed = Condition()
+        self._given_up = False
 
-    def take(self, number: int, length: int) -> int:
-        """Where a patch begins: when all before it have said how long they are."""
+    def take(self, number: int, length: int) -> int | None:
+        """Where a patch begins: when all before it have said how long they are; None if one of them never will."""
         with self._changed:
-            self._changed.wait_for(lambda: number - 1 in self._known)
+            self._changed.wait_for(lambda: self._given_up or number - 1 in self._known)
+            if self._given_up:
+                return None
             begin = self._known[number - 1]
             self._known[number] = begin + length
             self._changed.notify_all()
         return begin
+
+    def give_up(self) -> None:
+        """Nobody waits any more."""
+        with self._changed:
+            self._given_up = True
+            self._changed.notify_all()
 
     @property
     def last(self) -> int:

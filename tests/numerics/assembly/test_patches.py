@@ -1,6 +1,9 @@
+import threading
+
 import numpy as np
 import pytest
 
+from sppm_pipeline.numerics.assembly import patches
 from sppm_pipeline.numerics.assembly.patches import build_bank, predicted_bytes
 
 
@@ -48,3 +51,26 @@ def test_bad_arguments(sets) -> None:
         build_bank(sets.pieces(0), 0)
     with pytest.raises(ValueError, match="cut-off"):
         build_bank(sets.pieces(0), 8, cutoff=2.0)
+
+
+def test_a_patch_that_fails_leaves_no_other_waiting(sets, monkeypatch) -> None:
+    second, raised = threading.Event(), []
+
+    class Interrupted(patches._Ends):
+        def take(self, number: int, length: int) -> int | None:
+            if number == 0:
+                second.wait(30)
+                raise KeyboardInterrupt
+            second.set()
+            return super().take(number, length)
+
+    def build() -> None:
+        with pytest.raises(KeyboardInterrupt) as caught:
+            build_bank(sets.pieces(4), 12, threads=2)
+        raised.append(caught.value)
+
+    monkeypatch.setattr(patches, "_Ends", Interrupted)
+    builder = threading.Thread(target=build, daemon=True)  # a test that waits forever says nothing
+    builder.start()
+    builder.join(60)
+    assert raised

@@ -17,7 +17,7 @@ from sppm_pipeline.data.palette import Blocks, Palette
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.families import Sampler, start_of
 from sppm_pipeline.families.local_porosity import LatticeCells
-from sppm_pipeline.families.tiler import MEASURED_CLOSELY, measured_per_edge
+from sppm_pipeline.families.tiler import MEASURED_CLOSELY, boxes_of, measured_per_edge
 from sppm_pipeline.fields.live_view import _tiles
 from sppm_pipeline.fields.part import Part
 from sppm_pipeline.numerics.connectivity.components import phase_report
@@ -205,6 +205,23 @@ def test_the_porosity_of_many_cells_is_measured_in_all_of_them(ball, seed):
     grid = Grid((0.5 / n,) * 3, (1 / n,) * 3, (cells[0] * n, cells[1] * n, cells[2] * n))
     inside = part.inside_zyx(grid, 0, grid.shape[2]) != 0
     assert np.mean(part.sample_zyx(grid, 0, grid.shape[2])[inside] >= 0) == pytest.approx(0.6, abs=1.5e-3)
+
+
+def test_cells_around_nothing_are_measured_without_it():
+    """The box of a ring is hollow, and a frame of a plate's size should not take its memory."""
+    x, y = np.mgrid[:150, :150]
+    away = np.hypot(x - 74.5, y - 74.5)
+    for there in ((away > 73) & (away < 75), away < 75, x == y, (x + y) % 7 == 0):
+        cells = np.argwhere(there[:, :, None]) + np.array([0, 0, 4])
+        for spare in (0, 100):
+            held = np.zeros((150, 150, 5), np.int64)
+            for corner, shape in boxes_of(cells, spare):
+                held[tuple(slice(low, low + n) for low, n in zip(corner, shape, strict=True))] += 1
+            assert held.max() == 1
+            assert (held[tuple(cells.T)] == 1).all()
+            assert held.sum() <= max(2, spare) * len(cells)
+        assert len(boxes_of(cells, 100)) <= max(1, len(cells) / 4)
+    assert len(boxes_of(np.argwhere((away < 75)[:, :, None]), 0)) == 1
 
 
 def test_so_many_cells_are_measured_with_fewer_samples_each():
