@@ -6,7 +6,6 @@ import ast
 import importlib.util
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.abc import InspectLoader
 from typing import Any
 
 from sppm_pipeline.engine.config.options import Option, allowed_words, options_of, plain_option
@@ -35,8 +34,9 @@ def purpose_in_source(name: str, registry: Registry) -> str | None:
         return None
     module, _, wanted = place.partition(":")
     spec = importlib.util.find_spec(module)
-    source = spec.loader.get_source(module) if spec and isinstance(spec.loader, InspectLoader) else None
-    for node in ast.parse(source or "").body:
+    read = getattr(spec.loader, "get_source", None) if spec else None
+    source: str = (read(module) if read else None) or ""
+    for node in ast.parse(source).body:
         if isinstance(node, ast.ClassDef) and node.name == wanted:
             return _first_paragraph(ast.get_docstring(node))
     return None

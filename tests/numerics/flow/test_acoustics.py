@@ -6,7 +6,7 @@ from scipy.special import jv
 
 from sppm_pipeline.numerics.flow.acoustics import (
     THIRD_OCTAVES,
-    Pores,
+    PoreParameters,
     absorption,
     air,
     equivalent_fluid,
@@ -20,7 +20,7 @@ FREQUENCY = np.geomspace(50, 6400, 200)
 def cylinders(porosity, radius):
     """Parameters of straight cylindrical pores."""
     k = porosity * radius**2 / 8
-    return Pores(porosity, k, k, 1.0, 4 / 3, 4 / 3, radius, radius)
+    return PoreParameters(porosity, k, k, 1.0, 4 / 3, 4 / 3, radius, radius)
 
 
 def exact(porosity, radius, frequency):

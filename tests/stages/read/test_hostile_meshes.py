@@ -59,7 +59,7 @@ BAD = {
     "page.stl": (b"<!DOCTYPE html><html><body>404</body></html>" * 3, "HTML"),
     "pointer.obj": (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 1\n", "LFS"),
     "scene.gltf": (b"{}", "export it as GLB"),
-    "mesh.step": (b"ISO-10303-21;", "no mesh format"),
+    "mesh.step": (b"ISO-10303-21;", "a CAD model"),
     "no_extension": (obj_of(CORNERS), "no mesh format"),
     "obj.stl": (obj_of(CORNERS), "named .stl but is an OBJ"),
     "glb.obj": (b"".join(FORMATS["glb"].encode(CORNERS, FACES)), "is a GLB"),
