@@ -44,6 +44,8 @@ class ProgressLines(Waiting):
     stream : text stream
     verbose : bool
         A line with date and time for each event, and no bar.
+    quiet : bool
+        Nothing but warnings.
     log : text stream, optional
         Gets these lines as well, whatever is shown.
     clock : function
@@ -55,14 +57,16 @@ class ProgressLines(Waiting):
         stream: TextIO,
         *,
         verbose: bool = False,
+        quiet: bool = False,
         log: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._stream = stream
         self._log = log
-        self._verbose = verbose
-        self._terminal = stream.isatty() and not verbose and os.environ.get("TERM") != "dumb"
-        self._color = self._terminal and not os.environ.get("NO_COLOR")
+        self._verbose, self._quiet = verbose and not quiet, quiet
+        self._terminal = stream.isatty() and not verbose and not quiet and os.environ.get("TERM") != "dumb"
+        self._color = stream.isatty() and not self._verbose and os.environ.get("TERM") != "dumb"
+        self._color = self._color and not os.environ.get("NO_COLOR")
         self._clock = clock
         self._lock = threading.RLock()
         self._closed = threading.Event()
@@ -158,7 +162,7 @@ class ProgressLines(Waiting):
             self._clear()
 
     def _warn(self, message: str) -> None:
-        self.note(f"warning: {message}", color=_YELLOW)
+        self._settle(f"sppm: warning: {message}", color=_YELLOW, anyhow=True)
 
     def _begin(self, title: str) -> None:
         with self._lock:
@@ -213,13 +217,13 @@ class ProgressLines(Waiting):
         self._write(f"\r\x1b[K{line.replace(bar, self._colored(bar, _GREEN))}")
         self._drawn = True
 
-    def _settle(self, text: str, *, color: int = 0) -> None:
-        """A line that stays, above the one that redraws itself."""
+    def _settle(self, text: str, *, color: int = 0, anyhow: bool = False) -> None:
+        """A line that stays, above the one that redraws itself; also for the quiet, if they have to know."""
         with self._lock:
             drawn = self._drawn
             self._clear()
             self._record(text)
-            if not self._verbose:
+            if not self._verbose and (anyhow or not self._quiet):
                 self._write(f"{self._colored(text, color)}\n")
             if drawn and self._title:
                 self._draw()

@@ -50,7 +50,7 @@ def configure(parser: ArgumentParser) -> None:
     parser.add_argument("-k", "--keep-going", action="store_true", help="exit with 0 though runs of a sweep failed")
     add_cache(parser)
     parser.add_argument("-n", "--dry-run", action="store_true", help="check everything, run nothing")
-    parser.add_argument("-q", "--quiet", action="store_true", help="no progress on stderr")
+    parser.add_argument("-q", "--quiet", action="store_true", help="no progress on stderr, but warnings")
     parser.add_argument("-v", "--verbose", action="store_true", help="a line with date and time for each event")
     parser.add_argument("--log", type=Path, metavar="FILE", help="add these lines to a file")
     parser.add_argument("--json", action="store_true", help="print the run record as JSON")
@@ -157,15 +157,12 @@ def _execute(args: Namespace) -> int:
 
 def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
     """What shows the run, closed by `stack`."""
-    from sppm_pipeline.cli.kernels import Waiting
     from sppm_pipeline.cli.progress import ProgressLines
     from sppm_pipeline.numerics.kernel_cache import on_first_compilation
 
     log = stack.enter_context(args.log.open("a", encoding="utf-8")) if args.log else None
-    stream = None if args.quiet else sys.stderr
-    if stream is None and log is None:
-        return Waiting()
-    monitor = ProgressLines(stream or io.StringIO(), verbose=args.verbose and stream is not None, log=log)
+    stream = sys.stderr or io.StringIO()  # there is none if it was closed
+    monitor = ProgressLines(stream, verbose=args.verbose, quiet=args.quiet, log=log)
     stack.callback(monitor.close)
     on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
     return monitor

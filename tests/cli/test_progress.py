@@ -235,3 +235,11 @@ def test_numba_gives_the_notice(monkeypatch):
     kernel_cache.on_first_compilation(lambda: told.append(1))
     assert numba.njit(lambda x: x + 1)(1) == 2
     assert told == [1]
+
+
+@pytest.mark.parametrize("kind", [io.StringIO, Terminal])
+def test_the_quiet_hear_of_warnings_alone(kind):
+    stream, log = kind(), io.StringIO()
+    events(stream, quiet=True, verbose=True, log=log)
+    assert shown(stream.getvalue()) == ["sppm: warning: stage 'slice.field': thin walls", ""]
+    assert "write.png" in log.getvalue()
