@@ -89,7 +89,7 @@ def stage_classes(module: ModuleType) -> list[type[Stage]]:
 
 
 def incomplete_stages(plugins: Plugins) -> list[str]:
-    """What the classes of single files still lack to be stages."""
+    """What the classes of single files still lack to be stages; what stages there are built upon lacks nothing."""
     from sppm_pipeline.stage import Stage
 
     found = []
@@ -97,6 +97,8 @@ def incomplete_stages(plugins: Plugins) -> list[str]:
         module = import_file(Path(file))
         for cls in vars(module).values():
             if not (inspect.isclass(cls) and issubclass(cls, Stage) and cls.__module__ == module.__name__):
+                continue
+            if any(issubclass(complete, cls) for complete in stage_classes(module)):
                 continue
             lacking = [f"the method `{name}`" for name in sorted(getattr(cls, "__abstractmethods__", ()))]
             if not isinstance(getattr(cls, "name", None), str):
