@@ -279,3 +279,11 @@ def test_what_a_stage_of_a_file_is_built_upon_lacks_nothing(work):
     with pytest.raises(ConfigError, match="there is no stage") as caught:
         work.plan("pipeline: [qqqq.zzzz]\n", plugins=[write(work, text)])
     assert "Base" not in str(caught.value)
+
+
+def test_a_name_is_looked_up_in_files_as_they_were_loaded(work):
+    path = write(work, ONE_FILE)
+    registry = Registry(load_plugins(BUILTINS, files=[path], distributions=False))
+    write(work, "def broken(:")
+    with pytest.raises(ConfigError, match="there is no stage"):
+        registry.get("qqqq.zzzz")
