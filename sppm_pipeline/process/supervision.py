@@ -217,6 +217,9 @@ class _Watch:
             message = f"a native library crashed ({name}){doing}"
             return self._failed(NativeCrash(message, hint=hint, **place), NativeCrash.exit_code)
         self._tidy_up("interrupted", None)
+        if number in ENDING and self._signals:  # both were told to end, and the child had no handler yet
+            self._notify(self._exit_message)
+            return 128 + self._signals[0]
         cause = ", perhaps because memory ran out" if number == signal.SIGKILL else ""
         self._notify(f"the process was ended by {name}{cause}{doing}; the same command again goes on where it was")
         return 128 + number

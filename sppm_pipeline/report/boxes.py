@@ -89,7 +89,7 @@ def _properties(stage: Mapping[str, Any]) -> list[Box]:
     """Stiffness and permeability, if the stage reports them, with their error bars."""
     summary, made = stage.get("summary", {}), []
     moduli, errors = summary.get("E"), summary.get("E_error")
-    if stage.get("made") == "StiffnessReport" and isinstance(moduli, Sequence) and all(map(_number, moduli)):
+    if stage.get("made") == "StiffnessReport" and isinstance(moduli, Sequence) and moduli and all(map(_number, moduli)):
         unit = f" {summary['unit']}" if summary.get("unit") else ""
         bar = isinstance(errors, Sequence) and errors and all(map(_number, errors))
         note = f"± {max(errors):.2g}{unit}, {stage['id']}" if bar else str(stage["id"])
@@ -107,7 +107,7 @@ def _properties(stage: Mapping[str, Any]) -> list[Box]:
 
 def _size(found: Any) -> str:
     """A number, or several along axes, once if they are the same."""
-    if isinstance(found, (list, tuple)):
+    if isinstance(found, (list, tuple)) and found and all(map(_number, found)):
         return " x ".join(dict.fromkeys(map(shown, found)) if len(set(found)) == 1 else map(shown, found))
     return shown(found)
 

@@ -332,3 +332,11 @@ def test_an_interrupt_at_the_very_beginning_is_not_lost(how):
     )
     assert program.communicate(timeout=60) == ("interrupted\n", "")
     assert program.returncode == 130
+
+
+def test_both_processes_may_be_told_to_end_before_there_are_handlers():
+    text = EARLY.replace("HOW", AT_THE_FORK.replace("SIGINT", "SIGTERM"))
+    # the child dies of it; the parent looks only then
+    text = text.replace("def work", "supervision.adopt_orphans = lambda: time.sleep(1)\ndef work")
+    program = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=60)
+    assert (program.stdout, program.stderr, program.returncode) == ("interrupted\n", "", 143)

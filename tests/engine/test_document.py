@@ -113,7 +113,9 @@ def test_what_is_refused_is_refused_at_its_place(text, words, line, column):
         ("a: 1\n\tb: 2\n", "no tabs"),
         ("a:\n  - 1\n   - 2\nb:\n  - 1\n - 2\n", "alike"),
         ("a: [1, \u201c{b}\u201d]\n", "straight quotes"),
+        ("- \u2018{b}: c\u2019: 1\n", "straight quotes"),
         ("a: {b: 1\nc: [2]\n", "closing bracket"),
+        ("a:\n  - 1\nb:\n  - 1\n - 2  # the part\u2019s\n", "alike"),
     ],
 )
 def test_what_to_do_about_a_slip_of_the_syntax(text, words):

@@ -287,6 +287,7 @@ class Slipped(Stage):
     share: float = option(0.5, help="a part of it", above=0, below=1)
     length: Length = option(Length(1.0), help="a size", unit="mm")
     word: str = option("", help="any")
+    count: int = option(1, help="how many")
 
     def run(self, context):
         raise NotImplementedError
@@ -306,12 +307,17 @@ def test_slips_of_the_pen_are_named(name, value, words):
     assert words in hint_of(options_of(Slipped)[name], value)
 
 
-@pytest.mark.parametrize(("name", "value"), [("share", 1.2), ("share", "a,b"), ("length", 70), ("word", "0,70")])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("share", 1.2), ("share", "a,b"), ("length", 70), ("word", "0,70"), ("count", "50 %"), ("count", "1,000"),
+     ("share", "$")],
+)  # fmt: skip
 def test_other_values_are_no_slips(name, value):
     declared = options_of(Slipped)[name]
     assert hint_of(declared, value) == declared.spec.help
 
 
-def test_a_comma_in_a_map_that_cuts_a_number_in_two_is_named(work):
-    errors = work.errors("pipeline: [{stage: read.number, value: 0,05 mm}]")
+@pytest.mark.parametrize("number", ["0,05 mm", "0,05"])
+def test_a_comma_in_a_map_that_cuts_a_number_in_two_is_named(work, number):
+    errors = work.errors(f"pipeline: [{{stage: read.number, value: {number}}}]")
     assert "decimals are written with a point" in str(errors[-1])

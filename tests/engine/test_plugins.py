@@ -271,3 +271,19 @@ def test_what_a_class_of_a_file_lacks_to_be_a_stage_is_said(work, before, after,
     assert before in ONE_FILE
     with pytest.raises(PluginError, match=words):
         work.plan("pipeline: [read.seven]\n", plugins=[write(work, ONE_FILE.replace(before, after))])
+
+
+def test_what_a_stage_of_a_file_is_built_upon_lacks_nothing(work):
+    base = "\nclass Base(Stage):\n    pass\n\n@dataclass(frozen=True, kw_only=True)\nclass Seven"
+    text = ONE_FILE.replace("(Stage)", "(Base)").replace("\n@dataclass(frozen=True, kw_only=True)\nclass Seven", base)
+    with pytest.raises(ConfigError, match="there is no stage") as caught:
+        work.plan("pipeline: [qqqq.zzzz]\n", plugins=[write(work, text)])
+    assert "Base" not in str(caught.value)
+
+
+def test_a_name_is_looked_up_in_files_as_they_were_loaded(work):
+    path = write(work, ONE_FILE)
+    registry = Registry(load_plugins(BUILTINS, files=[path], distributions=False))
+    write(work, "def broken(:")
+    with pytest.raises(ConfigError, match="there is no stage"):
+        registry.get("qqqq.zzzz")

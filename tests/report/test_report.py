@@ -349,6 +349,7 @@ def test_stiffness_and_permeability_stand_at_the_top():
     stiff = found("StiffnessReport", E=[293.74, 287.9, 213.6], unit="MPa", E_error=[23.7, 20.3, 20.2])
     assert stiff["Young's modulus x, y, z"] == ("294, 288, 214 MPa", "± 24 MPa, x")
     assert found("StiffnessReport", E=[0.25, 0.0, None]).keys() == {"time"}
+    assert found("StiffnessReport", E=[]).keys() == {"time"}
     assert found("StiffnessReport", E=[0.25, 0.0, 0.1])["Young's modulus x, y, z"] == ("0.25, 0, 0.1", "x")
     flow = found("PermeabilityReport", k_mean=7.54e-4, darcy_mean=19097.4, error_relative=0.25)
     assert flow["permeability"] == ("1.91e+04 darcy", "± 25 %, x")
@@ -360,6 +361,8 @@ def test_pixels_that_are_square_have_one_size():
     assert ("pixel", "0.05 mm") in [box[:2] for box in boxes({}, stages, None)]
     stages[0]["summary"]["pixel_mm"] = [0.019, 0.024]
     assert ("pixel", "0.019 x 0.024 mm") in [box[:2] for box in boxes({}, stages, None)]
+    stages[0]["summary"]["pixel_mm"] = [[0.05], [0.05]]  # of a plugin, which may call anything so
+    assert ("pixel", "[[0.05], [0.05]] mm") in [box[:2] for box in boxes({}, stages, None)]
 
 
 def test_columns_that_sweeps_are_run_for_come_first():

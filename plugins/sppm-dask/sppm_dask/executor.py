@@ -127,6 +127,10 @@ class DaskExecutor(Executor):
         outer: Future[Any] = Future()
         self._open.add(outer)
         outer.add_done_callback(self._open.discard)
+        if self._broken:  # meanwhile, and perhaps without this one
+            outer.cancel()
+            inner.cancel()
+            raise BrokenExecutor(self._broken)
         # cut when there is an outcome: the workers keep a result until nobody here refers to its future
         link = [inner]
         outer.add_done_callback(functools.partial(_cancel, link))

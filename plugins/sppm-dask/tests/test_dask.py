@@ -110,6 +110,20 @@ def test_a_cluster_without_workers_is_given_up(monkeypatch):
             executor.submit(int)
 
 
+def test_a_task_that_is_handed_out_while_the_cluster_is_given_up_is_refused(cluster, monkeypatch):
+    with DaskExecutor(1, cluster.scheduler_address) as executor:
+        submit = executor._tasks.submit
+
+        def submitted(task):
+            executor._broken = "given up"  # as the watch does, which has counted the open tasks already
+            return submit(task)
+
+        monkeypatch.setattr(executor._tasks, "submit", submitted)
+        with pytest.raises(BrokenExecutor, match="given up"):
+            executor.submit(int)
+        assert not executor._open
+
+
 def test_a_queue_starts_as_many_jobs_as_are_asked_for(cluster, monkeypatch):
     asked = []
 

@@ -31,6 +31,9 @@ from sppm_pipeline.errors import ConfigError, Position, ResourceError
 RECORD_KEY = "sppm_run"
 """First key of a run record; its `config`, which comes next, is then the document, and the rest is not read."""
 
+DECIMALS = "decimals are written with a point: 0.05, not 0,05"
+"""What is said of a comma in a number."""
+
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
 _SPECIAL: dict[str, Any] = (
@@ -201,7 +204,7 @@ def _hint(text: str, problem: str, number: int) -> str | None:
     line = lines[number] if number < len(lines) else ""
     if "'\\t'" in problem:
         return "indent with blanks; YAML allows no tabs there"
-    if set(line) & set(_TYPOGRAPHIC):
+    if _TYPOGRAPHIC.search(line):
         return "write straight quotes, \" or '; these are typographic ones, as word processors put them in"
     if problem.startswith("expected <block end>"):
         return "indent entries of one list or map alike; is this line too far in, or one before it?"
@@ -210,7 +213,8 @@ def _hint(text: str, problem: str, number: int) -> str | None:
     return None
 
 
-_TYPOGRAPHIC = "\u201c\u201d\u201e\u2018\u2019\u201a\u00ab\u00bb"
+# where a value or a key begins; within words and comments they are letters like others
+_TYPOGRAPHIC = re.compile("(?:^|[-:,\\[{])\\s*[\u201c\u201d\u201e\u2018\u2019\u201a\u00ab\u00bb]")
 
 
 class _Composer:
@@ -334,7 +338,10 @@ class _Composer:
             if isinstance(key, str) and len(key) > MAX_KEY:
                 raise ConfigError(f"the key {key[:20]!r}... is longer than {MAX_KEY} characters", where=where)
             if not isinstance(key, str):
-                raise ConfigError(f"keys must be strings, got {_shown(key)}", where=where, hint="put quotes around it")
+                hint = "put quotes around it"
+                if type(key) is int and key >= 0 and value.value is None:  # a comma in a map has cut it off a number
+                    hint = f"{DECIMALS}; put quotes around a name"
+                raise ConfigError(f"keys must be strings, got {_shown(key)}", where=where, hint=hint)
             if key in entries:
                 raise ConfigError(f"the key {key!r} is given twice; first at {entries[key].where}", where=where)
             entries[key] = Entry(where, value)

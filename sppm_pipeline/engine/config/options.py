@@ -15,7 +15,7 @@ from typing import Any
 
 from sppm_pipeline.data.length import UNITS_IN_MM, Length, parse_length
 from sppm_pipeline.engine.config.configuration import RESERVED
-from sppm_pipeline.engine.config.document import Entry, Override, plain
+from sppm_pipeline.engine.config.document import DECIMALS, Entry, Override, plain
 from sppm_pipeline.engine.config.names import fits_suffix, output_parts, suffix_words
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, PluginError
@@ -24,7 +24,6 @@ from sppm_pipeline.stage import OptionSpec, Stage
 SMALLEST_MM, LARGEST_MM = 1e-6, 1e6
 """A length with a unit lies between a nanometre and a kilometre; anything else is a slip."""
 
-DECIMALS = "decimals are written with a point: 0.05, not 0,05"
 _COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+\s*[A-Za-zµ]*")
 _AFTER_COMMA = re.compile(r"[0-9]+(?:\s*[A-Za-zµ]+)?")  # what is left in a map of a number with a comma
 _PERCENT = re.compile(r"[0-9]+(?:\.[0-9]*)?\s*%")
@@ -349,11 +348,12 @@ def hint_of(option: Option, value: Any) -> str:
         return "for no value write null, or leave the option out"
     if isinstance(value, str) and {int, float, Length} & set(_members(option.kind)):
         text = value.strip()
-        if _COMMA.fullmatch(text):
+        whole = not {float, Length} & set(_members(option.kind))
+        if _COMMA.fullmatch(text) and not whole:
             return f"{DECIMALS}; {option.spec.help}"
-        if text.startswith("$"):
-            return f'a parameter is written "${{{text.strip("${}")}}}", with the quotes and braces'
-        if _PERCENT.fullmatch(text):
+        if text.startswith("$") and (name := text.strip("${}")):
+            return f'a parameter is written "${{{name}}}", with the quotes and braces'
+        if _PERCENT.fullmatch(text) and not whole:
             return f"write {float(text.rstrip('% ')) / 100:g}, a share of 1; {option.spec.help}"
     below = (option.spec.maximum, option.spec.below)
     if 1.0 in below and float in _members(option.kind) and type(value) in (int, float) and 2 < value < 100:

@@ -197,7 +197,7 @@ def _meets(triangle: NDArray[np.float64], middle: NDArray[np.float64], half: flo
 
     The axes are the normal of the triangle, and the products of its edges with those of the cube.
     """
-    room = half * (1.0 + 1e-9)
+    room = half * (1.0 + 1e-9) + 1e-15 * (abs(middle[0]) + abs(middle[1]) + abs(middle[2]))
     for e in range(3):
         g = (e + 1) % 3
         for a in range(3):  # along a x edge: (0, -d_c, d_b) in the plane of the axes b and c
@@ -210,12 +210,13 @@ def _meets(triangle: NDArray[np.float64], middle: NDArray[np.float64], half: flo
             two = along_b * (triangle[h, b] - middle[b]) + along_c * (triangle[h, c] - middle[c])
             if max(-max(one, two), min(one, two)) > room * (abs(along_b) + abs(along_c)):
                 return False
-    reach, height = 0.0, 0.0
+    reach, height, rounding = 0.0, 0.0, 0.0
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
-        normal = (triangle[1, b] - triangle[0, b]) * (triangle[2, c] - triangle[0, c]) - (
-            triangle[1, c] - triangle[0, c]
-        ) * (triangle[2, b] - triangle[0, b])
-        reach += abs(normal)
-        height += normal * (triangle[0, a] - middle[a])
-    return abs(height) <= room * reach
+        one = (triangle[1, b] - triangle[0, b]) * (triangle[2, c] - triangle[0, c])
+        two = (triangle[1, c] - triangle[0, c]) * (triangle[2, b] - triangle[0, b])
+        reach += abs(one - two)
+        height += (one - two) * (triangle[0, a] - middle[a])
+        rounding += (abs(one) + abs(two)) * abs(triangle[0, a] - middle[a])
+    # of corners that lie in a line nothing but rounding is left in the normal, which points anywhere
+    return bool(abs(height) <= room * reach + 1e-15 * rounding)

@@ -23,7 +23,7 @@ def meets(triangle, low, high):
     return bool(polygon)
 
 
-@pytest.mark.parametrize("kind", ["any", "thin", "along an axis"])
+@pytest.mark.parametrize("kind", ["any", "thin", "in a line", "along an axis"])
 def test_a_large_triangle_touches_the_cells_that_it_meets(kind):
     rng = np.random.default_rng(3)
     shape, origin, edge = (6, 5, 7), np.array([-1.3, 0.2, 4.0]), 0.7
@@ -32,6 +32,8 @@ def test_a_large_triangle_touches_the_cells_that_it_meets(kind):
         corners = origin + edge * rng.uniform(0, 1, (3, 3)) * shape
         if kind == "thin":
             corners[2] = corners[0] + 0.4 * (corners[1] - corners[0]) + 1e-6 * rng.standard_normal(3)
+        elif kind == "in a line":
+            corners[2] = corners[0] + rng.uniform(0.1, 0.9) * (corners[1] - corners[0])
         elif kind == "along an axis":
             corners[:, rng.integers(3)] = corners[0, 0] if rng.integers(2) else origin[0] + 0.35 * edge
             corners = np.clip(corners, origin, origin + edge * np.array(shape))
@@ -51,6 +53,17 @@ def test_a_large_triangle_touches_the_cells_that_it_meets(kind):
             assert meets(corners, lower - 1e-6, lower + edge + 1e-6)
         counts.append(touched.sum())
     assert len(counts) > 20
+
+
+def test_a_triangle_between_two_cells_is_in_one_of_them_however_far_away():
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        origin, axis, edge = 1e8 * rng.uniform(-1, 1, 3), rng.integers(3), 0.7
+        corners = origin + edge * np.array([[0.5, 0.5, 0.5], [0.7, 5.5, 0.6], [5.5, 0.6, 5.5]])
+        corners[:, axis] = origin[axis] + rng.integers(1, 6) * edge
+        touched = np.zeros((6, 6, 6), np.bool_)
+        _touch(corners[None], origin, edge, touched)
+        assert touched.any()
 
 
 def test_a_slanting_bar_of_few_triangles_has_the_cells_of_one_of_many():
