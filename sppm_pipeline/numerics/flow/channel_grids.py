@@ -188,16 +188,16 @@ def _graphs(matrix: Any, place: NDArray[np.int64], blocks: tuple[int, ...]) -> t
         bound = abs(matrix).sum(axis=1)
         step = np.divide(_SMOOTHED, bound, out=np.zeros(size), where=bound > 0)
         up = (constant - diags_array(step) @ (matrix @ constant)).tocsr()
-        graphs.append(_graph(matrix, up))
         coarse = (up.T @ matrix @ up).tocsr()
         joins = diags_array(coarse.diagonal()) - coarse
         joins.eliminate_zeros()
-        matrix = _laplacian(joins)
         place = place[np.unique(piece, return_index=True)[1]]
-    size = matrix.shape[0]
-    if size > _DENSE:
-        # one block, and as many unknowns as there are channels apart from each other: nothing joins them
-        return graphs, np.zeros((size, size))
+        # a whole channel in one piece has no error left; of thousands beside each other the last matrix would be huge
+        joined = np.diff(joins.indptr) > 0
+        if not joined.all():
+            up, joins, place = up[:, joined].tocsr(), joins[joined][:, joined].tocsr(), place[joined]
+        graphs.append(_graph(matrix, up))
+        matrix = _laplacian(joins)
     dense = matrix.toarray()
     values, vectors = np.linalg.eigh((dense + dense.T) / 2)
     whole = values > _SINGULAR * values.max(initial=0.0)

@@ -81,6 +81,8 @@ class GradeStiffness(Grader):
             raise ConfigError(f"`porosities` should rise, from {self.porosities[0]:g} to {self.porosities[1]:g}")
         if len(self.columns) != 2:
             raise ConfigError(f"`columns` names {len(self.columns)}; it takes two, porosity and modulus")
+        if self.path is None and not self.values:
+            self._homogenizer().check_options()
 
     def run(
         self, context: Context, grading: Grading | None, part: SurfaceMesh | None, recipe: Recipe | None = None

@@ -74,15 +74,18 @@ class FlowHomogenizer(Homogenizer):
         Raises
         ------
         DesignError
-            If there are no walls.
+            If there are no walls across an axis, or they are too thin to be seen.
         """
         from sppm_pipeline.numerics.flow.faces import percolating
         from sppm_pipeline.numerics.flow.stokes import stokes_flow
 
         faces, edge = self.faces_of(context, source)
-        if not any(walls.any() for walls in faces.walls) and any(active.any() for active in faces.active):
+        # velocities along an axis that no wall stops may all be the same, whatever there is between them
+        if free := [axis for axis, active in zip("xyz", faces.active, strict=True) if active.all()]:
+            missed = f"the grid misses all solid along {', '.join(free)}"
+            where = "the cell has no solid" if len(free) == 3 else missed
             raise DesignError(
-                "the cell has no solid, so nothing holds the fluid back: the permeability is infinite",
+                f"{where}, so nothing holds the fluid back: the permeability is infinite",
                 hint="check which side of the field or image is solid, and the `resolution` if the solid is thin",
             )
         open_void = percolating(faces)

@@ -105,7 +105,8 @@ class ElasticHomogenizer(Homogenizer):
         del options["precision"]  # which the body has
         found = body.stiffness(expansion=expanding, **options)
         warnings = self.solver_warnings(found.solved, found.precision)
-        if (largest := self._least_compressible()) > LOCKING:
+        # of what is there: materials of phases that the image lacks do no harm
+        if (largest := max((nu for share, e, nu in phases if share > 0 and e > 0), default=-1.0)) > LOCKING:
             warnings.append(
                 f"with Poisson's ratio {largest:g} voxels lock: the stiffness comes out too large, and falls slowly on "
                 "finer grids"

@@ -107,3 +107,33 @@ def test_channels_are_solved_for():
         p, rz = z + r @ z / rz * p, r @ z
     error = x - wanted
     assert error @ (matrix @ error) < 1e-5 * (wanted @ b)
+
+
+@pytest.mark.parametrize("net", [False, True])
+def test_channels_apart_from_each_other_need_no_matrix(net):
+    # a plane image with many pores, through each of which something flows across; of a net within the plane, as well
+    shape, rng = (1, 66, 66), np.random.default_rng(7)
+    weights = tuple(np.zeros(shape, np.float32) for _ in range(3))
+    for j, i in [(0, 0), (0, 1), (1, 0), (1, 1)]:
+        weights[2][0, j::6, i::6] = 0.1
+        if i:
+            weights[0][0, j::6, i::6] = 10 ** rng.uniform(-2, 0, (11, 11))
+        if j:
+            weights[1][0, j::6, i::6] = 10 ** rng.uniform(-2, 0, (11, 11))
+    if net:
+        weights[0][0, 3::22] = 1
+        weights[1][0, :, 3] = 0.5
+    grids = ChannelGrids(weights)
+    assert grids.twice
+    assert len(grids.graphs) > 0
+    assert grids.sizes[0] >= 121
+    # no graph but the first has unknowns that nothing joins
+    for graph in grids.graphs[1:]:
+        assert (graph.inverse > 0).all()
+    assert grids.inverse.any(axis=1).all()
+    assert net == (grids.sizes[-1] > 0)
+    matrix = matrix_of(np.zeros(shape), weights)
+    wanted = rng.standard_normal(matrix.shape[0])
+    b = matrix @ wanted
+    error = wanted - cycled(grids, b)
+    assert error @ (matrix @ error) < 0.3 * (wanted @ b)

@@ -127,6 +127,7 @@ def test_a_sweep_is_read_and_what_cannot_be_used_is_told(tmp_path):
     for options, kind, words in (
         ({"path": path}, ConfigError, "either a file"), ({"values": ()}, ConfigError, "there is none"),
         ({"values": (), "path": path, "columns": ("a",)}, ConfigError, "it takes two"),
+        ({"values": (), "poisson": 0.49995}, ConfigError, "voxels lock"),
         ({"values": ((1.2, 3.0), (0.3, 4.0))}, InputError, "porosity 1.2 has the modulus 3"),
         ({"values": ((0.3, 4.0),)}, InputError, "1 cells are no curve"),
         ({"wanted": "stifness"}, ConfigError, "no map 'stifness'"),

@@ -134,6 +134,13 @@ def test_refusals():
     for shape in ((1, 1, 7), (4, 5, 6)):
         with pytest.raises(DesignError, match="permeability is infinite"):
             solved(voxels(np.zeros(shape, np.uint8)))
+    # a plate of .9 voxels lies between the faces across it
+    plate = np.zeros((5, 4, 6), np.float32)
+    plate[:, 2] = 0.9
+    with pytest.raises(DesignError, match="misses all solid along y, so"):
+        solved(voxels(plate))
+    plate[:, 2] = 1
+    assert solved(voxels(plate)).k[1, 1] == 0
     report = solved(image)
     skew = PermeabilityReport(**{**vars(report), "k": report.k + np.eye(3)[[1, 0, 2]] * [1, 0, 0]})
     with pytest.raises(ValueError, match="symmetric"):

@@ -336,7 +336,10 @@ def test_what_is_nearly_incompressible_is_warned_of_or_refused():
     assert homogenized(image, context, poisson=0.499).stiffness[0, 0] == pytest.approx(lam + 2 * mu, rel=1e-6)
     assert any("voxels lock" in text for text in context.warnings)
     homogenized(image, quiet := PlainContext(), poisson=0.49)
+    homogenized(image, quiet, filling_young=0.1, filling_poisson=0.499)
     assert not quiet.warnings
+    homogenized(image, fewer := PlainContext(), young=(1.0, 2.0), poisson=(0.3, 0.499))
+    assert fewer.warnings == ["materials are given for 2 phases, and the image has 1"]
     for options in ({"poisson": 0.49991}, {"filling_young": 0.1, "filling_poisson": 0.4999999999}):
         with pytest.raises(ConfigError, match="voxels lock"):
             HomogenizeVoxel(**options).check_options()
