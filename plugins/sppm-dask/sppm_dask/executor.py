@@ -10,7 +10,7 @@ import logging
 import multiprocessing
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import BrokenExecutor, Executor, Future, InvalidStateError
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -44,6 +44,14 @@ WITHOUT_WORKERS = 60.0
 
 Dask starts a worker again that has died, but not one that dies before its nanny has seen it run.
 """
+
+SETTLED = 5.0
+"""Seconds that a task may stay without an outcome after the scheduler went; a choice.
+
+Dask cancels the tasks that run, but one whose result is on its way may be heard of no more.
+"""
+
+GONE = "the Dask scheduler is gone"
 
 LOCAL = {
     # a row that kills its worker is found soon: the engine repeats those that were hit, each alone
@@ -97,8 +105,8 @@ class DaskExecutor(Executor):
             self._tasks = self._client.get_executor(pure=False)  # equal tasks are several tasks
             self._ending = ending.pop_all()
         self.about = f"Dask at {self._client.scheduler.address}, {_counted(workers, where, self._client)}"
-        if isinstance(self._client.cluster, LocalCluster):
-            threading.Thread(target=self._watch, name="sppm-dask-watch", daemon=True).start()
+        self._local = isinstance(self._client.cluster, LocalCluster)
+        threading.Thread(target=self._watch, name="sppm-dask-watch", daemon=True).start()
         if link := self._client.dashboard_link if importlib.util.find_spec("bokeh") else "":
             self.about += f", dashboard at {link}"
 
@@ -119,7 +127,7 @@ class DaskExecutor(Executor):
         if self._closed:
             raise RuntimeError("the executor was shut down")
         if not self._alive:
-            raise BrokenExecutor("the Dask scheduler is gone")
+            raise BrokenExecutor(GONE)
         if self._broken:
             raise BrokenExecutor(self._broken)
         # the arguments are the task's own, and none of them Dask's
@@ -149,7 +157,7 @@ class DaskExecutor(Executor):
         self._shut.set()
         if stop_requested():
             closing = threading.Thread(target=self._ending.close, daemon=True)
-            if isinstance(self._client.cluster, LocalCluster):
+            if self._local:
                 self._client.cluster.shutdown_on_close = False
                 for process in multiprocessing.active_children():
                     process.kill()
@@ -165,17 +173,27 @@ class DaskExecutor(Executor):
             self._ending.close()
 
     def _watch(self) -> None:
-        """Give up all tasks when there has been no worker for them for a while."""
-        since = time.monotonic()
-        while not self._shut.wait(min(1.0, WITHOUT_WORKERS / 4)):
-            if not self._open or self._client.cluster.scheduler.workers:
-                since = time.monotonic()
-            elif time.monotonic() - since > WITHOUT_WORKERS:
+        """Give up tasks that Dask will say nothing of any more."""
+        comm, since = self._client.scheduler_comm, time.monotonic()
+        lost: dict[Future[Any], float] = {}
+        while not self._shut.wait(min(1.0, SETTLED / 4, WITHOUT_WORKERS / 4)):
+            now = time.monotonic()
+            if self._client.status != "running" or self._client.scheduler_comm is not comm:
+                comm = self._client.scheduler_comm
+                lost = {future: lost.get(future, now) for future in list(self._open)}
+            _give_up((f for f, when in lost.items() if now - when > SETTLED), ConnectionError(GONE))
+            if not self._local or not self._open or self._client.cluster.scheduler.workers:
+                since = now
+            elif now - since > WITHOUT_WORKERS:
                 self._broken = "all workers of the local Dask cluster died, and none could be started again"
-                for future in list(self._open):
-                    with contextlib.suppress(InvalidStateError):
-                        future.set_exception(BrokenExecutor(self._broken))
+                _give_up(list(self._open), BrokenExecutor(self._broken))
                 return
+
+
+def _give_up(futures: Iterable[Future[Any]], error: Exception) -> None:
+    for future in futures:
+        with contextlib.suppress(InvalidStateError):
+            future.set_exception(error)
 
 
 def _client(workers: int, where: str, ending: contextlib.ExitStack) -> Any:
@@ -231,7 +249,7 @@ def _pass_on(outer: Future[Any], link: list[Future[Any]], inner: Future[Any]) ->
     link.clear()
     with contextlib.suppress(InvalidStateError):
         if inner.cancelled():  # not by us
-            outer.set_exception(ConnectionError("the Dask scheduler is gone"))
+            outer.set_exception(ConnectionError(GONE))
         elif (error := inner.exception()) is None:
             outer.set_result(inner.result())
         elif isinstance(error, KilledWorker):

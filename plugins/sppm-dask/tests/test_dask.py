@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import time
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, Future
 from types import SimpleNamespace
 
 import pytest
@@ -122,6 +122,17 @@ def test_a_task_that_is_handed_out_while_the_cluster_is_given_up_is_refused(clus
         with pytest.raises(BrokenExecutor, match="given up"):
             executor.submit(int)
         assert not executor._open
+
+
+def test_a_result_that_is_lost_with_the_scheduler_is_not_waited_for(cluster, monkeypatch):
+    monkeypatch.setattr("sppm_dask.executor.SETTLED", 0.2)
+    with DaskExecutor(1, cluster.scheduler_address) as executor:
+        assert executor.submit(int).result(timeout=600) == 0
+        waiting = Future()  # of which Dask says nothing
+        executor._open.add(waiting)
+        executor._client.close()
+        with pytest.raises(ConnectionError, match="the Dask scheduler is gone"):
+            waiting.result(timeout=600)
 
 
 def test_a_queue_starts_as_many_jobs_as_are_asked_for(cluster, monkeypatch):
