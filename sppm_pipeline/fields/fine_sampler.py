@@ -103,50 +103,38 @@ class FineSampler:
         solid: NDArray[np.uint8] | None,
     ) -> None:
         """Write the field, or whether it is solid, in the layers start <= k < stop into one of the last arguments."""
-        with self._lock:
-            self._sample(field, start, stop, threads, wanted, values, solid)
+        with self._lock:  # planes are kept from call to call
+            nx, ny, nz = self.of[0].shape
+            if wanted is None:
+                wanted = np.tile(np.array([0, nx], np.int32), (stop - start, ny, 1))
+            spans, (_, y, z), level = wanted, self._taps, field.solid_below
+            for first, last in self._groups(start, stop):
+                own = slice(first - start, last - start)
+                low, *more = self._chunks_of(field, first, last, spans[own], threads)
 
-    def _sample(
-        self,
-        field: KernelSum,
-        start: int,
-        stop: int,
-        threads: int,
-        wanted: NDArray[np.int32] | None,
-        values: NDArray[np.float32] | None,
-        solid: NDArray[np.uint8] | None,
-    ) -> None:
-        nx, ny, nz = self.of[0].shape
-        if wanted is None:
-            wanted = np.tile(np.array([0, nx], np.int32), (stop - start, ny, 1))
-        spans, (_, y, z), level = wanted, self._taps, field.solid_below
-        for first, last in self._groups(start, stop):
-            own = slice(first - start, last - start)
-            low, *more = self._chunks_of(field, first, last, spans[own], threads)
+                def work(
+                    row: int,
+                    layers: slice = slice(first, last),
+                    own: slice = own,
+                    low: _Chunk = low,
+                    high: _Chunk = more[0] if more else low,
+                ) -> None:
+                    interpolate_layers(
+                        low.stretched,
+                        high.stretched,
+                        z.first[layers] - low.planes.start,
+                        z.weights[layers],
+                        y,
+                        level,
+                        range(row, min(row + self._band_rows, ny)),
+                        spans[own],
+                        None if values is None else values[own],
+                        None if solid is None else solid[own],
+                    )
 
-            def work(
-                row: int,
-                layers: slice = slice(first, last),
-                own: slice = own,
-                low: _Chunk = low,
-                high: _Chunk = more[0] if more else low,
-            ) -> None:
-                interpolate_layers(
-                    low.stretched,
-                    high.stretched,
-                    z.first[layers] - low.planes.start,
-                    z.weights[layers],
-                    y,
-                    level,
-                    range(row, min(row + self._band_rows, ny)),
-                    spans[own],
-                    None if values is None else values[own],
-                    None if solid is None else solid[own],
-                )
-
-            share_out(work, range(0, ny, self._band_rows), threads)
-        if stop == nz:
-            self._chunks, self._rooms, self._sums = {}, [], np.zeros((0, 0, 0), np.float32)
+                share_out(work, range(0, ny, self._band_rows), threads)
+            if stop == nz:
+                self._chunks, self._rooms, self._sums = {}, [], np.zeros((0, 0, 0), np.float32)
 
     def _groups(self, start: int, stop: int) -> list[tuple[int, int]]:
         """Runs of layers that are interpolated from the same chunks."""

@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ResourceError
 
-BYTES = 24
-"""Of a triangle with its half vertex, in memory or on the disk."""
-
 _ROWS = 2**20  # of faces that are numbered at a time
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int32]]
