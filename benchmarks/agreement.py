@@ -38,9 +38,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.measure import Run, median, pipeline_command, run, table
-from sppm_pipeline.formats.detect import decode_mesh
-from sppm_pipeline.numerics.domain.inside import inside_layers, prepare_inside
-from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.features.files.formats.detect import decode_mesh
+from sppm_pipeline.method.part.inside import inside_layers, prepare_inside
+from sppm_pipeline.services.grid import Grid
 
 CONFIG = Path(__file__).parent.parent / "configs" / "bunny.yaml"
 LAYERS = """  - {stage: slice.field, resolution: "${voxels}"}

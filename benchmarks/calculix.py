@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.crushing import SOLID, gyroid
-from sppm_pipeline.numerics.crushing import element
-from sppm_pipeline.numerics.crushing.body import Body, body_of
-from sppm_pipeline.numerics.crushing.march import Load, March
-from sppm_pipeline.numerics.crushing.material import constants
+from sppm_pipeline.features.crushing.numerics import element
+from sppm_pipeline.features.crushing.numerics.body import Body, body_of
+from sppm_pipeline.features.crushing.numerics.march import Load, March
+from sppm_pipeline.features.crushing.numerics.material import constants
 
 STRAINS = np.array([0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.125, 0.15, 0.175, 0.2, 0.22, 0.24])
 

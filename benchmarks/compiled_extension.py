@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from benchmarks.kernels import paper_cell
 from benchmarks.measure import median, repeat_in_process, run, table
-from sppm_pipeline.numerics.connectivity.runs import find_runs
-from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.numerics.kernels.kernels import Kernels
-from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF, PORE_PROFILE
-from sppm_pipeline.numerics.kernels.splat import add_kernels
+from sppm_pipeline.method.connectivity.runs import find_runs
+from sppm_pipeline.method.kernels.kernels import Kernels
+from sppm_pipeline.method.kernels.profiles import DEFAULT_CUTOFF, PORE_PROFILE
+from sppm_pipeline.method.kernels.splat import add_kernels
+from sppm_pipeline.services.grid import cell_centers
 
 SOURCE = Path(__file__).with_name("extension.c")
 
@@ -32,10 +32,10 @@ n = 64
 {load}
 """
 BY_NUMBA = """
-from sppm_pipeline.numerics.kernels.splat import add_kernels
-from sppm_pipeline.numerics.kernels.kernels import Kernels
-from sppm_pipeline.numerics.connectivity.runs import find_runs
-from sppm_pipeline.numerics.grid import cell_centers
+from sppm_pipeline.method.kernels.splat import add_kernels
+from sppm_pipeline.method.kernels.kernels import Kernels
+from sppm_pipeline.method.connectivity.runs import find_runs
+from sppm_pipeline.services.grid import cell_centers
 none = np.zeros((0, 3))
 add_kernels(np.zeros((n, n, n), np.float32), cell_centers(n),
     Kernels(np.full((1, 3), .5), np.full(1, 120.0), none, none, np.zeros(0), "linear"))

@@ -11,12 +11,13 @@ import time
 import numpy as np
 
 from benchmarks.measure import table
-from sppm_pipeline.data.length import Cell
-from sppm_pipeline.families import Cloud, Connector
-from sppm_pipeline.numerics.connecting.trees import edge_lengths
-from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
-from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
-from sppm_pipeline.stages.connect.relative_neighbors import RelativeNeighbors
+from sppm_pipeline.method.connecting.trees import edge_lengths
+from sppm_pipeline.method.families.cloud import Cloud
+from sppm_pipeline.method.families.connector import Connector
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.connect_mst import MinimumSpanningTree
+from sppm_pipeline.method.stages.connect_relative_neighbors import RelativeNeighbors
+from sppm_pipeline.nouns.length import Cell
 from sppm_pipeline.testing.plain_context import PlainContext
 
 PORES_OF_A_BLOCK = 68

@@ -17,9 +17,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.numerics.crushing.body import body_of
-from sppm_pipeline.numerics.crushing.march import Load, March
-from sppm_pipeline.numerics.crushing.material import Material
+from sppm_pipeline.features.crushing.numerics.body import body_of
+from sppm_pipeline.features.crushing.numerics.march import Load, March
+from sppm_pipeline.features.crushing.numerics.material import Material
 
 SOLID = Material(1.0, 0.35, ((0.0, 0.02), (1.0, 0.03)))
 

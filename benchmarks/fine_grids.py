@@ -13,18 +13,18 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks.measure import table
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.fields.kernel_sum import KernelSum
-from sppm_pipeline.fields.microstructure import Microstructure
-from sppm_pipeline.fields.tiling import Tiling
-from sppm_pipeline.numerics.grid import Grid, cell_centers
-from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
-from sppm_pipeline.stages.field.gaussian import GaussianField
-from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
-from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
-from sppm_pipeline.stages.tile.fresh import FreshTiling
-from sppm_pipeline.stages.tile.wang_3color import WangTiling
-from sppm_pipeline.stages.tileset.wang_3color import WangTileSet
+from sppm_pipeline.method.fields.kernel_sum import KernelSum
+from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.method.stages.tile_fresh import FreshTiling
+from sppm_pipeline.method.stages.tile_wang_3color import WangTiling
+from sppm_pipeline.method.stages.tileset_wang_3color import WangTileSet
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.grid import Grid, cell_centers
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 SLAB = 2**22

@@ -24,19 +24,19 @@ import numpy as np
 from scipy.ndimage import label
 
 from benchmarks.measure import pipeline_command, run, table
-from sppm_pipeline.data.grading import Grading, TableLaw
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.fields.level_field import LevelField
-from sppm_pipeline.numerics.connectivity.islands import keep_largest
-from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
-from sppm_pipeline.stages.connect.relative_neighbors import RelativeNeighbors
-from sppm_pipeline.stages.field.gaussian import GaussianField
-from sppm_pipeline.stages.grade.formula import GradeFormula
-from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
-from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
-from sppm_pipeline.stages.tile.graded import GradedTiling
-from sppm_pipeline.stages.tile.scattered import ScatteredTiling
-from sppm_pipeline.stages.tune.local_porosity import TuneLocalPorosity
+from sppm_pipeline.features.grading.grading import Grading, TableLaw
+from sppm_pipeline.features.grading.stages.grade_formula import GradeFormula
+from sppm_pipeline.features.grading.stages.tile_graded import GradedTiling
+from sppm_pipeline.features.grading.stages.tune_local_porosity import TuneLocalPorosity
+from sppm_pipeline.method.connectivity.islands import keep_largest
+from sppm_pipeline.method.fields.level_field import LevelField
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.connect_relative_neighbors import RelativeNeighbors
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.method.stages.tile_scattered import ScatteredTiling
+from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 from sppm_pipeline.testing.recount import laid_kernels, recounted_porosity
 

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import table
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.numerics.homogenization.conduction import conductivity
-from sppm_pipeline.numerics.homogenization.elasticity import Homogenized, stiffness
-from sppm_pipeline.numerics.homogenization.stiffness.voigt import lame
-from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
-from sppm_pipeline.stages.field.gaussian import GaussianField
-from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
-from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+from sppm_pipeline.features.flow.numerics.conduction import conductivity
+from sppm_pipeline.features.stiffness.numerics.elasticity import Homogenized, stiffness
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.elastic.voigt import lame
+from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 PASSES = 24

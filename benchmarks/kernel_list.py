@@ -78,10 +78,10 @@ class Calls:
         from numba.core import event
         from numba.core.dispatcher import Dispatcher
 
-        import sppm_pipeline.numerics.compiling  # noqa: F401 - so that Numba is ready
+        import sppm_pipeline.services.jit.compiling  # noqa: F401 - so that Numba is ready
         from sppm_pipeline.engine.run import runner
-        from sppm_pipeline.numerics.compiled import Kernel
-        from sppm_pipeline.numerics.kernel_signatures import written
+        from sppm_pipeline.services.jit.compiled import Kernel
+        from sppm_pipeline.services.jit.kernel_signatures import written
 
         calls, open_ones = self, []
         original, original_step = Dispatcher._compile_for_args, runner.run_step
@@ -145,7 +145,7 @@ class Calls:
 
 def run_small(name: str, scratch: Path) -> set[str]:
     """Run a configuration; the stages that it has."""
-    from sppm_pipeline.cli.kernels import stages_of
+    from sppm_pipeline.engine.cli.kernels import stages_of
     from sppm_pipeline.engine.config.parameters import Overrides
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
     from sppm_pipeline.engine.run.runner import run_plan
@@ -190,7 +190,7 @@ def main() -> None:
     for text in sorted(calls.unlisted):
         print(f"not on the list: {text}")
     if write:
-        from sppm_pipeline.cli.kernels import LIST
+        from sppm_pipeline.engine.cli.kernels import LIST
 
         lines = ",\n".join(json.dumps(entry) for entry in entries)
         LIST.write_text(f"[\n{lines}\n]\n", encoding="utf-8")

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.measure import repeat_in_process, table
-from sppm_pipeline.numerics.connecting.bounded import spanning_subgraph
-from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.numerics.kernels.kernels import Kernels
-from sppm_pipeline.numerics.kernels.splat import add_kernels
+from sppm_pipeline.method.connecting.bounded import spanning_subgraph
+from sppm_pipeline.method.kernels.kernels import Kernels
+from sppm_pipeline.method.kernels.splat import add_kernels
+from sppm_pipeline.services.grid import cell_centers
 
 
 def paper_cell() -> Kernels:

@@ -14,8 +14,8 @@ import numpy as np
 import trimesh
 
 from benchmarks.measure import repeat_in_process, table
-from sppm_pipeline.formats.detect import FORMATS, decode_mesh
-from sppm_pipeline.numerics.surface.closing import capped_marching_cubes
+from sppm_pipeline.features.files.formats.detect import FORMATS, decode_mesh
+from sppm_pipeline.services.mesh.closing import capped_marching_cubes
 
 
 def gyroid(n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import table
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.numerics.flow import stokes
-from sppm_pipeline.numerics.flow.faces import faces_of_field, percolating
-from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.homogenization.multigrid.solver import Stop
-from sppm_pipeline.stages.connect.relative_neighbors import RelativeNeighbors
-from sppm_pipeline.stages.field.gaussian import GaussianField
-from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+from sppm_pipeline.features.flow.numerics import stokes
+from sppm_pipeline.features.flow.numerics.faces import faces_of_field, percolating
+from sppm_pipeline.method.stages.connect_relative_neighbors import RelativeNeighbors
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.services.multigrid.solver import Stop
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 SC = ((0.5, 0.5, 0.5),)

@@ -32,8 +32,8 @@ def porous(nz: int, n: int) -> np.ndarray:
 
 
 def tracked(solid: np.ndarray) -> None:
-    from sppm_pipeline.numerics.connectivity.runs import find_runs
-    from sppm_pipeline.numerics.printing.tracker import Tracker, complement
+    from sppm_pipeline.features.printing.numerics.tracker import Tracker, complement
+    from sppm_pipeline.method.connectivity.runs import find_runs
 
     phases = Tracker("solid"), Tracker("void")
     for k in range(len(solid)):
@@ -45,7 +45,7 @@ def tracked(solid: np.ndarray) -> None:
 
 
 def scanned(solid: np.ndarray) -> None:
-    from sppm_pipeline.numerics.printing.scan import PrintScan
+    from sppm_pipeline.features.printing.numerics.scan import PrintScan
 
     nz, ny, nx = solid.shape
     scan = PrintScan((nx, ny, nz), (1.0, 1.0), 1.0)
@@ -55,7 +55,7 @@ def scanned(solid: np.ndarray) -> None:
 
 
 def measured_throats(solid: np.ndarray) -> None:
-    from sppm_pipeline.numerics.printing.openings import Throats
+    from sppm_pipeline.features.printing.numerics.openings import Throats
 
     throats = Throats(solid.shape[:0:-1], (1.0, 1.0, 1.0), [4 * 2 ** (i / 2) for i in range(5)])
     for layer in solid:
@@ -64,7 +64,7 @@ def measured_throats(solid: np.ndarray) -> None:
 
 
 def measured_features(solid: np.ndarray) -> None:
-    from sppm_pipeline.numerics.printing.openings import ThinFeatures
+    from sppm_pipeline.features.printing.numerics.openings import ThinFeatures
 
     thin = ThinFeatures(solid.shape[:0:-1], (1.0, 1.0, 1.0), 4.0, False)
     for layer in solid:
@@ -83,7 +83,7 @@ def peak(layers: int) -> float:
     """MB resident of a process that scans so many layers of 1920 x 1200 pixels, one after the other."""
     pattern = porous(8, 1200)
     wide = np.concatenate([pattern, pattern[:, :, :720]], 2)
-    from sppm_pipeline.numerics.printing.scan import PrintScan
+    from sppm_pipeline.features.printing.numerics.scan import PrintScan
 
     scan = PrintScan((1920, 1200, layers), (1.0, 1.0), 1.0)
     for k in range(layers):

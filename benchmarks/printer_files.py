@@ -35,7 +35,8 @@ def encoders() -> None:
     import numpy as np
     from scipy.ndimage import gaussian_filter
 
-    from sppm_pipeline.formats import goo, png
+    from sppm_pipeline.features.printing.formats import goo
+    from sppm_pipeline.services.formats import png
 
     noise = gaussian_filter(np.random.default_rng(1).standard_normal((2400, 3840)), 12.0, mode="wrap")
     layer = np.where(noise > np.quantile(noise, 0.6), np.uint8(255), np.uint8(0))

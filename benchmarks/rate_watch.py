@@ -83,9 +83,9 @@ def memory(what: str) -> float:
 
 def kept(made: Any, inputs: dict[str, Any]) -> float:
     """Bytes of an artifact without those of artifacts that it refers to."""
-    from sppm_pipeline.data.storage import NotStorable, stored_bytes
-    from sppm_pipeline.fields.scalar_field import ScalarField
-    from sppm_pipeline.fields.slice_stack import SliceStack
+    from sppm_pipeline.method.fields.scalar_field import ScalarField
+    from sppm_pipeline.method.slicing.slice_stack import SliceStack
+    from sppm_pipeline.nouns.storage import NotStorable, stored_bytes
 
     if made is None or any(made is given for given in inputs.values()):
         return 0.0

@@ -49,10 +49,10 @@ def measure(name: str, folder: Path) -> tuple[list[dict[str, Any]], float]:
 
     Also the memory of the program with all libraries, before the first stage of the last run.
     """
-    from sppm_pipeline.data.size import ONE
     from sppm_pipeline.engine.plan.estimate import estimate_steps
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
     from sppm_pipeline.engine.run import runner, steps
+    from sppm_pipeline.nouns.size import ONE
 
     watch = Watch()
     watch.around(runner, steps)
@@ -86,8 +86,8 @@ def measure(name: str, folder: Path) -> tuple[list[dict[str, Any]], float]:
 
 def write_mesh(path: Path, segments: int) -> None:
     """A mesh to be read."""
-    from sppm_pipeline.formats import stl
-    from sppm_pipeline.numerics.domain.primitive_meshes import torus_mesh
+    from sppm_pipeline.method.part.primitive_meshes import torus_mesh
+    from sppm_pipeline.services.formats import stl
 
     path.write_bytes(b"".join(stl.encode(*torus_mesh((0.0, 0.0, 0.0), 10.0, 4.0, segments, segments // 2))))
 
@@ -135,8 +135,8 @@ def of_program(base: float) -> dict[str, dict[str, float]]:
             stage = "  - {stage: read.primitive, id: s%d, shape: box, size: [1 mm, 1 mm, 1 mm]}\n"
             path.write_text("sppm: 1\npipeline:\n" + "".join(stage % i for i in range(count)), encoding="utf-8")
             before = processor_time()
-            subprocess.run([sys.executable, "-m", "sppm_pipeline.cli.main", "run", path, "-q", "--no-cache", "-o",
-                            Path(folder, "out"), "--threads", "1"], check=True, stdout=subprocess.DEVNULL)  # fmt: skip
+            words = ["run", path, "-q", "--no-cache", "-o", Path(folder, "out"), "--threads", "1"]
+            subprocess.run([sys.executable, "-m", "sppm_pipeline", *words], check=True, stdout=subprocess.DEVNULL)
             records.append((processor_time() - before, Path(folder, "out", "run.json").stat().st_size))
     each = (records[1][1] - records[0][1]) / 4
     disk = {"1": round(records[0][1] - each), "stages": round(each)}

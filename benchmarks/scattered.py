@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import pipeline_command, run, table
-from sppm_pipeline.data.artifact import Artifact
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.palette import Blocks, Palette
-from sppm_pipeline.stages.connect.relative_neighbors import RelativeNeighbors
-from sppm_pipeline.stages.field.gaussian import GaussianField
-from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.connect_relative_neighbors import RelativeNeighbors
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.palette import Blocks, Palette
 from sppm_pipeline.testing.plain_context import PlainContext
 
 PORES = 70

@@ -13,12 +13,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.palette import Blocks, Palette
-from sppm_pipeline.families import Sampler
-from sppm_pipeline.numerics.sampling.stealthy import stealthy_waves, throw_stealthy
-from sppm_pipeline.numerics.sampling.structure_factor import longest_waves, structure_factor
-from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
-from sppm_pipeline.stages.sample.hyperuniform import Hyperuniform
+from sppm_pipeline.method.families.sampler import Sampler
+from sppm_pipeline.method.sampling.stealthy import stealthy_waves, throw_stealthy
+from sppm_pipeline.method.sampling.structure_factor import longest_waves, structure_factor
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.sample_hyperuniform import Hyperuniform
+from sppm_pipeline.nouns.palette import Blocks, Palette
 from sppm_pipeline.testing.plain_context import PlainContext
 
 EDGE, PORES, SEEDS = 4, 68, 3

@@ -8,15 +8,15 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.measure import repeat_in_process, table
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.fields.microstructure import Microstructure
-from sppm_pipeline.numerics.grid import cell_centers
-from sppm_pipeline.numerics.tetrahedra.quality import dihedral_histogram, quality
-from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
-from sppm_pipeline.stages.field.gaussian import GaussianField
-from sppm_pipeline.stages.mesh.isosurface_stuffing import IsosurfaceStuffing
-from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
-from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
+from sppm_pipeline.features.tetrahedra.numerics.quality import dihedral_histogram, quality
+from sppm_pipeline.features.tetrahedra.stages.mesh_isosurface_stuffing import IsosurfaceStuffing
+from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.grid import cell_centers
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 EXACT = 384

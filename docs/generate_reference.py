@@ -21,7 +21,8 @@ from typing import Any
 
 import sppm_pipeline
 from sppm_pipeline import Artifact
-from sppm_pipeline.cli.main import EXIT_CODES, VERBS, place_of
+from sppm_pipeline.engine.cli.commands import built_in_commands
+from sppm_pipeline.engine.cli.main import EXIT_CODES
 from sppm_pipeline.engine.config.options import Option, options_of, plain_option, type_words
 from sppm_pipeline.engine.plan.describe import stage_data
 from sppm_pipeline.engine.plan.plugins import load_plugins
@@ -97,7 +98,6 @@ def index_page(registry: Registry) -> str:
 def stage_page(cls: type[Stage], registry: Registry) -> str:
     """The reference of one stage."""
     data = stage_data(cls, registry)
-    family, _, word = cls.name.partition(".")
     lines = [f"# {cls.name}", "", NOTICE, inspect.getdoc(cls) or "", "", "## Ports", ""]
     if data["ports"]:
         rows = [(f"`{p['port']}`", p["takes"], "no" if p["optional"] else "yes") for p in data["ports"]]
@@ -121,7 +121,7 @@ def stage_page(cls: type[Stage], registry: Registry) -> str:
         lines += table(("option", "type", "unit", "allowed", "default", "what it says"), rows)
     else:
         lines.append("It has none.")
-    source = f"sppm_pipeline/stages/{family}/{word}.py"
+    source = f"{cls.__module__.replace('.', '/')}.py"
     lines += ["", f"Source: [`{source}`](../../../{source}). [All stages](../README.md)"]
     return "\n".join(lines) + "\n"
 
@@ -216,8 +216,9 @@ def purpose_of(thing: Any) -> str:
 def cli_page() -> str:
     """Every verb with its arguments, and the exit codes."""
     lines = ["# The command line", "", NOTICE, "`sppm VERB --help` prints the same.", ""]
-    lines += table(("verb", "what it does"), [(f"[`sppm {verb}`](#sppm-{verb})", what) for verb, what in VERBS.items()])
-    for verb, what in VERBS.items():
+    verbs = {verb: command.help for verb, command in built_in_commands().items()}
+    lines += table(("verb", "what it does"), [(f"[`sppm {verb}`](#sppm-{verb})", what) for verb, what in verbs.items()])
+    for verb, what in verbs.items():
         lines += ["", f"## sppm {verb}", "", f"{what[:1].upper()}{what[1:]}.", ""]
         lines += table(("argument", "what it says"), list(arguments_of(verb)))
     lines += ["", "## Exit codes", ""]
@@ -238,7 +239,7 @@ def arguments_of(verb: str) -> Iterator[tuple[str, str]]:
     They are read from the parser and not from its help text, whose layout changes with the version of Python.
     """
     parser = argparse.ArgumentParser(prog=f"sppm {verb}", add_help=False)
-    module, function = place_of(verb)[0]
+    module, _, function = str(built_in_commands()[verb].configure).partition(":")
     getattr(import_module(module), function)(parser)
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     for action in parser._actions:

@@ -36,8 +36,8 @@ TYPE_CHECKING = False  # as type checkers understand it; importing `typing` woul
 if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from typing import Any
 
-    from sppm_pipeline.api.bound_stage import SppmWarning
-    from sppm_pipeline.api.functions import (
+    from sppm_pipeline.engine.api.bound_stage import SppmWarning
+    from sppm_pipeline.engine.api.functions import (
         StageFunction,
         check,
         connect,
@@ -58,25 +58,11 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         warp,
         write,
     )
-    from sppm_pipeline.api.pipeline import Pipeline, load, run
-    from sppm_pipeline.api.run import Run
-    from sppm_pipeline.data.acoustics import AcousticReport
-    from sppm_pipeline.data.artifact import Artifact, frozen
-    from sppm_pipeline.data.compression import CompressionCurve, CrushedBody
-    from sppm_pipeline.data.conductivity import ConductivityReport
-    from sppm_pipeline.data.grading import CellFrame, Grading, Law, Place
-    from sppm_pipeline.data.length import Cell, Length
-    from sppm_pipeline.data.mesh import RepeatedMesh, SurfaceMesh
-    from sppm_pipeline.data.palette import Blocks, KeptPores, Palette
-    from sppm_pipeline.data.permeability import PermeabilityReport
-    from sppm_pipeline.data.pores import PoreSet
-    from sppm_pipeline.data.printer import Motion, Printer
-    from sppm_pipeline.data.size import CellDesign, Geometry, RecipeSize, Size
-    from sppm_pipeline.data.stiffness import StiffnessReport
-    from sppm_pipeline.data.table import RunFile, Table
-    from sppm_pipeline.data.tunnels import TunnelGraph
-    from sppm_pipeline.data.volume_mesh import VolumeMesh
-    from sppm_pipeline.data.voxels import Voxels
+    from sppm_pipeline.engine.api.pipeline import Pipeline, load, run
+    from sppm_pipeline.engine.api.run import Run
+    from sppm_pipeline.engine.process import ArraySpec, NativeResult, notify, run_native
+    from sppm_pipeline.engine.process.interruption import Stop
+    from sppm_pipeline.engine.process.interruption import requested as stop_requested
     from sppm_pipeline.errors import (
         ConfigError,
         ConfigErrors,
@@ -89,121 +75,134 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
         SppmError,
         WiringError,
     )
-    from sppm_pipeline.families import (
-        Cloud,
-        Connector,
-        FieldMaker,
-        Grader,
-        Homogenizer,
-        InteriorBox,
-        Interiors,
-        Lattice,
-        LayerWriter,
-        MeshWriter,
-        PartFieldMaker,
-        Piece,
-        Sampler,
-        Tiler,
-        TileSetMaker,
-        lattice_for,
-        options,
-    )
-    from sppm_pipeline.families.homogenizer import VoxelCell
-    from sppm_pipeline.families.layer_writer import EncodedLayers, LayerObserver
-    from sppm_pipeline.fields.formula import CellCache, CellIndex, CellwiseField, FormulaField, PlacedField
-    from sppm_pipeline.fields.microstructure import Microstructure, PeriodicTile
-    from sppm_pipeline.fields.part import Part
-    from sppm_pipeline.fields.scalar_field import ScalarField
-    from sppm_pipeline.fields.slice_stack import Slab, Slabs, SliceStack
-    from sppm_pipeline.fields.tileset import TileSet
-    from sppm_pipeline.fields.tiling import Tiling
-    from sppm_pipeline.fields.wrapped import WrappedField
+    from sppm_pipeline.features.crushing.compression import CompressionCurve, CrushedBody
+    from sppm_pipeline.features.flow.acoustics import AcousticReport
+    from sppm_pipeline.features.flow.conductivity import ConductivityReport
+    from sppm_pipeline.features.flow.numerics.acoustics import PoreParameters
+    from sppm_pipeline.features.flow.permeability import PermeabilityReport
+    from sppm_pipeline.features.grading.grader import Grader
+    from sppm_pipeline.features.grading.grading import CellFrame, Grading, Law, Place
+    from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
     from sppm_pipeline.hookspecs import Command, Preset, StageEvent, hookimpl
-    from sppm_pipeline.numerics.assembly.contents import PieceNumbers, Pieces, TilingArrays
-    from sppm_pipeline.numerics.assembly.gather import Catalog, make_catalog, sample_exact
-    from sppm_pipeline.numerics.compiled import inline_jit, jit
-    from sppm_pipeline.numerics.flow.acoustics import PoreParameters
-    from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
-    from sppm_pipeline.numerics.homogenization.multigrid.solver import Solved
-    from sppm_pipeline.numerics.homogenization.stiffness.bounds import Bounds, Interval
-    from sppm_pipeline.numerics.kernels.kernels import Kernels
-    from sppm_pipeline.numerics.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
-    from sppm_pipeline.numerics.meshcheck.measures import EdgeCounts, SurfaceMeasures
-    from sppm_pipeline.numerics.meshcheck.measures import components as mesh_components
-    from sppm_pipeline.numerics.meshcheck.measures import edge_counts as mesh_edges
-    from sppm_pipeline.numerics.meshcheck.measures import measure_surface as mesh_measures
-    from sppm_pipeline.numerics.meshcheck.measures import surface_area as mesh_area
-    from sppm_pipeline.numerics.meshcheck.measures import volume as mesh_volume
-    from sppm_pipeline.numerics.sampling.capacity import largest_spacing
-    from sppm_pipeline.numerics.sampling.darts import throw as throw_darts
-    from sppm_pipeline.numerics.sampling.many import Surrounding
-    from sppm_pipeline.numerics.sampling.spacing import min_spacing as smallest_spacing
-    from sppm_pipeline.numerics.tiling.corners import tile_corners
-    from sppm_pipeline.numerics.tiling.hashed import tile_hashed
-    from sppm_pipeline.numerics.tiling.lattice import Laid, hash_places
-    from sppm_pipeline.process import ArraySpec, NativeResult, notify, run_native
-    from sppm_pipeline.process.interruption import Stop
-    from sppm_pipeline.process.interruption import requested as stop_requested
+    from sppm_pipeline.method.assembly.contents import PieceNumbers, Pieces, TilingArrays
+    from sppm_pipeline.method.assembly.gather import Catalog, make_catalog, sample_exact
+    from sppm_pipeline.method.families import options
+    from sppm_pipeline.method.families.cloud import Cloud, Piece
+    from sppm_pipeline.method.families.connector import Connector
+    from sppm_pipeline.method.families.field_maker import FieldMaker, PartFieldMaker
+    from sppm_pipeline.method.families.file_writer import MeshWriter
+    from sppm_pipeline.method.families.homogenizer import Homogenizer, VoxelCell
+    from sppm_pipeline.method.families.interiors import InteriorBox, Interiors
+    from sppm_pipeline.method.families.layer_writer import EncodedLayers, LayerObserver, LayerWriter
+    from sppm_pipeline.method.families.sampler import Sampler
+    from sppm_pipeline.method.families.tiler import Lattice, Tiler, lattice_for
+    from sppm_pipeline.method.families.tileset_maker import TileSetMaker
+    from sppm_pipeline.method.fields.formula import CellCache, CellIndex, CellwiseField, FormulaField, PlacedField
+    from sppm_pipeline.method.fields.microstructure import Microstructure, PeriodicTile
+    from sppm_pipeline.method.fields.scalar_field import ScalarField
+    from sppm_pipeline.method.fields.tileset import TileSet
+    from sppm_pipeline.method.fields.tiling import Tiling
+    from sppm_pipeline.method.fields.wrapped import WrappedField
+    from sppm_pipeline.method.kernels.kernels import Kernels
+    from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
+    from sppm_pipeline.method.nouns.mesh import RepeatedMesh, SurfaceMesh
+    from sppm_pipeline.method.nouns.pores import PoreSet
+    from sppm_pipeline.method.nouns.printer import Motion, Printer
+    from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+    from sppm_pipeline.method.nouns.tunnels import TunnelGraph
+    from sppm_pipeline.method.nouns.voxels import Voxels
+    from sppm_pipeline.method.part.part import Part
+    from sppm_pipeline.method.sampling.capacity import largest_spacing
+    from sppm_pipeline.method.sampling.darts import throw as throw_darts
+    from sppm_pipeline.method.sampling.many import Surrounding
+    from sppm_pipeline.method.sampling.spacing import min_spacing as smallest_spacing
+    from sppm_pipeline.method.slicing.slice_stack import Slab, Slabs, SliceStack
+    from sppm_pipeline.method.tiling.corners import tile_corners
+    from sppm_pipeline.method.tiling.hashed import tile_hashed
+    from sppm_pipeline.method.tiling.lattice import Laid, hash_places
+    from sppm_pipeline.nouns.artifact import Artifact, frozen
+    from sppm_pipeline.nouns.length import Cell, Length
+    from sppm_pipeline.nouns.palette import Blocks, KeptPores, Palette
+    from sppm_pipeline.nouns.size import CellDesign, Geometry, RecipeSize, Size
+    from sppm_pipeline.nouns.table import RunFile, Table
+    from sppm_pipeline.services.elastic.bounds import Bounds, Interval
+    from sppm_pipeline.services.grid import Grid, cell_centers, cell_nodes
+    from sppm_pipeline.services.jit.compiled import inline_jit, jit
+    from sppm_pipeline.services.mesh.measures import EdgeCounts, SurfaceMeasures
+    from sppm_pipeline.services.mesh.measures import components as mesh_components
+    from sppm_pipeline.services.mesh.measures import edge_counts as mesh_edges
+    from sppm_pipeline.services.mesh.measures import measure_surface as mesh_measures
+    from sppm_pipeline.services.mesh.measures import surface_area as mesh_area
+    from sppm_pipeline.services.mesh.measures import volume as mesh_volume
+    from sppm_pipeline.services.multigrid.solver import Solved
     from sppm_pipeline.stage import Context, Headline, Observed, Recipe, Rejected, Stage, StageAlias, option
 
 _PLACES = {
-    "api.bound_stage": "SppmWarning",
-    "api.functions": "StageFunction check connect extract field fill grade homogenize measure mesh read sample "
-    "slice step tile tileset tune warp write",
-    "api.pipeline": "Pipeline load run",
-    "api.run": "Run",
-    "data.acoustics": "AcousticReport",
-    "data.artifact": "Artifact frozen",
-    "data.compression": "CompressionCurve CrushedBody",
-    "data.conductivity": "ConductivityReport",
-    "data.grading": "CellFrame Grading Law Place",
-    "data.length": "Cell Length",
-    "data.mesh": "RepeatedMesh SurfaceMesh",
-    "data.palette": "Blocks KeptPores Palette",
-    "data.permeability": "PermeabilityReport",
-    "data.pores": "PoreSet",
-    "data.printer": "Motion Printer",
-    "data.size": "CellDesign Geometry RecipeSize Size",
-    "data.stiffness": "StiffnessReport",
-    "data.table": "RunFile Table",
-    "data.tunnels": "TunnelGraph",
-    "data.volume_mesh": "VolumeMesh",
-    "data.voxels": "Voxels",
+    "engine.api.bound_stage": "SppmWarning",
+    "engine.api.functions": "StageFunction check connect extract field fill grade homogenize measure mesh read "
+    "sample slice step tile tileset tune warp write",
+    "engine.api.pipeline": "Pipeline load run",
+    "engine.api.run": "Run",
+    "engine.process": "ArraySpec NativeResult notify run_native",
+    "engine.process.interruption": "Stop stop_requested=requested",
     "errors": "ConfigError ConfigErrors DesignError InputError NativeCrash PluginError Position ResourceError "
     "SppmError WiringError",
-    "families": "Cloud Connector FieldMaker Grader Homogenizer InteriorBox Interiors Lattice LayerWriter MeshWriter "
-    "PartFieldMaker Piece Sampler TileSetMaker Tiler lattice_for options",
-    "families.homogenizer": "VoxelCell",
-    "families.layer_writer": "EncodedLayers LayerObserver",
-    "fields.formula": "CellCache CellIndex CellwiseField FormulaField PlacedField",
-    "fields.microstructure": "Microstructure PeriodicTile",
-    "fields.part": "Part",
-    "fields.scalar_field": "ScalarField",
-    "fields.slice_stack": "Slab Slabs SliceStack",
-    "fields.tileset": "TileSet",
-    "fields.tiling": "Tiling",
-    "fields.wrapped": "WrappedField",
+    "features.crushing.compression": "CompressionCurve CrushedBody",
+    "features.flow.acoustics": "AcousticReport",
+    "features.flow.conductivity": "ConductivityReport",
+    "features.flow.numerics.acoustics": "PoreParameters",
+    "features.flow.permeability": "PermeabilityReport",
+    "features.grading.grader": "Grader",
+    "features.grading.grading": "CellFrame Grading Law Place",
+    "features.tetrahedra.volume_mesh": "VolumeMesh",
     "hookspecs": "Command Preset StageEvent hookimpl",
-    "numerics.assembly.contents": "PieceNumbers Pieces TilingArrays",
-    "numerics.assembly.gather": "Catalog make_catalog sample_exact",
-    "numerics.compiled": "inline_jit jit",
-    "numerics.flow.acoustics": "PoreParameters",
-    "numerics.grid": "Grid cell_centers cell_nodes",
-    "numerics.homogenization.multigrid.solver": "Solved",
-    "numerics.homogenization.stiffness.bounds": "Bounds Interval",
-    "numerics.kernels.kernels": "Kernels",
-    "numerics.kernels.profiles": "TUNNEL_PROFILES omega_from_radius",
-    "numerics.meshcheck.measures": "EdgeCounts SurfaceMeasures mesh_area=surface_area mesh_components=components "
+    "method.assembly.contents": "PieceNumbers Pieces TilingArrays",
+    "method.assembly.gather": "Catalog make_catalog sample_exact",
+    "method.families": "options",
+    "method.families.cloud": "Cloud Piece",
+    "method.families.connector": "Connector",
+    "method.families.field_maker": "FieldMaker PartFieldMaker",
+    "method.families.file_writer": "MeshWriter",
+    "method.families.homogenizer": "Homogenizer VoxelCell",
+    "method.families.interiors": "InteriorBox Interiors",
+    "method.families.layer_writer": "EncodedLayers LayerObserver LayerWriter",
+    "method.families.sampler": "Sampler",
+    "method.families.tiler": "Lattice Tiler lattice_for",
+    "method.families.tileset_maker": "TileSetMaker",
+    "method.fields.formula": "CellCache CellIndex CellwiseField FormulaField PlacedField",
+    "method.fields.microstructure": "Microstructure PeriodicTile",
+    "method.fields.scalar_field": "ScalarField",
+    "method.fields.tileset": "TileSet",
+    "method.fields.tiling": "Tiling",
+    "method.fields.wrapped": "WrappedField",
+    "method.kernels.kernels": "Kernels",
+    "method.kernels.profiles": "TUNNEL_PROFILES omega_from_radius",
+    "method.nouns.mesh": "RepeatedMesh SurfaceMesh",
+    "method.nouns.pores": "PoreSet",
+    "method.nouns.printer": "Motion Printer",
+    "method.nouns.stiffness": "StiffnessReport",
+    "method.nouns.tunnels": "TunnelGraph",
+    "method.nouns.voxels": "Voxels",
+    "method.part.part": "Part",
+    "method.sampling.capacity": "largest_spacing",
+    "method.sampling.darts": "throw_darts=throw",
+    "method.sampling.many": "Surrounding",
+    "method.sampling.spacing": "smallest_spacing=min_spacing",
+    "method.slicing.slice_stack": "Slab Slabs SliceStack",
+    "method.tiling.corners": "tile_corners",
+    "method.tiling.hashed": "tile_hashed",
+    "method.tiling.lattice": "Laid hash_places",
+    "nouns.artifact": "Artifact frozen",
+    "nouns.length": "Cell Length",
+    "nouns.palette": "Blocks KeptPores Palette",
+    "nouns.size": "CellDesign Geometry RecipeSize Size",
+    "nouns.table": "RunFile Table",
+    "services.elastic.bounds": "Bounds Interval",
+    "services.grid": "Grid cell_centers cell_nodes",
+    "services.jit.compiled": "inline_jit jit",
+    "services.mesh.measures": "EdgeCounts SurfaceMeasures mesh_area=surface_area mesh_components=components "
     "mesh_edges=edge_counts mesh_measures=measure_surface mesh_volume=volume",
-    "numerics.sampling.capacity": "largest_spacing",
-    "numerics.sampling.darts": "throw_darts=throw",
-    "numerics.sampling.many": "Surrounding",
-    "numerics.sampling.spacing": "smallest_spacing=min_spacing",
-    "numerics.tiling.corners": "tile_corners",
-    "numerics.tiling.hashed": "tile_hashed",
-    "numerics.tiling.lattice": "Laid hash_places",
-    "process": "ArraySpec NativeResult notify run_native",
-    "process.interruption": "Stop stop_requested=requested",
+    "services.multigrid.solver": "Solved",
     "stage": "Context Headline Observed Recipe Rejected Stage StageAlias option",
 }
 """Modules below this package, and what the public face takes from each: ``name``, or ``public name=name there``."""
@@ -382,7 +381,10 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     module, there = _PLACE_OF[name]
-    value = globals()[name] = getattr(import_module(f"{__name__}.{module}"), there)
+    found = import_module(f"{__name__}.{module}")
+    if not hasattr(found, there):  # a module of a package
+        import_module(f"{__name__}.{module}.{there}")
+    value = globals()[name] = getattr(found, there)
     return value
 
 

@@ -1,6 +1,6 @@
 """``python -m sppm_pipeline`` is ``sppm``."""
 
-from sppm_pipeline.cli.main import leave
+from sppm_pipeline.engine.cli.main import leave
 
 if __name__ == "__main__":
     leave()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.data.palette import Palette
+from sppm_pipeline.nouns.palette import Palette
 
 
 class Context(ABC):
@@ -84,7 +84,7 @@ class Context(ABC):
         TypeError
             If there are workers, and the function is not one of a module, or `common` holds what can't be written.
         """
-        from sppm_pipeline.numerics.threads import ordered_map
+        from sppm_pipeline.services.threads import ordered_map
 
         return ordered_map(functools.partial(function, common), items, self.threads)
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 from sppm_pipeline.context import Context as Context
-from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.size import Size
-from sppm_pipeline.errors import DesignError, Position
+from sppm_pipeline.errors import ConfigError, DesignError, Position
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
 
 FAMILIES: Mapping[str, str] = {
     "read": "a file or a primitive becomes an artifact",
@@ -124,6 +124,31 @@ class StageAlias:
     options: Mapping[str, Any] | Callable[[Mapping[str, Any]], Mapping[str, Any]] = dataclasses.field(
         default_factory=dict
     )
+
+    @classmethod
+    def of_format(cls, former: str, name: str, path: str, *also: str) -> StageAlias:
+        """Alias of a writer that was named after a format and keeps it: by default `path`, whose suffix it demands.
+
+        Parameters
+        ----------
+        former, name : str
+        path : str
+            Default file name.
+        *also : str
+            Further suffixes that are accepted.
+        """
+        allowed = (path[path.rindex(".") :], *also)
+
+        def implied(written: Mapping[str, Any]) -> dict[str, Any]:
+            chosen = written.get("path", path)
+            if isinstance(chosen, str) and not chosen.lower().endswith(allowed):
+                raise ConfigError(
+                    f"{former} writes {' or '.join(sorted(allowed, key=len))}, and `path` is {chosen!r}",
+                    hint=f"say `stage: {name}`: the ending of the file chooses the format",
+                )
+            return {"path": chosen}
+
+        return cls(name, implied)
 
 
 def option(

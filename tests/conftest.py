@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from sppm_pipeline.data.length import Cell, Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.families import Cloud
-from sppm_pipeline.fields.microstructure import Microstructure
-from sppm_pipeline.numerics.domain import primitive_meshes
-from sppm_pipeline.stages.connect.mbdst import BoundedDegreeSubgraph
-from sppm_pipeline.stages.field.gaussian import GaussianField
-from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
-from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
-from sppm_pipeline.stages.tile.free_faces import FreeFacesTiling
-from sppm_pipeline.stages.tile.wang_3color import WangTiling
-from sppm_pipeline.stages.tileset.free_faces import FreeFacesTileSet
-from sppm_pipeline.stages.tileset.wang_3color import WangTileSet
+from sppm_pipeline.method.families.cloud import Cloud
+from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part import primitive_meshes
+from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.method.stages.tile_free_faces import FreeFacesTiling
+from sppm_pipeline.method.stages.tile_wang_3color import WangTiling
+from sppm_pipeline.method.stages.tileset_free_faces import FreeFacesTileSet
+from sppm_pipeline.method.stages.tileset_wang_3color import WangTileSet
+from sppm_pipeline.nouns.length import Cell, Length
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 os.environ["SPPM_CACHE"] = (

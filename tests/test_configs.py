@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 
 from benchmarks import kernel_list
-from sppm_pipeline.cli.kernels import kernels_of, listed_kernels
-from sppm_pipeline.formats import ply
-from sppm_pipeline.formats.detect import decode_mesh
-from sppm_pipeline.numerics.domain import primitive_meshes
-from sppm_pipeline.numerics.meshcheck.measures import measure_surface
+from sppm_pipeline.engine.cli.kernels import kernels_of, listed_kernels
+from sppm_pipeline.features.files.formats.detect import decode_mesh
+from sppm_pipeline.method.part import primitive_meshes
+from sppm_pipeline.services.formats import ply
+from sppm_pipeline.services.mesh.measures import measure_surface
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 

@@ -52,7 +52,7 @@ import sys
 from pathlib import Path
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
-built_in = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors")
+from sppm_pipeline.engine.plan.built_in import BUILTINS as built_in
 session = open_session(RunRequest(sys.argv[1], built_in, (), False))
 run_plan(session.plan(), Path(sys.argv[2]), threads=2)
 """
@@ -112,7 +112,15 @@ pipeline:
 
 def program(folder, *words, cwd=None, **environment):
     """Run the command line in a process of its own; digests of what it wrote."""
-    command = [sys.executable, "-m", "sppm_pipeline.cli.main", "run", str(folder / "small.yaml"), "-q", "--no-plugins"]
+    command = [
+        sys.executable,
+        "-m",
+        "sppm_pipeline.engine.cli.main",
+        "run",
+        str(folder / "small.yaml"),
+        "-q",
+        "--no-plugins",
+    ]
     done = subprocess.run(
         [*command, *words], capture_output=True, text=True, cwd=cwd, env={**os.environ, **environment}, check=False
     )

@@ -99,7 +99,13 @@ def test_the_archives_are_complete(built):
             assert file.is_dir() or f"sppm_pipeline/{folder}/{file.name}" in inside
     data = [
         ROOT / "sppm_pipeline" / name
-        for name in ("cli/templates", "live/assets", "report/assets", "report/templates", "studio")
+        for name in (
+            "engine/cli/templates",
+            "features/browser/live/assets",
+            "features/browser/report/assets",
+            "features/browser/report/templates",
+            "features/browser/studio",
+        )
     ]
     files = [file for folder in data for file in folder.rglob("*.*")]
     written = {f.relative_to(ROOT).as_posix() for f in files if f.is_file() and f.suffix != ".pyc"}

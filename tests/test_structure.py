@@ -11,7 +11,7 @@ import networkx as nx
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "sppm_pipeline"
-TEMPLATES = PACKAGE / "cli" / "templates"
+TEMPLATES = PACKAGE / "engine" / "cli" / "templates"
 """Data of `sppm new`: files of other distributions."""
 MAXIMUM_LINES = 450
 SMALL, MAXIMUM_SMALL = 60, 40
@@ -79,11 +79,11 @@ def test_packages_name_only_what_is_there():
 
 
 SHOWS_ITSELF = {
-    ("fields.scalar_field", "fields.wrapped"),  # a field cuts itself
-    ("fields.scalar_field", "fields.live_view"),
-    ("fields.scalar_field", "fields.picture"),
-    ("fields.tileset", "fields.live_view"),
-    ("fields.tileset", "fields.picture"),
+    ("method.fields.scalar_field", "method.fields.wrapped"),  # a field cuts itself
+    ("method.fields.scalar_field", "features.browser.live_view"),
+    ("method.fields.scalar_field", "method.pictures.field_picture"),
+    ("method.fields.tileset", "features.browser.live_view"),
+    ("method.fields.tileset", "method.pictures.field_picture"),
 }
 """Imports from above inside methods: nouns that notebooks and the studio ask for a picture of themselves."""
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.data.length import Cell
-from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.pores import PoreSet
-from sppm_pipeline.data.tunnels import TunnelGraph
-from sppm_pipeline.families.tiler import Tiler, checked_lay
-from sppm_pipeline.fields.tileset import TileSet
-from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.method.families.tiler import Tiler, checked_lay
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.nouns.pores import PoreSet
+from sppm_pipeline.method.nouns.tunnels import TunnelGraph
+from sppm_pipeline.nouns.length import Cell
+from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.plain_context import PlainContext
 from sppm_pipeline.testing.stage_contract import StageContract

@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.numerics.kernels.kernels import Kernels
-from sppm_pipeline.numerics.kernels.profiles import DEFAULT_CUTOFF, PORE_PROFILE, TUNNEL_PROFILES
-from sppm_pipeline.numerics.metric import matrices
+from sppm_pipeline.method.kernels.kernels import Kernels
+from sppm_pipeline.method.kernels.profiles import DEFAULT_CUTOFF, PORE_PROFILE, TUNNEL_PROFILES
+from sppm_pipeline.services.metric import matrices
 
 # Points times kernels of one chunk: 2^20 pairs keep the temporary arrays near 50 MB.
 _PAIRS = 1 << 20

@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.storage import load_value, save_value
 from sppm_pipeline.engine.config.configuration import StageEntry
 from sppm_pipeline.engine.config.document import Node
 from sppm_pipeline.engine.config.names import output_parts
@@ -23,6 +21,8 @@ from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.items import name_of
 from sppm_pipeline.engine.run.steps import StepRecipe
 from sppm_pipeline.errors import Position
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.storage import load_value, save_value
 from sppm_pipeline.stage import Stage
 
 

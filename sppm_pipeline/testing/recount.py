@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.fields.tiling import Tiling
+from sppm_pipeline.method.fields.tiling import Tiling
 
 _PORE_REACH, _TUNNEL_REACH = 18.0, 16.0  # exponents beyond which a kernel is left out: 2e-8 and 1e-7
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.stiffness import StiffnessReport
-from sppm_pipeline.data.voxels import Voxels
-from sppm_pipeline.fields.scalar_field import ScalarField
-from sppm_pipeline.fields.slice_stack import SliceStack
-from sppm_pipeline.numerics.grid import Grid
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.method.slicing.slice_stack import SliceStack
+from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.testing.plain_context import PlainContext
 from sppm_pipeline.testing.stage_contract import StageContract
 

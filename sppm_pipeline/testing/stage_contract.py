@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.data.artifact import Artifact
-from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.config.options import options_of, parse_typed, plain_option
 from sppm_pipeline.engine.files import digest_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.strict_json import json_text, jsonable
+from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.plain_context import PlainContext
 

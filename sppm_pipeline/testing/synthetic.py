@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-from sppm_pipeline.data.artifact import Artifact
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.table import Table
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.hookspecs import hookimpl
+from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.table import Table
 from sppm_pipeline.stage import Context, Recipe, Rejected, Stage, option
 
 N = TypeVar("N", bound="Number")

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.cli.main import VERBS, place_of
+from sppm_pipeline.engine.cli.commands import built_in_commands
 
+VERBS = built_in_commands()
 PLAIN = {"-h", "--help", "help", "-V", "--version"}
 
 
@@ -22,7 +23,7 @@ def parser_of(verb: str) -> argparse.ArgumentParser:
     """The verb's parser, which raises instead of ending the program."""
     parser = argparse.ArgumentParser(prog=f"sppm {verb}", allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--debug", action="store_true")
-    module, function = place_of(verb)[0]
+    module, _, function = str(VERBS[verb].configure).partition(":")
     getattr(importlib.import_module(module), function)(parser)
     return parser
 
@@ -49,7 +50,7 @@ def test_command_parses(
         pytest.fail(f"{error}: {capsys.readouterr().err}")
     file = configuration_of(command, getattr(arguments, "file", None), root, texts_of, tmp_path)
     if file is not None:
-        from sppm_pipeline.cli.arguments import open_from
+        from sppm_pipeline.engine.cli.arguments import open_from
 
         arguments.file = str(file)
         open_from(arguments).plan()

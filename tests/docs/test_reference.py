@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from sppm_pipeline.stages import BUILT_IN
+from tests.built_in import BUILT_IN, PLACES
 from tests.docs.conftest import script
 
 
@@ -27,9 +27,10 @@ def test_pages_are_up_to_date(generator: ModuleType, pages: dict[str, str]) -> N
 
 def test_every_stage_has_a_page_named_like_its_file(pages: dict[str, str], root: Path) -> None:
     for name in BUILT_IN:
-        path = name.replace(".", "/")
-        assert f"{path}.md" in pages
-        assert (root / "sppm_pipeline" / "stages" / f"{path}.py").is_file()
+        assert f"{name.replace('.', '/')}.md" in pages
+        module, _, _ = PLACES[name].partition(":")
+        assert module.rpartition(".")[2] == name.replace(".", "_")
+        assert (root / f"{module.replace('.', '/')}.py").is_file()
 
 
 def test_a_change_makes_a_page_stale(generator: ModuleType, tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ CASES = {
 
 def sppm(*words: str) -> tuple[str, float]:
     """What was printed, and the most memory in bytes that the program and its child processes held together."""
-    command = [sys.executable, "-m", "sppm_pipeline.cli.main", *words, "--no-plugins"]
+    command = [sys.executable, "-m", "sppm_pipeline.engine.cli.main", *words, "--no-plugins"]
     most = 0.0
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         process = subprocess.Popen(command, stdout=out, stderr=err, text=True, cwd=ROOT)

@@ -42,7 +42,7 @@ def slice_cube(folder: Path, cells: int, resolution: int, address_space: int = A
     command = [
         sys.executable,
         "-m",
-        "sppm_pipeline.cli.main",
+        "sppm_pipeline.engine.cli.main",
         "run",
         "cube.yaml",
         "-q",

@@ -21,7 +21,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from sppm_pipeline.cli.main import main as sppm
+from sppm_pipeline.engine.cli.main import main as sppm
 from sppm_pipeline.engine.plan import plugins, session
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.data.artifact import Artifact
+from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.stage import Context, Recipe, Stage, option
 
 

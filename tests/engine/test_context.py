@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.run.context import RunContext, StageLog, generator
 from sppm_pipeline.engine.run.events import Monitor
+from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.testing.plain_context import PlainContext
 
 

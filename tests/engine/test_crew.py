@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.data.storage import NotStorable
 from sppm_pipeline.engine.plan.plugins import load_plugins
+from sppm_pipeline.engine.process import interruption
 from sppm_pipeline.engine.run import crew as crew_module
 from sppm_pipeline.engine.run import items as items_module
 from sppm_pipeline.engine.run.crew import Crew
@@ -22,7 +22,7 @@ from sppm_pipeline.engine.run.items import name_of
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.workers import Driver
 from sppm_pipeline.errors import ConfigError, NativeCrash, PluginError
-from sppm_pipeline.process import interruption
+from sppm_pipeline.nouns.storage import NotStorable
 from sppm_pipeline.testing.plain_context import PlainContext
 
 PLUGIN = '''
@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 import numpy as np
-from sppm_pipeline.data.artifact import Artifact
+from sppm_pipeline.nouns.artifact import Artifact
 from sppm_pipeline.stage import Context, Stage, option
 
 LOADED = []

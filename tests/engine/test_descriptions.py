@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from sppm_pipeline.engine.config.options import options_of
+from sppm_pipeline.engine.plan.built_in import BUILTINS
 from sppm_pipeline.engine.plan.describe import (
     explain_plan,
     purpose_in_source,
@@ -20,8 +21,8 @@ from sppm_pipeline.engine.plan.describe import (
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.schema import configuration_schema
-from sppm_pipeline.stages import BUILT_IN
 from sppm_pipeline.testing.synthetic import Varied
+from tests.built_in import BUILT_IN
 
 
 @pytest.fixture(scope="module")
@@ -101,11 +102,11 @@ def test_a_plan_is_explained_with_options_inputs_and_seeds(work):
 
 
 def test_what_built_in_stages_are_for_is_read_in_their_sources():
-    registry = Registry(load_plugins(["sppm_pipeline.stages"], distributions=False))
+    registry = Registry(load_plugins(BUILTINS, distributions=False))
     for name in BUILT_IN:
         assert purpose_in_source(name, registry) == purpose_of(registry.get(name)) != ""
-    listing = "import sys; from sppm_pipeline.cli.main import main; main(['stages', '--no-plugins']); "
-    code = f"{listing}print(*(m for m in sys.modules if m.count('.') == 3 and m.startswith('sppm_pipeline.stages.')))"
+    listing = "import sys; from sppm_pipeline.engine.cli.main import main; main(['stages', '--no-plugins']); "
+    code = f"{listing}print(*(m for m in sys.modules if m.count('.') == 3 and m.startswith('sppm_pipeline.method.')))"
     out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
     assert out.splitlines()[-1] == ""
     assert "  tune.retry" in out

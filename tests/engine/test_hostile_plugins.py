@@ -12,9 +12,9 @@ import time
 
 import pytest
 
-from sppm_pipeline.cli.main import main
+from sppm_pipeline.engine.cli.main import main
+from sppm_pipeline.engine.process import containment
 from sppm_pipeline.errors import PluginError
-from sppm_pipeline.process import containment
 
 HEAD = """
 import os, sys, time
@@ -23,9 +23,9 @@ from typing import ClassVar
 import numpy as np
 from sppm_pipeline.hookspecs import hookimpl
 from sppm_pipeline.stage import Context, Stage, option
-from sppm_pipeline.data.length import Cell
-from sppm_pipeline.data.artifact import Artifact
-from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.nouns.length import Cell
+from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.method.nouns.pores import PoreSet
 
 @hookimpl
 def sppm_stages():
@@ -112,7 +112,7 @@ def test_a_plugin_that_cannot_be_imported_is_named_and_breaks_nothing(here, inst
     assert main(["plugins", "--check"]) == 4
     out = capsys.readouterr().out
     assert words in out
-    assert "sppm_pipeline.stages (built in)\n" in out
+    assert "sppm_pipeline.method (built in)\n" in out
     assert main(["stages"]) == 0
     assert main(["doctor"]) == 1
     assert main(["check", "strange.yaml"]) == 4
@@ -320,8 +320,8 @@ def test_a_stage_that_hangs_is_ended(here, install, capsys, text):
 def test_a_stage_that_cannot_be_interrupted_ends_the_process(here, install, text):
     install(body("context.output('half').write_text('half')\n" + text))
     code = (
-        "import sys; import sppm_pipeline.process.containment as c; c.GRACE = 0.3\n"
-        "from sppm_pipeline.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"
+        "import sys; import sppm_pipeline.engine.process.containment as c; c.GRACE = 0.3\n"
+        "from sppm_pipeline.engine.cli.main import leave; sys.argv = ['sppm', *sys.argv[1:]]; leave()"
     )
     words = ["run", "strange.yaml", "-q", "--stage-time", "0.3"]
     path = os.pathsep.join([str(here / "site"), *filter(None, [os.environ.get("PYTHONPATH")])])

@@ -124,10 +124,10 @@ FURTHER = '''
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sppm_pipeline.data.stiffness import StiffnessReport
-from sppm_pipeline.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.stage import Context
-from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
+from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 
 @dataclass(frozen=True, kw_only=True)
 class Further(HomogenizeVoxel):

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.length import Length
 from sppm_pipeline.engine.cache import session as cache_session
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
@@ -17,6 +16,7 @@ from sppm_pipeline.engine.run.memory import run_in_memory
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, ConfigErrors
+from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.testing.synthetic import Number
 
 TEXT = "seed: 4\npipeline: [sample.random, field.scale, {stage: extract.text, id: words}, write.number]"

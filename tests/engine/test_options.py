@@ -11,7 +11,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from sppm_pipeline.data.length import Length
 from sppm_pipeline.engine.config.document import as_node
 from sppm_pipeline.engine.config.options import (
     allowed_words,
@@ -22,6 +21,7 @@ from sppm_pipeline.engine.config.options import (
     type_words,
 )
 from sppm_pipeline.errors import PluginError, Position
+from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import Stage, option
 from sppm_pipeline.testing.synthetic import Text, Varied
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from sppm_pipeline import Pipeline, hookspecs
-from sppm_pipeline.cli.main import main
+from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.stages.presets import PRESETS
+from sppm_pipeline.method.presets import PRESETS
 
 TUNED = {"stage": "tune.porosity", "target": 0.7, "resolution": 24, "tolerance": 0.02}
 

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import pytest
 
-from sppm_pipeline.data.table import Table
 from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.config.parameters import sweep_rows
 from sppm_pipeline.engine.plan import session as sessions
@@ -24,6 +23,7 @@ from sppm_pipeline.engine.run.runner import StepRunner
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.engine.run.sweep_table import csv_text, numbers_of, rows_of
 from sppm_pipeline.errors import ConfigError, ConfigErrors, DesignError, NativeCrash, PluginError
+from sppm_pipeline.nouns.table import Table
 
 TEXT = """name: sweep
 seed: 1

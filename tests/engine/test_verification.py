@@ -9,8 +9,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from sppm_pipeline.cli.main import main
 from sppm_pipeline.engine.cache.identity import arithmetic
+from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.run import verification
 from sppm_pipeline.engine.run.record import versions
 from sppm_pipeline.engine.run.sweep import run_sweep

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from sppm_pipeline.cli.main import main
+from sppm_pipeline.engine.cli.main import main
 from sppm_pipeline.engine.plan.plugins import load_plugins
 
 PLUGINS = sorted(path.parent for path in (Path(__file__).resolve().parents[2] / "plugins").glob("*/pyproject.toml"))
@@ -77,7 +77,7 @@ def test_the_program_lists_them(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_loading_them_imports_none_of_their_stages() -> None:
     code = (
-        "import sys; from sppm_pipeline.cli.main import main; main(['plugins']); "
+        "import sys; from sppm_pipeline.engine.cli.main import main; main(['plugins']); "
         "print([m for m in sys.modules if m.startswith('sppm_') and '.' in m and not m.startswith('sppm_pipeline')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -67,7 +67,7 @@ def test_pages_import_the_public_face_only(path):
 
 
 def test_a_breach_would_be_noticed():
-    assert internal_imports("from sppm_pipeline.data.mesh import SurfaceMesh\n")
+    assert internal_imports("from sppm_pipeline.method.nouns.mesh import SurfaceMesh\n")
     assert internal_imports("    import sppm_pipeline.engine\n")
     assert internal_imports("from sppm_pipeline import nothing_of_this_name\n")
     assert not internal_imports(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sppm_pipeline.cli.main import main
+from sppm_pipeline.engine.cli.main import main
 
 
 def test_runs_as_the_configuration_names_it(tmp_path: Path, root: Path) -> None:

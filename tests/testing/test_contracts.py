@@ -9,10 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError, WiringError
-from sppm_pipeline.families import InteriorBox, Sampler
-from sppm_pipeline.fields.slice_stack import ArraySlices, SliceStack
+from sppm_pipeline.method.families.interiors import InteriorBox
+from sppm_pipeline.method.families.sampler import Sampler
+from sppm_pipeline.method.nouns.pores import PoreSet
+from sppm_pipeline.method.slicing.slice_stack import ArraySlices, SliceStack
 from sppm_pipeline.stage import Context, Stage, option
 from sppm_pipeline.testing.contracts import SamplerContract, SlicerContract, StageContract
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from sppm_pipeline.numerics.kernels.kernels import Kernels, concatenated, empty_kernels
+from sppm_pipeline.method.kernels.kernels import Kernels, concatenated, empty_kernels
 from sppm_pipeline.testing.exact_sum import cutoff_bound, exact_sum
 
 

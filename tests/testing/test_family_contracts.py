@@ -10,24 +10,24 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.data.pores import PoreSet
-from sppm_pipeline.data.stiffness import StiffnessReport
-from sppm_pipeline.data.tunnels import TunnelGraph
-from sppm_pipeline.data.voxels import Voxels
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.run.executors import SerialExecutor, make_executor
-from sppm_pipeline.families import FieldMaker
+from sppm_pipeline.features.files.stages.write_mesh import WriteMesh
+from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
+from sppm_pipeline.method.families.field_maker import FieldMaker
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.nouns.pores import PoreSet
+from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.method.nouns.tunnels import TunnelGraph
+from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.method.stages.connect_mst import MinimumSpanningTree
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_elimination import Elimination
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.method.stages.tile_wang_3color import WangTiling
+from sppm_pipeline.method.stages.tileset_wang_3color import WangTileSet
+from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import Context, Stage
-from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
-from sppm_pipeline.stages.field.gaussian import GaussianField
-from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
-from sppm_pipeline.stages.sample.elimination import Elimination
-from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
-from sppm_pipeline.stages.tile.wang_3color import WangTiling
-from sppm_pipeline.stages.tileset.wang_3color import WangTileSet
-from sppm_pipeline.stages.write.mesh import WriteMesh
 from sppm_pipeline.testing.contracts import (
     ConnectorContract,
     ExecutorContract,

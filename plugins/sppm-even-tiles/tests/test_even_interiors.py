@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from sppm_even_tiles.even_interiors import EvenInteriors
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.fields.tileset import TileSet
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.stages.connect_mst import MinimumSpanningTree
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.read_primitive import ReadPrimitive
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.method.stages.tileset_corner_colors import CornerColorsTileSet
+from sppm_pipeline.method.stages.tileset_free_faces import FreeFacesTileSet
+from sppm_pipeline.method.stages.tileset_wang_3color import WangTileSet
+from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.stage import Stage
-from sppm_pipeline.stages.connect.mst import MinimumSpanningTree
-from sppm_pipeline.stages.field.gaussian import GaussianField
-from sppm_pipeline.stages.read.primitive import ReadPrimitive
-from sppm_pipeline.stages.sample.dart_throwing import DartThrowing
-from sppm_pipeline.stages.sample.mirrored_faces import MirroredFaces
-from sppm_pipeline.stages.tileset.corner_colors import CornerColorsTileSet
-from sppm_pipeline.stages.tileset.free_faces import FreeFacesTileSet
-from sppm_pipeline.stages.tileset.wang_3color import WangTileSet
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from sppm_lattice_points.lattice_points import BASES, NEAREST, LatticePoints
 
-from sppm_pipeline.data.length import Cell
-from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.pores import PoreSet
+from sppm_pipeline.method.nouns.pores import PoreSet
+from sppm_pipeline.nouns.length import Cell
+from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.contracts import SamplerContract
 from sppm_pipeline.testing.plain_context import PlainContext

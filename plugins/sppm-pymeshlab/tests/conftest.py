@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.data.mesh import SurfaceMesh
-from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh
 
 
 @pytest.fixture(scope="session")

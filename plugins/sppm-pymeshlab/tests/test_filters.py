@@ -13,11 +13,11 @@ from sppm_pymeshlab.decimate import DecimateMesh
 from sppm_pymeshlab.remesh import Remesh
 from sppm_pymeshlab.smooth import SmoothMesh
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, torus_mesh
-from sppm_pipeline.numerics.meshcheck.measures import edge_counts, genus, volume
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.primitive_meshes import ball_mesh, torus_mesh
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.mesh.measures import edge_counts, genus, volume
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext

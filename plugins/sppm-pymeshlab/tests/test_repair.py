@@ -12,11 +12,11 @@ from sppm_pymeshlab import meshlab
 from sppm_pymeshlab.inside_test import InsideTest
 from sppm_pymeshlab.repair import STEPS, RepairMesh
 
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, NativeCrash, PluginError
-from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh
-from sppm_pipeline.numerics.meshcheck.measures import edge_counts, measure_surface, volume
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.primitive_meshes import ball_mesh
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.mesh.measures import edge_counts, measure_surface, volume
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext

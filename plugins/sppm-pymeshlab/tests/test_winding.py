@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from sppm_pymeshlab.outward import turned_outward
 from sppm_pymeshlab.winding import spread_points, winding_change, winding_numbers
 
-from sppm_pipeline.numerics.meshcheck.measures import volume
+from sppm_pipeline.services.mesh.measures import volume
 
 
 def angles_one_by_one(points, vertices, faces):

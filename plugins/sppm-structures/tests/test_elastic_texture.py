@@ -8,13 +8,13 @@ from sppm_structures.elastic_texture import ElasticTexture
 from sppm_structures.graphs import LATTICES
 from sppm_structures.textures import KINDS, TEXTURES, read_pattern, texture_graph
 
-from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.numerics.grid import Grid, cell_centers, cell_nodes
-from sppm_pipeline.stages.check.connectivity import CheckConnectivity
-from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
-from sppm_pipeline.stages.tile.periodic import PeriodicTiling
-from sppm_pipeline.stages.tune.porosity import TunePorosity
+from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
+from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity
+from sppm_pipeline.method.stages.tile_periodic import PeriodicTiling
+from sppm_pipeline.method.stages.tune_porosity import TunePorosity
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.grid import Grid, cell_centers, cell_nodes
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from sppm_structures import sppm_stages
 
-from sppm_pipeline.cli.main import main
+from sppm_pipeline.engine.cli.main import main
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.yaml"))
 

@@ -8,14 +8,14 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from sppm_structures.organic import Organic, near_pairs
 
-from sppm_pipeline.data.length import Length
 from sppm_pipeline.errors import ConfigError, ResourceError
-from sppm_pipeline.numerics.grid import Grid
-from sppm_pipeline.numerics.kernels.kernels import Kernels
-from sppm_pipeline.stages.check.connectivity import CheckConnectivity
-from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
-from sppm_pipeline.stages.read.primitive import ReadPrimitive
-from sppm_pipeline.stages.tune.porosity import TunePorosity
+from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
+from sppm_pipeline.method.kernels.kernels import Kernels
+from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity
+from sppm_pipeline.method.stages.read_primitive import ReadPrimitive
+from sppm_pipeline.method.stages.tune_porosity import TunePorosity
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.exact_sum import exact_sum
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of

@@ -13,12 +13,13 @@ from sppm_structures.graphs import LATTICES
 from sppm_structures.struts import Struts
 from sppm_structures.tpms import Tpms
 
-from sppm_pipeline.cli.main import main
-from sppm_pipeline.data.length import Length
+from sppm_pipeline.engine.cli.main import main
+from sppm_pipeline.engine.plan.built_in import BUILTINS
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.errors import ConfigErrors
-from sppm_pipeline.stages.homogenize.voxel import HomogenizeVoxel
-from sppm_pipeline.stages.tune.porosity import TunePorosity
+from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
+from sppm_pipeline.method.stages.tune_porosity import TunePorosity
+from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -223,14 +224,14 @@ def test_crush_structures(tmp_path):
 
 
 def test_all_structures_are_compared():
-    session = open_session(RunRequest(str(ROOT / "configs" / "compare_structures.yaml"), ("sppm_pipeline.stages",), ()))
+    session = open_session(RunRequest(str(ROOT / "configs" / "compare_structures.yaml"), BUILTINS, ()))
     listed = [node.value for node in session.configuration.sweep.value["structure"].node.value]
     assert listed == list(session.configuration.recipes) == STRUCTURES
 
 
 @pytest.mark.parametrize("name", ["compare_structures.yaml", "crush_structures.yaml", "published_curves.yaml"])
 def test_without_this_plugin_the_missing_stages_are_named(name):
-    request = RunRequest(str(ROOT / "configs" / name), ("sppm_pipeline.stages",), (), False)
+    request = RunRequest(str(ROOT / "configs" / name), BUILTINS, (), False)
     with pytest.raises(ConfigErrors, match=r"there is no stage 'field\.(tpms|struts)'"):
         open_session(request).plan()
     assert "pip install ./plugins/sppm-structures" in (ROOT / "configs" / name).read_text(encoding="utf-8")

@@ -11,15 +11,15 @@ from sppm_structures.seeds import HashedSeeds, images_near
 from sppm_structures.voronoi_foam import Voronoi
 from sppm_structures.voronoi_kernels import voronoi_edges
 
-from sppm_pipeline.data.length import Cell, Length
-from sppm_pipeline.data.pores import PoreSet
 from sppm_pipeline.errors import ConfigError, InputError
-from sppm_pipeline.numerics.grid import Grid, cell_nodes
-from sppm_pipeline.stages.check.connectivity import CheckConnectivity
-from sppm_pipeline.stages.extract.marching_cubes import MarchingCubes
-from sppm_pipeline.stages.read.primitive import ReadPrimitive
-from sppm_pipeline.stages.tile.periodic import PeriodicTiling
-from sppm_pipeline.stages.tune.porosity import TunePorosity
+from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
+from sppm_pipeline.method.nouns.pores import PoreSet
+from sppm_pipeline.method.stages.check_connectivity import CheckConnectivity
+from sppm_pipeline.method.stages.read_primitive import ReadPrimitive
+from sppm_pipeline.method.stages.tile_periodic import PeriodicTiling
+from sppm_pipeline.method.stages.tune_porosity import TunePorosity
+from sppm_pipeline.nouns.length import Cell, Length
+from sppm_pipeline.services.grid import Grid, cell_nodes
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
 

@@ -16,12 +16,12 @@ from sppm_tetwild.quality import cell_volumes, dihedral_angles
 from sppm_tetwild.tetwild import TetWild
 
 import sppm_pipeline
-from sppm_pipeline.data.length import Length
-from sppm_pipeline.data.mesh import SurfaceMesh
+from sppm_pipeline.engine.process import NativeResult
 from sppm_pipeline.errors import DesignError, InputError, ResourceError
-from sppm_pipeline.numerics.domain.primitive_meshes import ball_mesh, box_mesh
-from sppm_pipeline.numerics.meshcheck.measures import edge_counts, volume
-from sppm_pipeline.process import NativeResult
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.mesh.measures import edge_counts, volume
 from sppm_pipeline.stage import Stage
 from sppm_pipeline.testing.contracts import StageContract
 from sppm_pipeline.testing.plain_context import PlainContext

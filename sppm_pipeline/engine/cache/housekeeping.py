@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.data.storage import DamagedError
 from sppm_pipeline.engine.cache.store import CAP, Store
 from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.nouns.storage import DamagedError
 
 AFTER_PRUNING = 0.8
 """Share of the cap that is left after entries were removed, so that not every run has to remove some."""

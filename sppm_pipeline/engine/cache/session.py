@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.data.storage import DamagedError, NotStorable, stored_bytes
 from sppm_pipeline.engine.cache.housekeeping import account
 from sppm_pipeline.engine.cache.keys import InputFiles, differences, ingredients_of, key_of
 from sppm_pipeline.engine.cache.store import Entry, Store
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.nouns.storage import DamagedError, NotStorable, stored_bytes
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.run.outputs import RunFolder

@@ -26,9 +26,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value, save_value
 from sppm_pipeline.engine.locks import FolderLock
 from sppm_pipeline.engine.strict_json import BrokenSealError, json_text, read_sealed, sealed
+from sppm_pipeline.nouns.storage import DamagedError, StoredFile, load_value, save_value
 
 FORMAT = 1
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
-from sppm_pipeline.data.length import Length
 from sppm_pipeline.engine.config.limits import (
     MAX_DEPTH,
     MAX_DIGITS,
@@ -27,6 +26,7 @@ from sppm_pipeline.engine.config.limits import (
     unprintable,
 )
 from sppm_pipeline.errors import ConfigError, Position, ResourceError
+from sppm_pipeline.nouns.length import Length
 
 RECORD_KEY = "sppm_run"
 """First key of a run record; its `config`, which comes next, is then the document, and the rest is not read."""

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.data.length import UNITS_IN_MM, Length, parse_length
 from sppm_pipeline.engine.config.configuration import RESERVED
 from sppm_pipeline.engine.config.document import DECIMALS, Entry, Override, plain
 from sppm_pipeline.engine.config.names import fits_suffix, output_parts, suffix_words
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean, shown
 from sppm_pipeline.errors import ConfigError, PluginError
+from sppm_pipeline.nouns.length import UNITS_IN_MM, Length, parse_length
 from sppm_pipeline.stage import OptionSpec, Stage
 
 SMALLEST_MM, LARGEST_MM = 1e-6, 1e6

@@ -85,6 +85,7 @@ def stage_data(cls: type[Stage], registry: Registry) -> dict[str, Any]:
         ],
         "version": cls.version,
         "from": str(owner),
+        "module": cls.__module__,
     }
 
 
@@ -93,7 +94,12 @@ def stage_text(cls: type[Stage], registry: Registry) -> str:
     data = stage_data(cls, registry)
     lines = [cls.name, "=" * len(cls.name), "", inspect.getdoc(cls) or "", ""]
     lines += [f"takes   {p['port']}: {p['takes']}{' (optional)' if p['optional'] else ''}" for p in data["ports"]]
-    lines += [f"makes   {data['makes']}", f"from    {data['from']}", "", "Options" if data["options"] else "No options"]
+    lines += [
+        f"makes   {data['makes']}",
+        f"from    {data['from']}, {data['module']}",
+        "",
+        "Options" if data["options"] else "No options",
+    ]
     for option in options_of(cls).values():
         default = "required" if option.required else f"default {_default_words(option)}"
         lines += [f"  {option.name}: {allowed_words(option)}; {default}", f"      {option.spec.help}"]

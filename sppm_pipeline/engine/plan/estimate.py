@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.size import ONE, RecipeSize, Size
 from sppm_pipeline.engine.plan.planning import Plan
 from sppm_pipeline.engine.plan.rates import WORTH, Cost, Speed, cost, learn_speed
 from sppm_pipeline.engine.plan.wiring import Step, last_uses, makes_kind
+from sppm_pipeline.engine.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
 from sppm_pipeline.errors import ResourceError, SppmError
-from sppm_pipeline.process.budget import MEMORY, allowed_memory, format_bytes, free_disk
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import ONE, RecipeSize, Size
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.store import Store

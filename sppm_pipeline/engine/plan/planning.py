@@ -26,9 +26,9 @@ from sppm_pipeline.engine.config.problems import Problems
 from sppm_pipeline.engine.plan.plugins import Plugin
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.plan.wiring import Draft, Step, recipe_names, recipe_order, wire
+from sppm_pipeline.engine.process.containment import contained
 from sppm_pipeline.errors import ConfigError, PluginError, Position, SppmError
 from sppm_pipeline.hookspecs import Preset
-from sppm_pipeline.process.containment import contained
 from sppm_pipeline.stage import Stage
 
 SWEEP_ID = "sweep"
@@ -175,7 +175,7 @@ _AFTER = "after:"  # no recipe can have these names
 
 def _table() -> type:
     """The artifact of a sweep's table; imported late because artifacts import numpy."""
-    table: type = importlib.import_module("sppm_pipeline.data.table").Table
+    table: type = importlib.import_module("sppm_pipeline.nouns.table").Table
     return table
 
 

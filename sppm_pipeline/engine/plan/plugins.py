@@ -15,19 +15,17 @@ import pluggy
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
 from sppm_pipeline.engine.plan import installed
+from sppm_pipeline.engine.plan.built_in import BUILTINS
 from sppm_pipeline.engine.plan.installed import normal
 from sppm_pipeline.engine.plan.plugin_files import first_line, import_file, missing_module, stage_classes
+from sppm_pipeline.engine.process.containment import guarded
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
-from sppm_pipeline.process.containment import guarded
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
     from concurrent.futures import Executor
 
     from sppm_pipeline.stage import Stage, StageAlias
-
-BUILTINS = ("sppm_pipeline.stages", "sppm_pipeline.engine.run.executors", "sppm_pipeline.cli.commands")
-"""Modules whose hook implementations are always there."""
 
 ALLOWED = "SPPM_PLUGINS"
 """Environment variable with the plugins that may be imported, separated by commas."""

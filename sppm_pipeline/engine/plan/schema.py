@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.data.length import UNITS_IN_MM, Length
 from sppm_pipeline.engine.config.configuration import FORMAT, KEYS
 from sppm_pipeline.engine.config.options import Option, options_of, plain_option
 from sppm_pipeline.engine.config.presets import KEY
 from sppm_pipeline.engine.plan.describe import purpose_of
 from sppm_pipeline.engine.plan.ports import signature_of
 from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.nouns.length import UNITS_IN_MM, Length
 from sppm_pipeline.stage import OptionSpec, Stage, StageAlias
 
 _NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"

@@ -13,10 +13,11 @@ from sppm_pipeline.engine.config.configuration import Configuration, parse_confi
 from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, yaml_text
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean
+from sppm_pipeline.engine.plan.built_in import BUILTINS
 from sppm_pipeline.engine.plan.estimate import PlanEstimate, estimate_plan, refuse_what_cannot_fit
 from sppm_pipeline.engine.plan.inputs import Columns, missing_inputs
 from sppm_pipeline.engine.plan.planning import Plan, make_plan
-from sppm_pipeline.engine.plan.plugins import BUILTINS, Plugins, load_plugins
+from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
 from sppm_pipeline.engine.plan.rates import Speed
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.errors import ConfigError

@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sppm_pipeline.data.palette import Palette
-from sppm_pipeline.data.size import ONE
-from sppm_pipeline.data.storage import DamagedError
 from sppm_pipeline.engine.cache.identity import environment, program_digest
 from sppm_pipeline.engine.cache.keys import key_of, recipe_key
 from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.engine.process.budget import planning_memory, requested_memory
+from sppm_pipeline.engine.process.interruption import check, current_stop
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.outputs import RunFolder, Scratch
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.process.budget import planning_memory, requested_memory
-from sppm_pipeline.process.interruption import check, current_stop
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import ONE
+from sppm_pipeline.nouns.storage import DamagedError
 from sppm_pipeline.stage import Context
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sppm_pipeline.data.artifact import Artifact
+from sppm_pipeline.nouns.artifact import Artifact
 
 CONTRACT = "SPPM_CONTRACT"
 """Environment variable that switches the costly checks on, for those who write plugins."""

@@ -12,18 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.data.storage import save_value
 from sppm_pipeline.engine.files import DISK, clear
 from sppm_pipeline.engine.plan.estimate import PlanEstimate
 from sppm_pipeline.engine.plan.plugin_files import single_files
 from sppm_pipeline.engine.plan.plugins import Plugins
+from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import LISTENING, default_executor, make_executor, stop_workers
 from sppm_pipeline.engine.run.items import Kept, Task, name_of, run_item
 from sppm_pipeline.engine.run.outputs import staging_name
 from sppm_pipeline.engine.run.workers import Driver, announced
 from sppm_pipeline.errors import NativeCrash, PluginError, ResourceError
-from sppm_pipeline.process.interruption import check
+from sppm_pipeline.nouns.storage import save_value
 
 HERE = ("serial", "threads")
 """Executors of this process, whose stages use its threads as they are."""

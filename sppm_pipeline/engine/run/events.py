@@ -10,9 +10,9 @@ import pluggy
 
 from sppm_pipeline import hookspecs
 from sppm_pipeline.engine.plan.plugins import Plugin
+from sppm_pipeline.engine.process.containment import contained
 from sppm_pipeline.errors import PluginError
 from sppm_pipeline.hookspecs import StageEvent
-from sppm_pipeline.process.containment import contained
 
 
 class Monitor:

@@ -15,11 +15,11 @@ from typing import Any
 
 from sppm_pipeline.engine.config.problems import did_you_mean
 from sppm_pipeline.engine.plan.plugins import Plugin, Plugins
+from sppm_pipeline.engine.process.interruption import check
+from sppm_pipeline.engine.process.resident import share_one_heap
+from sppm_pipeline.engine.process.tree import die_with_parent
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
 from sppm_pipeline.hookspecs import hookimpl
-from sppm_pipeline.process.interruption import check
-from sppm_pipeline.process.resident import share_one_heap
-from sppm_pipeline.process.tree import die_with_parent
 
 
 class SerialExecutor(Executor):
@@ -249,5 +249,5 @@ def stop_workers() -> None:
     """
     for process in _children():
         process.terminate()
-    if "sppm_pipeline.process.native" in sys.modules:
-        sys.modules["sppm_pipeline.process.native"].stop_all()
+    if "sppm_pipeline.engine.process.native" in sys.modules:
+        sys.modules["sppm_pipeline.engine.process.native"].stop_all()

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sppm_pipeline.data.storage import DamagedError, StoredFile, load_value
 from sppm_pipeline.engine.files import DISK
 from sppm_pipeline.engine.plan.plugin_files import import_file
 from sppm_pipeline.engine.run.workers import Driver, check_worker
 from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.nouns.storage import DamagedError, StoredFile, load_value
 
 
 class Kept(NamedTuple):

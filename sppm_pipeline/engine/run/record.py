@@ -18,13 +18,13 @@ from sppm_pipeline.engine.cache.identity import arithmetic, installed_version
 from sppm_pipeline.engine.config.document import RECORD_KEY
 from sppm_pipeline.engine.files import write_whole
 from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.process.interruption import register, requested, unregister
+from sppm_pipeline.engine.process.resident import highest
 from sppm_pipeline.engine.run.events import Monitor, Observers
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, RunFolder
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import ResourceError, SppmError
 from sppm_pipeline.hookspecs import StageEvent, hookimpl
-from sppm_pipeline.process.interruption import register, requested, unregister
-from sppm_pipeline.process.resident import highest
 
 RECORD_VERSION = 1
 

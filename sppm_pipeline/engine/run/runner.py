@@ -10,12 +10,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.config.options import options_of
 from sppm_pipeline.engine.plan.estimate import learn
 from sppm_pipeline.engine.plan.planning import Plan, step_options
 from sppm_pipeline.engine.plan.session import check_until
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
+from sppm_pipeline.engine.process.interruption import check
+from sppm_pipeline.engine.process.resident import PeakWatch
 from sppm_pipeline.engine.run.context import RunContext, StageLog
 from sppm_pipeline.engine.run.contract import is_strict
 from sppm_pipeline.engine.run.events import Monitor, Observers
@@ -25,8 +26,7 @@ from sppm_pipeline.engine.run.steps import RecipeSteps, run_step, summary_of
 from sppm_pipeline.engine.run.verification import finished_run
 from sppm_pipeline.errors import SppmError
 from sppm_pipeline.hookspecs import StageEvent
-from sppm_pipeline.process.interruption import check
-from sppm_pipeline.process.resident import PeakWatch
+from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.stage import Rejected
 
 if TYPE_CHECKING:

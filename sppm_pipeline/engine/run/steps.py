@@ -9,22 +9,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sppm_pipeline.data.artifact import Artifact
-from sppm_pipeline.data.palette import Palette
 from sppm_pipeline.engine.config.options import current_name, options_of, parse_typed
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, nearest
 from sppm_pipeline.engine.files import DISK
 from sppm_pipeline.engine.plan.inputs import declared_numbers, is_declared
 from sppm_pipeline.engine.plan.ports import artifact_words
 from sppm_pipeline.engine.plan.wiring import Step, last_uses
+from sppm_pipeline.engine.process.budget import exhausted_resource
+from sppm_pipeline.engine.process.containment import contained, limited
+from sppm_pipeline.engine.process.interruption import check
 from sppm_pipeline.engine.run.context import RunContext
 from sppm_pipeline.engine.run.contract import changed, digests, is_strict, no_numbers, writable_ports
 from sppm_pipeline.engine.run.sweep_table import numbers_of
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, PluginError, ResourceError, SppmError
-from sppm_pipeline.process.budget import exhausted_resource
-from sppm_pipeline.process.containment import contained, limited
-from sppm_pipeline.process.interruption import check
+from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.stage import Context, Observed, Recipe, Rejected, Stage
 
 RecipeSteps = Mapping[str, Sequence[Step]]

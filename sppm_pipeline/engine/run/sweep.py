@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from sppm_pipeline.engine.config.document import plain
 from sppm_pipeline.engine.plan.planning import SWEEP_ID, Plan
 from sppm_pipeline.engine.plan.session import Row, RunRequest, Session, check_sweep, check_until, open_session
+from sppm_pipeline.engine.process.activity import current, of_run, share
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.engine.run.executors import default_executor, make_executor, serve
 from sppm_pipeline.engine.run.outputs import RECORD, SWEEP_RUNS, remove_stale_runs
@@ -27,11 +28,10 @@ from sppm_pipeline.engine.run.sweep_table import columns_of, csv_text, numbers_o
 from sppm_pipeline.engine.run.workers import Driver, announced, check_worker
 from sppm_pipeline.engine.strict_json import json_text
 from sppm_pipeline.errors import NativeCrash, PluginError, SppmError
-from sppm_pipeline.process.activity import current, of_run, share
 
 if TYPE_CHECKING:
-    from sppm_pipeline.data.table import Table
     from sppm_pipeline.engine.cache.store import Store
+    from sppm_pipeline.nouns.table import Table
 
 IN_FLIGHT = 64
 """Rows that an executor holds at least, or four for each worker: it never waits, and canceling is instant; a choice."""
@@ -136,7 +136,7 @@ def run_sweep(
 
 def _table(columns: Mapping[str, Sequence[Any]], runs: Sequence[Mapping[str, Any]], path: Path) -> Table:
     """The table for the stages of `after`, with the files that the runs wrote."""
-    from sppm_pipeline.data.table import RunFile, Table
+    from sppm_pipeline.nouns.table import RunFile, Table
 
     folders = [path.absolute() / SWEEP_RUNS / run["run"] for run in runs]
     names = dict.fromkeys(name for run in runs for name in run["files"])

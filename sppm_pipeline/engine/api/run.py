@@ -1,0 +1,183 @@
+"""Runs of pipelines: results in memory by stage id, numbers, and the same files as on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sppm_pipeline.engine.api.bound_stage import WarningMonitor
+from sppm_pipeline.engine.cache.housekeeping import open_store
+from sppm_pipeline.engine.cache.store import Store
+from sppm_pipeline.engine.config.document import plain
+from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.plan.session import (
+    Session,
+)
+from sppm_pipeline.engine.run.memory import MemoryRun, run_in_memory
+from sppm_pipeline.engine.run.record import error_entry
+from sppm_pipeline.engine.run.runner import run_plan
+from sppm_pipeline.engine.run.sweep import run_sweep
+from sppm_pipeline.engine.run.sweep_table import columns_of, numbers_of
+from sppm_pipeline.errors import ConfigError, SppmError
+from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.nouns.artifact import escaped, shown
+from sppm_pipeline.nouns.table import Table
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.api.pipeline import Pipeline
+
+
+class Run:
+    """What came of a pipeline: artifacts by stage id, numbers, and the record.
+
+    Attributes
+    ----------
+    record : dict
+        As ``run.json`` holds it.
+    table : Table or None
+        Of a sweep: a row for each run.
+    """
+
+    def __init__(self, pipeline: Pipeline, plan: Plan, *, until: str | None, threads: int, cache: Path | None) -> None:
+        self.pipeline = pipeline
+        self.record: dict[str, Any] = {}
+        self.table: Table | None = None
+        self._plan = plan
+        self._until = until
+        self._threads = threads
+        self._cache = cache
+        self._memory: MemoryRun | None = None
+
+    def __getitem__(self, stage: str) -> Any:
+        """What a stage made; None for one that makes nothing.
+
+        Raises
+        ------
+        ConfigError
+            If there is no stage of this id, or the run is a sweep.
+        """
+        if self.table is not None:
+            raise ConfigError("a sweep has no single result", hint="run.table has the numbers of all runs")
+        return self._run().result(stage)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Numbers of all stages as ``<stage id>.<name>``, the columns of a sweep's table."""
+        return numbers_of(self.record.get("stages", ()))
+
+    def save(self, path: str | Path, *, jobs: int = 1) -> dict[str, Any]:
+        """Write the run directory, as ``sppm run`` does; stages that only write run now.
+
+        Parameters
+        ----------
+        path : str or Path
+        jobs : int
+            Rows of a sweep that run at the same time.
+
+        Returns
+        -------
+        dict
+            The record.
+        """
+        monitor = WarningMonitor()
+        if self.table is not None:
+            self.record = run_sweep(
+                self.pipeline._session,
+                self._plan,
+                Path(path),
+                workers=jobs,
+                executor="threads",
+                threads=self._threads,
+                until=self._until,
+                monitor=monitor,
+                cache=self._cache,
+            )
+        else:
+            self.record = run_plan(
+                self._plan,
+                Path(path),
+                threads=self._threads,
+                until=self._until,
+                monitor=monitor,
+                store=self._store(),
+                about=self._about(),
+                earlier=self._run(),
+            )
+        return self.record
+
+    def _run(self) -> MemoryRun:
+        if self._memory is None:
+            self._memory = run_in_memory(
+                self._plan,
+                threads=self._threads,
+                until=self._until,
+                monitor=WarningMonitor(),
+                store=self._store(),
+                about=self._about(),
+            )
+            self.record = self.record or self._memory.record
+        return self._memory
+
+    def _run_rows(self, session: Session, rows: Sequence[Mapping[str, Any]], jobs: int) -> None:
+        """Run the rows of a sweep in memory and keep their numbers."""
+
+        def one(number: int) -> dict[str, Any]:
+            row = rows[number]
+            result: dict[str, Any] = {
+                "run": f"{number:04}",
+                "params": {name: plain(entry.node) for name, entry in row.items()},
+                "status": "done",
+                "error": None,
+                "columns": {},
+            }
+            try:
+                memory = run_in_memory(
+                    session.plan(row),
+                    threads=max(1, self._threads // jobs),
+                    until=self._until,
+                    monitor=WarningMonitor(),
+                    store=self._store(),
+                    about=self._about(),
+                )
+                return result | {"columns": numbers_of(memory.record["stages"])}
+            except SppmError as error:
+                return result | {"status": "failed", "error": error_entry(error)}
+
+        with ThreadPoolExecutor(max(1, jobs)) as pool:
+            runs = list(pool.map(one, range(len(rows))))
+        self.table = Table({name: tuple(values) for name, values in columns_of(runs).items()})
+        self.record = {"runs": runs}
+
+    def _store(self) -> Store | None:
+        return open_store(self._cache) if self._cache is not None else None
+
+    def _about(self) -> str:
+        return str(self._plan.configuration.file.absolute())
+
+    def __repr__(self) -> str:
+        return f"<Run {self._plan.name}: {', '.join(step.id for step in self._plan.steps)}>"
+
+    def _repr_html_(self) -> str:
+        if self.table is not None:
+            return self.table._repr_html_()
+        rows = "".join(
+            f"<tr><th>{escaped(name)}</th><td>{escaped(shown(value))}</td></tr>"
+            for name, value in list(self.numbers.items())[:MAX_NUMBERS]
+        )
+        return f"{self._live()}<table><caption>{escaped(self._plan.name)}</caption>{rows}</table>"
+
+    def _live(self) -> str:
+        """The live view of the last field that the browser can sum itself; empty if there is none."""
+        from sppm_pipeline.features.browser.live_view import live_frame
+
+        for step in reversed(self._plan.until(self._until)):
+            if any(issubclass(made, (Microstructure, TileSet)) for made in step.makes):
+                return live_frame(self[step.id])
+        return ""
+
+
+MAX_NUMBERS = 200
+"""Numbers of a run that notebooks show."""

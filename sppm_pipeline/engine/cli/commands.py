@@ -1,0 +1,49 @@
+"""The built-in verbs: those of the engine, and those that features bring by the hook `sppm_commands`."""
+
+from __future__ import annotations
+
+import importlib
+
+from sppm_pipeline.engine.plan.built_in import FEATURES
+from sppm_pipeline.hookspecs import Command, hookimpl
+
+VERBS = {
+    "run": "run a pipeline, or every row of its sweep",
+    "check": "check a configuration and print its wiring, without running it",
+    "explain": "say what each stage of a configuration, or one stage, does, and why it would run again",
+    "estimate": "estimate memory, disk and time of a run, without running it",
+    "stages": "list the stages there are, or describe one",
+    "graph": "draw the wiring as text, DOT or Mermaid",
+    "schema": "print or write the JSON Schema of configurations, for editors",
+    "plugins": "list plugins, and with --check why some cannot be loaded",
+    "verify": "check that a run directory still holds what was written, to the byte",
+    "cache": "show, check or shrink what is kept between runs",
+    "new": "write a first pipeline, or the skeleton of a plugin",
+    "doctor": "look at the installation: versions, caches, processors, plugins",
+}
+"""Verb of the engine -> what it does; features bring theirs by the hook `sppm_commands`."""
+
+_DESCRIBING = ("explain", "stages", "graph", "schema")
+"""Verbs that share the module `describe`; of the others, each has a module of its own."""
+
+_PACKAGE = "sppm_pipeline.engine.cli"
+
+
+def place_of(verb: str) -> tuple[str, str]:
+    """Functions that declare the arguments of a verb of the engine, and that execute it, as "module:function"."""
+    module, ending = ("describe", f"_{verb}") if verb in _DESCRIBING else (verb, "")
+    return f"{_PACKAGE}.{module}:configure{ending}", f"{_PACKAGE}.{module}:execute{ending}"
+
+
+@hookimpl
+def sppm_commands() -> dict[str, Command]:
+    """All verbs of the engine; no plugin can take one of their names."""
+    return {verb: Command(words, *place_of(verb)) for verb, words in VERBS.items()}
+
+
+def built_in_commands() -> dict[str, Command]:
+    """The verbs of the engine and of the features, by the places of their functions; nothing else is imported."""
+    found = sppm_commands()
+    for module in map(importlib.import_module, FEATURES):
+        found |= module.sppm_commands() if hasattr(module, "sppm_commands") else {}
+    return found

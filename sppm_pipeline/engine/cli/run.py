@@ -1,0 +1,301 @@
+"""``sppm run``: run a pipeline or a sweep into a run directory."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import sys
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sppm_pipeline.engine.cli.arguments import add_cache, add_configuration, cache_of, open_from
+from sppm_pipeline.engine.cli.limits import add_limits, limits_of, seconds
+from sppm_pipeline.errors import SppmError
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.cli.kernels import Waiting
+    from sppm_pipeline.engine.plan.planning import Plan
+    from sppm_pipeline.engine.plan.session import Session
+    from sppm_pipeline.engine.run.crew import Crew
+    from sppm_pipeline.stage import Headline
+
+
+LINE = 100
+"""Characters of a line of numbers, beside the stage and its time; a choice."""
+
+
+def configure(parser: ArgumentParser) -> None:
+    """Arguments of the verb."""
+    add_configuration(parser)
+    add_limits(parser)
+    parser.add_argument(
+        "--time-limit", type=seconds, metavar="TIME", help="end the run, whatever it is doing, after this time"
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="run directory; runs/<name> if omitted")
+    parser.add_argument("--until", metavar="ID", help="stop after this stage")
+    parser.add_argument(
+        "-j", "--jobs", type=_count, default=1, metavar="N", help="runs of a sweep, or workers of a long single run"
+    )
+    parser.add_argument(
+        "--threads", type=_count, metavar="N", help="threads in all; the number of processors if omitted"
+    )
+    parser.add_argument("--executor", metavar="NAME[:WHERE]", help="serial, threads, processes, or one from a plugin")
+    parser.add_argument(
+        "--retries", type=_retries, metavar="N", default=2, help="runs again of work whose worker died; 2 if omitted"
+    )
+    parser.add_argument("--same-processor", action="store_true", help="refuse workers on another kind of processor")
+    parser.add_argument("-k", "--keep-going", action="store_true", help="exit with 0 though runs of a sweep failed")
+    add_cache(parser)
+    parser.add_argument("-n", "--dry-run", action="store_true", help="check everything, run nothing")
+    parser.add_argument("-q", "--quiet", action="store_true", help="no progress on stderr, but warnings")
+    parser.add_argument("-v", "--verbose", action="store_true", help="a line with date and time for each event")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="add these lines to a file")
+    parser.add_argument("--json", action="store_true", help="print the run record as JSON")
+    parser.add_argument("--report", action="store_true", help="write report.html as well, as `sppm report` does")
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 4096:
+        raise ArgumentTypeError(f"expected an integer from 1 to 4096, got {text!r}")
+    return int(text)
+
+
+def _retries(text: str) -> int:
+    if not text.isdecimal() or int(text) > 100:
+        raise ArgumentTypeError(f"expected an integer from 0 to 100, got {text!r}")
+    return int(text)
+
+
+def execute(args: Namespace) -> int:
+    """Run."""
+    if args.time_limit is not None:
+        from sppm_pipeline.engine.process.activity import limit_run
+
+        limit_run(args.time_limit)
+    with limits_of(args):
+        return _execute(args)
+
+
+def _execute(args: Namespace) -> int:
+    if args.dry_run:
+        from sppm_pipeline.engine.cli import check
+
+        return check.execute(args)
+    from sppm_pipeline.engine.cache.housekeeping import open_store
+    from sppm_pipeline.engine.cli.kernels import compiling_ahead
+    from sppm_pipeline.engine.plan.session import checked, refuse_unfit
+    from sppm_pipeline.engine.run.executors import default_executor
+    from sppm_pipeline.engine.run.runner import available_threads, run_plan
+
+    session = open_from(args)
+    plan, rows = checked(session, args.until)
+    path = args.output or Path("runs") / plan.name
+    alone = args.jobs == 1 or rows
+    fewest = 0.0 if alone else _fewest(args, plan)
+    local = (args.executor or default_executor(args.jobs)) == "processes" and fewest < math.inf
+    crew = args.jobs if local else 0
+    refuse_unfit(session, plan, rows, path, workers=args.jobs, crew=crew, until=args.until)
+    threads = args.threads or available_threads()
+    cache = cache_of(args)
+    stack = contextlib.ExitStack()
+    monitor = _monitor(args, stack)
+    try:
+        ahead = stack.enter_context(compiling_ahead(plan, monitor, threads))
+        if session.configuration.sweep is None:
+            record = run_plan(
+                plan,
+                path,
+                threads=threads,
+                until=args.until,
+                monitor=monitor,
+                store=open_store(cache) if cache is not None else None,
+                about=str(session.configuration.file.absolute()),
+                crew=_crew(args, session, path, threads, cache, monitor, fewest),
+            )
+        else:
+            from sppm_pipeline.engine.run.sweep import run_sweep
+
+            if ahead is not None:  # its rows run elsewhere
+                ahead.wait(None, monitor.compiling)
+            record = run_sweep(
+                session,
+                plan,
+                path,
+                workers=args.jobs,
+                executor=args.executor,
+                threads=threads,
+                until=args.until,
+                monitor=monitor,
+                cache=cache,
+                retries=args.retries,
+                same_processor=args.same_processor,
+            )
+    except Exception as error:
+        if args.json and hasattr(error, "record"):
+            _print_json(error.record)
+        if args.report and hasattr(error, "record"):
+            with contextlib.suppress(SppmError):  # what stopped the run is what has to be said
+                _write_report(args, path)
+        raise
+    finally:
+        stack.close()
+    if args.report:
+        _write_report(args, path)
+    if args.json:
+        _print_json(record)
+    else:
+        _print_summary(record, path, {step.address: step.stage.headline for step in (*plan.steps, *plan.after)})
+    failed = [run for run in record.get("runs", ()) if run["status"] != "done"]
+    if failed and not args.keep_going:
+        codes = {run["error"]["exit_code"] for run in failed}
+        return codes.pop() if len(codes) == 1 else 3
+    return 0
+
+
+def _monitor(args: Namespace, stack: contextlib.ExitStack) -> Waiting:
+    """What shows the run, closed by `stack`."""
+    from sppm_pipeline.engine.cli.progress import ProgressLines
+    from sppm_pipeline.services.jit.kernel_cache import on_first_compilation
+
+    log = stack.enter_context(args.log.open("a", encoding="utf-8")) if args.log else None
+    stream = sys.stderr or io.StringIO()  # there is none if it was closed
+    monitor = ProgressLines(stream, verbose=args.verbose, quiet=args.quiet, log=log)
+    stack.callback(monitor.close)
+    on_first_compilation(lambda: monitor.note("compiling kernels (once, then cached)..."))
+    return monitor
+
+
+def _fewest(args: Namespace, plan: Plan) -> float:
+    """How many samples of a stage are worth the workers of the run."""
+    from sppm_pipeline.engine.plan.estimate import estimate_plan
+    from sppm_pipeline.engine.run.crew import fewest_samples
+
+    return fewest_samples(args.executor, estimate_plan(plan, until=args.until))
+
+
+def _crew(
+    args: Namespace,
+    session: Session,
+    path: Path,
+    threads: int,
+    cache: Path | None,
+    monitor: Waiting,
+    fewest: float,
+) -> Crew | None:
+    """The workers of a single run, if it is to have any; started when a stage asks for them."""
+    if args.executor is None and args.jobs == 1:
+        return None
+    from sppm_pipeline.engine.run.crew import Crew
+    from sppm_pipeline.engine.run.executors import require_executor
+
+    require_executor(args.executor, args.jobs, session.plugins)
+    if not Crew.wanted(args.executor, args.jobs):
+        return None
+    return Crew(
+        session.plugins,
+        path,
+        executor=args.executor,
+        workers=args.jobs,
+        threads=threads,
+        cache=cache,
+        retries=args.retries,
+        same_processor=args.same_processor,
+        monitor=monitor,
+        fewest=fewest,
+    )
+
+
+def _write_report(args: Namespace, path: Path) -> None:
+    """The report of the run that has just ended, with the plugins and the cache that it had."""
+    from sppm_pipeline.engine.config.names import REPORT
+    from sppm_pipeline.features.browser.report.command import of_run
+
+    of_run(path, path / REPORT, args)
+
+
+def _print_json(record: Mapping[str, Any]) -> None:
+    from sppm_pipeline.engine.strict_json import json_text
+
+    print(json_text(dict(record)), end="")
+
+
+def _print_summary(
+    record: Mapping[str, Any], path: Path, headlines: Mapping[str, Sequence[Headline]] | None = None
+) -> None:
+    """A line a stage with its numbers, a line for each failed run of a sweep, and where the files are.
+
+    Stages that name their headline numbers show these, others the first five.
+    """
+    width = max((len(stage["id"]) for stage in record["stages"]), default=0)
+    for stage in record["stages"]:
+        shown = [
+            text for one in (headlines or {}).get(stage["id"], ()) if (text := headline_text(one, stage["summary"]))
+        ]
+        numbers = (
+            shown
+            or [
+                f"{name} {_number(value)}"
+                for name, value in stage["summary"].items()
+                if isinstance(value, (int, float)) and not isinstance(value, bool)
+            ][:5]
+        )
+        time = "    kept  " if stage.get("cached") else f"{stage['seconds']:8.3f} s"
+        print(f"{stage['id']:{width}s} {time}  {_wrapped(numbers, width + 13)}".rstrip())
+    runs = record.get("runs", [])
+    for run in runs:
+        if run["error"]:
+            values = ", ".join(f"{name}={value}" for name, value in run["params"].items())
+            print(f"run {run['run']} ({values}) failed: {run['error']['message']}")
+    peak = f", peak memory {record['peak_memory_mb']:.0f} MB" if record["peak_memory_mb"] else ""
+    done = f", {sum(run['status'] == 'done' for run in runs)} of {len(runs)} runs" if runs else ""
+    print(f"{record['status']} in {record['seconds']:.2f} s{done}{peak}: {path}")
+
+
+def _wrapped(texts: Sequence[str], indent: int) -> str:
+    """Texts one after the other, on as many lines as they need."""
+    lines: list[str] = []
+    for text in texts:
+        if lines and len(lines[-1]) + len(text) < LINE:
+            lines[-1] += f", {text}"
+        else:
+            lines.append(text)
+    return f",\n{' ' * indent}".join(lines)
+
+
+def headline_text(headline: Headline, summary: Mapping[str, Any]) -> str:
+    """A headline number as ``E 371 369 370 +- 4 MPa``; empty if the summary has it not.
+
+    Lists, and numbers with an error bar, are shown to four digits, others to six.
+    """
+    value, error = _at(summary, headline.number), _at(summary, headline.error) if headline.error else None
+    if value is None:
+        return ""
+    bars = [bar for bar in (error if isinstance(error, list) else [error]) if isinstance(bar, (int, float))]
+    digits = 6 if isinstance(value, (int, float)) and not bars else 4
+    if isinstance(value, Mapping):
+        text = " ".join(f"{name} {_number(one, digits)}" for name, one in value.items())
+    else:
+        text = " ".join(_number(one, digits) for one in (value if isinstance(value, list) else [value]))
+    bar = f" +- {max(bars):.2g}" if bars else ""
+    unit = headline.unit.replace("{unit}", str(summary.get("unit") or ""))
+    return f"{headline.label or headline.number} {text}{bar} {unit}".rstrip()
+
+
+def _at(summary: Any, place: str) -> Any:
+    """The entry of a summary at a place such as ``C.1.1``; None if there is none."""
+    for part in place.split("."):
+        if isinstance(summary, Mapping):
+            summary = summary.get(part)
+        elif isinstance(summary, list) and part.isdigit() and 0 < int(part) <= len(summary):
+            summary = summary[int(part) - 1]
+        else:
+            return None
+    return summary
+
+
+def _number(value: Any, digits: int = 6) -> str:
+    """A number to some digits; what is not defined as a dash."""
+    return f"{value:.{digits}g}" if isinstance(value, float) else "-" if value is None else str(value)

@@ -1,0 +1,24 @@
+"""Where built-in stages, executors and verbs come from: features are found by looking which folders there are."""
+
+from __future__ import annotations
+
+import os
+
+import sppm_pipeline
+
+_FOLDER = os.path.join(os.path.dirname(str(sppm_pipeline.__file__)), "features")
+
+FEATURES = tuple(
+    f"sppm_pipeline.features.{name}"
+    for name in sorted(os.listdir(_FOLDER))
+    if os.path.isfile(os.path.join(_FOLDER, name, "__init__.py"))
+)
+"""Modules of the features."""
+
+BUILTINS = (
+    "sppm_pipeline.method",
+    *FEATURES,
+    "sppm_pipeline.engine.run.executors",
+    "sppm_pipeline.engine.cli.commands",
+)
+"""Modules whose hook implementations are always there."""

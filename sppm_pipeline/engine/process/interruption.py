@@ -1,0 +1,263 @@
+"""How a run is interrupted within two seconds, whatever it is doing, and what puts its records in order if it hangs.
+
+A stage may be deep inside of compiled code that does not see signals. So work goes on in a thread of its own while the
+main thread waits for signals (`interruptibly`). When one comes, the next call of a stage to its context raises
+`KeyboardInterrupt` (`check`); if that does not happen soon enough, `cancel_all` writes the records from outside, and
+the process is ended.
+
+A process that does several things at once, as a server does, may stop one of them and leave the others alone: what goes
+on `within` a `Stop` ends when that is requested.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+from pathlib import Path
+from types import FrameType
+from typing import Protocol
+
+from sppm_pipeline.engine.process.activity import leave
+from sppm_pipeline.engine.process.tree import signal_below
+from sppm_pipeline.errors import SppmError
+
+PATIENCE = 0.6
+"""Seconds that work is given to end by itself."""
+
+POLL = 0.1
+"""Seconds after which the main thread looks for signals that were handed to another thread, which do not wake it."""
+
+BEGINNING = 0.2
+"""Seconds that threads are given to begin before an exception is raised in the one that started them."""
+
+STACK = 16 << 20
+"""Bytes of stack; that of the main thread is smaller on some systems, and that of threads always is on macOS."""
+
+
+class Cancelable(Protocol):
+    """Something that has records on disk while it runs."""
+
+    def cancel(self, error: SppmError | None) -> None:
+        """Put the records in order, from another thread; `error` is why, if it was no interrupt."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal has ended the work; `number` is the signal's."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+class Stop:
+    """Asks one piece of work to end, whoever else is at work in this process."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+
+    def request(self) -> None:
+        """Ask what goes on within this to end; for good."""
+        self._event.set()
+
+    @property
+    def requested(self) -> bool:
+        """Whether it was asked to end."""
+        return self._event.is_set()
+
+
+_requested = threading.Event()
+_scope: ContextVar[Stop | None] = ContextVar("sppm-stop", default=None)
+"""Of each thread; work that is handed to other threads takes it along (`current_stop`)."""
+_running: list[tuple[Cancelable, int]] = []
+"""What runs, and in which thread."""
+_observers: list[Callable[[Path], None]] = []
+
+
+def request() -> None:
+    """Ask everything that runs to stop."""
+    _requested.set()
+
+
+@contextlib.contextmanager
+def within(stop: Stop) -> Iterator[None]:
+    """What this thread does inside ends by `KeyboardInterrupt` if `stop` is requested."""
+    token = _scope.set(stop)
+    try:
+        yield
+    finally:
+        _scope.reset(token)
+
+
+def current_stop() -> Stop | None:
+    """What this thread works within, for threads that help it."""
+    return _scope.get()
+
+
+def check(stop: Stop | None = None) -> None:
+    """Raise `KeyboardInterrupt` if everything was asked to stop, or `stop` was, or what this thread works within."""
+    if requested(stop):
+        raise KeyboardInterrupt
+
+
+def requested(stop: Stop | None = None) -> bool:
+    """Whether everything was asked to stop, or `stop` was, or what this thread works within."""
+    own = stop or _scope.get()
+    return _requested.is_set() or (own is not None and own.requested)
+
+
+def reset() -> None:
+    """Forget that everything was asked to stop, once it has stopped."""
+    _requested.clear()
+
+
+def register(run: Cancelable, path: Path) -> None:
+    """Remember a run that has to be canceled if it can't end by itself, and notify of the directory it writes to."""
+    _running.append((run, threading.get_ident()))
+    for notify in _observers:
+        notify(path)
+
+
+def unregister(run: Cancelable) -> None:
+    """Forget a run that has ended."""
+    _running[:] = [(other, thread) for other, thread in _running if other is not run]
+
+
+def on_register(observer: Callable[[Path], None]) -> None:
+    """Call a function with each run directory from now on."""
+    _observers.append(observer)
+
+
+def cancel_all(error: SppmError | None = None, offender: int | None = None) -> None:
+    """End the child processes and cancel everything that runs; the last to begin comes first.
+
+    Parameters
+    ----------
+    error : SppmError, optional
+        Why, if it was no interrupt.
+    offender : int, optional
+        The thread whose runs have failed by it; those of others are interrupted.
+    """
+    # workers of a sweep end by SIGTERM, supervisors of native children then end what is below them
+    signal_below(os.getpid(), signal.SIGTERM, recursive=False)
+    while _running:
+        with contextlib.suppress(Exception):
+            run, thread = _running.pop()
+            run.cancel(error if thread == offender else None)
+
+
+def interruptibly(work: Callable[[], int], notify: Callable[[], None]) -> int:
+    """Do `work` in a thread, and end it when a signal comes.
+
+    The work is asked to stop: `KeyboardInterrupt` is raised in it at its next step of Python. If it is inside of
+    compiled code for longer than `PATIENCE`, its records are put in order from here, and the process is ended.
+
+    Parameters
+    ----------
+    work : function
+    notify : function
+        Tells the user, before the process is ended.
+
+    Raises
+    ------
+    Interrupted
+        If a signal came and the work has ended in time.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return work()
+    outcome: list[int | BaseException] = []
+    signals: list[int] = []
+    # a queue, as a signal may arrive while the main thread holds the lock inside of an event
+    wake: queue.SimpleQueue[None] = queue.SimpleQueue()
+
+    def target() -> None:
+        try:
+            outcome.append(work())
+        except BaseException as error:
+            outcome.append(error)
+        finally:
+            wake.put(None)
+
+    def arrived(number: int, frame: FrameType | None) -> None:
+        signals.append(number)
+        wake.put(None)
+
+    before = threading.stack_size(STACK)
+    thread = threading.Thread(target=target, name="sppm-work", daemon=True)
+    with _handled(arrived):
+        thread.start()
+        threading.stack_size(before)
+        while not (outcome or signals):
+            with contextlib.suppress(queue.Empty):
+                wake.get(timeout=POLL)
+        if signals and not outcome:
+            _end(thread, outcome, signals, notify)
+        thread.join()
+    if signals:
+        raise Interrupted(signals[0])
+    result = outcome[0]
+    if isinstance(result, BaseException):
+        raise result
+    return result
+
+
+@contextlib.contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle the signals that end programs, but those that were turned off, as `nohup` and shells do."""
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.getsignal(number) for number in numbers}
+    kept = {number: old for number, old in before.items() if old not in (signal.SIG_IGN, None)}
+    for number in kept:
+        signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, old in kept.items():
+            signal.signal(number, old)
+
+
+def _end(
+    thread: threading.Thread, outcome: list[int | BaseException], signals: list[int], notify: Callable[[], None]
+) -> None:
+    """Ask for an end, wait for a moment, and enforce it; a second signal enforces it at once."""
+    request()
+    raise_in(thread.ident or 0, KeyboardInterrupt)
+    deadline = time.monotonic() + PATIENCE
+    while not outcome and len(signals) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    cancel_all()
+    if outcome:
+        reset()
+        return
+    notify()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    leave(128 + signals[0])
+
+
+def raise_in(thread: int, kind: type[BaseException] | None) -> None:
+    """Raise an exception in another thread, at its next step of Python; None takes back what was not raised yet.
+
+    Python looks for the first thread of that number, and a thread that is about to begin still has the number of the
+    one that starts it: it would die of the exception, and the right one go on. So this waits until none is beginning.
+
+    Parameters
+    ----------
+    thread : int
+        As `threading.get_ident` numbers them.
+    kind : type or None
+    """
+    import ctypes
+
+    deadline = time.monotonic() + BEGINNING
+    while any(t.ident is None for t in threading.enumerate()) and time.monotonic() < deadline:
+        time.sleep(0.001)
+    with contextlib.suppress(AttributeError):  # not every Python has it
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), kind and ctypes.py_object(kind))

@@ -1,0 +1,304 @@
+"""The report of a run directory as one HTML file."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.engine.config.document import RECORD_KEY
+from sppm_pipeline.engine.run.outputs import RECORD
+from sppm_pipeline.engine.run.verification import differences, verify_run
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.features.browser.live.data import head_of
+from sppm_pipeline.features.browser.live.page import (
+    ASSETS,
+    LIVE_SCRIPTS,
+    environment,
+    joined_script,
+    json_block,
+    policy,
+)
+from sppm_pipeline.features.browser.report.boxes import boxes, duration
+from sppm_pipeline.features.browser.report.charts import Curve, line_chart, modulus_chart
+from sppm_pipeline.features.browser.report.layers import Layers, layers_of, outputs_of, pictures_of
+from sppm_pipeline.features.browser.report.sweeps import sweep_context
+from sppm_pipeline.features.browser.report.wiring import wiring_svg
+from sppm_pipeline.nouns.artifact import shown
+
+HERE = Path(__file__).parent
+
+VIEW_SHARE, LAYERS_SHARE, PICTURES_SHARE = 0.5, 0.3, 0.1
+"""How much of a report the live view, the layers and the pictures may take; a choice."""
+
+LONGEST_NAME = 300
+"""Characters of a name or text that are shown; `run.json` has all of them."""
+
+LONGEST_TEXT = 200_000
+"""Characters of the configuration that are shown."""
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """The record of a run, sound or not.
+
+    Raises
+    ------
+    InputError
+        If the directory holds none.
+    """
+    try:
+        record = json.loads((path / RECORD).read_bytes())
+    except FileNotFoundError:
+        raise InputError(
+            f"{str(path)!r} holds no run: there is no {RECORD}", hint="name the directory of a run"
+        ) from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{str(path / RECORD)!r} can't be read: {error}", hint="`sppm verify` tells more") from error
+    if not isinstance(record, dict) or RECORD_KEY not in record:
+        raise InputError(f"{str(path / RECORD)!r} is no record of a run")
+    return record
+
+
+def report_html(
+    path: Path,
+    record: Mapping[str, Any],
+    *,
+    view: bytes | None = None,
+    note: str = "",
+    max_bytes: int = 5_000_000,
+    threads: int = 1,
+) -> str:
+    """The report of a run, the same text for the same directory.
+
+    Parameters
+    ----------
+    path : Path
+        The run directory; files whose digests are wrong are named in red.
+    record : mapping
+        From `read_record`.
+    view : bytes, optional
+        A view file, as ``write.view`` writes it.
+    note : str
+        Why there is no live view, and what to do.
+    max_bytes : int
+        What the file should not exceed: the view, layers and pictures get fixed shares.
+    threads : int
+
+    Raises
+    ------
+    InputError
+        If the record is not as this program writes them.
+    """
+    raw = max_bytes * 3 // 4  # base64 makes 4 characters of 3 bytes
+    if view is not None and len(view) > VIEW_SHARE * raw:
+        note = (
+            f"The live view takes {len(view) / 1e6:.1f} MB; it is shown with a larger --max-size, or with fewer "
+            "`grid_samples` of `write.view`."
+        )
+        view = None
+    try:
+        context = _context(path, record, view, raw, threads)
+    except (KeyError, TypeError, AttributeError, ValueError, IndexError) as error:
+        raise InputError(
+            f"the record in {str(path)!r} is not as this program writes them: {type(error).__name__}: {error}",
+            hint="`sppm verify` tells whether it was changed",
+        ) from error
+    return _rendered(context | {"note": note, "seal": str(record.get("sha256", ""))})
+
+
+def _context(path: Path, record: Mapping[str, Any], view: bytes | None, raw: int, threads: int) -> dict[str, Any]:
+    stages: list[Mapping[str, Any]] = list(record["stages"])
+    outputs = outputs_of(path, stages)
+    view_head = head_of(view) if view is not None else None
+    layers = layers_of(path, outputs, int(LAYERS_SHARE * raw))
+    pictures = pictures_of(path, outputs, int(PICTURES_SHARE * raw))
+    still = next((p for p in pictures if _written_by(p.name, stages) == "write.picture"), None)
+    if still is not None:
+        pictures.remove(still)
+    shown_stages = _stages(record, stages)
+    found, files = verify_run(path, threads)
+    charts = [chart for stage in stages if (c := stage["summary"].get("C")) and (chart := _modulus(c, stage))]
+    data: dict[str, str] = {}
+    if layers is not None:
+        data["layers"] = base64.b64encode(b"".join(layers.files)).decode()
+    if view is not None:
+        data["view"] = base64.b64encode(view).decode()
+    sweep = sweep_context(path, record) if "runs" in record else None
+    if sweep is not None and sweep["packed"]:
+        data["rows"] = sweep["packed"]
+    return {
+        "name": str(record["name"]),
+        "status": str(record["status"]),
+        "error": record.get("error"),
+        "facts": _facts(record),
+        "boxes": boxes(record, stages, view_head) if sweep is None else sweep["boxes"],
+        "warnings": _warnings(record, stages),
+        "view": view_head,
+        "still": still,
+        "layers": None if layers is None else _layers(layers, view_head),
+        "layers_head": None if layers is None else json_block(layers.head()),
+        "charts": charts,
+        "pictures": pictures,
+        "wiring": wiring_svg(shown_stages),
+        "stages": shown_stages,
+        "sweep": sweep,
+        "provenance": {
+            "yaml": _yaml(record.get("config"))[:LONGEST_TEXT],
+            "files": files,
+            "findings": found,
+            "differences": differences(path),
+            "platform": _pairs(record.get("platform", {})),
+            "versions": _pairs(record.get("versions", {})),
+            "plugins": [shown(plugin) for plugin in record.get("plugins", ())],
+            "seal": str(record.get("sha256", "none")),
+        },
+        "data": data,
+    }
+
+
+def _rendered(context: Mapping[str, Any]) -> str:
+    pages = environment(HERE / "templates")
+    pages.filters["cut"] = cut
+    pages.filters["value"] = shown
+    pages.filters["duration"] = duration
+    wanted = {"layers.js": context["layers"] is not None, "table.js": context["sweep"] is not None}
+    live = LIVE_SCRIPTS if context["view"] is not None else ()
+    own = [HERE / "assets" / name for name, there in wanted.items() if there]
+    script = joined_script(ASSETS / "base.js", *own, *(ASSETS / name for name in live))
+    style = (HERE / "assets" / "report.css").read_text(encoding="utf-8")
+    style += (ASSETS / "live.css").read_text(encoding="utf-8") if context["view"] is not None else ""
+    template = pages.get_template("report.html")
+    return template.render(**context, script=script, style=style, policy=policy(script))
+
+
+def cut(text: Any, most: int = LONGEST_NAME) -> str:
+    """A name or text as it is shown: very long ones cut."""
+    words = str(text)
+    return words if len(words) <= most else f"{words[: most - 1]}…"
+
+
+def _facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    versions = record.get("versions", {})
+    facts = [
+        ("seed", str(record["seed"])),
+        ("parameters", ", ".join(f"{name} = {shown(value)}" for name, value in record["params"].items()) or "none"),
+        ("started", str(record["started"])),
+        ("program", f"sppm {versions.get('sppm_pipeline', '?')}, Python {versions.get('python', '?')}"),
+        ("configuration", Path(str(record["file"])).name),  # in which folder is no one's business
+    ]
+    return [*facts, ("until", str(record["until"]))] if record.get("until") else facts
+
+
+def _warnings(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    own = [("", str(message)) for message in record.get("warnings", ())]
+    return own + [(str(s["id"]), str(message)) for s in stages for message in s.get("warnings", ())]
+
+
+def _stages(record: Mapping[str, Any], stages: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The stages that ran, and after them those of the pipeline that did not."""
+    longest = max((float(stage["seconds"]) for stage in stages), default=0.0) or 1.0
+    error = record.get("error") or {}
+    shown_stages: list[dict[str, Any]] = []
+    for stage in stages:
+        state = "failed" if stage.get("rejected") else "kept" if stage.get("cached") else "done"
+        shown_stages.append(
+            {
+                "id": str(stage["id"]),
+                "stage": str(stage["stage"]),
+                "state": state,
+                "made": stage.get("made") or "",
+                "seconds": duration(stage["seconds"]),
+                "memory": stage.get("peak_memory_mb"),
+                "bar": round(100 * float(stage["seconds"]) / longest, 1),
+                "summary": _pairs(stage["summary"]),
+                "options": _pairs(stage.get("options", {})),
+                "inputs": dict(stage.get("inputs", {})),
+                "recipes": dict(stage.get("recipes", {})),
+                "outputs": list(stage.get("outputs", ())),
+                "inner": [
+                    {"id": str(one["id"]), "runs": one.get("runs", 1), "seconds": duration(one.get("seconds")),
+                     "summary": _pairs(one.get("summary", {}))}
+                    for one in stage.get("inner", ())
+                ],
+            }
+        )  # fmt: skip
+    config = record.get("config")
+    entries = config.get("pipeline" if "runs" not in record else "after") or () if isinstance(config, Mapping) else ()
+    there = {stage["id"] for stage in shown_stages}
+    before = shown_stages[-1]["id"] if shown_stages else None
+    for entry in entries if record["status"] != "done" else ():
+        id_ = str(entry.get("id", entry.get("stage")))
+        if id_ not in there:
+            failed = (
+                error.get("stage") in (id_, None) if not any(s["state"] == "failed" for s in shown_stages) else False
+            )
+            shown_stages.append(
+                {"id": id_, "stage": str(entry.get("stage")), "state": "failed" if failed and error else "missing",
+                 "made": "", "seconds": "–", "memory": None, "bar": 0, "summary": [], "options": [],
+                 "inputs": {"after": before} if before else {}, "recipes": {}, "outputs": [], "inner": []}
+            )  # fmt: skip
+            before = id_
+    return shown_stages
+
+
+def _pairs(values: Mapping[str, Any]) -> list[tuple[str, str]]:
+    return [(str(name), shown(value)) for name, value in values.items()]
+
+
+def _written_by(name: str, stages: Sequence[Mapping[str, Any]]) -> str:
+    for stage in stages:
+        if any(output.get("path") == name for output in stage.get("outputs", ())):
+            return str(stage["stage"])
+    return ""
+
+
+def _modulus(c: Any, stage: Mapping[str, Any]) -> str:
+    return modulus_chart(c, str(stage["summary"].get("unit") or ""))
+
+
+def _layers(layers: Layers, view: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Layers as the template shows them: without a script, the one in the middle, and the chart."""
+    from sppm_pipeline.features.browser.report.layers import data_uri
+
+    middle = len(layers.files) // 2
+    z = [layers.origin_mm[2] + (n + 0.5) * layers.layer_mm for n in layers.numbers]
+    curves, label = [Curve(layers.numbers, layers.solid_mm2, "solid")], "solid area, mm²"
+    inside = _inside_area(z, view)
+    if inside is not None:
+        curves.append(Curve(layers.numbers, inside, "part"))
+        label = "area, mm²"
+    words = []
+    if len(layers.files) < layers.total:
+        words.append(f"{len(layers.files)} of {layers.total} layers are shown, evenly spread.")
+    if layers.reduced > 1:
+        words.append(f"They are reduced: {layers.reduced} x {layers.reduced} pixels as printed make one here.")
+    return {
+        "count": layers.total, "folder": layers.folder, "middle": layers.numbers[middle],
+        "source": data_uri("image/png", layers.files[middle]), "width": layers.size[0], "height": layers.size[1],
+        "exact": layers.reduced == 1, "words": " ".join(words), "shown": len(layers.files),
+        "chart": line_chart(curves, "layer", label, id_="layers-chart"),
+        "aspect": f"{layers.size[0] * layers.pixel_mm[0]:g} / {layers.size[1] * layers.pixel_mm[1]:g}",
+    }  # fmt: skip
+
+
+def _inside_area(z: Sequence[float], view: Mapping[str, Any] | None) -> list[float] | None:
+    """Area of the part in each layer, from the live view's samples; None if it has none."""
+    if view is None or not view.get("inside_mm2"):
+        return None
+    import numpy as np
+
+    areas, first, step = view["inside_mm2"], view["z_mm"][0], view["z_mm"][1]
+    found = np.interp(z, first + step * np.arange(len(areas)), areas)
+    return [float(area) for area in found]
+
+
+def _yaml(config: Any) -> str:
+    from ruamel.yaml import YAML
+
+    text, yaml = io.StringIO(), YAML()
+    yaml.width = 110
+    yaml.dump(config, text)
+    return text.getvalue()

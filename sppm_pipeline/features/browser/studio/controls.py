@@ -1,0 +1,197 @@
+"""What a page may change of a configuration, from the declarations of the options."""
+
+from __future__ import annotations
+
+import math
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sppm_pipeline.engine.config.configuration import MAX_SEED
+from sppm_pipeline.engine.config.document import Node
+from sppm_pipeline.engine.config.options import Option, allowed_words, options_of, plain_option
+from sppm_pipeline.engine.config.presets import KEY as PRESET
+from sppm_pipeline.engine.plan.planning import Plan
+from sppm_pipeline.engine.plan.registry import Registry
+from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.features.browser.studio.text import Place
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.stage import OptionSpec
+
+SPAN = 4
+"""A slider whose bounds are far goes from this part of a value to this many times it; a choice."""
+
+INSTANT = ("pore_radius", "tunnel_radius", "omega", "mu", "level")
+"""Options of `field.gaussian` that the browser shows at once, before the cell is drawn again."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """Something that may be changed.
+
+    Attributes
+    ----------
+    key : str
+        Its path in the text; see `places`.
+    group : str
+        The stage that it belongs to, as messages call it.
+    label, help, unit, allowed : str
+    kind : {"number", "integer", "length", "choice", "flag"}
+    value : Any
+        As YAML has it; None if it is left out, a list if it is one.
+    choices : tuple of str
+    slider : (low, high, step) or None
+        None where there is no value to go out from.
+    written : bool
+        Whether it stands in the file; the page shows these first.
+    optional : bool
+        Whether it may be left out.
+    instant : str
+        Which of `INSTANT` it is; empty for others.
+    """
+
+    key: str
+    group: str
+    label: str
+    help: str
+    unit: str
+    allowed: str
+    kind: str
+    value: Any
+    choices: tuple[str, ...] = ()
+    slider: tuple[float, float, float] | None = None
+    written: bool = True
+    optional: bool = False
+    instant: str = ""
+
+
+def controls_of(plan: Plan, steps: Sequence[Step], registry: Registry, known: Mapping[str, Place]) -> list[Control]:
+    """The controls of these steps, in order: the seed, and what is written of each stage before what is left out.
+
+    Options whose value is a parameter of the configuration change the parameter, once for all stages that use it.
+    """
+    at = {(place.line, place.column): key for key, place in reversed(tuple(known.items()))}
+    seed = OptionSpec("integer from which all random numbers are drawn", minimum=0, maximum=MAX_SEED)
+    made = {
+        "seed": Control("seed", "", "seed", seed.help, "", allowed_words(Option("seed", int, seed, 0)), "integer",
+                        plan.seed, slider=(0, max(100, plan.seed), 1))
+    }  # fmt: skip
+    for step in steps:
+        place = at.get((step.where.line, step.where.column), "")
+        if place.endswith(".stage"):
+            found = _of_stage(step, place.removesuffix("stage"), at)
+        elif f"{place}.{PRESET}" in known:
+            found = _of_preset(plan, step.entry.recipe or "", f"{place}.", registry)
+        else:
+            continue  # a preset that is named, and not written down
+        for control in found:
+            made.setdefault(control.key, control)
+    return list(made.values())
+
+
+def _of_stage(step: Step, place: str, at: Mapping[tuple[int, int], str]) -> Iterator[Control]:
+    declared = options_of(type(step.stage))
+    for name in sorted(declared, key=lambda name: name not in step.entry.options):
+        written = step.entry.options.get(name)
+        if written is not None and isinstance(written.node.value, list) and any(n.param for n in written.node.value):
+            continue
+        key, label = f"{place}{name}", name
+        if written is not None:
+            where = written.node.where
+            if (where.line, where.column) not in at:
+                continue
+            key = at[where.line, where.column]
+            label = _label(name, written.node)
+        instant = name if step.stage.name == "field.gaussian" and name in INSTANT else ""
+        value = plain_option(getattr(step.stage, name))
+        yield from _control(declared[name], key, step.address, label, value, written is not None, instant)
+
+
+def _label(name: str, node: Node) -> str:
+    return name if node.param is None else node.param
+
+
+def _of_preset(plan: Plan, recipe: str, place: str, registry: Registry) -> Iterator[Control]:
+    """The parameters of a preset, each declared as the first option that it stands for."""
+    node = plan.configuration.recipes[recipe].node.value
+    preset = registry.presets[node[PRESET].node.value]
+    for entry in preset.stages:
+        for name, option in options_of(registry.get(str(entry["stage"]))).items():
+            value = entry.get(name)
+            param = value[2:-1] if isinstance(value, str) and value.startswith("${") else None
+            if param is None or (param in node and node[param].node.param is not None):
+                continue
+            written = param in node
+            current = node[param].node.value if written else preset.params[param]
+            if isinstance(current, list):
+                current = [item.value if isinstance(item, Node) else item for item in current]
+            instant = name if entry["stage"] == "field.gaussian" and name in INSTANT else ""
+            yield from _control(option, f"{place}{param}", recipe, param, current, written, instant)
+
+
+def _control(
+    option: Option, key: str, group: str, label: str, value: Any, written: bool, instant: str
+) -> Iterator[Control]:
+    """The control of an option, if it is of a kind that a slider, a box or a list of words can change."""
+    spec = option.spec
+    members = typing.get_args(option.kind) if isinstance(option.kind, types.UnionType) else (option.kind,)
+    kinds = [member for member in members if member is not types.NoneType]
+    parts = typing.get_args(kinds[0]) if typing.get_origin(kinds[0]) is tuple else ()
+    if parts and (not isinstance(value, (list, tuple)) or Ellipsis in parts):
+        return
+    kind = _kind(parts or tuple(kinds), spec, value)
+    if kind is None or spec.output or spec.column:
+        return
+    listed = list(value) if isinstance(value, (list, tuple)) else value
+    numbers = [number for v in (listed if isinstance(listed, list) else [listed]) if (number := _number(v)) is not None]
+    slider = _slider(spec, numbers, kind == "integer") if numbers and kind not in ("choice", "flag") else None
+    yield Control(
+        key, group, label, spec.help, spec.unit or "", allowed_words(option), kind, listed, spec.choices, slider,
+        written, types.NoneType in members or not option.required, instant,
+    )  # fmt: skip
+
+
+def _kind(kinds: tuple[Any, ...], spec: OptionSpec, value: Any) -> str | None:
+    if Length in kinds:
+        return "length"
+    if float in kinds or int in kinds:
+        return None if isinstance(value, str) else "number" if float in kinds else "integer"
+    if bool in kinds:
+        return "flag"
+    return "choice" if spec.choices else None
+
+
+def _number(value: Any) -> float | None:
+    """The number of a value, without its unit; None if it has none, or an infinite one."""
+    if isinstance(value, bool) or value is None:
+        return None
+    try:
+        number = float(value.split()[0] if isinstance(value, str) and value else value)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _slider(spec: OptionSpec, numbers: Sequence[float], whole: bool) -> tuple[float, float, float]:
+    """From where to where a slider goes, and its step: the declared bounds where they are near the value."""
+    least = spec.minimum if spec.minimum is not None else spec.above
+    most = spec.maximum if spec.maximum is not None else spec.below
+    size = max(map(abs, numbers)) or 1.0
+    low = -SPAN * size if min(numbers) < 0 else min(numbers) / SPAN
+    high = SPAN * size
+    if most is not None and most <= 2 * SPAN * size:
+        high = most
+        low = least if least is not None and least >= 0 else low
+    low, high = max(low, -math.inf if least is None else least), min(high, math.inf if most is None else most)
+    power = 0 if whole else math.floor(math.log10((high - low or size) / 50))
+    step = float(f"1e{power}")
+    low, high = round(step * math.ceil(low / step - 1e-9), -power), round(step * math.floor(high / step + 1e-9), -power)
+    # exclusive bounds are no values
+    if low == spec.above:
+        low = round(low + step, -power)
+    if high == spec.below:
+        high = round(high - step, -power)
+    # values stay as they are, if between steps or beside a bound
+    return min(low, min(numbers)), max(high, max(numbers)), step

@@ -1,0 +1,334 @@
+"""A configuration that is being designed: changed values, its text, and the cell that the engine makes of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
+
+from sppm_pipeline.engine.config.configuration import FORMAT, parse_configuration
+from sppm_pipeline.engine.config.document import RECORD_KEY, compose, yaml_text
+from sppm_pipeline.engine.files import write_whole
+from sppm_pipeline.engine.plan.estimate import estimate_plan, refuse_what_cannot_fit
+from sppm_pipeline.engine.plan.planning import Plan, make_plan
+from sppm_pipeline.engine.plan.session import RunRequest, Session, open_session
+from sppm_pipeline.engine.plan.wiring import Step
+from sppm_pipeline.engine.process import interruption
+from sppm_pipeline.engine.run.memory import run_in_memory
+from sppm_pipeline.engine.strict_json import jsonable
+from sppm_pipeline.errors import ConfigError, ConfigErrors, InputError, SppmError
+from sppm_pipeline.features.browser.live.data import head_of
+from sppm_pipeline.features.browser.live_view import view_of
+from sppm_pipeline.features.browser.studio.controls import Control, controls_of
+from sppm_pipeline.features.browser.studio.text import places, with_values
+from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.part.part import Part
+
+START = """\
+# A periodic cell. `sppm run` draws it, and writes its surface and what it can bear.
+sppm: 1
+name: cell
+seed: 1
+params:
+  pores: 95
+pipeline:
+  - {stage: sample.mirrored_faces, total: "${pores}", share: 0.5}
+  - {stage: sample.dart_throwing, total: "${pores}"}
+  - {stage: connect.mbdst, degree: [3, 5], mode: greedy}
+  - {stage: field.gaussian, pore_radius: 0.1075, tunnel_radius: 0.023, level: 0.25}
+  - {stage: check.connectivity, islands: keep}
+  - {stage: extract.marching_cubes}
+  - {stage: write.mesh, path: cell.stl}
+  - {stage: homogenize.voxel}
+"""
+"""The configuration that a page begins with if no file is named: 95 pores, a third of the volume solid."""
+
+SAMPLES = 400_000
+"""Samples of what the browser does not sum itself: a choice, for a second."""
+
+RESOLUTION = 32
+"""Voxels along a cell edge on which stiffness and connectivity are computed while one waits; a choice."""
+
+NUMBERS = (
+    {"stage": "check.connectivity", "id": "connectivity", "resolution": RESOLUTION, "islands": "keep", "from": "cell"},
+    {"stage": "homogenize.voxel", "id": "elastic", "resolution": RESOLUTION, "from": "cell"},
+)
+
+
+class Superseded(Exception):
+    """A newer request has come, and nobody waits for this one."""
+
+
+class Changed(InputError):
+    """The file is no longer what was read or saved."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """What of a configuration can be shown: the result of a stage, or of a recipe drawn alone."""
+
+    recipe: str
+    step: str
+    makes: tuple[type, ...]
+
+    @property
+    def name(self) -> str:
+        """How the page calls it, and asks for it."""
+        return f"recipe {self.recipe}" if self.recipe else self.step
+
+
+class Design:
+    """A configuration, what may be changed of it, and the cell last made.
+
+    Parameters
+    ----------
+    request : RunRequest
+        Its file need not exist if it has a text.
+    file : Path or None
+        The file that may be saved to.
+    threads : int
+
+    Raises
+    ------
+    SppmError
+        If the configuration can't be read, or makes nothing that can be shown.
+    """
+
+    def __init__(self, request: RunRequest, file: Path | None, threads: int) -> None:
+        if request.text is None:
+            request = dataclasses.replace(request, text=_text_of(request), folder=str(Path(request.file).parent))
+        self.text = request.text or ""
+        self.file = file
+        self.threads = threads
+        self._saved = self.text
+        self._session = open_session(request)
+        plan = self._session.plan()
+        self.name = plan.name
+        self.targets = targets_of(plan)
+        if not self.targets:
+            raise ConfigError(
+                "no stage of the configuration makes a field, so that there is nothing to be shown",
+                hint="add a stage such as `field.gaussian`, or leave the file out to begin with a cell",
+            )
+        known = places(self.text)
+        self.controls: dict[str, list[Control]] = {
+            target.name: controls_of(plan, _in_play(plan, target), self._session.registry, known)
+            for target in self.targets
+        }
+        self._engine = threading.Lock()
+        self._saving = threading.Lock()
+        self._newest = interruption.Stop()
+        self._asking = threading.Lock()
+        self._last: tuple[tuple[str, str], Any] | None = None
+
+    def text_with(self, changes: Mapping[str, Any]) -> str:
+        """The configuration with other values, by the keys of controls."""
+        keys = {control.key: control for controls in self.controls.values() for control in controls}
+        for key in changes:
+            if key not in keys:
+                raise ConfigError(f"nothing called {key!r} can be changed here")
+        same = {key for key, value in changes.items() if value is None and not keys[key].written}
+        return with_values(self.text, {key: value for key, value in changes.items() if key not in same})
+
+    def cell(self, changes: Mapping[str, Any], target: str) -> tuple[dict[str, Any], bytes]:
+        """What the changed configuration makes: its text and numbers, and a view file.
+
+        Raises
+        ------
+        SppmError
+            What is wrong with the values.
+        Superseded
+        """
+        with self._turn():
+            return self._cell(changes, target)
+
+    def numbers(self, changes: Mapping[str, Any], target: str) -> dict[str, Any]:
+        """Connectivity and stiffness of the cell, which take longer; of parts and tile sets there are none.
+
+        Raises
+        ------
+        SppmError, Superseded
+        """
+        with self._turn():
+            text = self.text_with(changes)
+            if self._last is None or self._last[0] != (text, target):
+                self._cell(changes, target)
+            assert self._last is not None
+            made = self._last[1]
+            if isinstance(made, (TileSet, Tiling, Part)):
+                return {}
+            document = {"sppm": FORMAT, "name": "numbers", "pipeline": [dict(entry) for entry in NUMBERS]}
+            configuration = parse_configuration(compose(document, "numbers"), Path("numbers"), ".")
+            plan = make_plan(configuration, self._session.registry, available={"cell": (type(made),)})
+            record = run_in_memory(plan, threads=self.threads, available={"cell": made}).record
+            found: dict[str, Any] = {entry["id"]: jsonable(entry["summary"]) for entry in record["stages"]}
+            return found
+
+    def save(self, changes: Mapping[str, Any], *, anyway: bool = False) -> str:
+        """Write the changed configuration to its file.
+
+        Parameters
+        ----------
+        changes : mapping
+        anyway : bool
+            Whether the file is replaced if it is no longer what was read or saved.
+
+        Raises
+        ------
+        SppmError
+            What is wrong with the values.
+        Changed
+            If it is not.
+        InputError
+            If there is no file.
+        """
+        if self.file is None:
+            raise InputError(
+                "the page was not started with a file", hint="download it, or name a file to `sppm studio`"
+            )
+        text = self.text_with(changes)
+        self._with_text(text).plan()
+        with self._saving:  # of two pages that save at once, the second must see what the first has written
+            try:
+                there: str | None = yaml_text(self.file)
+            except SppmError:
+                there = None
+            if there != self._saved and not anyway:
+                raise Changed(f"{str(self.file)!r} was changed by someone else since it was read")
+            write_whole(self.file, text)
+            self._saved = text
+        return text
+
+    def _cell(self, changes: Mapping[str, Any], name: str) -> tuple[dict[str, Any], bytes]:
+        started = time.perf_counter()
+        target = next((target for target in self.targets if target.name == name), self.targets[0])
+        text = self.text_with(changes)
+        plan = self._with_text(text).plan()
+        group = plan.recipes[target.recipe] if target.recipe else plan.steps
+        alone = dataclasses.replace(plan, steps=_needed(group, target.step), plugins=())
+        refuse_what_cannot_fit(estimate_plan(alone), Path("."))
+        memory = run_in_memory(alone, threads=self.threads)
+        made = memory.result(target.step)
+        view = view_of(made, samples=SAMPLES, threads=self.threads)
+        self._last = (text, name), made
+        head = head_of(view)
+        entries = memory.record["stages"]
+        summary = jsonable(entries[-1]["summary"])
+        said = {
+            "yaml": text,
+            "digest": made.digest(),
+            "porosity": head["porosity"],
+            "numbers": {key: summary[key] for key in ("pores", "tunnels") if key in summary},
+            "warnings": [message for entry in entries for message in entry.get("warnings", ())],
+            "seconds": round(time.perf_counter() - started, 3),
+        }
+        return said, view
+
+    def _with_text(self, text: str) -> Session:
+        """The session with another text; plugins stay as they were loaded."""
+        request = dataclasses.replace(self._session.request, text=text)
+        return dataclasses.replace(self._session, request=request, configuration=request.read())
+
+    def faults(self, error: SppmError, changes: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """What is wrong, each with the key of its control where that is known, and the stage."""
+        try:
+            at = {(p.line, p.column): key for key, p in reversed(tuple(places(self.text_with(changes)).items()))}
+        except SppmError:
+            at = {}
+        errors: Iterable[SppmError] = error.errors if isinstance(error, ConfigErrors) else (error,)
+        return [
+            {
+                "key": at.get((one.where.line, one.where.column), "") if one.where else "",
+                "stage": one.stage or "",
+                "message": one.message,
+                "hint": one.hint or "",
+            }
+            for one in errors
+        ]
+
+    def _turn(self) -> AbstractContextManager[None]:
+        """One request at the engine; that before it is asked to stop, and does not begin if it has not begun."""
+        with self._asking:  # here, so that an older one can't ask a newer one to stop
+            self._newest.request()
+            self._newest = stop = interruption.Stop()
+        return self._at_engine(stop)
+
+    @contextmanager
+    def _at_engine(self, stop: interruption.Stop) -> Iterator[None]:
+        with self._engine, interruption.within(stop):
+            if stop.requested:
+                raise Superseded
+            try:
+                yield
+            except KeyboardInterrupt:
+                raise Superseded from None
+
+
+def targets_of(plan: Plan) -> list[Target]:
+    """What can be shown, the best first: a cell of the pipeline, a recipe's, a tile set, and any other field."""
+    shown = (ScalarField, TileSet)
+    found = [
+        Target(recipe, step.id, step.makes)
+        for recipe, group in [("", plan.steps), *plan.recipes.items()]
+        for step in (group if not recipe else group[-1:])
+        if step.makes
+        and all(issubclass(kind, shown) for kind in step.makes)
+        and not step.stage.name.startswith("check.")  # passes on what it is given
+    ]
+
+    def rank(target: Target) -> int:
+        def makes(*kinds: type) -> bool:
+            return all(issubclass(kind, kinds) for kind in target.makes)
+
+        if target.recipe:
+            return 1
+        return 0 if makes(Microstructure) else 2 if makes(TileSet) else 4 if makes(Tiling, Part) else 3
+
+    last = {target.name: target for target in found}
+    return sorted(last.values(), key=lambda target: (rank(target), -found.index(target)))
+
+
+def _needed(steps: Sequence[Step], last: str) -> tuple[Step, ...]:
+    """The steps that one depends on, and itself."""
+    wanted = {last}
+    for step in reversed(steps):
+        if step.id in wanted:
+            wanted |= {source for source in step.inputs.values() if source is not None}
+    return tuple(step for step in steps if step.id in wanted)
+
+
+def _in_play(plan: Plan, target: Target) -> list[Step]:
+    """All steps that what is shown depends on, those of a recipe before the stage that repeats it."""
+    found: list[Step] = []
+
+    def visit(steps: Iterable[Step]) -> None:
+        for step in steps:
+            for name in step.recipes.values():
+                visit(plan.recipes[name])
+            if step not in found:
+                found.append(step)
+
+    visit(_needed(plan.recipes[target.recipe] if target.recipe else plan.steps, target.step))
+    return found
+
+
+def _text_of(request: RunRequest) -> str:
+    """The text of a configuration file; of a run record, that of the configuration in it."""
+    text = yaml_text(Path(request.file))
+    if not text.lstrip().startswith("{") or f'"{RECORD_KEY}"' not in text[:200]:
+        return text
+    import io
+
+    from ruamel.yaml import YAML
+
+    written = io.StringIO()
+    YAML().dump(json.loads(Path(request.file).read_bytes())["config"], written)
+    return written.getvalue()

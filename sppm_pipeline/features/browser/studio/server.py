@@ -1,0 +1,118 @@
+"""The studio's server: the page, cells and numbers as the page asks for them, and the file when it is saved."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from sppm_pipeline.errors import SppmError
+from sppm_pipeline.features.browser.live.page import (
+    ASSETS,
+    LIVE_SCRIPTS,
+    environment,
+    joined_script,
+    json_block,
+    policy,
+)
+from sppm_pipeline.features.browser.live.serving import LocalHandler, LocalServer
+from sppm_pipeline.features.browser.studio.design import Changed, Design, Superseded
+
+HERE = Path(__file__).parent
+
+MAX_BODY = 1_000_000
+"""Bytes of a request that are read."""
+
+
+def studio_page(design: Design) -> tuple[str, str]:
+    """The page, and the policy under which it may be shown: it fetches from its own server only."""
+    script = joined_script(ASSETS / "base.js", *(ASSETS / name for name in LIVE_SCRIPTS), HERE / "assets" / "studio.js")
+    rules = f"{policy(script)}; connect-src 'self'"
+    style = "".join(file.read_text(encoding="utf-8") for file in (ASSETS / "live.css", HERE / "assets" / "studio.css"))
+    groups = {
+        name: {group: [c for c in controls if c.group == group] for group in dict.fromkeys(c.group for c in controls)}
+        for name, controls in design.controls.items()
+    }
+    file = "" if design.file is None else str(design.file)
+    page = environment(HERE / "templates").get_template("studio.html").render(
+        name=design.name, groups=groups, targets=[target.name for target in design.targets], file=file,
+        yaml=design.text, script=script, style=style, policy=rules,
+        data=json_block({"file": file, "name": design.name}),
+    )  # fmt: skip
+    return page, rules
+
+
+def server_of(design: Design, port: int = 0) -> LocalServer:
+    """A server of the page for a design.
+
+    Raises
+    ------
+    ResourceError
+        If the port can't be had.
+    """
+    page, rules = studio_page(design)
+
+    class Handler(LocalHandler):
+        def do_GET(self) -> None:
+            place = self.place()
+            if place is None:
+                return
+            path, query = urlsplit(place).path, parse_qs(urlsplit(place).query)
+            if not path:
+                self.answer(200, "text/html", page.encode(), (("Content-Security-Policy", rules),))
+            elif path in ("cell", "numbers"):
+                self._made(path, query.get("changes", ["{}"])[0], query.get("target", [""])[0])
+            else:
+                self.answer(404, "text/plain", b"404\n")
+
+        def do_POST(self) -> None:
+            place = self.place()
+            if place is None:
+                return
+            length = self.headers.get("Content-Length", "")
+            if place != "save" or not length.isdecimal() or int(length) > MAX_BODY:
+                self.answer(404 if place != "save" else 413, "text/plain", b"there is only `save`, of a small body\n")
+                return
+            asked = _object(self.rfile.read(int(length)))
+            changes = asked.get("changes")
+            changes = changes if isinstance(changes, dict) else {}
+            try:
+                design.save(changes, anyway=asked.get("anyway") is True)
+            except SppmError as error:
+                self._refused(error, changes)
+            else:
+                self._json(200, {"saved": str(design.file)})
+
+        def _made(self, path: str, text: str, target: str) -> None:
+            changes = _object(text)
+            try:
+                if path == "numbers":
+                    self._json(200, design.numbers(changes, target))
+                    return
+                said, view = design.cell(changes, target)
+            except Superseded:
+                self._json(409, {"errors": [], "superseded": True})
+            except SppmError as error:
+                self._refused(error, changes)
+            else:
+                head = json.dumps(said, allow_nan=False).encode()
+                self.answer(200, "application/octet-stream", struct.pack("<I", len(head)) + head + view)
+
+        def _refused(self, error: SppmError, changes: dict[str, Any]) -> None:
+            self._json(409 if isinstance(error, Changed) else 422, {"errors": design.faults(error, changes)})
+
+        def _json(self, status: int, value: Any) -> None:
+            self.answer(status, "application/json", json.dumps(value, allow_nan=False).encode())
+
+    return LocalServer(port, Handler)
+
+
+def _object(text: str | bytes) -> dict[str, Any]:
+    """A JSON object; an empty one for anything else, which the page never sends."""
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return value if isinstance(value, dict) else {}

@@ -1,0 +1,72 @@
+"""What is said of a block that was crushed: its numbers, and what makes them doubtful."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from sppm_pipeline.features.crushing.numerics.march import History, March
+
+Table = tuple[tuple[float, float], ...]
+"""Pairs of plastic strain and yield stress."""
+
+SHARES = {
+    "kinetic": (0.05, "is in motion: the plates are too fast; lower `rate`"),
+    "hourglass": (0.10, "bends voxels rather than walls: raise `resolution`, walls want 4 voxels or more"),
+    "contact": (0.05, "is stored in overlapping surfaces: raise `resolution`, or lower `rate`"),
+    "damping": (0.10, "went into damping, which is numerical: lower `rate`"),
+    "unbalanced": (0.02, "is missing from the balance: lower `rate`, and don't trust this run"),
+}
+"""Shares of the work of the plates above which a run is not quiet enough; choices."""
+
+ADDED_MASS, PLATES = 0.30, 0.05
+"""Share of mass that may be added to crushed voxels, and by which the forces of both plates may differ; choices."""
+
+
+PLATEAU = (0.2, 0.4)
+"""Strains between which the plateau stress is taken."""
+
+
+def mean_stress(strain: NDArray[np.float64], stress: NDArray[np.float64], low: float, high: float) -> float:
+    """Mean of the stress between two strains, of as many records as there are."""
+    return float(stress[(strain >= low - 1e-9) & (strain <= high + 1e-9)].mean())
+
+
+def numbers_of(history: History, march: March, area: float, rate: float, young: float) -> dict[str, Any]:
+    """What is said of a run, its balance of energy first."""
+    end = float(history.strain[-1])
+    stress = 0.5 * young / area * (history.top + history.bottom)
+    later = history.strain >= min(0.05, end / 2)
+    nx, ny, nz = march.body.shape
+    difference = np.sqrt(np.mean((history.top - history.bottom)[later] ** 2))
+    return {
+        "plateau": mean_stress(history.strain, stress, *PLATEAU) if end >= PLATEAU[1] - 1e-9 else None,
+        "work": float(history.work[-1] * young / (area * nz)),
+        "relative_density": len(march.body.corners) / (nx * ny * nz),
+        "rate": rate,
+        **{name: round(float(share), 6) for name, share in march.shares().items()},
+        "plates_differ": round(float(difference / max(np.abs(history.top[later]).mean(), 1e-300)), 6),
+        "added_mass": round(march.added_mass, 6),
+    }
+
+
+def warnings_of(numbers: Mapping[str, Any], tables: tuple[Table, ...]) -> list[str]:
+    """What makes a run less than trustworthy."""
+    if numbers["work"] <= 0:
+        return ["the plates met no resistance"]
+    found = [
+        f"{abs(numbers[name]):.1%} of the work {what}" for name, (most, what) in SHARES.items()
+        if abs(numbers[name]) > most
+    ]  # fmt: skip
+    if numbers["plates_differ"] > PLATES:
+        found.append(f"the forces of both plates differ by {numbers['plates_differ']:.1%}: lower `rate`")
+    if numbers["added_mass"] > ADDED_MASS:
+        found.append(f"crushed voxels were given {numbers['added_mass']:.0%} more mass: lower `rate`, or end earlier")
+    if any(b[1] < a[1] for table in tables for a, b in pairwise(table)):
+        found.append("the solid softens: strain gathers in single voxels, so that the result depends on `resolution`")
+    return found

@@ -1,0 +1,102 @@
+"""Pictures of deformed voxels: the same view of every frame, in colors of a value of each voxel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.pictures.camera import Camera
+from sppm_pipeline.services.pictures.mesh_view import render_mesh
+
+FACES = (
+    ((-1, 0, 0), (0, 4, 6, 2)),
+    ((1, 0, 0), (1, 3, 7, 5)),
+    ((0, -1, 0), (0, 1, 5, 4)),
+    ((0, 1, 0), (2, 6, 7, 3)),
+    ((0, 0, -1), (0, 2, 3, 1)),
+    ((0, 0, 1), (4, 5, 7, 6)),
+)
+"""Neighbor beyond each face of a voxel, and its corners counterclockwise from outside, numbered i + 2 j + 4 k."""
+
+UPRIGHT = {"z": (0, 1, 2), "x": (1, 2, 0), "y": (2, 0, 1)}
+"""Axes in the order that puts the axis of compression on top."""
+
+
+def exposed_triangles(
+    voxels: NDArray[np.int32], grid: tuple[int, int, int], elements: NDArray[np.int32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Triangles of the faces that no other voxel covers, and the voxel of each.
+
+    Parameters
+    ----------
+    voxels : (m, 3) int32
+        Places in the grid.
+    grid : (nx, ny, nz)
+    elements : (m, 8) int32
+        Nodes at the corners, in the order of `FACES`.
+
+    Returns
+    -------
+    triangles : (n, 3) int64
+        Nodes, so that normals point outwards.
+    owners : (n,) int64
+    """
+    solid = np.zeros(tuple(n + 2 for n in grid), bool)
+    places = voxels.astype(np.int64) + 1
+    solid[tuple(places.T)] = True
+    triangles, owners = [], []
+    for beyond, corners in FACES:
+        bare = np.flatnonzero(~solid[tuple((places + beyond).T)])
+        quads = elements[bare][:, corners].astype(np.int64)
+        triangles += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
+        owners += [bare, bare]
+    return np.concatenate(triangles), np.concatenate(owners)
+
+
+def frame_pictures(
+    voxels: NDArray[np.int32],
+    grid: tuple[int, int, int],
+    elements: NDArray[np.int32],
+    frames: NDArray[np.float32],
+    colors: Iterator[NDArray[np.uint8]],
+    *,
+    axis: str,
+    camera: Camera,
+    size: tuple[int, int],
+    section: float | None,
+) -> Iterator[NDArray[np.uint8]]:
+    """A picture (height, width, 3) of each frame, all at one scale, the axis of compression upright.
+
+    Parameters
+    ----------
+    voxels, grid, elements
+        See `exposed_triangles`.
+    frames : (f, p, 3) float32
+        Positions of the nodes.
+    colors : iterator of (m, 3) uint8
+        Of the voxels, frame by frame.
+    axis : {"x", "y", "z"}
+    camera : Camera
+        In the turned axes.
+    size : (width, height)
+    section : float, optional
+        Share of the undeformed block that is kept, along the second of the turned axes, the far side; a layer of voxels
+        at least.
+    """
+    turned = list(UPRIGHT[axis])
+    kept = np.ones(len(voxels), bool)
+    if section is not None:
+        along = voxels[:, turned[1]]
+        kept = along >= min((1 - section) * grid[turned[1]] - 0.5, along.max())  # the farthest layer at least
+    triangles, owners = exposed_triangles(voxels[kept], grid, elements[kept])
+    nodes, faces = np.unique(triangles, return_inverse=True)
+    faces = faces.reshape(triangles.shape)
+    shown = frames[:, nodes][..., turned].astype(np.float64)
+    low, high = shown.min(axis=(0, 1)), shown.max(axis=(0, 1))
+    # the corners of a box around all frames belong to no triangle: they hold the view still
+    corners = np.array([[(low, high)[(c >> a) & 1][a] for a in range(3)] for c in range(8)])
+    for positions, color in zip(shown, colors, strict=True):
+        points = np.concatenate([positions, corners])
+        yield render_mesh(points, faces, camera=camera, size=size, face_colors=color[kept][owners])

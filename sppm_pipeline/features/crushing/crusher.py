@@ -1,0 +1,367 @@
+"""Base of stages that crush blocks: material, load, march, and what comes of it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.features.crushing.compression import CrushedBody
+from sppm_pipeline.features.crushing.crush_report import PLATEAU, Table, mean_stress, numbers_of, warnings_of
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.features.crushing.numerics.body import Body
+    from sppm_pipeline.features.crushing.numerics.march import Failed, History, March
+    from sppm_pipeline.features.crushing.numerics.material import Material
+
+AUTO, HALVED = (0.02, 0.01, 0.005, 0.0025), 0.02
+"""Rates that `auto` tries, and the change of plateau stress and work that ends it."""
+
+PERMUTED = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}
+"""Axes of an image z, y, x in the order that turns the axis of compression into the first."""
+
+STRIDE, PAUSE = 0.02, 20.0
+"""Strains between states from which an interrupted run can go on, and seconds between those that are written; choices.
+When they are written has no influence on the result."""
+
+
+class Frame(NamedTuple):
+    """Strain, positions of the nodes and plastic strain of the elements."""
+
+    strain: float
+    nodes: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crusher(Stage):
+    """Base of stages that crush blocks: how, of which material, and what comes of it."""
+
+    advice: ClassVar[str] = "lower `resolution`, or raise `rate`"
+
+    resolution: int = options.resolution(24, note="of fields; images keep theirs", maximum=256)
+    axis: str = options.axis("z")
+    strain: float = option(0.6, help="strain at the end", minimum=0.01, maximum=0.8)
+    least_strain: float = options.least_strain(
+        0.2, note="a block that comes apart earlier is an error, later a warning and a curve that ends there",
+        minimum=0.01,
+    )  # fmt: skip
+    rate: float | str = option(
+        0.01, help="speed of the plate over that of waves in a bar of the solid; auto halves it until nothing changes",
+        minimum=1e-4, maximum=0.05, choices=("auto",),
+    )  # fmt: skip
+    plates: str = option(
+        "slip", help="whether the block slides on the plates, sticks to them, or is held by friction",
+        choices=("slip", "stick", "friction"),
+    )  # fmt: skip
+    friction: float = option(
+        0.2, help="coefficient of friction where the block touches itself, and of the plates", minimum=0, maximum=2
+    )
+    sides: str = option("free", help="whether the sides may bulge or are held by rollers", choices=("free", "confined"))
+    young: float | tuple[float, ...] = options.young(1.0, note="or of each phase from 1 on")
+    poisson: float | tuple[float, ...] = options.poisson(0.35, note="or of each phase from 1 on")
+    yield_stress: float | Table | tuple[Table, ...] = option(
+        (),
+        help="yield stress, or its table [[plastic strain, true stress], ...], or a table for each phase; an elastic "
+        "solid if empty",
+        minimum=0,
+        maximum=1e15,
+    )
+    stress_unit: str = options.stress_unit("relative")
+    solid_density: float | None = option(None, help="density of the solid", unit="g/cm3", above=0, maximum=100)
+    frames: tuple[float, ...] = option(
+        (0.0, 0.15, 0.3, 0.45, 0.6), help="strains at which the deformed block is kept", minimum=0, maximum=0.8
+    )
+
+    def check_options(self) -> None:
+        """As many materials as phases, tables that rise from 0, stress that is not beyond the modulus."""
+        young, poisson, tables = self._young(), self._poisson(), self._tables()
+        if not young or len(poisson) != len(young) or len(tables) != len(young):
+            raise ConfigError(
+                f"`young` has {len(young)} values, `poisson` {len(poisson)}, and `yield_stress` {len(tables)} tables",
+                hint="give one of each, or one for every phase",
+            )
+        for modulus, table in zip(young, tables, strict=True):
+            strains, stresses = [row[0] for row in table], [row[1] for row in table]
+            if table and (strains[0] != 0 or any(b <= a for a, b in pairwise(strains))):
+                raise ConfigError(f"the plastic strains of `yield_stress` are {strains}; they start at 0 and rise")
+            if any(not 0 < stress <= modulus / 2 for stress in stresses):
+                raise ConfigError(
+                    f"`yield_stress` has {stresses} beside a Young's modulus of {modulus:g}",
+                    hint="give both in the same unit; yield stresses lie above 0 and below half of the modulus",
+                )
+
+    def _young(self) -> tuple[float, ...]:
+        return self.young if isinstance(self.young, tuple) else (self.young,)
+
+    def _poisson(self) -> tuple[float, ...]:
+        given = self.poisson if isinstance(self.poisson, tuple) else (self.poisson,)
+        return given * len(self._young()) if len(given) == 1 else given
+
+    def _tables(self) -> tuple[Table, ...]:
+        """A table for each phase."""
+        given: Any = self.yield_stress
+        if isinstance(given, float):
+            given = ((0.0, given),)
+        flat = not given or isinstance(given[0][0:1] and given[0][0], float)
+        tables: tuple[Table, ...] = (given,) if flat else given
+        return tables * len(self._young()) if len(tables) == 1 else tables
+
+    def _materials(self) -> tuple[Material, ...]:
+        from sppm_pipeline.features.crushing.numerics.material import Material
+
+        return tuple(map(Material, self._young(), self._poisson(), self._tables()))
+
+    def crushing(self, source: Size) -> Size:
+        """Elements times steps."""
+        grid = Size(voxels=source.voxels) if source.voxels else source.grid(self.resolution)
+        voxels = source.voxels or grid.samples
+        solid = 1 - (source.geometry.porosity if source.geometry else 0.5)
+        box = source.geometry.box if source.geometry and not source.voxels else (1.0, 1.0, 1.0)
+        layers = (voxels / np.prod(box)) ** (1 / 3) * box["xyz".index(self.axis)]
+        rate = sum(1 / r for r in AUTO[:2]) if isinstance(self.rate, str) else 1 / self.rate
+        nu = self._poisson()[0]
+        # the slow start takes as long as .09 more strain; pressure waves cross this part of a voxel in a step: COURANT
+        # and STABLE of the march, which are not worth compiling for
+        courant = min(0.6, (0.8 * (1 - nu) / (1 + nu)) ** 0.5)
+        steps = (self.strain + 0.09) * layers * rate * ((1 - nu) / (1 + nu) / (1 - 2 * nu)) ** 0.5 / courant
+        solid *= voxels
+        return Size(
+            samples=grid.samples, sums=grid.sums, voxels=solid * steps, nodes=solid * (3 + len(self.frames)),
+            resident=solid,
+        )  # fmt: skip
+
+    def crush(self, context: Context, source: ScalarField | Voxels) -> CrushedBody:
+        """Crush, more slowly until that changes nothing if the rate is chosen automatically."""
+        image, spacing, physical = self._image(context, source)
+        if not isinstance(self.rate, str):
+            return self._crushed(context, image, spacing, physical, self.rate)
+        made: CrushedBody | None = None
+        change = math.nan
+        for rate in AUTO:
+            last = made
+            try:
+                made = self._crushed(context, image, spacing, physical, rate)
+            except DesignError:  # it came apart early: perhaps not at a lower rate
+                if rate == AUTO[-1]:
+                    raise
+                made = None
+                continue
+            change = _change(last, made) if last is not None else math.nan
+            if change < HALVED:
+                return made
+        assert made is not None
+        known = "are known from one alone" if math.isnan(change) else f"still change by {change:.2g}"
+        context.warn(f"stress and work {known} where the rate is {AUTO[-1]:g}")
+        return made
+
+    def _image(self, context: Context, source: ScalarField | Voxels) -> tuple[NDArray[np.uint8], float, bool]:
+        """Phases (nz, ny, nx), edge of a voxel, and whether that is in mm."""
+        if isinstance(source, Voxels):
+            edges = source.spacing
+            if max(edges) > (1 + 1e-4) * min(edges):
+                raise DesignError(
+                    f"the voxels measure {' x '.join(f'{e:g}' for e in edges)}; only cubes can be crushed",
+                    hint="resample the image to cubes",
+                )
+            image = (source.solid() if source.fractions else source.values).astype(np.uint8)
+            image, spacing, physical = image.T, edges[0], source.physical
+        else:
+            if coarse := source.coarseness(1 / self.resolution):
+                context.warn(coarse)
+            image = _binary(source, self.resolution, context.threads)
+            spacing, physical = (source.edge_mm or 1.0) / self.resolution, source.edge_mm is not None
+        if (phases := int(image.max())) > len(self._young()):
+            raise DesignError(
+                f"the image has phases up to {phases}, and materials are given for {len(self._young())}",
+                hint="give `young`, `poisson` and `yield_stress` a value for every phase from 1 on",
+            )
+        if not phases:
+            raise DesignError("the block is empty: there is nothing to crush", hint="lower the porosity")
+        return image, spacing, physical
+
+    def _crushed(
+        self, context: Context, image: NDArray[np.uint8], spacing: float, physical: bool, rate: float
+    ) -> CrushedBody:
+        """Crush at one rate."""
+        from sppm_pipeline.features.crushing.numerics.body import body_of
+        from sppm_pipeline.features.crushing.numerics.march import Load, March
+
+        turned = np.ascontiguousarray(image.transpose(PERMUTED[self.axis]))
+        used = np.flatnonzero(turned.any((1, 2)))
+        first, last = int(used[0]), int(used[-1]) + 1
+        if first > 0 or last < len(turned):
+            context.warn(
+                f"the block touches no plate at an end: it begins {first} voxels above the lower and ends "
+                f"{len(turned) - last} below the upper one; plates and height are taken where the solid is"
+            )
+        warnings = _loose(turned[first:last])
+        body = body_of(turned[first:last], confined=self.sides == "confined")
+        plates = {"slip": 0.0, "stick": -1.0, "friction": self.friction}[self.plates]
+        load = Load(self.strain, rate, plates, self.sides == "confined", self.friction)
+        march = March(body, self._materials(), load, context.threads)
+        kept, failed = self._marched(context, march)
+        context.report(steps=march.step, elements=len(body.corners))
+        if failed is not None:
+            context.warn(f"the block came apart: {failed}; its curve ends there")
+        history = march.history()
+        area = float(body.shape[0] * body.shape[1])
+        numbers = numbers_of(history, march, area, rate, self._young()[0])
+        warnings += warnings_of(numbers, self._tables())
+        for warning in warnings:
+            context.warn(warning)
+        return self._result(body, history, kept, numbers, image, spacing, physical, first, failed.why if failed else "")
+
+    def _marched(self, context: Context, march: March) -> tuple[list[Frame], Failed | None]:
+        """The frames of a march that goes on where an interrupted run has left it, and why it ended early.
+
+        States are kept at strains that depend on no option, so that neither frames nor the strain at the end change
+        the march: who interrupts a run may end it where it was.
+        """
+        from sppm_pipeline.features.crushing.numerics.march import Failed
+
+        frames = {f for f in self.frames if f < self.strain} | {0.0, self.strain}
+        strides = {round(step * STRIDE, 9) for step in range(1, int(self.strain / STRIDE) + 1)} - {self.strain}
+        described = repr((self._materials(), march.load._replace(strain=0.0), self.frames, march.body.shape))
+        content = described.encode() + march.body.voxels.tobytes() + march.body.phases.tobytes()
+        key = hashlib.sha256(content).hexdigest()
+        found: list[Frame] = []
+        state = context.recall(key)
+        if state is not None and state["strain"] <= self.strain:
+            march.resume(state["march"])
+            found = [Frame(*frame) for frame in state["frames"]]
+        state, last = None, _frame(march)
+        saved = time.monotonic()
+
+        def told(strain: float) -> None:
+            context.progress(march.step, march.steps, f"strain {strain:.3f}")
+
+        try:
+            for stop in sorted(frames | strides):
+                if march.step and stop <= march.strain + 1e-6:
+                    continue
+                march.to(stop, told)
+                last = _frame(march)
+                if stop in frames:
+                    found.append(last)
+                if stop in strides:
+                    state = {"strain": stop, "march": march.kept(), "frames": [tuple(frame) for frame in found]}
+                    if time.monotonic() > saved + PAUSE:
+                        context.remember(key, state)
+                        state, saved = None, time.monotonic()
+        except KeyboardInterrupt:
+            if state is not None:
+                context.remember(key, state)
+            raise
+        except Failed as error:
+            if error.strain < min(self.least_strain, self.strain):
+                raise DesignError(
+                    f"the block came apart: {error}, after {march.step} of {march.steps} steps",
+                    hint="lower `rate`, raise `resolution`, or keep what there is by a smaller `least_strain`",
+                ) from None
+            # the last state that there is, as far as it can be trusted
+            found = [frame for frame in (*found, last) if frame.strain <= error.strain]
+            context.remember(key, None)
+            return found[:-1] if len(found) > 1 and found[-1].strain == found[-2].strain else found, error
+        finally:
+            march.close()
+        context.remember(key, None)
+        return found, None
+
+    def _result(
+        self, body: Body, history: History, kept: list[Frame], numbers: dict[str, Any], image: NDArray[np.uint8],
+        spacing: float, physical: bool, first: int, ended: str,
+    ) -> CrushedBody:  # fmt: skip
+        nx, ny, nz = body.shape
+        unit = self._young()[0] / (nx * ny)
+        per_volume = unit / nz
+        energies = {name: values * per_volume for name, values in history.energies.items()}
+        axis = "xyz".index(self.axis)
+        # places and positions of the turned block back to x, y, z
+        back = [(2, 0, 1), (1, 2, 0), (0, 1, 2)][axis]
+        lift = np.array([0, 0, first])
+        columns = [_corner(c, axis) for c in range(8)]
+        size = spacing if physical else None
+        solid = np.count_nonzero(image) / image[0].size / len(image)
+        return CrushedBody(
+            strain=history.strain,
+            stress=0.5 * unit * (history.top + history.bottom),
+            unit=self.stress_unit,
+            origin="simulated",
+            area=nx * ny * size**2 if size else None,
+            height=nz * size if size else None,
+            density=self.solid_density * solid if self.solid_density else None,
+            energies={"external": history.work * per_volume, **energies},
+            plates=unit * np.stack([history.bottom, history.top], axis=1),
+            numbers=numbers,
+            ended=ended,
+            grid=image.shape[::-1],
+            spacing=spacing,
+            physical=physical,
+            axis=self.axis,
+            voxels=(body.voxels + lift)[:, back],
+            phases=body.phases + 1,
+            elements=body.corners[:, columns],
+            frame_strains=np.array([frame.strain for frame in kept]),
+            frame_nodes=np.stack([((frame.nodes + lift) * spacing)[:, back] for frame in kept]),
+            frame_alpha=np.stack([frame.alpha for frame in kept]),
+        )
+
+
+def _frame(march: March) -> Frame:
+    return Frame(march.strain, march.x.astype(np.float32), march.plastic_strain.astype(np.float32))
+
+
+def _change(one: CrushedBody, other: CrushedBody) -> float:
+    """By which share the plateau stress, or that of the second half of a short run, and the work differ."""
+    end = float(min(one.strain[-1], other.strain[-1]))
+    found = []
+    for body in (one, other):
+        level = mean_stress(body.strain, body.stress, min(PLATEAU[0], end / 2), min(PLATEAU[1], end))
+        found.append((level, float(np.interp(end, body.strain, body.energies["external"]))))
+    return max((abs(after / before - 1) for before, after in zip(*found, strict=True) if before), default=0.0)
+
+
+def _corner(column: int, axis: int) -> int:
+    """The corner of a turned voxel that is at the upper end along x, y, z where bits 0, 1, 2 of `column` are set."""
+    low = [1 - (column >> c & 1) for c in range(3)]
+    x, y, z = low if axis == 2 else (low[1], low[2], low[0]) if axis == 0 else (low[2], low[0], low[1])
+    return x + 2 * y + 4 * z
+
+
+def _binary(field: ScalarField, resolution: int, threads: int) -> NDArray[np.uint8]:
+    """Whole voxels of a field, (nz, ny, nx), cut at the level at which they have the density of a finer grid."""
+    values = field.sample(resolution, threads).T
+    density = float(field.solid(2 * resolution, threads).mean(dtype=np.float64))
+    count = round(density * values.size)
+    if not count:
+        return np.zeros(values.shape, np.uint8)
+    # voxels of one value go together, so that symmetry stays
+    most = np.partition(values.reshape(-1), count - 1)[count - 1]
+    with_them, without = values <= most, values < most
+    fewer = count - np.count_nonzero(without) < np.count_nonzero(with_them) - count
+    return np.asarray(without if fewer and without.any() else with_them).view(np.uint8)
+
+
+def _loose(image: NDArray[np.uint8]) -> list[str]:
+    """Warnings for solid that carries nothing."""
+    from sppm_pipeline.method.connectivity.components import find_components
+
+    found = find_components((image > 0).view(np.uint8), (False,) * 3, 6)
+    spanning = found.faces[:, 4] & found.faces[:, 5]
+    if not spanning.any():
+        return ["no solid goes from one plate to the other; there is no force until pieces meet"]
+    loose = float(found.sizes[~spanning].sum() / found.sizes.sum())
+    return [f"{loose:.2g} of the solid does not hang together with what goes from plate to plate"] if loose else []

@@ -1,0 +1,254 @@
+"""Readings of a test machine: text files with a column of force and one of displacement, as machines write them.
+
+Delimiter, decimal comma, encoding, block of text in front, names and units of columns are found out, and all of it is
+told. What can't be told for certain is refused, with the option that says it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.features.crushing.machine_columns import NAMES, Column, chosen, columns_of, factor_of
+
+LARGEST_FILE = 512 * 2**20
+"""Bytes; larger files are refused before they are read."""
+
+HEAD = 2000
+"""Lines within which the table must begin."""
+
+
+_GROUPED = r"[1-9]\d{0,2}(?:[.,'’ \u00a0\u202f]\d{3})+(?:[.,]\d*)?"
+_NUMBER = re.compile(rf"[-+]?(?:{_GROUPED}|\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?")
+_GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
+_WORDS = re.compile(r"\S+(?:[ \t]+[\[(（][^\])）]*[\])）])?")  # a unit in brackets belongs to the word before it
+
+
+class Readings(NamedTuple):
+    """What was read.
+
+    Attributes
+    ----------
+    load : (n,) float64
+        Newtons of "force", or MPa of "stress".
+    way : (n,) float64
+        Millimeters of "displacement", or "strain".
+    load_kind, way_kind : str
+    notes : tuple of str
+        What was taken.
+    """
+
+    load: NDArray[np.float64]
+    way: NDArray[np.float64]
+    load_kind: str
+    way_kind: str
+    notes: tuple[str, ...]
+
+
+def read_readings(
+    data: bytes, name: str, *, columns: Sequence[str] = (), units: Sequence[str] = (), decimal: str = "auto"
+) -> Readings:
+    """Read a file.
+
+    Parameters
+    ----------
+    data : bytes
+    name : str
+        How to call the file in messages.
+    columns : (load, way), optional
+        Headings, or numbers from 1 on.
+    units : (load, way), optional
+        Their units, instead of what the file says.
+    decimal : {"auto", "point", "comma"}
+
+    Raises
+    ------
+    InputError
+    """
+    text, encoding = _decoded(data)
+    if not text.strip():
+        raise InputError(f"{name} is empty")
+    delimiter = _delimiter(text, name)
+    head, width = _head(text, delimiter, name)
+    table = columns_of(head, width, delimiter, name)
+    load, way, kinds = chosen(table, columns, units, name)
+    cells, first, last, left = _cells(text, delimiter, len(head), (load, way), name)
+    mark = _decimal(cells, decimal, name)
+    values = []
+    factors = []
+    for column, kind, given, texts in zip((load, way), kinds, units or ("", ""), cells, strict=True):
+        unit = given or column.unit
+        factors.append((unit, factor_of(unit, kind, column, name)))
+        values.append(factors[-1][1] * _numbers(texts, mark, column, name))
+    separator = {"\t": "tabs", " ": "blanks"}.get(delimiter, repr(delimiter))
+    notes = (
+        f"{name}: {encoding}, {separator} between columns, decimal {mark}, lines {first} to {last}",
+        *(
+            f"{kind} from column {column} in {unit}"
+            for kind, column, (unit, _) in zip(kinds, (load, way), factors, strict=True)
+        ),
+        *([f"{left} lines behind the table were not read"] if left else []),
+    )
+    return Readings(values[0], values[1], *kinds, notes)
+
+
+def _decoded(data: bytes) -> tuple[str, str]:
+    for mark, codec in ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be")):
+        if data.startswith(mark):
+            return data[len(mark) :].decode(codec, "replace"), codec.upper()
+    sample = data[:4000]
+    for codec, odd in (("utf-16-le", sample[1::2]), ("utf-16-be", sample[::2])):
+        if len(odd) > 8 and odd.count(0) > 0.6 * len(odd):
+            return data.decode(codec, "replace"), codec.upper()
+    try:
+        return data.decode("utf-8"), "UTF-8"
+    except UnicodeDecodeError:
+        pass
+    chinese = data.decode("gb18030", "replace")
+    if any(
+        name in chinese[:100_000] for names in NAMES.values() for name in names if not name.isascii() and name > "一"
+    ):
+        return chinese, "GB18030"
+    return data.decode("cp1252", "replace"), "Windows-1252"
+
+
+def _rows(text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """Line numbers from 1 on, and stripped cells; lines without any are passed over."""
+    lines = io.StringIO(text, newline=None)
+    if delimiter == " ":
+        for number, line in enumerate(lines, 1):
+            if cells := _WORDS.findall(line):
+                yield number, cells
+        return
+    reader = csv.reader(lines, delimiter=delimiter)
+    for cells in reader:
+        if any(cell.strip() for cell in cells):
+            yield reader.line_num, [cell.strip() for cell in cells]
+
+
+def _is_number(cell: str) -> bool:
+    return _NUMBER.fullmatch(cell) is not None
+
+
+def _delimiter(text: str, name: str) -> str:
+    """The one by which most lines of the beginning fall into numbers, two or more in each."""
+    start = "".join(line for line, _ in zip(io.StringIO(text, newline=None), range(HEAD), strict=False))
+    best, most = "", 0.0
+    for delimiter in ("\t", ";", ",", " "):
+        score = 0.0
+        try:
+            for _, cells in _rows(start, delimiter):
+                filled = [cell for cell in cells if cell]
+                numbers = sum(map(_is_number, filled))
+                score += numbers / len(filled) if numbers > 1 else 0.0
+        except csv.Error:
+            pass  # what comes before counts; the line is met again, and told, when the table is read
+        if score > most + 1e-9:
+            best, most = delimiter, score
+    if not best:
+        raise InputError(
+            f"{name} holds no table: no line has two numbers",
+            hint="export the readings as text, with a column of force and one of displacement",
+        )
+    return best
+
+
+def _head(text: str, delimiter: str, name: str) -> tuple[list[list[str]], int]:
+    """The rows in front of the table, and the number of cells of its first row."""
+    rows: list[list[str]] = []
+    numeric: list[bool] = []
+    for number, cells in _rows(text, delimiter):
+        if number > HEAD:
+            break
+        rows.append(cells)
+        numeric.append(sum(map(_is_number, cells)) > 1)
+        if len(rows) > 2 and all(numeric[-3:]) and len({len(row) for row in rows[-3:]}) == 1:
+            return rows[:-3], len(cells)
+    if len(rows) > HEAD:
+        raise InputError(f"{name}: no table of numbers begins in the first {HEAD} lines")
+    raise InputError(f"{name} has fewer than three readings", hint="a curve of compression has hundreds of them")
+
+
+def _cells(
+    text: str, delimiter: str, head: int, columns: tuple[Column, Column], name: str
+) -> tuple[tuple[list[str], list[str]], int, int, int]:
+    """The cells of two columns, first and last line of the table, and lines behind it."""
+    a, b = (column.number for column in columns)
+    loads: list[str] = []
+    ways: list[str] = []
+    first = last = behind = 0
+    ended: tuple[int, str] | None = None
+    try:
+        for place, (number, cells) in enumerate(_rows(text, delimiter)):
+            if place < head:
+                continue
+            known = len(cells) > max(a, b) and _is_number(cells[a]) and _is_number(cells[b])
+            if any("\n" in cell for cell in cells):
+                raise InputError(f"{name}: a quotation mark in line {last + 1} is not closed")
+            if not known:
+                wrong = next((c for c in (a, b) if c >= len(cells) or not _is_number(cells[c])), a)
+                ended = ended or (number, cells[wrong] if wrong < len(cells) else "")
+                behind += 1
+            elif ended is not None:
+                raise InputError(
+                    f"{name}: line {ended[0]} has {ended[1][:40]!r} for a number, and the table goes on in line "
+                    f"{number}",
+                    hint="take the line out, or leave one table in the file",
+                )
+            else:
+                loads.append(cells[a])
+                ways.append(cells[b])
+                first, last = first or number, number
+    except csv.Error as error:
+        raise InputError(f"{name}: the table can't be read behind line {last}: {error}") from error
+    if len(loads) < 3:
+        raise InputError(f"{name} has {len(loads)} readings in columns {columns[0]} and {columns[1]}")
+    return (loads, ways), first, last, behind
+
+
+def _decimal(cells: tuple[list[str], list[str]], asked: str, name: str) -> str:
+    """ "point" or "comma"."""
+    if asked != "auto":
+        return asked
+    texts = {text for texts in cells for text in texts if "," in text or "." in text}
+    both = [text for text in texts if "," in text and "." in text]
+    if both:
+        marks = {"comma" if text.rfind(",") > text.rfind(".") else "point" for text in both}
+        if len(marks) > 1:
+            raise InputError(f"{name}: commas and points change their meaning", hint="say `decimal: point` or `comma`")
+        return marks.pop()
+    commas = [text for text in texts if "," in text]
+    points = len(texts) > len(commas)
+    if not commas:
+        return "point"
+    grouped = all(_GROUPS.fullmatch(text) for text in commas)
+    if points and grouped:
+        return "point"
+    if points or any(text.count(",") > 1 for text in commas):
+        raise InputError(f"{name}: commas and points change their meaning", hint="say `decimal: point` or `comma`")
+    if grouped:
+        raise InputError(
+            f"{name}: {commas[0]!r} may be a number of thousands or one with three decimals",
+            hint="say `decimal: comma` or `decimal: point`",
+        )
+    return "comma"
+
+
+def _numbers(texts: list[str], mark: str, column: Column, name: str) -> NDArray[np.float64]:
+    drop, keep = (",", ".") if mark == "point" else (".", ",")
+    blanks = str.maketrans(dict.fromkeys((drop, "'", "’", " ", "\u00a0", "\u202f")) | {keep: "."})
+    try:
+        values: NDArray[np.float64] = np.array([text.translate(blanks) for text in texts]).astype(np.float64)
+    except ValueError as error:
+        raise InputError(f"{name}: column {column} holds what is no number with a decimal {mark}: {error}") from error
+    if not np.isfinite(values).all():
+        at = int(np.argmin(np.isfinite(values)))
+        raise InputError(f"{name}: reading {at + 1} of column {column} is {texts[at]!r}, which is not finite")
+    return values

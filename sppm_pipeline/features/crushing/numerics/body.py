@@ -1,0 +1,123 @@
+"""Elements, nodes and surface of a body of voxels, ordered so that threads never meet."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.features.crushing.numerics.material import LANES, Material
+
+LAYERS = 2
+"""Layers of voxels of a slab; a constant, so that sums do not depend on threads."""
+
+
+class Body(NamedTuple):
+    """A body of voxels with an edge of 1, compressed along z.
+
+    Attributes
+    ----------
+    shape : (nx, ny, nz)
+    voxels : (elements, 3) int32
+        Place x, y, z of each element, z slowest.
+    corners : (elements, 8) int32
+        Their nodes; corner a is on the low side along x, y, z where bit 0, 1, 2 of a is set.
+    nodes : (nodes, 3) int32
+        Reference positions.
+    phases : (elements,) uint8
+        Rows of the table of materials.
+    lanes : (blocks, LANES) int32
+        Which element is where in blocks of one slab and material; -1 for none.
+    slabs : (slabs + 1,) int64
+        Where the blocks of each slab begin.
+    surface : (voxels,) int32
+        Elements with an exposed face.
+    carried : (voxels,) uint8
+        Bits of those of their corners that lie at an exposed face.
+    """
+
+    shape: tuple[int, int, int]
+    voxels: NDArray[np.int32]
+    corners: NDArray[np.int32]
+    nodes: NDArray[np.int32]
+    phases: NDArray[np.uint8]
+    lanes: NDArray[np.int32]
+    slabs: NDArray[np.int64]
+    surface: NDArray[np.int32]
+    carried: NDArray[np.uint8]
+
+    def blocked(self, values: NDArray[Any], empty: Any) -> NDArray[Any]:
+        """Values of elements, in blocks."""
+        return np.ascontiguousarray(
+            np.where((self.lanes >= 0).reshape(self.lanes.shape + (1,) * (values.ndim - 1)), values[self.lanes], empty)
+        )
+
+
+def body_of(image: NDArray[np.uint8], *, confined: bool = False) -> Body:
+    """The body of an image.
+
+    Parameters
+    ----------
+    image : (nz, ny, nx) uint8
+        Phase of each voxel from 1 on; 0 for void.
+    confined : bool
+        Whether walls close the sides, so that nothing is exposed there.
+
+    Raises
+    ------
+    ValueError
+        If all is void.
+    """
+    nz, ny, nx = image.shape
+    z, y, x = (index.astype(np.int32) for index in np.nonzero(image))
+    if not len(x):
+        raise ValueError("there is no solid")
+    phases = image[z, y, x] - np.uint8(1)
+    ends = np.array([[1 - (a >> c & 1) for a in range(8)] for c in range(3)], np.int64)
+    grid = ((z[:, None] + ends[2]) * (ny + 1) + y[:, None] + ends[1]) * (nx + 1) + x[:, None] + ends[0]
+    used = np.zeros((nz + 1) * (ny + 1) * (nx + 1), bool)
+    used[grid] = True
+    number = np.cumsum(used, dtype=np.int32) - 1
+    places = np.flatnonzero(used)
+    nodes = np.stack([places % (nx + 1), places // (nx + 1) % (ny + 1), places // ((nx + 1) * (ny + 1))], axis=1)
+    lanes, slabs = _blocks(z // LAYERS, phases, -(-nz // LAYERS))
+    exposed = _exposed(image > 0, confined)[:, z, y, x]
+    carried = np.zeros(len(x), np.uint8)
+    for a in range(8):
+        at = exposed[0 + (a & 1)] | exposed[2 + (a >> 1 & 1)] | exposed[4 + (a >> 2 & 1)]
+        carried |= at.astype(np.uint8) << np.uint8(a)
+    surface = np.flatnonzero(carried).astype(np.int32)
+    return Body(
+        (nx, ny, nz), np.stack([x, y, z], axis=1), number[grid], nodes.astype(np.int32), phases, lanes, slabs, surface,
+        carried[surface],
+    )  # fmt: skip
+
+
+def _blocks(
+    slab: NDArray[np.int32], phases: NDArray[np.uint8], slabs: int
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Elements of each slab and phase in blocks of LANES."""
+    key = slab.astype(np.int64) * 256 + phases
+    order = np.argsort(key, kind="stable")
+    groups, begin, count = np.unique(key[order], return_index=True, return_counts=True)
+    blocks = -(-count // LANES)
+    first = np.concatenate([[0], np.cumsum(blocks)])
+    lanes = np.full((first[-1], LANES), -1, np.int32)
+    for at, start, many in zip(first[:-1], begin, count, strict=True):
+        lanes.reshape(-1)[at * LANES : at * LANES + many] = order[start : start + many]
+    return lanes, np.concatenate([[0], np.cumsum(np.bincount(groups // 256, blocks, slabs))]).astype(np.int64)
+
+
+def _exposed(solid: NDArray[np.bool_], confined: bool) -> NDArray[np.bool_]:
+    """Which faces of solid voxels are at void: high and low along x, y, z."""
+    padded = np.pad(solid, ((1, 1), (1, 1), (1, 1)))
+    if confined:
+        padded = np.pad(np.pad(solid, ((0, 0), (1, 1), (1, 1)), mode="edge"), ((1, 1), (0, 0), (0, 0)))
+    inner = (slice(1, -1),) * 3
+    return np.stack([solid & ~np.roll(padded, shift, axis)[inner] for axis in (2, 1, 0) for shift in (-1, 1)])
+
+
+def wave_speed(materials: tuple[Material, ...]) -> float:
+    """Speed of pressure waves, of all phases, over that of waves in a bar of the first."""
+    return float((materials[0].wave_modulus / materials[0].young) ** 0.5)

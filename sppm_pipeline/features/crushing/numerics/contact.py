@@ -1,0 +1,312 @@
+"""Self-contact by split pinballs (Belytschko and Neal 1991; Belytschko and Yeh 1993).
+
+A voxel at the surface carries up to eight balls, at half of the way from its center to its corners, next to its exposed
+faces. Balls of voxels that are no neighbors repel each other when they overlap. The repulsion has a potential; normal
+damping and Coulomb friction don't. As balls are carried by the shape functions, forces on them become forces on
+corners by the same weights.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.jit.compiled import jit
+
+DIAMETER = 0.56
+"""Of a ball, in voxel edges; two blocks then touch when their gap has closed to within a tenth of a voxel."""
+
+REACH = 1.06
+"""Distance of balls that are listed as candidates."""
+
+SLACK = 0.22
+"""How far nodes may move before candidates are searched again; less than half of what lies between diameter and reach,
+by a share for the compression that all distances undergo meanwhile."""
+
+STIFFNESS, STABLE = 0.25, 0.09
+"""Stiffness of a contact over the wave modulus, or over the mass of a voxel by the squared step if that is less."""
+
+HARDENING = 4.0
+"""Share of the cubic term of the repulsion. Balls of opposite surfaces can slip between each other when their pressure
+is beyond .3 of Young's modulus."""
+
+DAMPING, DRAG = 0.05, 0.02
+"""Share of critical damping along the line of centers, and of the momentum that friction may take in a step. Half as
+much again of both, and blocks pressed on each other at a tenth of Young's modulus begin to tremble: they act on
+velocities half a step old."""
+
+#: What `repel` adds up for each chunk: stored in contacts, lost to damping and friction.
+SUMS = 2
+CHUNK = 128
+
+
+@jit
+def _split(p: NDArray[Any]) -> None:
+    """Weigh the corners by 3/4 and 1/4 along each axis, in place."""
+    for c in range(3):
+        a0, a1, a2, a3, a4, a5, a6, a7 = p[0, c], p[1, c], p[2, c], p[3, c], p[4, c], p[5, c], p[6, c], p[7, c]
+        d0, d1, d2, d3 = 0.25 * (a1 - a0), 0.25 * (a3 - a2), 0.25 * (a5 - a4), 0.25 * (a7 - a6)
+        a0, a1, a2, a3, a4, a5, a6, a7 = a0 + d0, a1 - d0, a2 + d1, a3 - d1, a4 + d2, a5 - d2, a6 + d3, a7 - d3
+        d0, d1, d2, d3 = 0.25 * (a2 - a0), 0.25 * (a3 - a1), 0.25 * (a6 - a4), 0.25 * (a7 - a5)
+        a0, a1, a2, a3, a4, a5, a6, a7 = a0 + d0, a1 + d1, a2 - d0, a3 - d1, a4 + d2, a5 + d3, a6 - d2, a7 - d3
+        d0, d1, d2, d3 = 0.25 * (a4 - a0), 0.25 * (a5 - a1), 0.25 * (a6 - a2), 0.25 * (a7 - a3)
+        p[0, c], p[1, c], p[2, c], p[3, c] = a0 + d0, a1 + d1, a2 + d2, a3 + d3
+        p[4, c], p[5, c], p[6, c], p[7, c] = a4 - d0, a5 - d1, a6 - d2, a7 - d3
+
+
+@jit
+def place(
+    x: NDArray[Any], v: NDArray[Any], dt: float, corners: NDArray[Any], active: NDArray[Any], first: int, last: int,
+    balls: NDArray[Any],
+) -> None:  # fmt: skip
+    """Where the balls of active voxels were a time `dt` ago.
+
+    Parameters
+    ----------
+    x, v : (nodes, 3) float64
+    dt : float
+    corners : (voxels, 8) uint32
+    active : (n,) int32
+        Voxels whose balls are placed, of which `first` to `last` are taken.
+    first, last : int
+    balls : (voxels, 8, 3) float64
+        Written.
+    """
+    for at in range(first, last):
+        voxel = active[at]
+        for a in range(8):
+            n = corners[voxel, a]
+            for c in range(3):
+                balls[voxel, a, c] = x[n, c] - dt * v[n, c]
+        _split(balls[voxel])
+
+
+@jit
+def sort_voxels(
+    centers: NDArray[Any], radii: NDArray[Any], places: NDArray[Any], origin: NDArray[Any], width: float,
+    shape: NDArray[Any], starts: NDArray[Any], names: NDArray[Any], points: NDArray[Any], homes: NDArray[Any],
+) -> None:  # fmt: skip
+    """Sort voxels into the cells of a grid.
+
+    Parameters
+    ----------
+    centers : (voxels, 3) float64
+    radii : (voxels,) float64
+        Of a voxel, to the farthest of its balls.
+    places : (voxels, 3) int32
+        In the undeformed body.
+    origin : (3,) float64
+    width : float
+        Of the cells.
+    shape : (3,) int64
+        Cells of the grid; voxels beyond count to those at its border.
+    starts : (cells + 2,) int32
+        Zeros; where the voxels of each cell begin is written.
+    names : (voxels,) int32
+    points : (voxels, 4) float64
+    homes : (voxels, 3) int32
+        Written: numbers, centers with radii, and places in the order of the cells.
+    """
+    nx, ny, nz = shape
+    cells = np.empty(len(centers), np.int32)
+    for voxel in range(len(centers)):
+        i = min(max(int((centers[voxel, 0] - origin[0]) / width), 0), nx - 1)
+        j = min(max(int((centers[voxel, 1] - origin[1]) / width), 0), ny - 1)
+        k = min(max(int((centers[voxel, 2] - origin[2]) / width), 0), nz - 1)
+        cells[voxel] = i + nx * (j + ny * k)
+        starts[cells[voxel] + 2] += 1
+    for cell in range(1, len(starts)):
+        starts[cell] += starts[cell - 1]
+    for voxel in range(len(centers)):
+        to = starts[cells[voxel] + 1]
+        starts[cells[voxel] + 1] = to + 1
+        names[to] = voxel
+        points[to, 3] = radii[voxel]
+        for c in range(3):
+            points[to, c] = centers[voxel, c]
+            homes[to, c] = places[voxel, c]
+
+
+@jit
+def search(
+    starts: NDArray[Any], names: NDArray[Any], points: NDArray[Any], homes: NDArray[Any], shape: NDArray[Any],
+    first: int, last: int, balls: NDArray[Any], carried: NDArray[Any], pairs: NDArray[Any],
+) -> int:  # fmt: skip
+    """List the pairs of balls within reach whose voxels are no neighbors, for some layers of cells.
+
+    Parameters
+    ----------
+    starts, names, points, homes, shape
+        See `sort_voxels`; cells must be as wide as the largest distance of two voxels with balls within reach.
+    first, last : int
+        Layers of cells; a pair belongs to the lower of its two.
+    balls : (voxels, 8, 3) float64
+    carried : (voxels,) uint8
+        Bits of the corners that have a ball.
+    pairs : (room, 2) int32
+        Written: eight times the voxel and the corner, in an order that the positions determine.
+
+    Returns
+    -------
+    int
+        Number of pairs; more than fit were not written.
+    """
+    nx, ny, nz = shape
+    found = 0
+    for k in range(first, last):
+        for j in range(ny):
+            for i in range(nx):
+                cell = i + nx * (j + ny * k)
+                begin, end = starts[cell], starts[cell + 1]
+                if begin == end:
+                    continue
+                for row in range(5):
+                    # the rest of its own row, then the rows of which each pair is met once
+                    dj, dk = (0, 1, -1, 0, 1)[row], (0, 0, 1, 1, 1)[row]
+                    if j + dj < 0 or j + dj >= ny or k + dk >= nz:
+                        continue
+                    there = nx * (j + dj + ny * (k + dk))
+                    low, high = starts[there + max(i - 1, 0)], starts[there + min(i + 1, nx - 1) + 1]
+                    for one in range(begin, end):
+                        x, y, z, reach = points[one, 0], points[one, 1], points[one, 2], REACH + points[one, 3]
+                        hx, hy, hz = homes[one, 0], homes[one, 1], homes[one, 2]
+                        p = names[one]
+                        for other in range(one + 1 if row == 0 else low, high):
+                            dx, dy, dz = points[other, 0] - x, points[other, 1] - y, points[other, 2] - z
+                            near = dx * dx + dy * dy + dz * dz < (reach + points[other, 3]) ** 2
+                            away = max(abs(homes[other, 0] - hx), abs(homes[other, 1] - hy), abs(homes[other, 2] - hz))
+                            # one condition: most voxels nearby are neighbors, and two branches would be hard to guess
+                            if not (near & (away > 1)):
+                                continue
+                            q = names[other]
+                            x1, y1, z1, limit = x + dx, y + dy, z + dz, (REACH + points[other, 3]) ** 2
+                            for a in range(8):
+                                dx, dy, dz = balls[p, a, 0] - x1, balls[p, a, 1] - y1, balls[p, a, 2] - z1
+                                near = dx * dx + dy * dy + dz * dz < limit
+                                if not (near & (carried[p] >> a & 1 > 0)):
+                                    continue
+                                for b in range(8):
+                                    dx, dy = balls[p, a, 0] - balls[q, b, 0], balls[p, a, 1] - balls[q, b, 1]
+                                    dz = balls[p, a, 2] - balls[q, b, 2]
+                                    near = dx * dx + dy * dy + dz * dz < REACH * REACH
+                                    if near & (carried[q] >> b & 1 > 0):
+                                        if found < len(pairs):
+                                            pairs[found, 0], pairs[found, 1] = 8 * p + a, 8 * q + b
+                                        found += 1
+    return found
+
+
+@jit
+def list_partners(pairs: NDArray[Any], starts: NDArray[Any], partners: NDArray[Any]) -> None:
+    """The partners of each ball, from pairs of balls.
+
+    Parameters
+    ----------
+    pairs : (n, 2) int32
+    starts : (balls + 1,) int32
+        Written: where the partners of each ball begin.
+    partners : (2 n,) int32
+        Written.
+    """
+    starts[:] = 0
+    for pair in range(len(pairs)):
+        starts[pairs[pair, 0] + 1] += 1
+        starts[pairs[pair, 1] + 1] += 1
+    for ball in range(1, len(starts)):
+        starts[ball] += starts[ball - 1]
+    filled = starts[:-1].copy()
+    for pair in range(len(pairs)):
+        one, other = pairs[pair, 0], pairs[pair, 1]
+        partners[filled[one]] = other
+        filled[one] += 1
+        partners[filled[other]] = one
+        filled[other] += 1
+
+
+@jit
+def repel(
+    balls: NDArray[Any], before: NDArray[Any], earlier: NDArray[Any], active: NDArray[Any], first: int, last: int,
+    starts: NDArray[Any], partners: NDArray[Any], stiffness: NDArray[Any], mass: NDArray[Any], friction: float,
+    dt: float, lossy: NDArray[Any], pushed: NDArray[Any], push: NDArray[Any], sums: NDArray[Any],
+) -> None:  # fmt: skip
+    """Forces of contact on the corners of active voxels.
+
+    Parameters
+    ----------
+    balls, before, earlier : (voxels, 8, 3) float64
+        Now, one step ago and two steps ago.
+    active : (n,) int32
+        Voxels with balls that have partners, of which the chunks `first` to `last` are taken.
+    first, last : int
+    starts, partners : int32
+        See `list_partners`.
+    stiffness, mass : (voxels,) float64
+        Of a contact and of a voxel, by its material.
+    friction, dt : float
+        Coefficient of friction, length of the step.
+    lossy : (voxels, 8, 3) float64
+        Damping and friction on each ball one step ago; replaced by those of now.
+    pushed : (voxels,) uint8
+        Written: whether anything touches.
+    push : (voxels, 8, 3) float64
+        Written where anything touches.
+    sums : (chunks, SUMS) float64
+        The energy stored in contacts is set; what the forces of one step ago have lost is added, by the mean velocity
+        before and after them.
+    """
+    for chunk in range(first, last):
+        stored, lost = 0.0, 0.0
+        for at in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(active))):
+            p = active[at]
+            touches = False
+            for a in range(8):
+                one = 8 * p + a
+                if starts[one] == starts[one + 1]:
+                    continue
+                x, y, z = balls[p, a, 0], balls[p, a, 1], balls[p, a, 2]
+                fx, fy, fz, lx, ly, lz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                for place in range(starts[one], starts[one + 1]):
+                    q, b = partners[place] >> 3, partners[place] & 7
+                    dx, dy, dz = x - balls[q, b, 0], y - balls[q, b, 1], z - balls[q, b, 2]
+                    square = dx * dx + dy * dy + dz * dz
+                    if square >= DIAMETER * DIAMETER:
+                        continue
+                    touches = True
+                    distance = np.sqrt(square) + 1e-12
+                    overlap = 1 - distance / DIAMETER
+                    k = min(stiffness[p], stiffness[q])
+                    m = 0.5 * min(mass[p], mass[q])
+                    spring = k * DIAMETER * (overlap + HARDENING * overlap**3)
+                    stored += 0.5 * k * DIAMETER**2 * (0.5 * overlap**2 + 0.25 * HARDENING * overlap**4)
+                    dx, dy, dz = dx / distance, dy / distance, dz / distance
+                    vx = ((x - before[p, a, 0]) - (balls[q, b, 0] - before[q, b, 0])) / dt
+                    vy = ((y - before[p, a, 1]) - (balls[q, b, 1] - before[q, b, 1])) / dt
+                    vz = ((z - before[p, a, 2]) - (balls[q, b, 2] - before[q, b, 2])) / dt
+                    vn = vx * dx + vy * dy + vz * dz
+                    vx, vy, vz = vx - vn * dx, vy - vn * dy, vz - vn * dz
+                    slip = np.sqrt(vx * vx + vy * vy + vz * vz) + 1e-30
+                    damper = min(max(-2 * DAMPING * np.sqrt(k * m) * vn, -spring), spring)
+                    drag = min(friction * spring, DRAG * m * slip / dt) / slip
+                    fx, fy, fz = fx + spring * dx, fy + spring * dy, fz + spring * dz
+                    lx, ly, lz = (
+                        lx + damper * dx - drag * vx,
+                        ly + damper * dy - drag * vy,
+                        lz + damper * dz - drag * vz,
+                    )
+                lost -= 0.5 * (
+                    lossy[p, a, 0] * (x - earlier[p, a, 0])
+                    + lossy[p, a, 1] * (y - earlier[p, a, 1])
+                    + lossy[p, a, 2] * (z - earlier[p, a, 2])
+                )
+                lossy[p, a, 0], lossy[p, a, 1], lossy[p, a, 2] = lx, ly, lz
+                push[p, a, 0], push[p, a, 1], push[p, a, 2] = fx + lx, fy + ly, fz + lz
+            pushed[p] = touches
+            if touches:
+                for a in range(8):
+                    if starts[8 * p + a] == starts[8 * p + a + 1]:
+                        push[p, a, 0], push[p, a, 1], push[p, a, 2] = 0.0, 0.0, 0.0
+                _split(push[p])
+        sums[chunk, 0] = stored
+        sums[chunk, 1] += lost

@@ -1,0 +1,142 @@
+"""Which surfaces of a moving body may touch, and how they push."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.features.crushing.numerics import contact
+from sppm_pipeline.features.crushing.numerics.body import Body
+
+Share = Callable[[int, Callable[[int, int], None]], None]
+"""Lets threads work on about equal shares of so many things."""
+
+
+class SelfContact:
+    """The balls of a body's surface, the pairs of them that are near each other, and their forces.
+
+    Parameters
+    ----------
+    body : Body
+    stiffness : (phases,) float64
+        Of contacts on voxels of each phase.
+    mass : (phases,) float64
+        Of voxels.
+    friction : float
+        Coefficient.
+    dt : float
+        Step of time.
+    share : callable
+
+    Attributes
+    ----------
+    pushed : (voxels,) uint8
+        Which voxels at the surface are in contact.
+    push : (voxels, 8, 3) float64
+        Forces on their corners.
+    """
+
+    def __init__(
+        self, body: Body, stiffness: NDArray[np.float64], mass: NDArray[np.float64], friction: float, dt: float,
+        share: Share,
+    ) -> None:  # fmt: skip
+        self._body, self._friction, self._dt, self._share = body, friction, dt, share
+        shape = (len(body.surface), 8, 3)
+        phases = body.phases[body.surface]
+        self._corners = body.corners[body.surface].astype(np.uint32)
+        self._places = body.voxels[body.surface]
+        self._stiffness, self._mass = stiffness[phases], mass[phases]
+        self._balls = [np.zeros(shape) for _ in range(3)]
+        self._lossy, self.push = np.zeros(shape), np.zeros(shape)
+        self.pushed = np.zeros(len(body.surface), np.uint8)
+        self._starts = np.zeros(8 * len(body.surface) + 1, np.int32)
+        self._all = np.arange(len(body.surface), dtype=np.int32)
+        self._room = 64
+        self._was_lost = 0.0
+        self._sums = np.zeros((0, contact.SUMS))
+
+    @property
+    def stored(self) -> float:
+        """Energy of all contacts."""
+        return float(self._sums[:, 0].sum())
+
+    @property
+    def lost(self) -> float:
+        """What damping and friction of contacts have taken."""
+        return self._was_lost + float(self._sums[:, 1].sum())
+
+    @lost.setter
+    def lost(self, value: float) -> None:
+        self._was_lost = value
+        self._sums[:, 1] = 0
+
+    def search(self, x: NDArray[np.float64], v: NDArray[np.float64]) -> None:
+        """Search the pairs that may come to touch, and what touches now.
+
+        Parameters
+        ----------
+        x, v : (nodes, 3) float64
+            Positions and velocities.
+        """
+        self._was_lost = self.lost
+        now, before, _ = self._balls
+        self._place(x, v, now, self._all, 0.0)
+        centers = now.mean(1)
+        radii = np.sqrt(((now - centers[:, None]) ** 2).sum(2).max(1))
+        width = contact.REACH + 2 * float(radii.max())
+        # a piece that has flown off counts to the border of the grid
+        origin = np.maximum(centers.min(0), [-n for n in self._body.shape])
+        far = np.minimum(centers.max(0), [2 * n for n in self._body.shape])
+        shape = np.maximum(np.floor((far - origin) / width).astype(np.int64), 0) + 1
+        starts = np.zeros(int(np.prod(shape)) + 2, np.int32)
+        names, points, homes = np.empty(len(now), np.int32), np.empty((len(now), 4)), np.empty((len(now), 3), np.int32)
+        contact.sort_voxels(centers, radii, self._places, origin, width, shape, starts, names, points, homes)
+        found: dict[int, NDArray[np.int32]] = {}
+
+        def layers(first: int, last: int) -> None:
+            room = 1 + self._room * (last - first)
+            while True:
+                pairs = np.empty((room, 2), np.int32)
+                count = contact.search(starts, names, points, homes, shape, first, last, now, self._body.carried, pairs)
+                if count <= room:
+                    found[first] = pairs[:count]
+                    return
+                room = count
+
+        self._share(int(shape[2]), layers)
+        pairs = np.concatenate([found[first] for first in sorted(found)])
+        self._room = 1 + 2 * len(pairs) // int(shape[2])
+        self._partners = np.empty(2 * len(pairs), np.int32)
+        contact.list_partners(pairs, self._starts, self._partners)
+        self._active = np.flatnonzero(np.diff(self._starts[::8])).astype(np.int32)
+        self._sums = np.zeros((-(-len(self._active) // contact.CHUNK), contact.SUMS))
+        self._place(x, v, before, self._active, self._dt)
+        self._lossy[:] = 0
+        self.pushed[:] = 0
+        self._repel()
+
+    def follow(self, x: NDArray[np.float64], v: NDArray[np.float64]) -> None:
+        """Forces a step later."""
+        if len(self._active):
+            self._balls = [self._balls[2], self._balls[0], self._balls[1]]
+            self._place(x, v, self._balls[0], self._active, 0.0)
+            self._repel()
+
+    def _place(
+        self, x: NDArray[np.float64], v: NDArray[np.float64], balls: NDArray[np.float64], active: NDArray[np.int32],
+        ago: float,
+    ) -> None:  # fmt: skip
+        self._share(len(active), lambda a, b: contact.place(x, v, ago, self._corners, active, a, b, balls))
+
+    def _repel(self) -> None:
+        now, before, earlier = self._balls
+
+        def chunks(a: int, b: int) -> None:
+            contact.repel(
+                now, before, earlier, self._active, a, b, self._starts, self._partners, self._stiffness, self._mass,
+                self._friction, self._dt, self._lossy, self.pushed, self.push, self._sums,
+            )  # fmt: skip
+
+        self._share(len(self._sums), chunks)

@@ -1,0 +1,43 @@
+"""``crush.voxel``: a block of voxels is compressed to large strains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.features.crushing.compression import CrushedBody
+from sppm_pipeline.features.crushing.crusher import Crusher
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Headline
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrushVoxel(Crusher):
+    """Compress a block between two plates to large strains, and record stress and energies (paper, section 3.3).
+
+    Voxels are trilinear bricks at finite strain, hyperelastic or plastic with isotropic hardening; walls that meet
+    push each other away. An explicit march in time: the plates are slow against waves, and the balance of energy says
+    whether slowly enough. A field is cut so that the voxels have its porosity; voxels are whole or void. Phases of an
+    image have materials of their own.
+
+    No fracture, no viscosity, no rate effects: brittle resins are beyond this model once they crack.
+    """
+
+    name: ClassVar[str] = "crush.voxel"
+    reported: ClassVar[tuple[str, ...]] = ("steps", "elements")
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("numbers.plateau", "plateau stress", "{unit}"),
+        Headline("numbers.work", "work per volume", "{unit}"),
+        Headline("numbers.relative_density", "relative density"),
+        Headline("numbers.unbalanced", "unbalanced"),
+    )
+
+    def estimate(self, palette: Palette, source: Size) -> Size:
+        return self.crushing(source)
+
+    def run(self, context: Context, source: ScalarField | Voxels) -> CrushedBody:
+        """Crush."""
+        return self.crush(context, source)

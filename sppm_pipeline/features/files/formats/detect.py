@@ -1,0 +1,181 @@
+"""Which mesh format a file is in: its extension decides, its content must agree."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from pathlib import PurePath
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.features.files.formats import glb, obj, off, three_mf
+from sppm_pipeline.features.files.formats.trimesh_reader import decode_other, others
+from sppm_pipeline.services.formats import ply, stl
+from sppm_pipeline.services.formats.mesh_arrays import DecodedMesh, Groups, require_content
+
+#: The readers and writers of meshes by extension.
+FORMATS = {"stl": stl, "obj": obj, "ply": ply, "off": off, "glb": glb, "3mf": three_mf}
+
+CAD = ("step", "stp", "iges", "igs", "brep", "x_t", "sldprt", "ipt", "f3d", "fcstd", "3dm", "blend")
+"""Extensions of models whose surfaces are formulas, or that only one program reads."""
+
+_OTHER_CONTENT = {
+    b"PK\x03\x04": "a zip archive",
+    b"\x89PNG": "a PNG image",
+    b"\x1f\x8b": "a gzip archive",
+    b"%PDF": "a PDF document",
+    b"<": "an XML or HTML document",
+    b"{": "a JSON document",
+    b"ISO-10303-21": "a STEP file",
+    b"version https://git-lfs": "a Git LFS pointer, not the file itself",
+}
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"  # of UTF-8; it would hide the first word of a text
+_OBJ_WORDS = {b"v", b"vn", b"vt", b"vp", b"f", b"l", b"o", b"g", b"s", b"mtllib", b"usemtl"}
+
+
+def format_of_name(name: str) -> str:
+    """The format that the extension of a file name stands for, in lower case.
+
+    Raises
+    ------
+    InputError
+        If the extension is none of `FORMATS`, and trimesh does not read it on this machine either.
+    """
+    extension = PurePath(name).suffix[1:].lower()
+    if extension == "gltf":
+        raise InputError(f"{name}: glTF spread over several files is not read", hint="export it as GLB, in one file")
+    if extension in CAD:
+        raise InputError(
+            f"{name}: a .{extension} file holds a CAD model, not triangles",
+            hint="export it from the CAD program as STL or 3MF",
+        )
+    if extension not in FORMATS and extension not in others():
+        known = ", ".join(f".{known}" for known in FORMATS)
+        close = get_close_matches(extension, FORMATS, n=1)
+        meant = f"; did you mean .{close[0]}?" if close else ""
+        raise InputError(
+            f"{name}: the extension {'.' + extension if extension else '(none)'} is no mesh format",
+            hint=f"known are {known}{meant}",
+        )
+    return extension
+
+
+def sniff(data: bytes | memoryview | bytearray) -> str | None:
+    """Guess the format from the content: a key of `FORMATS`, a description of something else, or None if unclear."""
+    head = bytes(data[:4096])
+    if head[:4] == b"glTF":
+        return "glb"
+    if head[:4] == b"PK\x03\x04" and b".model" in bytes(data[-65536:]).lower():
+        return "3mf"
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "text in UTF-16; save it as plain text (ASCII or UTF-8)"
+    if head[:4] in (b"ply\n", b"ply\r") or head[:4] == b"ply ":
+        return "ply"
+    if stl.is_binary(data) or stl.is_ascii(data):
+        return "stl"
+    for line in head.splitlines():
+        words = line.split(b"#", 1)[0].split()
+        if words:
+            if words[0].endswith(b"OFF") and len(words[0]) <= 6:
+                return "off"
+            if words[0] in _OBJ_WORDS:
+                return "obj"
+            break
+    for start, description in _OTHER_CONTENT.items():
+        if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(start):
+            return description
+    return None
+
+
+class MeshFile(NamedTuple):
+    """The contents of a mesh file.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64
+        In the unit and with the axes of the file.
+    faces : (m, 3) int64
+    unit : str or None
+        The unit that the file or its format states; None for the formats that have none.
+    mm : float
+        That unit in millimeters; 1 if there is none.
+    up : str
+        The axis that points up by the format's specification, ``y`` for GLB; else ``z``, as in printing.
+    groups : tuple of (str, int, int)
+        Named stretches of the triangles, as far as the format has them (OBJ, 3MF, ASCII STL).
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    unit: str | None
+    mm: float
+    up: str
+    groups: Groups = ()
+
+
+def decode_mesh(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
+    """Read a mesh in the format that the extension of `name` stands for.
+
+    Parameters
+    ----------
+    data : bytes-like
+        The content of the file.
+    name : str
+        How to call the file in messages.
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+        In millimeters where the file states a unit (3MF, GLB), else the numbers of the file.
+    faces : (m, 3) int64
+
+    Raises
+    ------
+    InputError
+        If the extension is unknown, the content is of another format, or it is broken, with the line, byte or part of
+        what is wrong.
+    """
+    mesh = decode_mesh_file(data, name)
+    with np.errstate(over="ignore"):
+        vertices = mesh.vertices if mesh.mm == 1 else mesh.vertices * mesh.mm
+    if not np.isfinite(vertices).all():
+        raise InputError(f"{name}: coordinates of this size, in {mesh.unit}, are beyond all numbers in millimeters")
+    return vertices, mesh.faces
+
+
+def decode_mesh_file(data: bytes | memoryview | bytearray, name: str) -> MeshFile:
+    """`decode_mesh` with the numbers as they stand in the file, and what they mean.
+
+    Raises
+    ------
+    InputError
+        If the extension is unknown, the content is of another format, or it is broken.
+    """
+    expected = format_of_name(name)
+    require_content(data, name)
+    if bytes(data[:3]) == _BYTE_ORDER_MARK:
+        data = memoryview(data)[3:]
+        require_content(data, name)
+    found = sniff(data)
+    if expected not in FORMATS:
+        (vertices, faces), unit, mm = decode_other(data, name, expected)
+        return MeshFile(vertices, faces, unit, mm, "z")
+    if found in FORMATS and found != expected:
+        raise InputError(
+            f"{name}: this file is named .{expected} but is {'an' if found in ('obj', 'off') else 'a'} {found.upper()}",
+            hint=f"rename it to {PurePath(name).with_suffix('.' + found).name}",
+        )
+    if found is not None and found not in FORMATS:
+        raise InputError(f"{name}: this file is named .{expected} but is {found}")
+    if expected == "3mf":
+        (vertices, faces), unit, mm, groups = three_mf.decode_with_unit(data, name)
+        return MeshFile(vertices, faces, unit, mm, "z", groups)
+    if expected in ("obj", "stl"):
+        (vertices, faces), groups = (obj if expected == "obj" else stl).decode_with_groups(data, name)
+        return MeshFile(vertices, faces, None, 1.0, "z", groups)
+    vertices, faces = FORMATS[expected].decode(data, name)
+    if expected == "glb":
+        return MeshFile(vertices, faces, "meter", 1000.0, "y")
+    return MeshFile(vertices, faces, None, 1.0, "z")

@@ -1,0 +1,180 @@
+"""3MF, the format of 3D printing programs: meshes as XML in a ZIP archive, with a unit, components and items to build.
+
+Read are the core specification and the parts of the production extension that say where an object lies. What is placed
+where is found out here, the tables of the meshes in `three_mf_model`.
+"""
+
+from __future__ import annotations
+
+import posixpath
+
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.features.files.formats.three_mf_encode import encode as encode
+from sppm_pipeline.features.files.formats.three_mf_model import UNITS_IN_MM, Model, Object, Use, XmlReader, read_model
+from sppm_pipeline.services.formats.archive import Archive
+from sppm_pipeline.services.formats.mesh_arrays import (
+    DecodedMesh,
+    GroupLog,
+    Groups,
+    Matrix,
+    after,
+    place,
+    require_content,
+    require_faces,
+    require_few,
+)
+
+_RELATIONS = "_rels/.rels"
+_USUAL_MODEL = "3D/3dmodel.model"
+_RELATIONSHIP = "http://schemas.openxmlformats.org/package/2006/relationships Relationship"
+_MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+_SMALL_PART = 2**20
+_MAX_PARTS = 4096
+_DEEPEST = 256  # components inside components
+_SOLID = {"model", "surface"}  # objects of other types are supports and modifiers, not the part
+
+
+def decode(data: bytes | memoryview | bytearray, name: str) -> DecodedMesh:
+    """Read what a file says is to be built, in its own unit; see `decode_with_unit`."""
+    return decode_with_unit(data, name)[0]
+
+
+def decode_with_unit(data: bytes | memoryview | bytearray, name: str) -> tuple[DecodedMesh, str, float, Groups]:
+    """Read what a file says is to be built: all items, with their components and transformations, as one mesh.
+
+    Objects that are supports are left out.
+
+    See `detect.decode_mesh` for what all readers take and raise.
+
+    Returns
+    -------
+    mesh : ((n, 3) float64, (m, 3) int64)
+    unit : str
+        ``millimeter``, ``inch``...
+    mm : float
+        The unit in millimeters.
+    groups : Groups
+        The triangles of each copy of an object that has a name.
+    """
+    require_content(data, name)
+    package = _Package(Archive(data, name), name)
+    root = package.root
+    model = package.model(root)
+    if not model.items:
+        raise InputError(
+            f"{name}: {root}: nothing is to be built; the file has {len(model.objects)} objects, but no item",
+            hint="put the objects on the plate and save the file again",
+        )
+    copies: list[tuple[int, Matrix]] = []
+    package.count(root, model.items)
+    for use in model.items:
+        package.collect(root, use, copies)
+    mesh = place(name, package.meshes, copies)
+    require_faces(name, mesh[1])
+    return mesh, model.unit, UNITS_IN_MM[model.unit], package.groups(copies)
+
+
+class _Relations(XmlReader):
+    target: str | None = None
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        if tag == _RELATIONSHIP and attributes.get("Type") == _MODEL_TYPE and self.target is None:
+            self.target = attributes.get("Target")
+
+
+class _Package:
+    """The model parts of a file, each read once."""
+
+    def __init__(self, archive: Archive, name: str) -> None:
+        self._archive = archive
+        self._name = name
+        self._models: dict[str, Model] = {}
+        self._sizes: dict[tuple[str, int], tuple[int, int, int] | None] = {}
+        self._numbers: dict[tuple[str, int], int] = {}
+        self.meshes: list[DecodedMesh] = []
+        self._names: list[str] = []
+
+    @property
+    def root(self) -> str:
+        """The part that holds the build."""
+        if _RELATIONS in self._archive:
+            relations = _Relations(self._name, _RELATIONS)
+            relations.feed([self._archive.read(_RELATIONS, _SMALL_PART)])
+            if relations.target is not None:
+                return _normal(relations.target)
+        if _USUAL_MODEL not in self._archive:
+            raise InputError(
+                f"{self._name}: this ZIP archive names no 3D model in {_RELATIONS}", hint="is it a 3MF at all?"
+            )
+        return _USUAL_MODEL
+
+    def model(self, part: str) -> Model:
+        """A model part."""
+        if part not in self._models:
+            if len(self._models) >= _MAX_PARTS:
+                raise InputError(f"{self._name}: it is spread over more than {_MAX_PARTS} parts")
+            model = read_model(self._archive.chunks(part), self._name, part)
+            first = next(iter(self._models.values()), model)
+            if model.unit != first.unit:
+                raise InputError(f"{self._name}: {part}: its unit is {model.unit}, that of the file {first.unit}")
+            self._models[part] = model
+        return self._models[part]
+
+    def count(self, part: str, uses: list[Use], depth: int = 0) -> tuple[int, int, int]:
+        """Copies of objects, their vertices and triangles; what there are too many of is refused here."""
+        copies = vertices = triangles = 0
+        for use in uses:
+            own, entry = self._object(part, use)
+            key = (own, use.identifier)
+            if key not in self._sizes:
+                if depth > _DEEPEST:
+                    raise InputError(f"{self._name}: components are nested more than {_DEEPEST} deep")
+                self._sizes[key] = None  # being counted
+                size = self.count(own, entry.components, depth + 1)
+                own_size = (len(entry.mesh[0]), len(entry.mesh[1])) if entry.mesh is not None else (0, 0)
+                size = (size[0] + 1, size[1] + own_size[0], size[2] + own_size[1])
+                self._sizes[key] = size
+            known = self._sizes[key]
+            if known is None:
+                raise InputError(f"{self._name}: {own}: object {use.identifier} is a component of itself")
+            copies, vertices, triangles = (
+                total + more for total, more in zip((copies, vertices, triangles), known, strict=True)
+            )
+        if depth == 0:
+            require_few(self._name, copies, vertices, triangles)
+        return copies, vertices, triangles
+
+    def collect(self, part: str, use: Use, copies: list[tuple[int, Matrix]], outer: Matrix | None = None) -> None:
+        """The copies of meshes that an object stands for, in the order of the file; `count` has bounded them."""
+        own, entry = self._object(part, use)
+        if entry.kind not in _SOLID:
+            return
+        matrix = use.matrix if outer is None else after(outer, use.matrix)
+        if entry.mesh is not None:
+            key = (own, use.identifier)
+            if key not in self._numbers:
+                self._numbers[key] = len(self.meshes)
+                self.meshes.append(entry.mesh)
+                self._names.append(entry.name)
+            copies.append((self._numbers[key], matrix))
+        for component in entry.components:
+            self.collect(own, component, copies, matrix)
+
+    def groups(self, copies: list[tuple[int, Matrix]]) -> Groups:
+        """The triangles of each copy of an object that has a name."""
+        named, triangle = GroupLog(), 0
+        for which, _ in copies:
+            named.begin("object", [self._names[which].encode()] if self._names[which] else [], triangle)
+            triangle += len(self.meshes[which][1])
+        return named.groups(triangle)
+
+    def _object(self, part: str, use: Use) -> tuple[str, Object]:
+        own = part if use.part is None else _normal(use.part)
+        entry = self.model(own).objects.get(use.identifier)
+        if entry is None:
+            raise InputError(f"{self._name}: {own}: there is no object {use.identifier}")
+        return own, entry
+
+
+def _normal(part: str) -> str:
+    return posixpath.normpath("/" + part[:1000]).lstrip("/")

@@ -1,0 +1,63 @@
+"""``write.voxels``: a voxel image as .npy, TIFF, VTK image data or NRRD."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.families.file_writer import extension_of, require_format, write_pieces
+from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Stage
+
+FORMATS = (".npy", ".tif", ".tiff", ".vti", ".nrrd")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteVoxels(Stage):
+    """Write a voxel image; the extension chooses the format: a NumPy array, a multi-page TIFF, VTK image data, or NRRD.
+
+    A .npy, .vti or .nrrd file holds uint8 phases, 0 for void, or float32 solid fractions, indexed x, y, z. A TIFF file
+    has one page a layer, the lowest first, rows from the largest y down; an image of one phase has the values 0 and 255
+    there, one of several phases their numbers, fractions are 32-bit reals. The size of a voxel, where the cell has one,
+    is kept by all but .npy: in a TIFF file as resolutions per centimeter, and as ImageJ does.
+    """
+
+    name: ClassVar[str] = "write.voxels"
+
+    path: str = options.write_path("voxels.npy", suffixes=FORMATS)
+
+    def check_options(self) -> None:
+        require_format(self, self.path, FORMATS, {})
+
+    def estimate(self, palette: Palette, voxels: Size) -> Size:
+        return Size(voxels=voxels.voxels, resident=voxels.resident, outline=voxels.outline, layers=voxels.layers)
+
+    @property
+    def rated_as(self) -> str:
+        return {".tif": "write.tiff", ".nrrd": "write.npy"}.get(
+            extension_of(self.path), f"write{extension_of(self.path)}"
+        )
+
+    def run(self, context: Context, voxels: Voxels) -> None:
+        """Write the file."""
+        size = write_pieces(context, self.path, self._encoded(voxels))
+        context.report(bytes=size, voxels=voxels.values.size)
+
+    def _encoded(self, voxels: Voxels) -> Iterable[bytes]:
+        from sppm_pipeline.services.formats import image_stack, nrrd, voxel_files, vti
+
+        extension = extension_of(self.path)
+        if extension == ".npy":
+            return voxel_files.encode_npy(voxels.values)
+        if extension == ".vti":
+            array = "fraction" if voxels.fractions else "phase"
+            return vti.encode(voxels.values, voxels.spacing, (0.0, 0.0, 0.0), array)
+        spacing = voxels.spacing if voxels.physical else None
+        if extension == ".nrrd":
+            return nrrd.encode(voxels.values, spacing)
+        several = voxels.fractions or voxels.values.max() > 1
+        return [image_stack.encode_tiff(voxels.values if several else voxels.solid(), spacing)]

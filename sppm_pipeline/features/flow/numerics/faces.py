@@ -1,0 +1,231 @@
+"""Which faces of voxels a fluid passes, how near its walls are, and what of it is closed off.
+
+On the staggered grid of Harlow and Welch (1965) the velocity along an axis lives on the faces across that axis, the
+pressure in the voxels. Face (i, j, k) of family d is the low face of voxel (i, j, k) along d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.grid import Grid
+
+_NEAREST = 0.05
+"""Least distance between a face and a wall in edges of a voxel; nearer walls would only spoil the condition."""
+
+
+class Faces(NamedTuple):
+    """Faces that a fluid passes; arrays (nz, ny, nx), one for each of the families x, y, z.
+
+    Attributes
+    ----------
+    active : 3 bool arrays
+    walls : 3 float32 arrays
+        Drag of the walls on active faces: the sum over neighbors of the same family beyond a wall, in edges h of a
+        voxel, of ``1 / (theta h^2)``, the wall being ``theta h`` away.
+    weights : 3 float32 arrays
+        By which a face counts in means and forces: 1 away from walls, 0 where it is not active.
+    edges : (hx, hy, hz)
+        Of a voxel.
+    porosity : float
+        Fraction of the cell that is fluid.
+    surface : float or None
+        Area of the walls over the volume of the cell; None for whole voxels, which have only stairs.
+    """
+
+    active: tuple[NDArray[np.bool_], ...]
+    walls: tuple[NDArray[np.float32], ...]
+    weights: tuple[NDArray[np.float32], ...]
+    edges: tuple[float, float, float]
+    porosity: float
+    surface: float | None
+
+    def voxels(self) -> NDArray[np.bool_]:
+        """Voxels with an active face, (nz, ny, nx)."""
+        held = np.zeros_like(self.active[0])
+        for d, active in enumerate(self.active):
+            held |= active | np.roll(active, -1, 2 - d)
+        return held
+
+
+def faces_of_field(sample: Callable[[Grid], NDArray[np.float32]], shape: tuple[int, int, int], spacing: float) -> Faces:
+    """Faces of a field that is positive in the fluid, the walls where it is zero on the way from a face to the next.
+
+    Parameters
+    ----------
+    sample : callable
+        Values of the field on a grid, (nz, ny, nx).
+    shape : (nx, ny, nz)
+        Voxels.
+    spacing : float
+        Edge of a voxel in the field's coordinates; that of the result is 1.
+    """
+
+    def theta(here: NDArray[Any], there: NDArray[Any], bend: NDArray[Any], along: bool) -> NDArray[Any]:
+        fall = here - there
+        linear = here / fall
+        return np.asarray(np.clip(linear - bend * linear * (1 - linear) / (2 * fall), 0, 1))
+
+    levels = []
+    for d in range(3):
+        x, y, z = (0.0 if axis == d else spacing / 2 for axis in range(3))
+        levels.append(sample(Grid((x, y, z), (spacing,) * 3, shape)))
+    edges = (1.0, 1.0, 1.0)
+    surface = sum(_surface(level, d, edges) for d, level in enumerate(levels))
+    # counted, at three times as many points as there are voxels: planes through the samples would err ten times as much
+    # what lies on a wall counts half
+    porosity = float(np.mean([np.sign(level).mean(dtype=np.float64) for level in levels])) / 2 + 0.5
+    return _faces(levels, theta, edges, porosity, surface)
+
+
+def faces_of_fractions(solid: NDArray[Any], edges: tuple[float, float, float]) -> Faces:
+    """Faces between voxels of which a part is solid, (nz, ny, nx); exact for walls along the axes.
+
+    The mean f of two voxels belongs to the face between them, which is active below 1/2; the wall between two faces is
+    3/2 less their sum away, where a plane across has them.
+    """
+
+    def theta(here: NDArray[Any], there: NDArray[Any], bend: NDArray[Any], along: bool) -> NDArray[Any]:
+        return np.asarray(np.minimum(here + there + np.float32(0.5), np.float32(1)))
+
+    fraction = np.asarray(solid, np.float32)
+    levels = [_half_less(fraction, d) for d in range(3)]
+    surface = sum(_surface(level, d, edges) for d, level in enumerate(levels))
+    return _faces(levels, theta, edges, 1 - float(fraction.mean(dtype=np.float64)), surface)
+
+
+def _half_less(fraction: NDArray[np.float32], d: int) -> NDArray[np.float32]:
+    """1/2 less the fraction of the faces of a family: positive in the fluid."""
+    mean: NDArray[np.float32] = (fraction + np.roll(fraction, 1, 2 - d)) * np.float32(0.5)
+    return np.subtract(np.float32(0.5), mean, out=mean)
+
+
+def faces_of_voxels(void: NDArray[Any], edges: tuple[float, float, float]) -> Faces:
+    """Faces between two voxels of the void, (nz, ny, nx): walls are a face away across, half of one beside."""
+
+    def theta(here: NDArray[Any], there: NDArray[Any], bend: NDArray[Any], along: bool) -> NDArray[Any]:
+        return np.full_like(here, 1.0 if along else 0.5)
+
+    levels = [np.where(void & np.roll(void, 1, 2 - d), np.float32(1), np.float32(-1)) for d in range(3)]
+    return _faces(levels, theta, edges, float(np.count_nonzero(void)) / void.size, None)
+
+
+def _surface(level: NDArray[np.float32], d: int, edges: tuple[float, float, float]) -> float:
+    """The share of axis d of the area of the zeros of a field over the volume.
+
+    A wall of area A and unit normal n meets ``A |n_d|`` lines along d in each unit of area across, and the three
+    ``n_d^2`` sum to 1; so each crossing of a line counts ``|n_d|``, as the slopes on both sides of it have it.
+    """
+    slopes = [(np.roll(level, -1, 2 - axis) - np.roll(level, 1, 2 - axis)) / 2 for axis in range(3)]
+    crossed = (level > 0) != (np.roll(level, -1, 2 - d) > 0)
+    at_wall = [(slope[crossed] + np.roll(slope, -1, 2 - d)[crossed]) / np.float32(h)
+               for slope, h in zip(slopes, edges, strict=True)]  # fmt: skip
+    length = np.sqrt(at_wall[0] ** 2 + at_wall[1] ** 2 + at_wall[2] ** 2)
+    normal = np.divide(np.abs(at_wall[d]), length, out=np.zeros_like(length), where=length > 0)
+    return float(normal.sum(dtype=np.float64)) / level.size / edges[d]
+
+
+def _faces(
+    levels: list[NDArray[np.float32]],
+    theta: Callable[..., NDArray[Any]],
+    edges: tuple[float, float, float],
+    porosity: float,
+    surface: float | None,
+) -> Faces:
+    """Neighbors, walls and weights of the faces of each family.
+
+    Of a face beside a wall, whose unit normal is n and which cuts the way to a neighbor along axis a at ``theta h``,
+    the balance of forces holds for the share ``1 - n_a^2 (1 - theta) / 2`` of a voxel, where flow is quadratic across.
+    A mean over the fluid wants ``1 - n_a^2 ((1 - theta) / 2 - 1 / (12 theta))`` of it: beside the volume, each voxel
+    misses 1/24 of the drag on it, which adds up to that of the walls. As all stays symmetric, and so do errors, with
+    one weight for both, their mean, errors of second order at walls cancel.
+    """
+    active, walls, weights = [], [], []
+    for d, here in enumerate(levels):
+        passed = here > 0
+        drag, weight = np.zeros(here.size, np.float32), passed.ravel().astype(np.float32)
+        beyond = [[np.roll(here, step, 2 - axis) for step in (1, -1)] for axis in range(3)]
+        near = np.flatnonzero(passed & ~np.all([there > 0 for pair in beyond for there in pair], axis=0))
+        own = here.ravel()[near]
+        ways = [[there.ravel()[near] for there in pair] for pair in beyond]
+        slopes = [np.maximum(*(np.abs(own - there) for there in pair)) / h for pair, h in zip(ways, edges, strict=True)]
+        steepest = slopes[0] ** 2 + slopes[1] ** 2 + slopes[2] ** 2
+        for axis, pair in enumerate(ways):
+            h = np.float32(edges[axis])
+            for step, there, back in zip((1, -1), pair, reversed(pair), strict=True):
+                wall = ~(there > 0)
+                far = _shifted(here, near[wall], 2 - axis, -2 * step)
+                bend = _smaller(back[wall] - 2 * own[wall] + there[wall], own[wall] - 2 * there[wall] + far)
+                distance = np.maximum(theta(own[wall], there[wall], bend, axis == d), np.float32(_NEAREST))
+                drag[near[wall]] += 1 / h**2 / distance
+                across = ((own[wall] - there[wall]) / h) ** 2 / steepest[wall]
+                weight[near[wall]] -= across * ((1 - distance) / 2 - 1 / (24 * distance))
+        active.append(passed)
+        walls.append(drag.reshape(here.shape))
+        weights.append(weight.reshape(here.shape))
+    return Faces(tuple(active), tuple(walls), tuple(weights), edges, porosity, surface)
+
+
+def _shifted(values: NDArray[Any], at: NDArray[np.int64], axis: int, step: int) -> NDArray[Any]:
+    """Values of a periodic grid, some steps along an axis from flat places."""
+    places = list(np.unravel_index(at, values.shape))
+    places[axis] = (places[axis] + step) % values.shape[axis]
+    return np.asarray(values[tuple(places)])
+
+
+def _smaller(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+    """The one nearer to 0 of two curvatures, 0 if their signs differ: at a kink, the field is taken as linear."""
+    return np.where(a * b > 0, np.where(np.abs(a) < np.abs(b), a, b), np.float32(0))
+
+
+class Percolation(NamedTuple):
+    """The part of a fluid that flows.
+
+    Attributes
+    ----------
+    faces : Faces
+        Without pockets, the parts that wrap along no axis.
+    wraps : 3 bools
+        Whether something is connected to its own periodic image along x, y, z.
+    pockets : int
+    pocket_share : float
+        Share of the fluid's voxels and faces that is in pockets.
+    """
+
+    faces: Faces
+    wraps: tuple[bool, bool, bool]
+    pockets: int
+    pocket_share: float
+
+
+def percolating(faces: Faces) -> Percolation:
+    """Leave out pockets: a pressure balances whatever drives the fluid in them."""
+    from sppm_pipeline.method.connectivity.components import find_components, paint_runs
+
+    nz, ny, nx = faces.active[0].shape
+    # voxels and the faces between them on one grid, where neighbors are connected
+    joined = np.zeros((2 * nz, 2 * ny, 2 * nx), np.uint8)
+    odd = slice(1, None, 2)
+    joined[odd, odd, odd] = faces.voxels()
+    places = [tuple(slice(0, None, 2) if axis == d else odd for axis in (2, 1, 0)) for d in range(3)]
+    for place, active in zip(places, faces.active, strict=True):
+        joined[place] = active
+    found = find_components(joined, (True, True, True))
+    flows = np.asarray(found.wraps.any(axis=1))
+    x, y, z = np.asarray(found.wraps.any(axis=0)).tolist()
+    lost = int(found.sizes[~flows].sum())
+    if lost:
+        kept = np.zeros(joined.shape, np.int32)
+        paint_runs(found.runs.rows, found.runs.bounds, flows[found.of_run].astype(np.int32), kept)
+        flowing = tuple(kept[place] > 0 for place in places)
+        walls, weights = (
+            tuple(np.where(a, w, np.float32(0)) for a, w in zip(flowing, of, strict=True))
+            for of in (faces.walls, faces.weights)
+        )
+        faces = faces._replace(active=flowing, walls=walls, weights=weights)
+    share = lost / max(1, int(found.sizes.sum()))
+    return Percolation(faces, (x, y, z), int((~flows).sum()), share)

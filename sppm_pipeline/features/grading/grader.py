@@ -1,0 +1,137 @@
+"""Base classes of stages that say how a parameter varies through a part: one method makes its law."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.features.grading.grading import QUANTITIES, RESERVED, Grading, Law
+from sppm_pipeline.features.grading.grading_data import DataLaw
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.nouns.length import UNITS_IN_MM
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grader(Stage):
+    """Common base of the family ``grade``: implement `law`; `run` adds it to the maps made before."""
+
+    of: str = option(
+        help="name of the map; other stages look for porosity, spacing, scale, pore_radius, tunnel_radius, stretch, "
+        "direction_x, direction_y, direction_z and weight, any other name is data for formulas"
+    )
+    measure: str | None = option(
+        None,
+        help="unit of the values; millimeters for radii, else none if omitted. Radii in other units of length are "
+        "converted to millimeters",
+    )
+
+    def check_options(self) -> None:
+        if not (self.of.isidentifier() and self.of.isascii()) or len(self.of) > 40:
+            raise ConfigError(f"`of: {self.of[:50]}` is no name", hint="use letters, digits and _, at most 40")
+        if self.of in RESERVED:
+            raise ConfigError(f"`of: {self.of}` has a meaning in formulas already", hint="give another name")
+        known = QUANTITIES.get(self.of)
+        if known is not None and self.measure is not None:
+            allowed = tuple(UNITS_IN_MM) if known.unit == "mm" else ("",)
+            if self.measure not in allowed:
+                words = "no unit" if known.unit != "mm" else "one of " + ", ".join(allowed)
+                raise ConfigError(f"`measure: {self.measure[:40]}`: {self.of} has {words}", hint=known.meaning)
+
+    @property
+    def unit_of_values(self) -> str:
+        """The unit that the map's values have."""
+        known = QUANTITIES.get(self.of)
+        return known.unit if known is not None else (self.measure or "")[:40]
+
+    @property
+    def factor(self) -> float:
+        """What the values that were given are multiplied by, so that lengths are millimeters."""
+        known = QUANTITIES.get(self.of)
+        return UNITS_IN_MM[self.measure] if known is not None and known.unit and self.measure else 1.0
+
+    @abstractmethod
+    def law(self, context: Context, before: Grading, part: SurfaceMesh | None) -> Law:
+        """What stands behind the map.
+
+        Parameters
+        ----------
+        context : Context
+        before : Grading
+            The maps made before; a formula may use them.
+        part : SurfaceMesh or None
+        """
+
+    def run(self, context: Context, grading: Grading | None, part: SurfaceMesh | None) -> Grading:
+        """Add the map to those made before."""
+        before = Grading() if grading is None else grading
+        return before.added(self.law(context, before, part))
+
+
+OUTSIDE_WARNED = 0.01
+"""Share of the part's box without data that is worth a word. A choice."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataGrader(Grader):
+    """Common base of maps that are data from a file: implement `data`; `law` checks that they lie where the part is."""
+
+    outside: str = option(
+        "nearest",
+        help="what the map is where there are no data: the nearest value, or an error",
+        choices=("nearest", "refuse"),
+    )
+    missing: str = option(
+        "refuse",
+        help="what becomes of data that are no finite numbers: an error, or they are filled from the data around",
+        choices=("refuse", "fill"),
+    )
+
+    @abstractmethod
+    def data(self, context: Context, part: SurfaceMesh | None) -> DataLaw:
+        """Read the file."""
+
+    def law(self, context: Context, before: Grading, part: SurfaceMesh | None) -> DataLaw:
+        law = self.data(context, part)
+        if part is not None:
+            low, high = np.maximum(law.box[0], part.lower), np.minimum(law.box[1], part.upper)
+            if (high < low).any():
+                own = _box(np.array([part.lower, part.upper]))
+                raise InputError(
+                    f"the data lie in the box {_box(law.box)}, and the part in {own}: they do not meet",
+                    hint="are both in the same unit, and in the same place? `unit` is that of the data's coordinates",
+                )
+            size = np.maximum(part.upper - part.lower, 1e-300)
+            share = 1 - float(np.prod((high - low) / size))
+            if share > OUTSIDE_WARNED:
+                what = "the nearest value is taken there" if self.outside == "nearest" else "there the map has no value"
+                context.warn(f"{100 * share:.0f} % of the part's box lie outside of the data; {what}")
+        return law
+
+    def finite(self, values: NDArray[np.float64], what: str) -> NDArray[np.bool_]:
+        """Which values are finite numbers.
+
+        Raises
+        ------
+        InputError
+            If none is, or one is not and that is refused.
+        """
+        good: NDArray[np.bool_] = np.isfinite(values)
+        if not good.any():
+            raise InputError(f"{what} hold no finite number")
+        if self.missing == "refuse" and not good.all():
+            raise InputError(
+                f"{int((~good).sum())} of {good.size} {what} are no finite numbers",
+                hint="repair them, or give `missing: fill` to fill them from those around",
+            )
+        return good
+
+
+def _box(box: NDArray[np.float64]) -> str:
+    """A box for a message."""
+    low, high = ("(" + ", ".join(f"{v:g}" for v in corner) + ")" for corner in box)
+    return f"{low} to {high} mm"

@@ -1,0 +1,400 @@
+"""Parameters as functions of place: porosity, scale and radii that vary through a part."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, WORDS, Expression, nearest
+from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows
+
+Points = NDArray[np.float64]
+
+
+class Quantity(NamedTuple):
+    """What a map of a known name stands for.
+
+    Attributes
+    ----------
+    unit : str
+    low, high : float
+        What values may be; the ends are excluded unless `closed`.
+    closed : bool
+    meaning : str
+    """
+
+    unit: str
+    low: float
+    high: float
+    closed: bool
+    meaning: str
+
+
+_ANY = math.inf
+QUANTITIES = {
+    "porosity": Quantity("", 0.0, 1.0, False, "share of void"),
+    "spacing": Quantity("mm", 0.0, _ANY, False, "least distance of two pores"),
+    "scale": Quantity("", 0.0, _ANY, False, "factor of the recipe's spacing and radii"),
+    "pore_radius": Quantity("mm", 0.0, _ANY, False, "radius of an isolated pore"),
+    "tunnel_radius": Quantity("mm", 0.0, _ANY, False, "radius of an isolated tunnel"),
+    "stretch": Quantity("", 0.0, _ANY, False, "length of pores over their width, along the direction"),
+    "direction_x": Quantity("", -_ANY, _ANY, False, "x of the vector along which pores are stretched"),
+    "direction_y": Quantity("", -_ANY, _ANY, False, "y of the vector along which pores are stretched"),
+    "direction_z": Quantity("", -_ANY, _ANY, False, "z of the vector along which pores are stretched"),
+    "weight": Quantity("", 0.0, 1.0, True, "share of the second of two sets or fields"),
+}
+"""Names that stages look for; a map of any other name is data for formulas."""
+
+COORDINATES = ("x", "y", "z")
+BOX_COORDINATES = ("u", "v", "w")
+CELL_COORDINATES = ("cell_x", "cell_y", "cell_z")
+DISTANCE = "distance"
+RESERVED = frozenset({*COORDINATES, *BOX_COORDINATES, *CELL_COORDINATES, DISTANCE, *FUNCTIONS, *CONSTANTS, *WORDS})
+
+
+class CellFrame(NamedTuple):
+    """The lattice that ``cell_x``, ``cell_y``, ``cell_z`` are counted in.
+
+    Attributes
+    ----------
+    edge : float
+        Cell edge, mm.
+    origin : tuple of 3 floats
+        Low corner of cell (0, 0, 0), mm.
+    """
+
+    edge: float
+    origin: tuple[float, float, float]
+
+
+class Place:
+    """Points at which maps are evaluated, with what has been computed there.
+
+    Attributes
+    ----------
+    points : (n, 3) float64, mm
+    """
+
+    def __init__(self, grading: Grading, points: Points) -> None:
+        self.points = points
+        self._grading = grading
+        self._known: dict[str, NDArray[np.float64]] = {}
+
+    def values(self, name: str) -> NDArray[np.float64]:
+        """A coordinate or an earlier map, (n,)."""
+        if name in COORDINATES:
+            return self.points[:, COORDINATES.index(name)]
+        if name in CELL_COORDINATES:
+            axis = CELL_COORDINATES.index(name)
+            frame = self._grading.frame
+            if frame is None:
+                raise ConfigError(
+                    f"{name!r} counts cells, and there are none here",
+                    hint="use x, y, z in mm, or grade a stage that lays cells",
+                )
+            return (self.points[:, axis] - frame.origin[axis]) / frame.edge
+        if name not in self._known:
+            self._known[name] = checked(self._grading.law(name), self)
+        return self._known[name]
+
+
+@dataclass(frozen=True, eq=False)
+class Law(Artifact):
+    """Base of what stands behind a map: a formula, a table, or data. Implement `at`.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        Unit of the values, empty for numbers without one.
+    """
+
+    name: str
+    unit: str
+
+    @abstractmethod
+    def at(self, place: Place) -> NDArray[np.float64]:
+        """Values (n,) at the points of a place; not finite where there is none."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of earlier maps that it is computed from."""
+        return ()
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of the values as far as they are known without looking."""
+        return -math.inf, math.inf
+
+    def blame(self) -> str:
+        """How messages call it."""
+        return f"the map {self.name!r}"
+
+
+def checked(law: Law, place: Place) -> NDArray[np.float64]:
+    """Values of a law.
+
+    Raises
+    ------
+    DesignError
+        If one of them is not finite or beyond what the quantity may be, with the first such point.
+    """
+    values = law.at(place)
+    kind = QUANTITIES.get(law.name)
+    bad = ~np.isfinite(values)
+    allowed = "a finite number"
+    if kind is not None:
+        out = (values < kind.low) | (values > kind.high)
+        if not kind.closed:
+            out |= (values == kind.low) | (values == kind.high)
+        bad |= out
+        if math.isfinite(kind.low):
+            allowed = f"above {kind.low:g}" + (f" and below {kind.high:g}" if math.isfinite(kind.high) else "")
+            if kind.closed:
+                allowed = f"{kind.low:g} to {kind.high:g}"
+    if bad.any():
+        first = int(np.argmax(bad))
+        x, y, z = place.points[first]
+        unit = f" {law.unit}" if law.unit else ""
+        raise DesignError(
+            f"{law.blame()} is {values[first]:g}{unit} at ({x:g}, {y:g}, {z:g}) mm, and at {int(bad.sum())} of "
+            f"{len(bad)} points not {allowed}",
+            hint="bound it by clip(value, low, high), or look at the data behind it",
+        )
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class FormulaLaw(Law):
+    """A formula of the coordinates and of earlier maps.
+
+    Attributes
+    ----------
+    text : str
+    names : tuple of str
+        Maps and coordinates that it may use.
+    constants : tuple of (name, value)
+    box : (2, 3) float64, mm, or None
+        Low and high corner of the part, of which u, v, w are shares.
+    surface : Law or None
+        The distance from the part.
+    """
+
+    text: str
+    names: tuple[str, ...]
+    constants: tuple[tuple[str, float], ...]
+    box: NDArray[np.float64] | None
+    surface: Law | None
+
+    @cached_property
+    def expression(self) -> Expression:
+        """The compiled formula."""
+        constants = [name for name, _ in self.constants]
+        box = () if self.box is None else BOX_COORDINATES
+        depth = () if self.surface is None else (DISTANCE,)
+        return Expression(self.text, (*COORDINATES, *CELL_COORDINATES, *box, *depth, *constants, *self.names))
+
+    def at(self, place: Place) -> NDArray[np.float64]:
+        constants = dict(self.constants)
+        values = {}
+        for name in self.expression.used:
+            if name in constants:
+                values[name] = np.full(len(place.points), constants[name])
+            elif name in BOX_COORDINATES and self.box is not None:
+                axis = BOX_COORDINATES.index(name)
+                low, high = self.box[:, axis]
+                values[name] = (place.points[:, axis] - low) / (high - low)
+            elif name == DISTANCE and self.surface is not None:
+                values[name] = self.surface.at(place)
+            else:
+                values[name] = place.values(name)
+        return self.expression.evaluate(values, len(place.points))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(name for name in self.expression.used if name in self.names)
+
+    def blame(self) -> str:
+        return f"the map {self.name!r}, the formula {self.text!r},"
+
+
+@dataclass(frozen=True, eq=False)
+class TableLaw(Law):
+    """Values at places along a coordinate or over an earlier map.
+
+    Attributes
+    ----------
+    along : str
+        "x", "cell_x", or the name of a map.
+    places, values : (k,) float64
+        Places in ascending order. With steps values hold from a place to the next.
+    kind : str
+        "steps", "linear" or "smooth", the last by monotone cubic polynomials.
+    """
+
+    along: str
+    places: NDArray[np.float64]
+    values: NDArray[np.float64]
+    kind: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "places", frozen(self.places))
+        object.__setattr__(self, "values", frozen(self.values))
+
+    def at(self, place: Place) -> NDArray[np.float64]:
+        t = place.values(self.along)
+        if self.kind == "steps" or len(self.places) == 1:
+            return self.values[np.clip(np.searchsorted(self.places, t, side="right") - 1, 0, None)]
+        if self.kind == "linear":
+            return np.interp(t, self.places, self.values)
+        from sppm_pipeline.services.monotone_cubic import monotone_cubic
+
+        curve = monotone_cubic(self.places, self.values).at
+        # the curve does not leave the values but for rounding
+        found: NDArray[np.float64] = np.clip(curve(np.clip(t, self.places[0], self.places[-1])), *self.bounds)
+        return found
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return () if self.along in (*COORDINATES, *CELL_COORDINATES) else (self.along,)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        return float(self.values.min()), float(self.values.max())
+
+
+class Map:
+    """One parameter of a `Grading`, as a function of place.
+
+    Attributes
+    ----------
+    name, unit : str
+    range : (low, high)
+        Bounds of the values as far as they are known without looking; those that the quantity may have at most.
+    """
+
+    def __init__(self, grading: Grading, name: str) -> None:
+        law = grading.law(name)
+        self.name, self.unit = name, law.unit
+        kind = QUANTITIES.get(name)
+        low, high = law.bounds
+        self.range = (low, high) if kind is None else (max(low, kind.low), min(high, kind.high))
+        self._grading = grading
+
+    def at(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Values at points.
+
+        Parameters
+        ----------
+        points : (n, 3) floats, mm
+
+        Returns
+        -------
+        (n,) float64
+            All finite, and what the quantity may be.
+
+        Raises
+        ------
+        DesignError
+            Naming the first point where there is no such value.
+        """
+        where = in_rows(np.asarray(points, np.float64), 3, "points")
+        return Place(self._grading, where).values(self.name)
+
+    def digest(self) -> str:
+        """SHA-256 of all that its values depend on."""
+        wanted, found = [self.name], set()
+        while wanted:
+            name = wanted.pop()
+            found.add(name)
+            wanted += [other for other in self._grading.law(name).needs if other not in found]
+        laws = tuple(law for law in self._grading.laws if law.name in found)
+        return Grading(laws, self._grading.frame).digest()
+
+
+@dataclass(frozen=True, eq=False)
+class Grading(Artifact):
+    """Maps by name, in the order in which they were made; ``grading["porosity"].at(points)``.
+
+    Attributes
+    ----------
+    laws : tuple of Law
+        One a map.
+    frame : CellFrame or None
+        The lattice of the part, once there is one; see `in_cells`.
+    """
+
+    reported: ClassVar[tuple[str, ...]] = ("maps.*",)
+
+    laws: tuple[Law, ...] = ()
+    frame: CellFrame | None = None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.names
+
+    def __getitem__(self, name: str) -> Map:
+        return Map(self, name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the maps, in order."""
+        return tuple(law.name for law in self.laws)
+
+    def law(self, name: str) -> Law:
+        """What stands behind a map.
+
+        Raises
+        ------
+        ConfigError
+            If there is none of that name.
+        """
+        for law in self.laws:
+            if law.name == name:
+                return law
+        hint = nearest(name, self.names) if self.laws else "put a `grade` stage before this one"
+        raise ConfigError(f"the grading has no map {name!r}", hint=hint)
+
+    def added(self, law: Law) -> Grading:
+        """The grading with one map more.
+
+        Raises
+        ------
+        ConfigError
+            If there is one of that name.
+        """
+        if law.name in self:
+            raise ConfigError(f"there are two maps {law.name!r}", hint="give one of them another name by `of`")
+        return replace(self, laws=(*self.laws, law))
+
+    def in_cells(self, edge: float, origin: tuple[float, float, float]) -> Grading:
+        """The grading for a lattice: its cell edge and the low corner of cell (0, 0, 0), mm.
+
+        Stages that lay cells call it, so that maps may be given in cells.
+        """
+        return replace(self, frame=CellFrame(edge, origin))
+
+    def check(self) -> None:
+        """Names that differ; maps that need none that come later."""
+        for number, law in enumerate(self.laws):
+            before = self.names[:number]
+            if law.name in before:
+                raise ValueError(f"there are two maps {law.name!r}")
+            for name in law.needs:
+                if name not in before:
+                    raise ValueError(f"the map {law.name!r} needs {name!r}, which does not come before it")
+
+    def summary(self) -> dict[str, Any]:
+        """Names, units and kinds of the maps."""
+        kinds = {law.name: type(law).__name__.removesuffix("Law").lower() for law in self.laws}
+        return {"maps": {law.name: kinds[law.name] + (f", {law.unit}" if law.unit else "") for law in self.laws}}

@@ -1,0 +1,292 @@
+"""What stages that grade or measure porosity place by place share: targets, cells, and samples of single cells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.features.grading.grading import Grading
+from sppm_pipeline.features.grading.numerics.local_level import RUN, CellCodes, Sampled, runs_along_x, void_and_slope
+from sppm_pipeline.method.fields.kernel_sum import KernelSum
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.fields.wrapped import WrappedField
+from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.services.grid import Grid, cell_centers
+from sppm_pipeline.services.threads import ordered_map
+
+Cells = list[tuple[int, int, int]]
+
+_PLACES, _WEIGHTS = (0.3399810435848563, 0.8611363115940526), (0.6521451548625461, 0.3478548451374538)
+PLACES = np.array([1 - _PLACES[1], 1 - _PLACES[0], 1 + _PLACES[0], 1 + _PLACES[1]]) / 2
+WEIGHTS = np.array([_WEIGHTS[1], _WEIGHTS[0], _WEIGHTS[0], _WEIGHTS[1]]) / 2
+"""Points along a cell edge at which a map is asked for its mean over a cell, and their weights: those of Gauss, by
+which smooth maps have their mean to 1 in 100 000, and steps between cells theirs."""
+
+LEAST_SHARE = 0.25
+"""A cell of which less lies in the part gets no level of its own, but one that continues those around it."""
+
+
+def cell_means(
+    grading: Grading, name: str, edge: float, origin: tuple[float, float, float], cells: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """Means of a map over cells of a lattice, (m,).
+
+    Parameters
+    ----------
+    grading : Grading
+    name : str
+        Name of the map.
+    edge : float
+        Cell edge, mm.
+    origin : tuple of 3 floats
+        Low corner of cell (0, 0, 0), mm.
+    cells : (m, 3) int
+    """
+    cells = np.asarray(cells, np.int64)
+    key = (name, edge, origin, cells.tobytes())
+    kept = _MEANS.get(grading)
+    if kept is None or kept[0] != key:
+        inner = np.stack(np.meshgrid(PLACES, PLACES, PLACES, indexing="ij"), -1).reshape(-1, 3)
+        weights = np.einsum("i,j,k->ijk", WEIGHTS, WEIGHTS, WEIGHTS).ravel()
+        values, here = np.empty(len(cells)), grading.in_cells(edge, origin)[name]
+        for begin in range(0, len(cells), CELLS_AT_A_TIME):  # there may be a hundred thousand
+            some = slice(begin, begin + CELLS_AT_A_TIME)
+            points = (cells[some, None] + inner).reshape(-1, 3) * edge + np.array(origin)
+            values[some] = here.at(points).reshape(-1, len(inner)) @ weights
+        kept = _MEANS[grading] = key, values
+    return kept[1].copy()
+
+
+CELLS_AT_A_TIME = 4096
+"""Cells whose means are taken together."""
+
+_MEANS: WeakKeyDictionary[Grading, tuple[tuple[object, ...], NDArray[np.float64]]] = WeakKeyDictionary()
+"""The means that were asked for last: stages that follow each other ask for the same, and distances take their time."""
+
+ALONE = 2**20
+"""Samples up to which one thread is faster than two."""
+
+HALF_RANGE = 4.0
+"""How far ln G is told apart on either side of ln C where cells are measured: a choice."""
+
+RAMP = 1.0
+"""Width of the ramp of ln G by which samples near the level count: of those tried on cells of porosities from .3 to .6
+the one with the least error at 32 to 48 samples along an edge."""
+
+
+class Places(NamedTuple):
+    """Cells, the share of each that lies in the part, and bits of the samples inside of those that are not whole."""
+
+    cells: Cells
+    shares: NDArray[np.float64]
+    inside: dict[tuple[int, int, int], NDArray[np.uint8]]
+
+
+class LatticeCells:
+    """The cells of a field, or those of a part's field that lie in the part, and samples of one at a time.
+
+    Parameters
+    ----------
+    field : ScalarField
+        A `Part` stands for its field, seen where the part is.
+    n : int
+        Samples along a cell edge.
+    threads : int
+    only : list of (i, j, k), optional
+        Cells to look at; all unless given.
+    places : Places, optional
+        The attribute `places` of the cells of another field on this lattice and in this part, which are the same.
+
+    Attributes
+    ----------
+    base : ScalarField
+        The field that is sampled.
+    cells : list of (i, j, k)
+        Those that hold something, and of which enough lies in the part.
+    shares : (m,) float64
+        Share of each that lies in the part.
+    """
+
+    def __init__(
+        self, field: ScalarField, n: int, threads: int = 1, only: Cells | None = None, places: Places | None = None
+    ) -> None:
+        self.n, self.threads = n, threads
+        self._porosity: dict[tuple[int, int, int], float] = {}
+        self.base = field.base if isinstance(field, Part) else field
+        self.places = self._places(field, only) if places is None else places
+        self.cells, self.shares, self._inside = self.places
+
+    def _places(self, field: ScalarField, only: Cells | None) -> Places:
+        filled, inside = filled_cells(self.base), dict[tuple[int, int, int], NDArray[np.uint8]]()
+        if only is not None:
+            chosen = np.zeros_like(filled)
+            chosen[tuple(np.array(only).T)] = True
+            filled &= chosen
+        share = filled.astype(np.float64)
+        if isinstance(field, Part):
+            self._see(field, share, inside, all_layers=only is None)
+        cells = [(int(i), int(j), int(k)) for i, j, k in np.argwhere(share >= LEAST_SHARE)]
+        return Places(cells, share[share >= LEAST_SHARE], {cell: inside[cell] for cell in cells if cell in inside})
+
+    def _see(
+        self,
+        part: Part,
+        share: NDArray[np.float64],
+        inside: dict[tuple[int, int, int], NDArray[np.uint8]],
+        *,
+        all_layers: bool,
+    ) -> None:
+        """Set the share of each cell, where it is not 0, to that in the part; keep bits of cells that are not whole.
+
+        Layer by layer of all cells, or cell by cell, which pays for a few.
+        """
+        n, (nx, ny, _) = self.n, self.base.cells
+        grid, k, layers = cell_centers(n, self.base.cells), -1, np.zeros((0, 0, 0, 0, 0), bool)
+        some: Cells = [(i, j, k) for i, j, k in np.argwhere(share > 0).tolist()]
+        for cell in sorted(some, key=lambda cell: cell[2]):
+            if not all_layers:
+                own = part.inside_zyx(self.grid(cell), 0, n).view(bool)
+            else:
+                if cell[2] != k:
+                    k = cell[2]
+                    layers = part.inside_zyx(grid, k * n, (k + 1) * n).view(bool).reshape(n, ny, n, nx, n)
+                own = np.ascontiguousarray(layers[:, cell[1], :, cell[0]])
+            share[cell] = np.count_nonzero(own) / n**3
+            if 0 < share[cell] < 1:
+                inside[cell] = np.packbits(own)
+
+    def grid(self, cell: tuple[int, int, int], count: int = 1) -> Grid:
+        """Centers of the voxels of one cell, or of several along x that begin with it."""
+        h = 1.0 / self.n
+        x, y, z = (c + h / 2 for c in cell)
+        return Grid((x, y, z), (h,) * 3, (count * self.n, self.n, self.n))
+
+    def _threads_for(self, grid: Grid) -> int:
+        return self.threads if math.prod(grid.shape) > ALONE else 1
+
+    def inside(self, cell: tuple[int, int, int]) -> NDArray[np.bool_] | None:
+        """Which samples of a cell lie in the part, (n, n, n) indexed z, y, x; None for all."""
+        bits = self._inside.get(cell)
+        if bits is None:
+            return None
+        return np.unpackbits(bits, count=self.n**3).reshape((self.n,) * 3).view(np.bool_)
+
+    def _rows_inside(self, run: Sequence[tuple[int, int, int]]) -> NDArray[np.int32] | None:
+        """For each row of a run the first sample in the part and the one after the last, (n, n, 2); None for all."""
+        parts = [self.inside(cell) for cell in run]
+        if all(part is None for part in parts):
+            return None
+        low = np.full((self.n, self.n), len(run) * self.n, np.int32)
+        high = np.zeros((self.n, self.n), np.int32)
+        for number, part in enumerate(parts):
+            begin = number * self.n
+            if part is None:
+                np.minimum(low, begin, out=low)
+                high[:] = begin + self.n
+                continue
+            some = part.any(2)
+            low[some] = np.minimum(low, begin + part.argmax(2))[some]
+            high[some] = (begin + self.n - part[:, :, ::-1].argmax(2))[some]
+        return np.stack([np.minimum(low, high), high], -1)
+
+    def values(self, run: Sequence[tuple[int, int, int]]) -> NDArray[np.float32]:
+        """What a level is compared with, (n, n, n len(run)) indexed z, y, x: ln G of a sum G of kernels, or the field.
+
+        In rows before the first and beyond the last sample in the part it may be anything.
+
+        Parameters
+        ----------
+        run : cells
+            They follow each other along x.
+        """
+        grid = self.grid(run[0], len(run))
+        if isinstance(self.base, KernelSum) and self.base.additive:
+            sums = self.base.sums(grid, self._threads_for(grid), self._rows_inside(run)).T
+            np.maximum(sums, np.float32(1e-9), out=sums)
+            return np.log(sums, out=sums)
+        return self.base.sample_zyx(grid, 0, self.n, self._threads_for(grid))
+
+    def sampled(self, run: Sequence[tuple[int, int, int]]) -> Iterator[Sampled]:
+        """`values` of each cell of a run, and which of them lie in the part."""
+        values = self.values(run)
+        for number, cell in enumerate(run):
+            yield values[:, :, number * self.n : (number + 1) * self.n], self.inside(cell)
+
+    @property
+    def across(self) -> int:
+        """Threads that look at cells at once, where cells are too small for several threads each."""
+        return 1 if RUN * self.n**3 > ALONE else self.threads
+
+    def porosities(self, cells: Cells, progress: Callable[[int], None]) -> NDArray[np.float64]:
+        """Porosities of some cells of a sum of kernels, or of that of them which lies in the part.
+
+        Samples near the level count in part, which takes a third of the samples that counting them whole would.
+
+        Parameters
+        ----------
+        cells : list of m cells
+        progress : callable
+            Told how many of them have been measured.
+
+        Returns
+        -------
+        (m,) float64
+        """
+        level = self.base.sum_level
+        assert level is not None
+        codes = CellCodes(self.sampled, math.log(level), HALF_RANGE, 0)
+        control, runs = np.full(self.base.cells, math.log(level)), runs_along_x(cells, RUN)
+        found = dict[tuple[int, int, int], float]()
+
+        def shares(run: Cells) -> list[tuple[float, float]]:
+            return void_and_slope(codes, control, run, RAMP)
+
+        for run, pairs in zip(runs, ordered_map(shares, runs, self.across), strict=True):
+            found.update(zip(run, (share for share, _ in pairs), strict=True))
+            progress(len(found))
+        return np.array([found[cell] for cell in cells])
+
+    def porosity(self, cell: tuple[int, int, int]) -> float:
+        """Share of void in a cell, or in that of it which lies in the part.
+
+        Cells that follow each other along x are sampled together, as long rows cost less than short ones.
+        """
+        if cell not in self._porosity:
+            known, (i, j, k) = set(self.cells), cell
+            count = 1
+            while (i + count, j, k) in known:
+                count += 1
+            grid = self.grid(cell, count)
+            void = self.base.solid_zyx(grid, 0, self.n, self._threads_for(grid)) == 0
+            for c in range(count):
+                own, inside = void[:, :, c * self.n : (c + 1) * self.n], self.inside((i + c, j, k))
+                self._porosity[i + c, j, k] = float(own.mean() if inside is None else own[inside].mean())
+        return self._porosity[cell]
+
+
+def filled_cells(field: ScalarField) -> NDArray[np.bool_]:
+    """Which cells of a field hold something with all that reaches into it, (nx, ny, nz)."""
+    cells, inner = tuple(field.cells), field
+    while isinstance(inner, WrappedField) and tuple(inner.base.cells) == cells:
+        inner = inner.base
+    if isinstance(inner, Tiling) and tuple(inner.cells) == cells:
+        return inner.arrays.surrounded().interior >= 0
+    return np.ones(cells, bool)
+
+
+def error_summary(errors: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
+    """Bias, rms, 95th percentile of the size, and the largest size of errors."""
+    e = np.asarray(errors, np.float64)
+    size = np.abs(e)
+    return {
+        "error_mean": float(e.mean()),
+        "error_rms": float(np.sqrt((e**2).mean())),
+        "error_p95": float(np.quantile(size, 0.95)),
+        "error_max": float(size.max()),
+    }

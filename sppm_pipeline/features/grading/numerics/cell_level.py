@@ -1,0 +1,321 @@
+"""A level that is smooth over cells of any shape: one unknown a cell, blended by Wendland's functions.
+
+Each cell has a weight that falls from its middle to zero at `SUPPORT` cells from there, measured in the frame of the
+cell, and the weights at a place are divided by their sum (Shepard). The weight is Wendland's C2 function
+``(1 - q)^4 (4 q + 1)`` (Wendland 1995). A blend at the middles of a fine lattice is the control of a quadratic spline,
+which is what is used in the end: it is once continuously differentiable and cheap to evaluate on rows of samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.jit.compiled import jit
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+SUPPORT = 1.6
+"""How far a cell's weight reaches, in its own size: a choice. The corners of a cube are .87 away, its neighbors 1."""
+
+_CELLS_AT_A_TIME = 2000
+
+# Choices, as for lattices: a Newton step is cut at this share of the range between the bounds, and over all of that
+# range the porosity is taken to change at least so much.
+_LONGEST_STEP, _LEAST_CHANGE = 0.25, 0.05
+
+
+class ControlLattice(NamedTuple):
+    """Where the control points of the spline lie: in the middles of small cells.
+
+    Attributes
+    ----------
+    shape : tuple of 3 ints
+    edge : float
+        Of a small cell, mm.
+    origin : (3,) float64
+        Low corner of the first one, mm.
+    """
+
+    shape: tuple[int, int, int]
+    edge: float
+    origin: NDArray[np.float64]
+
+
+def blending(lattice: ControlLattice, centers: NDArray[np.float64], frames: NDArray[np.float64]) -> csr_array:
+    """Weights of the cells at each control point, (points, cells), rows adding up to one.
+
+    Parameters
+    ----------
+    lattice : ControlLattice
+    centers : (m, 3) float64, mm
+        Middles of the cells.
+    frames : (m, 3, 3) float64, mm
+        Derivatives there: column a is the cell's axis a.
+
+    Notes
+    -----
+    Points out of reach of all cells get the value of that whose middle is nearest.
+    """
+    from scipy.sparse import csr_array
+    from scipy.spatial import cKDTree
+
+    inverse = np.ascontiguousarray(np.linalg.inv(frames))
+    reach = SUPPORT * np.linalg.norm(frames, axis=2)
+    place = (centers - lattice.origin) / lattice.edge - 0.5
+    low = np.clip(np.ceil(place - reach / lattice.edge), 0, lattice.shape).astype(np.int64)
+    high = np.clip(np.floor(place + reach / lattice.edge) + 1, 0, lattice.shape).astype(np.int64)
+    most = int(np.maximum(high - low, 0).prod(axis=1).sum())
+    point, cell, weight = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    count = _weights(
+        low, high, np.array(lattice.shape), lattice.edge, lattice.origin, centers, inverse, point, cell, weight
+    )
+    size = (int(np.prod(lattice.shape)), len(centers))
+    made = csr_array((weight[:count], (point[:count], cell[:count])), shape=size)
+    total = np.asarray(made.sum(axis=1)).ravel()
+    bare = np.flatnonzero(total <= 0)
+    made = csr_array(made.multiply((1 / np.where(total > 0, total, 1.0))[:, None]))
+    if len(bare):
+        where = np.stack(np.unravel_index(bare, lattice.shape), axis=1)
+        _, nearest = cKDTree(centers).query((where + 0.5) * lattice.edge + lattice.origin)
+        made = csr_array(made + csr_array((np.ones(len(bare)), (bare, nearest)), shape=size))
+    return made
+
+
+@jit
+def _weights(
+    low: NDArray[np.int64],
+    high: NDArray[np.int64],
+    shape: NDArray[np.int64],
+    edge: float,
+    origin: NDArray[np.float64],
+    centers: NDArray[np.float64],
+    inverse: NDArray[np.float64],
+    point: NDArray[np.int64],
+    cell: NDArray[np.int64],
+    weight: NDArray[np.float64],
+) -> int:
+    count = 0
+    for c in range(len(centers)):
+        for i in range(low[c, 0], high[c, 0]):
+            for j in range(low[c, 1], high[c, 1]):
+                for k in range(low[c, 2], high[c, 2]):
+                    x = origin[0] + (i + 0.5) * edge - centers[c, 0]
+                    y = origin[1] + (j + 0.5) * edge - centers[c, 1]
+                    z = origin[2] + (k + 0.5) * edge - centers[c, 2]
+                    squared = 0.0
+                    for a in range(3):
+                        along = inverse[c, a, 0] * x + inverse[c, a, 1] * y + inverse[c, a, 2] * z
+                        squared += along * along
+                    q = np.sqrt(squared) / SUPPORT
+                    if q < 1.0:
+                        point[count] = (i * shape[1] + j) * shape[2] + k
+                        cell[count] = c
+                        weight[count] = (1.0 - q) ** 4 * (4.0 * q + 1.0)
+                        count += 1
+    return count
+
+
+def means_over_cells(
+    lattice: ControlLattice,
+    blend: csr_array,
+    inner: Callable[[int, int], tuple[NDArray[np.float64], NDArray[np.float64]]],
+) -> csr_array:
+    """How the mean of the spline over each cell depends on the cells' values, (m, m).
+
+    Parameters
+    ----------
+    lattice : ControlLattice
+    blend : (points, m) sparse array
+        By `blending`.
+    inner : callable of the first cell and the one after the last
+        Points in these cells, (cells, k, 3) mm, and the volume that each stands for, (cells, k).
+    """
+    from scipy.sparse import csr_array, vstack
+
+    shape, rows = np.array(lattice.shape), []
+    for first in range(0, blend.shape[1], _CELLS_AT_A_TIME):
+        points, volume = inner(first, min(first + _CELLS_AT_A_TIME, blend.shape[1]))
+        place = ((points - lattice.origin) / lattice.edge).reshape(-1, 3)
+        own = np.clip(np.floor(place).astype(np.int64), 0, shape - 1)
+        t = np.clip(place - own, 0.0, 1.0)
+        along = np.stack([(1 - t) ** 2 / 2, 0.5 + t - t**2, t**2 / 2], -1)  # as in `level_spline`
+        share = (volume / volume.sum(axis=1, keepdims=True)).ravel()
+        cell = np.repeat(np.arange(len(points)), points.shape[1])
+        mean = csr_array((len(points), blend.shape[0]))
+        for step in np.ndindex(3, 3, 3):
+            node = np.clip(own + np.array(step) - 1, 0, shape - 1)
+            weight = share * along[:, 0, step[0]] * along[:, 1, step[1]] * along[:, 2, step[2]]
+            number = np.ravel_multi_index(tuple(node.T), lattice.shape)
+            mean = mean + csr_array((weight, (cell, number)), shape=mean.shape)
+        rows.append(csr_array(mean @ blend))
+    return csr_array(vstack(rows))
+
+
+class CellLevelFit(NamedTuple):
+    """Values of a level at the cells, and how well they do; all (m,).
+
+    Attributes
+    ----------
+    values : float64
+    errors : float64
+        Porosity less its target.
+    at_bound : bool
+        Cells whose value lies at a bound while their error is above the tolerance.
+    steps : int
+        How often all cells were compared.
+    """
+
+    values: NDArray[np.float64]
+    errors: NDArray[np.float64]
+    at_bound: NDArray[np.bool_]
+    steps: int
+
+
+def fit_cells(
+    measure: Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]],
+    means: csr_array,
+    known: NDArray[np.bool_],
+    targets: NDArray[np.float64],
+    start: NDArray[np.float64],
+    bounds: tuple[float, float],
+    tolerance: float,
+    steps: int,
+) -> CellLevelFit:
+    """Newton steps on the porosity of all cells at once.
+
+    Parameters
+    ----------
+    measure : callable of the values at the cells
+        Porosity of each cell, and its change with the mean of the level over it, positive downwards.
+    means : (m, m) sparse array
+        By `means_over_cells`.
+    known : (m,) bool
+        Cells that have an equation; others follow those around them.
+    targets, start : (m,) float64
+    bounds : 2 floats
+        Least and largest value.
+    tolerance : float
+        Largest error of a cell.
+    steps : int
+        Comparisons at most.
+    """
+    from scipy.sparse import csc_array, eye_array
+    from scipy.sparse.linalg import spsolve
+
+    values = np.clip(start, *bounds)
+    span = bounds[1] - bounds[0]
+    longest, least = _LONGEST_STEP * span, _LEAST_CHANGE / span
+    # cells without an equation take the mean of what is around them
+    around = means.copy()
+    around.setdiag(0.0)
+    around = around.multiply((1 / np.maximum(np.asarray(around.sum(axis=1)).ravel(), 1e-300))[:, None])
+    smooth = eye_array(len(values)) - around
+    best: CellLevelFit | None = None
+    for step in range(1, steps + 1):
+        void, slope = measure(values)
+        errors = np.where(known, void - targets, 0.0)
+        stuck = (errors > tolerance) & (values >= bounds[1] - 1e-9)
+        stuck |= (errors < -tolerance) & (values <= bounds[0] + 1e-9)
+        fit = CellLevelFit(values, errors, stuck, step)
+        if best is None or _worst(fit) < _worst(best):
+            best = fit
+        if _worst(fit) <= tolerance:
+            break
+        wanted = np.clip(errors / np.maximum(slope, least), -longest, longest)
+        wanted[stuck | ~known] = 0.0
+        rows = means.multiply((known & ~stuck)[:, None].astype(float)) + smooth.multiply(
+            (~known & ~stuck)[:, None].astype(float)
+        )
+        rows = rows + eye_array(len(values)).multiply(stuck[:, None].astype(float))
+        values = np.clip(values + spsolve(csc_array(rows), wanted), *bounds)
+    assert best is not None
+    return best._replace(steps=step)
+
+
+def _worst(fit: CellLevelFit) -> float:
+    """The largest error of the cells that can still move."""
+    free = np.abs(fit.errors[~fit.at_bound])
+    return float(free.max()) if len(free) else 0.0
+
+
+class CellSamples(NamedTuple):
+    """Samples in cells, all (n,) but for the places.
+
+    Attributes
+    ----------
+    place : (n, 3) float32
+        Counted in small cells of the control lattice from its low corner.
+    cell : int32
+    value : float32
+        What the level is compared with.
+    volume : float32
+        What each stands for.
+    """
+
+    place: NDArray[np.float32]
+    cell: NDArray[np.int32]
+    value: NDArray[np.float32]
+    volume: NDArray[np.float32]
+
+
+BYTES_OF_A_SAMPLE = 24
+
+
+def porosities_and_slopes(
+    samples: list[CellSamples], control: NDArray[np.float64], cells: int, half_width: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Share of each cell at or above the level, and its change with the level.
+
+    Parameters
+    ----------
+    samples : list of CellSamples
+    control : (nx, ny, nz) float64
+        Control points of the spline.
+    cells : int
+    half_width : float
+        Samples so near to the level tell the slope.
+    """
+    totals = np.zeros((3, cells))
+    padded = np.pad(control, 1, mode="edge")
+    for some in samples:
+        _compare(*some, padded, half_width, totals)
+    of = np.maximum(totals[0], 1e-300)
+    return totals[1] / of, totals[2] / of / (2 * half_width)
+
+
+@jit
+def _compare(
+    place: NDArray[np.float32],
+    cell: NDArray[np.int32],
+    value: NDArray[np.float32],
+    volume: NDArray[np.float32],
+    padded: NDArray[np.float64],
+    half_width: float,
+    totals: NDArray[np.float64],
+) -> None:
+    """Sums by cell of the volume, of that at or above the level, and of that near it."""
+    own = np.empty(3, np.int64)
+    w = np.empty((3, 3))
+    for n in range(len(cell)):
+        for axis in range(3):
+            t = np.float64(place[n, axis])
+            own[axis] = min(max(int(np.floor(t)), 0), padded.shape[axis] - 3)
+            t = min(max(t - own[axis], 0.0), 1.0)
+            w[axis, 0], w[axis, 1], w[axis, 2] = 0.5 * (1 - t) ** 2, 0.5 + t - t * t, 0.5 * t * t
+        level = 0.0
+        for i in range(3):
+            for j in range(3):
+                row = padded[own[0] + i, own[1] + j]
+                k = own[2]
+                level += w[0, i] * w[1, j] * (w[2, 0] * row[k] + w[2, 1] * row[k + 1] + w[2, 2] * row[k + 2])
+        excess = value[n] - level
+        totals[0, cell[n]] += volume[n]
+        if excess >= 0:
+            totals[1, cell[n]] += volume[n]
+        if abs(excess) < half_width:
+            totals[2, cell[n]] += volume[n]

@@ -1,0 +1,145 @@
+"""Curves of a material: porosity over the number of pores of a cell, Young's modulus over porosity."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.services.monotone_cubic import monotone_cubic
+
+GROUPS = 12
+"""Groups of cells of nearly one porosity, through whose means a curve of moduli goes at the most: a choice."""
+
+
+class PorosityCurve(NamedTuple):
+    """Means of trial cells, interpolated monotonically (PCHIP: Fritsch and Carlson 1980).
+
+    Attributes
+    ----------
+    counts : (m,) float64
+        Numbers of pores of a cell, ascending.
+    porosities : (m,) float64
+        Their mean porosities, ascending.
+    deviation : float
+        Standard deviation of the porosity of single cells of one number of pores; 0 if there was one of each.
+    """
+
+    counts: NDArray[np.float64]
+    porosities: NDArray[np.float64]
+    deviation: float
+
+    def pores(self, porosity: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Numbers of pores, not whole, at porosities within the range of the curve."""
+        return monotone_cubic(self.porosities, self.counts).at(np.asarray(porosity, np.float64))
+
+    def slope(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Porosity that one more pore adds; beyond the ends of the curve as at them."""
+        within = np.clip(counts, self.counts[0], self.counts[-1])
+        found = monotone_cubic(self.counts, self.porosities).slope_at(within)
+        # PCHIP is level at a turning point and may be nearly so at an end
+        mean = (self.porosities[-1] - self.porosities[0]) / (self.counts[-1] - self.counts[0])
+        return np.asarray(np.maximum(found, 0.2 * mean))
+
+
+def porosity_curve(counts: list[int], porosities: list[float]) -> PorosityCurve:
+    """The curve through the means of equal counts.
+
+    Raises
+    ------
+    DesignError
+        If the porosity does not grow with the number of pores.
+    """
+    n, value = np.array(counts), np.array(porosities)
+    order = np.unique(n)
+    means = np.array([value[n == c].mean() for c in order])
+    growing = np.concatenate([[True], means[1:] > np.maximum.accumulate(means)[:-1]])
+    if growing.sum() < 2:
+        raise DesignError(
+            f"the porosity does not grow with the number of pores: {means[0]:.3g} at {order[0]} pores a cell and "
+            f"{means[-1]:.3g} at {order[-1]}",
+            hint="give smaller radii, so that pores do not fill the cell",
+        )
+    left = value - means[np.searchsorted(order, n)]
+    degrees = len(n) - len(order)
+    deviation = float(np.sqrt((left**2).sum() / degrees)) if degrees else 0.0
+    return PorosityCurve(order[growing].astype(np.float64), means[growing], deviation)
+
+
+class StiffnessCurve(NamedTuple):
+    """Young's modulus over porosity: its logarithm goes through means of cells by monotone cubics (PCHIP).
+
+    Attributes
+    ----------
+    porosities : (m,) float64
+        Ascending.
+    moduli : (m,) float64
+        Descending.
+    deviation : float
+        Relative standard deviation of single cells around the curve; 0 if it goes through all of them.
+    """
+
+    porosities: NDArray[np.float64]
+    moduli: NDArray[np.float64]
+    deviation: float
+
+    def porosity(self, modulus: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Porosities of moduli within the range of the curve; not a number beyond it."""
+        log = np.log(self.moduli)
+        # rounding may not put the ends of the range outside of it
+        wanted = np.log(np.maximum(modulus, 1e-300))
+        slack = 1e-9 * (1 + np.abs(log).max())
+        inside = (wanted >= log[-1] - slack) & (wanted <= log[0] + slack)
+        found = monotone_cubic(log[::-1], self.porosities[::-1]).at(np.clip(wanted, log[-1], log[0]))
+        return np.where(inside, found, np.nan)
+
+    def modulus(self, porosity: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Moduli at porosities, the inverse of `porosity`; not a number beyond the range of the curve."""
+        log = np.log(self.moduli)
+        curve = monotone_cubic(log[::-1], self.porosities[::-1]).at
+        low, high = np.full(np.shape(porosity), log[-1]), np.full(np.shape(porosity), log[0])
+        for _ in range(60):
+            middle = (low + high) / 2
+            above = curve(middle) > porosity
+            low, high = np.where(above, middle, low), np.where(above, high, middle)
+        inside = (porosity >= self.porosities[0]) & (porosity <= self.porosities[-1])
+        return np.where(inside, np.exp((low + high) / 2), np.nan)
+
+
+def stiffness_curve(porosities: NDArray[np.float64], moduli: NDArray[np.float64]) -> StiffnessCurve:
+    """The curve through cells, which may scatter: means of groups, made monotone by pooling neighbors that are not.
+
+    Up to twelve cells stand for themselves, more are taken in twelve groups of nearly one porosity (pool-adjacent-
+    violators: Barlow et al. 1972).
+
+    Parameters
+    ----------
+    porosities, moduli : (n,) float64
+        Of cells; moduli positive.
+
+    Raises
+    ------
+    DesignError
+        If fewer than two different means remain.
+    """
+    order = np.argsort(porosities, kind="stable")
+    x, y = porosities[order], np.log(moduli[order])
+    groups = [g for g in np.array_split(np.arange(len(x)), min(GROUPS, len(x))) if len(g)]
+    pooled: list[tuple[float, float, int]] = []
+    for group in groups:
+        pooled.append((float(x[group].mean()), float(y[group].mean()), len(group)))
+        while len(pooled) > 1 and (pooled[-1][1] >= pooled[-2][1] or pooled[-1][0] <= pooled[-2][0]):
+            (a, u, n), (b, v, m) = pooled[-2:]
+            pooled[-2:] = [((n * a + m * b) / (n + m), (n * u + m * v) / (n + m), n + m)]
+    if len(pooled) < 2:
+        raise DesignError(
+            "the modulus does not fall with the porosity",
+            hint="give cells of a wider range of porosities, and more of them",
+        )
+    place, log = (np.array([row[k] for row in pooled]) for k in range(2))
+    left = y - np.interp(x, place, log)
+    between = (x >= place[0]) & (x <= place[-1])
+    deviation = float(np.sqrt((left[between] ** 2).mean())) if len(x) > len(place) else 0.0
+    return StiffnessCurve(place, np.exp(log), deviation)

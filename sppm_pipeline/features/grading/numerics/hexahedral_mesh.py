@@ -1,0 +1,317 @@
+"""Meshes of hexahedra of any shape: whether they fit together, where they end, and finer ones within them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.features.grading.numerics.hexahedral_determinant import above_throughout
+from sppm_pipeline.features.grading.numerics.hexahedral_places import points_in
+
+VTK_ORDER = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
+"""Place of each node of a hexahedron in VTK's order, which meshio gives."""
+
+_ORDERS = {
+    "": [0, 1, 2, 3, 4, 5, 6, 7],
+    "with the upper four nodes first": [4, 5, 6, 7, 0, 1, 2, 3],
+    "row by row, as voxels are": [0, 1, 3, 2, 4, 5, 7, 6],
+    "row by row from above": [4, 5, 7, 6, 0, 1, 3, 2],
+}
+"""Orders in which programs number nodes, by what they are called, and the nodes in VTK's order."""
+
+_FACES = np.array([[0, 4, 7, 3], [1, 2, 6, 5], [0, 1, 5, 4], [3, 7, 6, 2], [0, 3, 2, 1], [4, 5, 6, 7]])
+"""Nodes of the low and high faces of each axis in VTK's order, their normals out of the hexahedron."""
+
+SAME = 1e-6
+"""Nodes nearer to each other than this share of the shortest edge are one: files often list them once an element."""
+
+_FLAT = 1e-9
+"""A determinant of the derivative counts as positive above so much of the cube of a hexahedron's length."""
+
+_ON_FACE = 1e-3
+"""A node so near to a face, in its size, that is no corner of it hangs."""
+
+
+class HexahedralMesh(NamedTuple):
+    """Hexahedra that meet node by node.
+
+    Attributes
+    ----------
+    corners : (m, 2, 2, 2, 3) float64
+        Nodes by x, y, z of each hexahedron, which are right-handed.
+    hexahedra : (m, 8) int64
+        Their nodes in VTK's order; nodes at the same place are one.
+    listed : (m, 8) int64
+        The same nodes as the file numbers them, which may list one several times.
+    boundary : (f, 4) int64
+        Nodes of the faces at which the mesh ends, normals outwards.
+    nodes : (n, 3) float64
+    turned : str
+        In which order the file numbers the nodes of hexahedra, if in another one than expected.
+    """
+
+    corners: NDArray[np.float64]
+    hexahedra: NDArray[np.int64]
+    listed: NDArray[np.int64]
+    boundary: NDArray[np.int64]
+    nodes: NDArray[np.float64]
+    turned: str
+
+
+def checked_mesh(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> HexahedralMesh:
+    """A mesh of hexahedra, if they fill a body face to face.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+    hexahedra : (m, 8) int64
+        In VTK's order, or one of some others that programs use, all in the same.
+
+    Raises
+    ------
+    ValueError
+        If a hexahedron is flat or inside out anywhere or listed twice, three meet at a face, or nodes hang.
+    """
+    listed = hexahedra
+    hexahedra, nodes = _joined(points, hexahedra)
+    turned, order = _order_of(nodes, hexahedra)
+    hexahedra = hexahedra[:, order]
+    corners = corners_of(nodes, hexahedra)
+    _check_inside(corners, nodes, hexahedra)
+    _check_listed_once(hexahedra)
+    boundary = _boundary(hexahedra)
+    _check_hanging(nodes, boundary)
+    return HexahedralMesh(corners, hexahedra, listed[:, order], boundary, nodes, turned)
+
+
+def corners_of(nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Nodes by x, y, z of hexahedra (m, 8) in VTK's order, (m, 2, 2, 2, 3)."""
+    corners = np.empty((len(hexahedra), 2, 2, 2, 3))
+    for node, (i, j, k) in enumerate(VTK_ORDER):
+        corners[:, i, j, k] = nodes[hexahedra[:, node]]
+    return corners
+
+
+def _joined(points: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The mesh with nodes at the same place made one, and without others than those of hexahedra."""
+    from scipy.spatial import cKDTree
+
+    used, numbered = np.unique(hexahedra, return_inverse=True)
+    nodes, hexahedra = points[used], numbered.reshape(-1, 8)
+    ends = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6], [6, 7], [7, 4], [0, 4], [1, 5], [2, 6], [3, 7]])
+    lengths = np.linalg.norm(np.diff(nodes[hexahedra[:, ends]], axis=2)[:, :, 0], axis=2)
+    # edges without length are a matter of the orders below
+    shortest = float(lengths[lengths > 0].min(initial=np.inf))
+    if not np.isfinite(shortest):
+        raise ValueError("all nodes of the hexahedra lie in one place")
+    pairs = cKDTree(nodes).query_pairs(SAME * shortest, output_type="ndarray")
+    if not len(pairs):
+        return hexahedra, nodes
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(nodes)
+    _, label = connected_components(coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n)), directed=False)
+    _, first, number = np.unique(label, return_index=True, return_inverse=True)
+    return number[hexahedra], nodes[first]
+
+
+def corner_determinants(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Determinants of the derivative at the eight corners of hexahedra (m, 2, 2, 2, 3), (m, 8)."""
+    m = len(corners)
+    cell, places = np.repeat(np.arange(m), 8), np.tile(np.array(list(np.ndindex(2, 2, 2)), np.float64), (m, 1))
+    return np.asarray(np.linalg.det(points_in(corners, cell, places)[1]).reshape(m, 8))
+
+
+def _order_of(nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> tuple[str, list[int]]:
+    """The order of nodes in which all hexahedra are right-handed; an error that names one if there is none."""
+    worst = 0
+    for turned, order in _ORDERS.items():
+        corners = corners_of(nodes, hexahedra[:, order])
+        wrong = (corner_determinants(corners) <= _flat(corners)[:, None]).any(axis=1)
+        if not wrong.any():
+            return turned, order
+        if not turned:
+            worst, count = int(np.argmax(wrong)), int(wrong.sum())
+    raise ValueError(
+        f"hexahedron {worst} is inside out or flat at a corner, as {count} of {len(hexahedra)} are; its nodes are "
+        f"{nodes[hexahedra[worst]].round(6).tolist()}"
+    )
+
+
+def _flat(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The determinant at or below which hexahedra (m, 2, 2, 2, 3) are flat, (m,)."""
+    length = (corners.max(axis=(1, 2, 3)) - corners.min(axis=(1, 2, 3))).max(axis=1)
+    return np.asarray(_FLAT * length**3)
+
+
+def _check_inside(corners: NDArray[np.float64], nodes: NDArray[np.float64], hexahedra: NDArray[np.int64]) -> None:
+    """No hexahedron is turned inside out within, which may be though it is not at its corners."""
+    wrong = ~above_throughout(corners, _flat(corners))
+    if wrong.any():
+        worst = int(np.argmax(wrong))
+        raise ValueError(
+            f"hexahedron {worst} is inside out or flat somewhere within, though not at a corner, as {wrong.sum()} of "
+            f"{len(corners)} are; its nodes are {nodes[hexahedra[worst]].round(6).tolist()}"
+        )
+
+
+def _check_listed_once(hexahedra: NDArray[np.int64]) -> None:
+    own = np.sort(hexahedra, axis=1)
+    _, first, which = np.unique(own, axis=0, return_index=True, return_inverse=True)
+    if len(first) < len(own):
+        second = int(np.flatnonzero(first[which.reshape(-1)] != np.arange(len(own)))[0])
+        raise ValueError(f"hexahedra {int(first[which.reshape(-1)[second]])} and {second} have the same nodes")
+
+
+def _boundary(hexahedra: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Faces with a hexahedron on one side only."""
+    faces = hexahedra[:, _FACES].reshape(-1, 4)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    if (count > 2).any():
+        face = int(first[np.argmax(count > 2)])
+        raise ValueError(f"{int(count.max())} hexahedra share a face of hexahedron {face // 6}")
+    return np.asarray(faces[np.sort(first[count == 1])])
+
+
+def _check_hanging(nodes: NDArray[np.float64], boundary: NDArray[np.int64]) -> None:
+    """No node of the boundary lies on a face of it without being a corner."""
+    from scipy.spatial import cKDTree
+
+    quads = nodes[boundary]
+    center = quads.mean(axis=1)
+    radius = np.linalg.norm(quads - center[:, None], axis=2).max(axis=1)
+    used = np.unique(boundary)
+    found = cKDTree(nodes[used]).query_ball_point(center, radius * (1 + _ON_FACE))
+    face = np.repeat(np.arange(len(boundary)), [len(f) for f in found])
+    node = used[np.concatenate([np.asarray(f, np.int64) for f in found])] if len(face) else face
+    other = (boundary[face] != node[:, None]).all(axis=1)
+    face, node = face[other], node[other]
+    a, b, c, d = (quads[face, k] for k in range(4))
+    p, u, v = nodes[node], np.full(len(face), 0.5), np.full(len(face), 0.5)
+    for _ in range(8):  # the nearest place of the bilinear face, by Gauss-Newton steps
+        along = (1 - v)[:, None] * (b - a) + v[:, None] * (c - d)
+        across = (1 - u)[:, None] * (d - a) + u[:, None] * (c - b)
+        at = _bilinear(a, b, c, d, u, v)
+        uu, uv, vv = (along**2).sum(1), (along * across).sum(1), (across**2).sum(1)
+        ru, rv = (along * (p - at)).sum(1), (across * (p - at)).sum(1)
+        det = np.maximum(uu * vv - uv**2, 1e-30)
+        u = np.clip(u + (vv * ru - uv * rv) / det, 0, 1)
+        v = np.clip(v + (uu * rv - uv * ru) / det, 0, 1)
+    away = np.linalg.norm(p - _bilinear(a, b, c, d, u, v), axis=1)
+    hangs = away < _ON_FACE * radius[face]
+    if hangs.any():
+        first = int(np.argmax(hangs))
+        where = quads[face[first]].round(6).tolist()
+        raise ValueError(
+            f"the node at {p[first].round(6).tolist()} hangs: it lies on the face {where} of another hexahedron and is "
+            "no corner of it"
+        )
+
+
+def _bilinear(
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    c: NDArray[np.float64],
+    d: NDArray[np.float64],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    u, v = u[..., None], v[..., None]
+    return np.asarray((1 - u) * (1 - v) * a + u * (1 - v) * b + u * v * c + (1 - u) * v * d)
+
+
+def split(corners: NDArray[np.float64], parts: tuple[int, int, int]) -> NDArray[np.float64]:
+    """Hexahedra cut into so many along each axis, exactly: (m, 2, 2, 2, 3) to (m parts, 2, 2, 2, 3).
+
+    Those of one follow each other, z fastest.
+    """
+    m = len(corners)
+    axes = [np.arange(n + 1) / n for n in parts]
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    count = places[..., 0].size
+    points, _ = points_in(corners, np.repeat(np.arange(m), count), np.tile(places.reshape(-1, 3), (m, 1)))
+    nodes = points.reshape(m, *places.shape)
+    made = np.empty((m, *parts, 2, 2, 2, 3))
+    nx, ny, nz = parts
+    for i, j, k in np.ndindex(2, 2, 2):
+        made[:, :, :, :, i, j, k] = nodes[:, i : i + nx, j : j + ny, k : k + nz]
+    return made.reshape(-1, 2, 2, 2, 3)
+
+
+def boundary_triangles(mesh: HexahedralMesh, parts: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Triangles of the boundary, each face cut into `parts` x `parts` squares so that its twist is followed.
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+    faces : (2 parts^2 f, 3) int32
+        Normals outwards.
+    """
+    quads = mesh.nodes[mesh.boundary]
+    step = np.arange(parts + 1) / parts
+    u, v = np.meshgrid(step, step, indexing="ij")
+    corner = [quads[:, None, None, k] for k in range(4)]
+    points = _bilinear(corner[0], corner[1], corner[2], corner[3], u, v).reshape(-1, 3)
+    index = np.arange(len(points)).reshape(len(quads), parts + 1, parts + 1)
+    a, b = index[:, :-1, :-1], index[:, 1:, :-1]
+    c, d = index[:, 1:, 1:], index[:, :-1, 1:]
+    triangles = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], -2).reshape(-1, 3)
+    # points on an edge are those of both faces: rounded alike, as both ends are the same
+    from scipy.spatial import cKDTree
+
+    edge = float(np.linalg.norm(quads[:, 1] - quads[:, 0], axis=1).min())
+    pairs = cKDTree(points).query_pairs(SAME * edge / parts, output_type="ndarray")
+    first = np.arange(len(points))
+    np.minimum.at(first, pairs[:, 1], pairs[:, 0])
+    used, numbered = np.unique(first[triangles], return_inverse=True)
+    return points[used], numbered.reshape(-1, 3).astype(np.int32)
+
+
+class OuterHexahedra(NamedTuple):
+    """What continues hexahedra beyond the faces at which a mesh ends.
+
+    Attributes
+    ----------
+    corners : (f, 2, 2, 2, 3) float64
+    cell : (f,) int32
+        The hexahedron that each continues.
+    low, size : (f, 3) float64
+        Place of its low corner in that hexahedron, and its size there.
+    """
+
+    corners: NDArray[np.float64]
+    cell: NDArray[np.int32]
+    low: NDArray[np.float64]
+    size: NDArray[np.float64]
+
+
+def outer_hexahedra(corners: NDArray[np.float64], far: float) -> OuterHexahedra:
+    """Continue hexahedra (m, 2, 2, 2, 3) that meet node by node, by a share `far` of their length.
+
+    Faces are compared by their nodes' places, which are equal to the last bit, or up to rounding where hexahedra were
+    cut into parts.
+    """
+    size = np.abs(corners).max()
+    places = np.round(corners / max(size, 1e-300) * 2.0**36).astype(np.int64).reshape(-1, 3)
+    _, number = np.unique(places, axis=0, return_inverse=True)
+    nodes = number.reshape(-1, 2, 2, 2)
+    made = []
+    for axis in range(3):
+        for side in range(2):
+            face = np.sort(nodes.take(side, axis + 1).reshape(-1, 4), axis=1)
+            m = len(face)
+            made.append(np.column_stack([face, np.arange(m), np.full(m, axis), np.full(m, side)]))
+    faces = np.concatenate(made)
+    _, first, count = np.unique(faces[:, :4], axis=0, return_index=True, return_counts=True)
+    ends = faces[np.sort(first[count == 1])]
+    cell, axis, side = ends[:, 4], ends[:, 5], ends[:, 6]
+    low, extent, rows = np.zeros((len(ends), 3)), np.ones((len(ends), 3)), np.arange(len(ends))
+    low[rows, axis] = np.where(side == 1, 1.0, -far)
+    extent[rows, axis] = far
+    outer = np.empty((len(ends), 2, 2, 2, 3))
+    for corner in np.ndindex(2, 2, 2):
+        outer[(slice(None), *corner)] = points_in(corners, cell, low + extent * np.array(corner))[0]
+    return OuterHexahedra(outer, cell.astype(np.int32), low, extent)

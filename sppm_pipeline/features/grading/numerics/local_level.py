@@ -1,0 +1,236 @@
+"""The level spline that gives every cell of a lattice the porosity it should have."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.kernels.level_spline import (
+    control_of_means,
+    control_with_some_held,
+    extended,
+    weights_in_cell,
+)
+from sppm_pipeline.services.threads import ordered_map
+
+_STEPS_OF_CODE = 32766
+# Choices: a Newton step is cut at this share of the range between the bounds, and over all of that range the porosity
+# is taken to change at least so much.
+_LONGEST_STEP, _LEAST_CHANGE = 0.25, 0.05
+
+RUN = 4
+"""Cells along x that are sampled together: long rows cost less than short ones, and kernels are listed for all at once.
+"""
+
+Cell = tuple[int, int, int]
+Sampled = tuple[NDArray[np.floating], NDArray[np.bool_] | None]
+Sample = Callable[[Sequence[Cell]], Iterable[Sampled]]
+"""Gives of each cell of a run the values that the level is compared with, (n, n, n) by z, y, x, and which count."""
+
+
+class LevelFit(NamedTuple):
+    """A level spline and how well it does.
+
+    Attributes
+    ----------
+    control : (nx, ny, nz) float64
+        Control points.
+    errors : (m,) float64
+        Porosity less its target of each cell.
+    slopes : (m,) float64
+        Change of the porosity with the level.
+    at_bound : (m,) bool
+        Cells whose control point lies at a bound while their error is above the tolerance.
+    steps : int
+        How often all cells were compared.
+    """
+
+    control: NDArray[np.float64]
+    errors: NDArray[np.float64]
+    slopes: NDArray[np.float64]
+    at_bound: NDArray[np.bool_]
+    steps: int
+
+
+class CellCodes:
+    """Values of cells in 16 bits, kept as far as memory goes and asked for again beyond.
+
+    Parameters
+    ----------
+    sample : callable
+        See `Sample`.
+    middle, half : float
+        Values from ``middle - half`` to ``middle + half`` are told apart in 65 532 steps.
+    memory : float
+        Bytes that may be kept.
+    """
+
+    def __init__(self, sample: Sample, middle: float, half: float, memory: float) -> None:
+        self._sample, self._middle, self._scale = sample, middle, _STEPS_OF_CODE / half
+        self._left, self._lock = memory, threading.Lock()
+        self._kept: dict[Cell, NDArray[np.int16]] = {}
+
+    def code(self, values: NDArray[np.floating]) -> NDArray[np.int16]:
+        """Values as codes."""
+        scaled = (values - self._middle) * self._scale
+        np.rint(np.clip(scaled, -_STEPS_OF_CODE, _STEPS_OF_CODE, out=scaled), out=scaled)
+        return np.asarray(scaled.astype(np.int16))
+
+    def width(self, length: float) -> int:
+        """A length of values in codes, a multiple of 4."""
+        return max(4, 4 * round(length * self._scale / 4))
+
+    @property
+    def scaling(self) -> tuple[float, float, float]:
+        """What is taken off, the factor behind it, and the largest code."""
+        return float(self._middle), float(self._scale), float(_STEPS_OF_CODE)
+
+    def of(self, run: Sequence[Cell]) -> list[NDArray[np.int16]]:
+        """Codes of the samples of some cells, those outside of the part left out by the least number there is."""
+        if all(cell in self._kept for cell in run):
+            return [self._kept[cell] for cell in run]
+        made = []
+        for cell, (values, inside) in zip(run, self._sample(run), strict=True):
+            codes = self.code(np.asarray(values, np.float32))
+            if inside is not None:
+                codes[~inside] = np.iinfo(np.int16).min
+            made.append(codes)
+            with self._lock:
+                keep = codes.nbytes <= self._left
+                self._left -= codes.nbytes if keep else 0
+            if keep:
+                self._kept[cell] = codes
+        return made
+
+
+def void_and_slope(
+    codes: CellCodes, control: NDArray[np.float64], run: Sequence[Cell], width: float
+) -> list[tuple[float, float]]:
+    """Share of each cell that is at or above the level, and the change of this share with the level.
+
+    A sample near the level counts in part, by a ramp from half a width below it to half a width above. The mean over
+    levels that far apart which this tells is off by the square of the width; ramps of one and of half the width tell by
+    how much (Richardson). What is left is a third of the noise of counting whole samples: with 48 samples along an edge
+    the share is good to 1 or 2 in 10 000.
+
+    Parameters
+    ----------
+    codes : CellCodes
+    control : (nx, ny, nz) float64
+        Control points of the level.
+    run : cells
+        Sampled together.
+    width : float
+        Of the ramp, in values.
+    """
+    from sppm_pipeline.method.kernels.level_rows import void_at_level
+
+    ramp, told = codes.width(width), []
+    for cell, found in zip(run, codes.of(run), strict=True):
+        # the cells around, with the outermost ones repeated
+        x, y, z = ([max(c - 1, 0), c, min(c + 1, n - 1)] for c, n in zip(cell, control.shape, strict=True))
+        near = np.ascontiguousarray(control[np.ix_(x, y, z)])
+        inside, wide, narrow, beside = void_at_level(found, near, weights_in_cell(len(found)), *codes.scaling, ramp)
+        told.append(((8 * narrow - wide) / (3 * ramp) / inside, beside / inside / width) if inside else (0.0, 0.0))
+    return told
+
+
+def fit_level(
+    codes: CellCodes,
+    cells: list[Cell],
+    targets: NDArray[np.float64],
+    start: NDArray[np.float64],
+    bounds: tuple[float, float],
+    width: float,
+    tolerance: float,
+    steps: int,
+    threads: int = 1,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> LevelFit:
+    """Newton steps on the porosity of all cells at once.
+
+    The porosity of a cell falls with the mean of the level over it by the share of samples near the level; the spline
+    with the wanted changes of its means is a banded solve along each axis. Cells without an equation, outside of the
+    part, follow those around them.
+
+    Parameters
+    ----------
+    codes : CellCodes
+    cells : list of m cells
+    targets : (m,) float64
+        Porosities.
+    start : (nx, ny, nz) float64
+        Control points to begin with.
+    bounds : 2 floats
+        Least and largest control point.
+    width : float
+        Of the ramp by which samples near the level count, in values: see `void_and_slope`.
+    tolerance : float
+        Largest error of a cell.
+    steps : int
+        Comparisons at most.
+    threads : int
+        Number of threads; the result does not depend on it.
+    progress : callable
+        Told how many cells of all have been compared.
+    """
+    place, runs = tuple(np.array(cells).T), runs_along_x(cells, RUN)
+    known = np.zeros(start.shape, bool)
+    known[place] = True
+    control = np.clip(start, *bounds)
+    span = bounds[1] - bounds[0]
+    longest, least = _LONGEST_STEP * span, _LEAST_CHANGE / span
+    best: LevelFit | None = None
+    for step in range(1, steps + 1):
+        found = dict[Cell, tuple[float, float]]()
+        for run, pairs in zip(runs, ordered_map(partial(_compared, codes, control, width), runs, threads), strict=True):
+            found.update(zip(run, pairs, strict=True))
+            progress((step - 1) * len(cells) + len(found), steps * len(cells))
+        void, slope = np.array([found[cell] for cell in cells]).T
+        errors = void - targets
+        stuck = (errors > tolerance) & (control[place] >= bounds[1] - 1e-9)
+        stuck |= (errors < -tolerance) & (control[place] <= bounds[0] + 1e-9)
+        fit = LevelFit(control, errors, slope, stuck, step)
+        if best is None or _worst(fit) < _worst(best):
+            best = fit
+        if _worst(fit) <= tolerance:
+            break
+        change = np.zeros(start.shape)
+        # what a cell at its bound still lacks is no reason for those around it to move
+        change[place] = np.where(stuck, 0.0, np.clip(errors / np.maximum(slope, least), -longest, longest))
+        change = extended(change, known)
+        held = np.zeros(start.shape, bool)
+        held[place] = stuck
+        moved = control_with_some_held(change, held) if stuck.any() else control_of_means(change)
+        control = np.clip(control + moved, *bounds)
+    assert best is not None
+    return best._replace(steps=step)
+
+
+def _compared(
+    codes: CellCodes, control: NDArray[np.float64], width: float, run: Sequence[Cell]
+) -> list[tuple[float, float]]:
+    return void_and_slope(codes, control, run, width)
+
+
+def runs_along_x(cells: Sequence[Cell], most: int) -> list[list[Cell]]:
+    """Cells that follow each other along x, at most so many at a time, sorted by z, y, x."""
+    runs: list[list[Cell]] = []
+    for i, j, k in sorted(cells, key=lambda cell: cell[::-1]):
+        if runs and runs[-1][-1] == (i - 1, j, k) and len(runs[-1]) < most:
+            runs[-1].append((i, j, k))
+        else:
+            runs.append([(i, j, k)])
+    return runs
+
+
+def _worst(fit: LevelFit) -> float:
+    """The largest error of the cells that can still move."""
+    free = np.abs(fit.errors[~fit.at_bound])
+    return float(free.max()) if len(free) else 0.0 if fit.at_bound.any() else math.inf

@@ -1,0 +1,259 @@
+"""``tile.graded``: cells whose number of pores follows a map of the porosity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.features.grading.graded import (
+    check_round,
+    curve_of,
+    graded_radii,
+    of_periodic_cells,
+    recipe_total,
+    sites_of,
+    trial,
+)
+from sppm_pipeline.features.grading.grading import Grading
+from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means, error_summary
+from sppm_pipeline.features.grading.numerics.curve import PorosityCurve
+from sppm_pipeline.method.assembly.contents import TilingArrays
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.families.interiors import FEWEST
+from sppm_pipeline.method.families.tiler import HALO, Lattice, laid_cells, lattice_for, tiling_size
+from sppm_pipeline.method.families.tileset_maker import check_faces
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import RecipeSize, Size
+from sppm_pipeline.stage import Context, Recipe, Stage, option
+
+BESIDE = 0.25
+"""Cell sizes on either side of a face at which the map is asked for its number of pores: a choice."""
+
+WORTH = 0.25
+"""Pores by which an earlier round must have been nearer to its target than the last one for cells to be laid anew."""
+
+FAR = 0.025
+"""Change of the level, of its own size, from which on a cell is drawn once more with the same number of pores."""
+
+SPARE = 12
+"""Cells that further rounds may lay for the sake of those that are far: as many as trials lay, or fewer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GradedTiling(Stage):
+    """Lay cells whose numbers of pores follow a map of the porosity (paper, "graded").
+
+    Every cell has an interior of its own. Its number of pores comes from a curve that trial cells of the recipe give,
+    and is then corrected in rounds by what the laid cell is found to have; of all rounds each cell gets the one nearest
+    to its target. Where no whole number of pores comes near, other draws of the same number are tried, for parts of few
+    cells in further rounds. What is left then is left to `tune.local_porosity`. The recipe's samplers need `total` or
+    `count`.
+    """
+
+    name: ClassVar[str] = "tile.graded"
+    version: ClassVar[int] = 3
+    advice: ClassVar[str] = "give larger cells"
+    reported: ClassVar[tuple[str, ...]] = (
+        "cell_deviation", "pores_min", "pores_max", "error_mean", "error_rms", "error_p95", "error_max",
+        "error_rms_of_rounds.*",
+    )  # fmt: skip
+
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
+    faces: str = option(
+        "same",
+        help="same: one pattern for each axis, with the recipe's number of pores, as in the paper; fresh: every face "
+        "has its own; graded: its own, with as many pores as the map says there",
+        choices=("same", "fresh", "graded"),
+    )
+    rounds: int = options.rounds(2, note="in which pores are added and taken away", minimum=0, maximum=10)
+    trials: int = options.trials(3, note="of the curve")
+    resolution: int = options.resolution(48, note="for measuring the porosity", minimum=8, maximum=256)
+    limit: int = option(100_000, help="maximum number of cells that are drawn", minimum=1, maximum=1_000_000)
+
+    def estimate(self, palette: Palette, recipe: RecipeSize, grading: Size, cover: Size | None) -> Size:
+        made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
+        cells = made.cells if self.faces == "same" else laid_cells(made, False)
+        recipe(palette, cells * (1 + self.rounds) + 8 * self.trials)
+        samples = made.cells * float(self.resolution) ** 3 * (1 + self.rounds)
+        return made.at_porosity(None, cells=cells, samples=samples, sums=samples * made.body.kernels)
+
+    def run(self, context: Context, recipe: Recipe, grading: Grading, cover: SurfaceMesh | None) -> Tiling:
+        """Number the cells, draw them, measure them and draw them again."""
+        from sppm_pipeline.method.tiling.lattice import meetings
+
+        check_round(grading, self.name)
+        lattice = lattice_for(self.cell, self.cells, cover, None)
+        edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
+        lattice = Lattice(lattice.mask, edge, lattice.origin)
+        arrays = self._arrays(lattice.mask)
+        sites = sites_of(arrays)
+        wanted = np.clip(sites, 0, np.array(lattice.mask.shape) - 1)  # beyond the part a map goes on as a constant
+        targets = cell_means(grading, "porosity", edge, lattice.origin, wanted)
+        if len(targets) > self.limit:
+            raise DesignError(
+                f"the part takes {len(targets)} cells, and each would be drawn anew; the limit is {self.limit}",
+                hint=f"give larger cells, or raise `limit: {len(targets)}`",
+            )
+        total = recipe_total(recipe)
+        trials = of_periodic_cells(context, recipe, max(24, self.resolution // 2))
+        curve = curve_of(context, trials, total, targets, self.trials)
+        count, (x, y, z) = curve.pores(targets), arrays.faces
+        palette = Palette(
+            len(targets),
+            (int(x.max()) + 1, int(y.max()) + 1, int(z.max()) + 1),
+            None if self.faces == "same" else meetings(arrays.interior, arrays.faces),
+            totals=np.rint(count).astype(np.int64),
+            spacings=(total / count) ** (1 / 3),
+            face_totals=self._face_totals(grading, curve, arrays, lattice) if self.faces == "graded" else None,
+        )
+        assert palette.totals is not None
+        best = _Nearest(palette)
+        rms, last = [], False
+        while True:
+            made = self._laid(context, recipe, grading, palette, arrays, lattice)
+            cells = LatticeCells(made, self.resolution, context.threads)
+            own = arrays.box[tuple(np.array(cells.cells).T)]
+            errors = np.array([cells.porosity(cell) for cell in cells.cells]) - targets[own]
+            summary = error_summary(errors)
+            rms.append(summary["error_rms"])
+            size = best.take(palette, own, errors)
+            if last or not self.rounds:
+                break
+            assert palette.totals is not None
+            slope = curve.slope(palette.totals[own].astype(np.float64))
+            reach = FAR * _level_reach(targets, made.solid_below)
+            left = len(rms) - self.rounds
+            if left <= 0:
+                totals, wanted = palette.totals.copy(), np.rint(errors / slope).astype(np.int64)
+                totals[own] = np.maximum(totals[own] - wanted, FEWEST)
+                stay = np.zeros(len(targets), bool)
+                stay[own] = (wanted == 0) & (np.abs(errors) > reach[own])
+                palette = best.again(replace(palette, totals=totals), stay)
+            elif left * len(targets) <= SPARE and (best.size[own] > reach[own]).any():
+                palette = best.again(best.palette, np.isfinite(best.size) & (best.size > reach))
+            elif (size[own] <= best.size[own] + WORTH * slope).all():
+                break
+            else:
+                palette, last = best.palette, True
+        assert palette.totals is not None
+        context.report(
+            **summary,
+            error_rms_of_rounds=rms,
+            cell_deviation=curve.deviation,
+            pores_min=int(palette.totals.min()),
+            pores_max=int(palette.totals.max()),
+        )
+        return made
+
+    def _arrays(self, mask: NDArray[np.bool_]) -> TilingArrays:
+        """Interiors and faces of the part and of the cells around it."""
+        from sppm_pipeline.method.tiling.lattice import face_presence, tile_fresh, with_halo
+
+        around = with_halo(mask, HALO)
+        if self.faces != "same":
+            return TilingArrays(*tile_fresh(around), False, HALO)
+        # what fits anywhere goes on around the part: the cells there are those nearest to them once more
+        from scipy.ndimage import distance_transform_edt
+
+        interior, _ = tile_fresh(mask)
+        padded = np.pad(interior, HALO, constant_values=-1)
+        nearest = distance_transform_edt(padded < 0, return_distances=False, return_indices=True)
+        laid = np.where(around, padded[tuple(nearest)], -1).astype(np.int32)
+        x, y, z = (np.where(there, 0, -1).astype(np.int32) for there in face_presence(around))
+        return TilingArrays(laid, (x, y, z), False, HALO)
+
+    def _face_totals(
+        self, grading: Grading, curve: PorosityCurve, arrays: TilingArrays, lattice: Lattice
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """For each face the number of pores that a cell around it would have: the mean of its two sides."""
+        assert lattice.edge is not None
+        low, high = np.zeros(3), np.array(lattice.mask.shape, np.float64)
+        porosity, found = grading.in_cells(lattice.edge, lattice.origin)["porosity"], []
+        for axis, faces in enumerate(arrays.faces):
+            place = np.argwhere(faces >= 0)
+            middle = place - arrays.halo + np.where(np.arange(3) == axis, 0.0, 0.5)
+            sides = []
+            for step in (-BESIDE, BESIDE):
+                points = np.clip(middle + step * np.eye(3)[axis], low, high)
+                values = porosity.at(points * lattice.edge + np.array(lattice.origin))
+                sides.append(curve.pores(np.clip(values, curve.porosities[0], curve.porosities[-1])))
+            totals = np.zeros(len(place), np.int64)
+            totals[faces[tuple(place.T)]] = np.rint((sides[0] + sides[1]) / 2)
+            found.append(np.maximum(totals, FEWEST))
+        return found[0], found[1], found[2]
+
+    def _laid(
+        self,
+        context: Context,
+        recipe: Recipe,
+        grading: Grading,
+        palette: Palette,
+        arrays: TilingArrays,
+        lattice: Lattice,
+    ) -> Tiling:
+        micro = trial(context, recipe, None, 0, palette)
+        check_faces(micro, palette, recipe.name)
+        assert lattice.edge is not None
+        tiling = Tiling(TileSet(micro, "fresh", 0), arrays, lattice.edge, lattice.origin)
+        return graded_radii(tiling, grading, faces_differ=self.faces != "same")
+
+
+class _Nearest:
+    """The rounds in which cells came nearest to their targets.
+
+    An interior is drawn from its place, its number of pores and the number of its draw, so that an earlier one can be
+    had again.
+
+    Attributes
+    ----------
+    palette : Palette
+        Every cell as in the round in which it came nearest.
+    size : (m,) float64
+        How far each was from its target then; infinite if it has not been measured.
+    """
+
+    def __init__(self, palette: Palette) -> None:
+        self.palette = palette
+        self._totals, self._draws = self._state(palette)
+        self._drawn = self._draws
+        self.size = np.full(len(self._totals), np.inf)
+
+    @staticmethod
+    def _state(palette: Palette) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        assert palette.totals is not None
+        return palette.totals, np.zeros_like(palette.totals) if palette.draws is None else palette.draws
+
+    def take(self, palette: Palette, own: NDArray[np.integer], errors: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take note of the errors of a round in some cells; how far all are from their targets, (m,)."""
+        totals, draws = self._state(palette)
+        size = np.full(len(self.size), np.inf)
+        size[own] = np.abs(errors)
+        nearer = size < self.size
+        self._totals, self._draws = np.where(nearer, totals, self._totals), np.where(nearer, draws, self._draws)
+        self.palette = replace(palette, totals=self._totals, draws=self._draws)
+        self.size = np.minimum(size, self.size)
+        return size
+
+    def again(self, palette: Palette, which: NDArray[np.bool_]) -> Palette:
+        """A palette for another round, in which some cells, (m,) bool, are drawn as they have never been."""
+        self._drawn = self._drawn + which
+        return replace(palette, draws=np.where(which, self._drawn, self._state(palette)[1]))
+
+
+def _level_reach(targets: NDArray[np.float64], level: float) -> NDArray[np.float64]:
+    """By how much a porosity changes with ln C of a level C, (m,).
+
+    Of tunnels with kernels exp(-omega r^2) the section is in proportion to -ln C, and where they overlap at random
+    -ln(1 - porosity) is in proportion to the section; the derivative of that.
+    """
+    slope: NDArray[np.float64] = (1 - targets) * -np.log1p(-targets) / -np.log(level)
+    return slope

@@ -1,0 +1,233 @@
+"""``tune.local_porosity``: a level that varies from place to place, so that every cell has its porosity."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.features.grading.curved_cells import CurvedCells
+from sppm_pipeline.features.grading.curved_porosity import (
+    CurvedSamples,
+    curved_cells_of,
+    curved_targets,
+    fit_curved_level,
+)
+from sppm_pipeline.features.grading.grading import Grading
+from sppm_pipeline.features.grading.local_porosity import (
+    HALF_RANGE,
+    RAMP,
+    Cells,
+    LatticeCells,
+    cell_means,
+    error_summary,
+)
+from sppm_pipeline.features.grading.numerics.local_level import CellCodes, LevelFit, fit_level
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.fields.kernel_sum import KernelSum
+from sppm_pipeline.method.fields.level_field import LevelField
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Headline, Stage, option
+
+LOWEST = 0.05
+"""The lowest level C, a choice."""
+
+CHECKED = 16
+"""Cells, spread over the part, that are measured again on a finer grid."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuneLocalPorosity(Stage):
+    """Choose a smooth level so that every cell has the porosity that a map gives as its mean.
+
+    Of fields that are sums of kernels ln C becomes a quadratic spline with one control point in the middle of each
+    cell, found by Newton steps. Other fields are cut at a spline of values. The level stays between bounds, so that
+    tunnels keep most of their radius; cells that would need more are named, with the number of pores they are off by.
+    Between cells porosity keeps the noise of the structure.
+
+    Of what was bent by a `warp` stage, or laid by `tile.hexahedra`, the cells are those of the structure: each has a
+    value of its own, and values are blended by smooth weights around the middles of the cells.
+    """
+
+    name: ClassVar[str] = "tune.local_porosity"
+    version: ClassVar[int] = 2
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("error_rms", "error of the cells, rms"), Headline("error_max", "largest"), Headline("cells_at_bound"),
+    )  # fmt: skip
+    reported: ClassVar[tuple[str, ...]] = (
+        "cells_tuned", "cells_at_bound", "steps", "level_min", "level_max", "error_mean", "error_rms", "error_p95",
+        "error_max", "checked_at",
+    )  # fmt: skip
+
+    resolution: int = options.resolution(40, note="for measuring the porosity", minimum=8, maximum=256)
+    tolerance: float = options.tolerance(0.001)
+    narrowest: float = option(
+        0.8, help="least radius of a tunnel over that at the field's own level", above=0, maximum=1
+    )
+    evaluations: int = options.evaluations(12, note="of all cells, one for each Newton step")
+
+    def estimate(self, palette: Palette, field: Size, grading: Size) -> Size:
+        n = self.resolution
+        samples = field.body.volume * float(n**3) + min(field.body.volume, CHECKED) * (n + n // 2 + 1) ** 3
+        return Size(
+            design=field.design, geometry=field.body, samples=samples, sums=samples * field.body.kernels,
+            resident=field.body.volume * float(n**3) / 2,
+        )  # fmt: skip
+
+    def run(self, context: Context, field: ScalarField, grading: Grading) -> ScalarField:
+        """Measure, correct, and check on a finer grid."""
+        inner = field.base if isinstance(field, Part) else field
+        earlier = inner if isinstance(inner, LevelField) else None
+        bare = earlier.base if earlier is not None else inner
+        if not isinstance(bare, KernelSum) and bare.periodic:
+            raise DesignError("a level varies over the cells of a part", hint="lay the cell by `tile.periodic` first")
+        curved = curved_cells_of(bare)
+        if curved is not None:
+            return self._curved(context, field, bare, curved, grading)
+        cells = LatticeCells(
+            replace(field, base=bare) if isinstance(field, Part) else bare, self.resolution, context.threads
+        )
+        if not cells.cells:
+            raise DesignError("no cell lies in the part", hint="give smaller cells")
+        edge = bare.physical_edge()
+        where = np.array(cells.cells)
+        targets = cell_means(grading, "porosity", edge, bare.origin_mm, where)
+        scale = 1.0
+        if bare.sum_level is None:
+            scale = float(cells.values([cells.cells[len(cells.cells) // 2]]).std())
+        start, half, ramp, bounds = self._range(bare.sum_level, scale)
+        control = np.full(bare.cells, start) if earlier is None else np.array(earlier.control)
+        codes = CellCodes(cells.sampled, start, half, memory=context.memory / 2)
+        fit = fit_level(
+            codes, cells.cells, targets, control, bounds, ramp, self.tolerance / 4, self.evaluations, cells.across,
+            lambda done, of: context.progress(done, of, "cells compared"),
+        )  # fmt: skip
+        made = LevelField(bare, fit.control)
+        tuned = replace(field, base=made) if isinstance(field, Part) else made
+        self._tell_bounds(context, cells.cells, targets, fit, bare)
+        self._check(context, tuned, cells.cells, targets, fit)
+        context.report(
+            cells_tuned=len(cells.cells),
+            cells_at_bound=int(fit.at_bound.sum()),
+            steps=fit.steps,
+            **{name: value for name, value in made.summary().items() if name in ("level_min", "level_max")},
+        )
+        return tuned
+
+    def _range(self, level: float | None, deviation: float) -> tuple[float, float, float, tuple[float, float]]:
+        """Where to begin, how far values are told apart, how wide a ramp is, and the bounds.
+
+        Parameters
+        ----------
+        level : float or None
+            Of a sum of kernels.
+        deviation : float
+            Of the values of any other field.
+        """
+        if level is None:
+            half = 4 * deviation
+            return 0.0, half, half / 40, (-half, half)  # a tenth of the deviation: the field may bend sharply
+        start, bounds = math.log(level), (math.log(LOWEST), self.narrowest * math.log(level))
+        if not bounds[0] < start < bounds[1]:
+            raise DesignError(f"the level of {level:g} must lie above {LOWEST:g} and below 1")
+        return start, HALF_RANGE, RAMP, bounds
+
+    def _curved(
+        self, context: Context, field: ScalarField, bare: ScalarField, curved: CurvedCells, grading: Grading
+    ) -> ScalarField:
+        """Tune bent cells."""
+        n = self._fitting(context, curved)
+        part = replace(field, base=bare) if isinstance(field, Part) else bare
+        samples = CurvedSamples(part, curved, n, context.threads)
+        targets = curved_targets(grading, "porosity", curved)
+        scale = 1.0
+        if bare.sum_level is None:
+            scale = float(next(samples.found()).value.std())
+        start, half, _, bounds = self._range(bare.sum_level, scale)
+        made, fit, known = fit_curved_level(
+            samples, bare, targets, start, bounds, half / 80, self.tolerance / 4, self.evaluations,
+            lambda done, of: context.progress(done, of, "comparisons of all cells"),
+        )  # fmt: skip
+        tuned = replace(field, base=made) if isinstance(field, Part) else made
+        names = [dict(zip(curved.columns, name, strict=True)) for name in curved.names.tolist()]
+        if fit.at_bound.any():
+            worst = int(np.argmax(np.where(fit.at_bound, np.abs(fit.errors), -1)))
+            context.warn(
+                f"the level reaches its bound in {int(fit.at_bound.sum())} of {int(known.sum())} cells; cell "
+                f"{names[worst]} has a porosity of {targets[worst] + fit.errors[worst]:.4f} instead of "
+                f"{targets[worst]:.4f} and needs {'fewer' if fit.errors[worst] > 0 else 'more'} pores"
+            )
+        finer = n + n // 2 + 1
+        errors = (CurvedSamples(tuned, curved, finer, context.threads).shares().porosity - targets)[known]
+        context.report(checked_at=finer, **error_summary(errors))
+        free = np.where(fit.at_bound[known], 0.0, np.abs(errors))
+        if free.max() > self.tolerance:
+            worst = int(np.flatnonzero(known)[free.argmax()])
+            context.warn(
+                f"on a grid of {finer} voxels along an edge {int((free > self.tolerance).sum())} of {len(free)} cells "
+                f"are off by more than {self.tolerance:g}; cell {names[worst]} by {errors[free.argmax()]:+.4f}; a "
+                f"larger `resolution`, such as {2 * n}, comes nearer"
+            )
+        context.report(
+            cells_tuned=int(known.sum()), cells_at_bound=int(fit.at_bound.sum()), steps=fit.steps,
+            **{name: value for name, value in made.summary().items() if name in ("level_min", "level_max")},
+        )  # fmt: skip
+        return tuned
+
+    def _fitting(self, context: Context, curved: CurvedCells) -> int:
+        """The resolution, or a lower one whose samples fit into memory."""
+        from sppm_pipeline.features.grading.numerics.cell_level import BYTES_OF_A_SAMPLE
+
+        n = self.resolution
+        while n > 8 and BYTES_OF_A_SAMPLE * float(n) ** 3 * curved.count > context.memory / 2:
+            n -= max(1, n // 16)
+        if n < self.resolution:
+            context.warn(f"samples of all cells would not fit into memory; `resolution: {n}` is taken")
+        return n
+
+    def _tell_bounds(
+        self, context: Context, cells: Cells, targets: NDArray[np.float64], fit: LevelFit, field: ScalarField
+    ) -> None:
+        """Name the cell that stays farthest from its target because the level would leave its bounds."""
+        if not fit.at_bound.any():
+            return
+        worst = int(np.argmax(np.where(fit.at_bound, np.abs(fit.errors), -1)))
+        error, advice = float(fit.errors[worst]), "a wider range of levels"
+        if isinstance(field, Tiling):
+            # a pore takes the same share of what is solid anywhere, as in the Boolean model
+            mean, count = float(targets.mean()), field.tileset.micro.graph.pores.per_cell
+            of_a_pore = (1 - targets[worst]) * -math.log1p(-mean) / count
+            wanted = max(1, round(abs(error) / of_a_pore))
+            advice = f"about {wanted} pores {'fewer' if error > 0 else 'more'}"
+        context.warn(
+            f"the level reaches its bound in {int(fit.at_bound.sum())} of {len(cells)} cells; cell {cells[worst]} has "
+            f"a porosity of {targets[worst] + error:.4f} instead of {targets[worst]:.4f} and needs {advice}"
+        )
+
+    def _check(
+        self, context: Context, tuned: ScalarField, cells: Cells, targets: NDArray[np.float64], fit: LevelFit
+    ) -> None:
+        """Measure cells on an independent, finer grid."""
+        some = range(0, len(cells), -(-len(cells) // CHECKED))
+        finer = self.resolution + self.resolution // 2 + 1
+        measured = LatticeCells(tuned, finer, context.threads, only=[cells[m] for m in some])
+        number = {cell: m for m, cell in enumerate(cells)}
+        which = [number[cell] for cell in measured.cells]
+        errors = np.array([measured.porosity(cell) for cell in measured.cells]) - targets[which]
+        context.report(checked_at=finer, **error_summary(errors))
+        free = np.where(fit.at_bound[which], 0.0, np.abs(errors))
+        if free.max() > self.tolerance:
+            worst = int(free.argmax())
+            context.warn(
+                f"on a grid of {finer} voxels along an edge {int((free > self.tolerance).sum())} of {len(which)} cells "
+                f"are off by more than {self.tolerance:g}; cell {measured.cells[worst]} by {errors[worst]:+.4f}; a "
+                f"larger `resolution`, such as {2 * self.resolution}, comes nearer"
+            )

@@ -1,0 +1,280 @@
+"""A tiling bent to another shape: its pores and tunnels are mapped, and laid again as blocks without faces.
+
+Not the field is mapped but the graph, so that tunnels stay straight and kernels round, and nothing can tear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.features.grading.curved_cells import CurvedCells
+from sppm_pipeline.features.grading.joined import kernel_sizes
+from sppm_pipeline.method.assembly.contents import TilingArrays
+from sppm_pipeline.method.fields.microstructure import Microstructure, finest_pitch, pieces_from_graph
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES
+from sppm_pipeline.method.nouns.pores import PoreSet
+from sppm_pipeline.method.nouns.tunnels import TunnelGraph
+from sppm_pipeline.nouns.length import Cell
+from sppm_pipeline.nouns.palette import Blocks
+
+
+@dataclass(frozen=True, eq=False)
+class WarpedTiling(Tiling):
+    """A tiling whose blocks are no cells of the structure: those are bent.
+
+    Attributes
+    ----------
+    curved : CurvedCells
+        The cells of the structure.
+    steepest : 2 floats
+        The largest omega and mu of pores and tunnels in these cells. Those beyond, which are mapped there, too, may be
+        as small as one likes, as towards the axis of a tube, and nobody looks at them.
+    """
+
+    curved: CurvedCells = field(kw_only=True)
+    steepest: tuple[float, float] = field(kw_only=True)
+
+    @property
+    def finest_radius(self) -> float | None:
+        micro, mu = self.tileset.micro, self.steepest[1]
+        return TUNNEL_PROFILES[micro.pieces.kernels.profile].radius(mu, micro.level) if mu and micro.level < 1 else None
+
+    @property
+    def coarse_pitch(self) -> float | None:
+        micro = self.tileset.micro
+        if self.exact or micro.coarse_pitch is None:
+            return None
+        return finest_pitch(*self.steepest, micro.pieces.kernels.profile, micro.level)
+
+    def summary(self) -> dict[str, Any]:
+        """That of a tiling, and the number of cells of the structure."""
+        return {**super().summary(), "curved_cells": self.curved.count}
+
+
+HALO = 1
+"""Cells around a box that are mapped, too, and blocks around the mapped part: kernels reach in from there."""
+
+
+MOST_BLOCKS = 4_000_000
+"""Blocks of a mapped part, empty ones included; each takes some hundred bytes."""
+
+
+class LaidGraph(NamedTuple):
+    """The pores and tunnels of all cells of a tiling.
+
+    Attributes
+    ----------
+    points : (n, 3) float64
+        Cell sizes, from the low corner of cell (0, 0, 0).
+    omega : (n,) float64
+        Of the pores, 1 / cell size^2.
+    edges : (m, 2) int64
+    mu : (m,) float64
+        Of the tunnels, in the unit of their profile.
+    """
+
+    points: NDArray[np.float64]
+    omega: NDArray[np.float64]
+    edges: NDArray[np.int64]
+    mu: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Sites:
+    """Which piece lies where: interiors and the faces in low planes, over a box of sites."""
+
+    first: NDArray[np.int64]  # the first site, (3,)
+    pieces: list[NDArray[np.int64]]  # for interiors and each axis, (sx, sy, sz); -1 for none
+    wrap: NDArray[np.bool_]  # (3,)
+
+    def at(self, kind: NDArray[np.int64], site: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The flat place of sites (k, 3), and the piece of a kind (0 interior, 1 + axis) there; -1 beyond the box."""
+        shape = np.array(self.pieces[0].shape)
+        index = site - self.first
+        index = np.where(self.wrap, index % shape, index)
+        inside = np.logical_and(index >= 0, index < shape).all(axis=1).reshape(-1)
+        flat = np.ravel_multi_index(tuple(np.where(inside.reshape(-1, 1), index, 0).T), self.pieces[0].shape)
+        found = np.stack([pieces.ravel() for pieces in self.pieces])[kind, flat]
+        return flat.astype(np.int64), np.where(inside, found, -1)
+
+
+def _sites(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> _Sites:
+    arrays, pores = tiling.arrays, tiling.tileset.micro.graph.pores
+    box = np.array(arrays.shape)
+    around = np.where(wrap, 0, HALO)
+    axes = [np.arange(-r, n + r) for r, n in zip(around, box, strict=True)]
+    pieces = []
+    for kind, content in enumerate((arrays.interior, *arrays.faces)):
+        places, there = [], []
+        for axis, site in enumerate(axes):
+            index = site % box[axis] if arrays.periodic else site + arrays.halo
+            there.append((index >= 0) & (index < content.shape[axis]))
+            places.append(np.clip(index, 0, content.shape[axis] - 1))
+        known = there[0][:, None, None] & there[1][:, None] & there[2]
+        found = np.where(known, content[np.ix_(*places)], -1).astype(np.int64)
+        if kind:
+            # a tiling may name faces that no pores were put on
+            found = np.where(found < pores.colors[kind - 1], found, -1)
+            found = np.where(found >= 0, found + pores.face_piece(kind - 1, 0), -1)
+        pieces.append(found)
+    return _Sites(-around, pieces, np.array(wrap))
+
+
+def laid_graph(tiling: Tiling, wrap: tuple[bool, bool, bool]) -> LaidGraph:
+    """The graph of a tiling and of one more cell on all sides, or of one turn along axes that wrap around.
+
+    Tunnels that lead farther out are left out.
+    """
+    micro = tiling.tileset.micro
+    graph, sites = micro.graph, _sites(tiling, wrap)
+    omega, mu = kernel_sizes(micro)
+    pores, shape = graph.pores, sites.pieces[0].shape
+    kind_of_piece = pores.axis_of_piece() + 1
+    order = np.argsort(pores.piece, kind="stable")
+    begin = np.searchsorted(pores.piece[order], np.arange(len(kind_of_piece) + 1))
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order)) - begin[pores.piece[order]]
+    ends = graph.edges.astype(np.int64)
+    by_piece = np.argsort(pores.piece[ends[:, 0]], kind="stable")
+    begin_edges = np.searchsorted(pores.piece[ends[by_piece, 0]], np.arange(len(kind_of_piece) + 1))
+    # pores are numbered kind by kind, site by site
+    count = np.diff(begin)
+    counts = [np.where(p >= 0, count[np.maximum(p, 0)], 0).ravel() for p in sites.pieces]
+    start = np.concatenate([[0], np.cumsum(np.concatenate(counts))])[:-1].reshape(4, -1)
+    points, omegas, edges, mus = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros((0, 2), np.int64)], [np.zeros(0)]
+    for kind, placed in enumerate(sites.pieces):
+        for flat in np.flatnonzero(placed.ravel() >= 0):
+            piece = int(placed.ravel()[flat])
+            site = np.array(np.unravel_index(flat, shape)) + sites.first
+            own = order[begin[piece] : begin[piece + 1]]
+            points.append(pores.centers[own] + site)
+            omegas.append(omega[own])
+            led = by_piece[begin_edges[piece] : begin_edges[piece + 1]]
+            if not len(led):
+                continue
+            second = ends[led, 1]
+            wanted = pores.piece[second]
+            there, found = sites.at(kind_of_piece[wanted], graph.shift[led] + site)
+            good = found == wanted
+            low = start[kind, flat] + rank[ends[led, 0]]
+            high = start[kind_of_piece[wanted], there] + rank[second]
+            edges.append(np.stack([low, high], 1)[good])
+            mus.append(mu[led][good])
+    return LaidGraph(np.concatenate(points), np.concatenate(omegas), np.concatenate(edges), np.concatenate(mus))
+
+
+_ALONG = np.array([0.5, 0.0, 1.0, 0.25, 0.75])
+"""Places along a tunnel at which it is asked whether it runs through a cell."""
+
+_TRIED = 1024
+"""Of the smallest pores and tunnels that are looked at first."""
+
+
+def _largest_inside(
+    sizes: NDArray[np.float64],
+    points_of: Callable[[NDArray[np.int64]], NDArray[np.float64]],
+    curved: CurvedCells,
+) -> float:
+    """The largest of sizes (n,) of what has one of its points (chosen, k, 3) mm in a cell; of all if nothing has."""
+    order, first, count = np.argsort(-sizes, kind="stable"), 0, _TRIED
+    while first < len(order):
+        some = order[first : first + count]
+        inside = (curved.places(points_of(some).reshape(-1, 3)).cell.reshape(len(some), -1) >= 0).any(axis=1)
+        if inside.any():
+            return float(sizes[some[np.argmax(inside)]])
+        first, count = first + count, 4 * count
+    return float(sizes.max(initial=0.0))
+
+
+def _along(graph: LaidGraph, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Points along tunnels, (chosen, 5, 3)."""
+    start, end = (graph.points[graph.edges[chosen, k]][:, None] for k in range(2))
+    way: NDArray[np.float64] = start + _ALONG[:, None] * (end - start)
+    return way
+
+
+def cloud(
+    graph: LaidGraph,
+    edge: float,
+    box: NDArray[np.float64],
+    profile: str,
+    level: float,
+    *,
+    exact: bool = False,
+    curved: CurvedCells | None = None,
+) -> Tiling:
+    """Blocks without faces that hold a graph.
+
+    Parameters
+    ----------
+    graph : LaidGraph
+        Points in mm; parameters of kernels in units of `edge`.
+    edge : float
+        Edge of a block, mm.
+    box : (2, 3) float64, mm
+        What the blocks have to cover.
+    profile : str
+        That of the tunnels.
+    level : float
+    exact : bool
+        See `Tiling`.
+    curved : CurvedCells, optional
+        The cells of the structure, if they are known.
+
+    Raises
+    ------
+    DesignError
+        If the box has too many blocks.
+    """
+    count = np.maximum(np.ceil((box[1] - box[0]) / edge - 1e-9), 1).astype(np.int64)
+    origin = (box[0] + box[1] - count * edge) / 2
+    shape = count + 2 * HALO
+    if np.prod(shape.astype(float)) > MOST_BLOCKS:
+        raise DesignError(
+            f"the mapped cells lie in a box of {' x '.join(f'{v:g}' for v in box[1] - box[0])} mm, which takes "
+            f"{np.prod(shape.astype(float)):.3g} blocks of {edge:g} mm; the limit is {MOST_BLOCKS}",
+            hint="take a smaller radius or larger cells",
+        )
+    place = (graph.points - origin) / edge + HALO
+    block = np.floor(place).astype(np.int64)
+    kept = ((block >= 0) & (block < shape)).all(axis=1)
+    flat = np.ravel_multi_index(tuple(np.where(kept[:, None], block, 0).T), tuple(shape))
+    order = np.flatnonzero(kept)[np.argsort(flat[kept], kind="stable")]
+    number = np.full(len(kept), -1, np.int64)
+    number[order] = np.arange(len(order))
+    ends = number[graph.edges]
+    whole = (ends >= 0).all(axis=1) & (ends[:, 0] != ends[:, 1])
+    ends = np.sort(ends[whole], axis=1)
+    ends, first = np.unique(ends, axis=0, return_index=True)
+    blocks = Blocks(np.ones(tuple(shape), bool), False)
+    own = block[order]
+    pores = PoreSet(
+        Cell(edge, True),
+        np.clip(place[order] - own, 0.0, 1.0),
+        flat[order].astype(np.int32),
+        int(np.prod(shape)),
+        (0, 0, 0),
+        blocks=blocks,
+    )
+    joined = TunnelGraph(pores, ends, own[ends[:, 1]] - own[ends[:, 0]])
+    pieces = pieces_from_graph(joined, graph.omega[order], graph.mu[whole][first], profile)
+    micro = Microstructure(Cell(edge, True), joined, pieces, level, exact)
+    x, y, z = (np.full(tuple(shape + np.eye(3, dtype=np.int64)[axis]), -1, np.int32) for axis in range(3))
+    arrays = TilingArrays(blocks.numbers, (x, y, z), False, HALO)
+    low = (float(origin[0]), float(origin[1]), float(origin[2]))
+    tileset = TileSet(micro, "scattered", 0)
+    if curved is not None:
+        steepest = (
+            _largest_inside(graph.omega, lambda chosen: graph.points[chosen], curved),
+            _largest_inside(graph.mu, lambda chosen: _along(graph, chosen), curved),
+        )
+        return WarpedTiling(tileset, arrays, edge, low, exact, curved=curved, steepest=steepest)
+    return Tiling(tileset, arrays, edge, low, exact)

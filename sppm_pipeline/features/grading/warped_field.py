@@ -1,0 +1,215 @@
+"""A field bent to another shape: its value at a point is that of the field at the place from which the point came."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.features.grading.curved_cells import CurvedCells
+from sppm_pipeline.method.fields.formula import CellCache
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.services.threads import ordered_map
+
+KEPT_BYTES = 512 * 2**20
+"""Bytes that the samples of cells may take together."""
+
+VOID = 1.0
+"""The value where no cell is."""
+
+BOUND = 4.0
+"""Values are cut off at so many times the largest difference of two samples with the surface between them."""
+
+POINTS = 1 << 16
+"""Points of a layer that are looked at together."""
+
+
+@dataclass(frozen=True, eq=False)
+class WarpedField(ScalarField):
+    """Another field whose cells are bent; void farther than half a cell outside of them.
+
+    The field is sampled once in each cell that it has, or in the only one if it repeats, and interpolated by cubics.
+
+    Attributes
+    ----------
+    base : ScalarField
+    curved : CurvedCells
+    extent : tuple of 3 ints
+        Blocks of the box around the bent cells.
+    edge : float
+        Size of a block, mm.
+    origin : tuple of 3 floats
+        Low corner of the box, mm.
+    samples : int
+        Samples along an edge of a cell of `base`.
+    stretch : tuple of 2 floats
+        Least and largest length in a bent cell over that in `base`, in blocks per cell, away from its corners.
+    """
+
+    base: ScalarField
+    curved: CurvedCells
+    extent: tuple[int, int, int]
+    edge: float
+    origin: tuple[float, float, float]
+    samples: int
+    stretch: tuple[float, float]
+    kept: CellCache = field(default_factory=CellCache, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        bytes_of_a_brick = 4 * (self.samples + 4) ** 3
+        object.__setattr__(self, "kept", CellCache(max(8, KEPT_BYTES // bytes_of_a_brick)))
+
+    def check(self) -> None:
+        """What was bent is in order."""
+        self.base.check()
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return self.extent
+
+    @property
+    def periodic(self) -> bool:
+        return False
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.edge
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.origin
+
+    @property
+    def finest_radius(self) -> float | None:
+        radius = self.base.finest_radius
+        return None if radius is None else radius * self.stretch[0]
+
+    @property
+    def thinnest_wall(self) -> float | None:
+        wall = self.base.thinnest_wall
+        return None if wall is None else wall * self.stretch[0]
+
+    def exactly(self) -> WarpedField:
+        return replace(self, base=self.base.exactly())
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        nx, ny, _ = grid.shape
+        values = np.empty((stop - start, ny, nx), np.float32)
+        x, y, z = (self.origin[axis] + self.edge * grid.axis(axis) for axis in range(3))
+        rows = max(1, POINTS // max(1, nx))
+
+        def fill(at: tuple[int, int]) -> None:
+            k, j = at
+            own = values[k, j : j + rows]
+            points = np.empty((*own.shape, 3))
+            points[..., 0], points[..., 1], points[..., 2] = x, y[j : j + rows, None], z[start + k]
+            own[...] = self._at(points.reshape(-1, 3)).reshape(own.shape)
+
+        blocks = [(k, j) for k in range(stop - start) for j in range(0, ny, rows)]
+        deque(ordered_map(fill, blocks, threads), maxlen=0)
+        return values.T
+
+    def _at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Values at points (n, 3) mm."""
+        from sppm_pipeline.features.grading.numerics.bricks import interpolate
+
+        cell, places = self.curved.continued(points)
+        values = np.full(len(points), VOID, np.float32)
+        repeats, size = self.base.periodic, np.array(_own_cells(self.base))
+        if not repeats:
+            places = np.clip(places, 0.0, size)
+        site = np.floor(places)
+        if not repeats:
+            site = np.minimum(site, size - 1)
+        places = places - site
+        number = np.ravel_multi_index(tuple((site.astype(np.int64) % size).T), tuple(size))
+        number[cell < 0] = -1
+        order = np.argsort(number, kind="stable")
+        ordered = number[order]
+        for one in np.unique(ordered[ordered >= 0]):
+            chosen = order[np.searchsorted(ordered, one) : np.searchsorted(ordered, one, side="right")]
+            interpolate(self._brick(tuple(int(k) for k in np.unravel_index(one, size))), places, chosen, values)
+        return values
+
+    def _brick(self, site: tuple[int, ...]) -> NDArray[np.float32]:
+        """Samples of a cell, and a few around it, (n + 4,) * 3."""
+        from sppm_pipeline.features.grading.numerics.bricks import BEFORE
+
+        def make() -> NDArray[np.float32]:
+            h = 1.0 / self.samples
+            x, y, z = (k - BEFORE * h for k in site)
+            grid = Grid((x, y, z), (h,) * 3, (self.samples + 4,) * 3)
+            inner = self.base.base if isinstance(self.base, RepeatedField) else self.base
+            return bounded(np.ascontiguousarray(inner.sample_zyx(grid, 0, self.samples + 4).T))
+
+        made: NDArray[np.float32] = self.kept.get(site, make)
+        return made
+
+    def summary(self) -> dict[str, Any]:
+        """The summary of the field that was bent, and the number of cells."""
+        return {**self.base.summary(), "curved_cells": self.curved.count}
+
+
+def bounded(brick: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Samples cut off a few spacings from the surface, in place, so that cubics swing over nothing far from it.
+
+    Distances estimated from a slope are very large where it vanishes. What lies within two samples of the surface is
+    left as it is.
+    """
+    steepest = 0.0
+    for axis in range(3):
+        ahead, behind = np.moveaxis(brick, axis, 0)[1:], np.moveaxis(brick, axis, 0)[:-1]
+        crossing = (ahead < 0) != (behind < 0)
+        steepest = max(steepest, float(np.abs(ahead - behind).max(where=crossing, initial=0.0)))
+    if steepest > 0:
+        np.clip(brick, -BOUND * steepest, BOUND * steepest, out=brick)
+    return brick
+
+
+def _own_cells(base: ScalarField) -> tuple[int, int, int]:
+    """Cells after which a field repeats, or those it has."""
+    return base.base.cells if isinstance(base, RepeatedField) and base.periodic else base.cells
+
+
+def cells_sampled(base: ScalarField) -> int:
+    """How many cells of a field are sampled when it is bent."""
+    nx, ny, nz = _own_cells(base)
+    return nx * ny * nz
+
+
+def least_and_largest_stretch(curved: CurvedCells, per_axis: int = 3) -> tuple[float, float]:
+    """Least and largest length, mm, of what was one cell size long, over all directions at places in all cells.
+
+    Places are the middles of `per_axis`^3 parts of a cell. At its corners, where a hexahedron may be nearly flat, it is
+    not looked at: one of them would make every voxel of a part as small.
+    """
+    t = (np.arange(per_axis) + 0.5) / per_axis
+    within = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
+    cell = np.repeat(np.arange(curved.count), len(within))
+    sizes = np.linalg.svd(curved.derivatives(cell, np.tile(within, (curved.count, 1))), compute_uv=False)
+    return float(sizes.min()), float(sizes.max())
+
+
+def warped_field(base: ScalarField, curved: CurvedCells, samples: int) -> WarpedField:
+    """A field with its cells bent, in a box of blocks as large as its mean cell."""
+    low, high = curved.box
+    edge = float(curved.volumes.mean() ** (1 / 3))
+    count = np.maximum(np.ceil((high - low) / edge - 1e-9), 1).astype(int)
+    x, y, z = ((low + high - count * edge) / 2).tolist()
+    least, most = least_and_largest_stretch(curved)
+    extent = (int(count[0]), int(count[1]), int(count[2]))
+    return WarpedField(base, curved, extent, edge, (x, y, z), samples, (least / edge, most / edge))
+
+
+def looks_alike_from_all_sides(base: ScalarField, n: int = 24) -> bool:
+    """Whether a cell that repeats is unchanged by the turns and mirrors of a cube, as cells of any mesh have to be."""
+    values = base.sample(n).astype(np.float64)
+    values = values[:n, :n, :n]
+    slack = 1e-3 * float(np.abs(values).max())
+    turned = (values.transpose(1, 2, 0), values.transpose(1, 0, 2), values[::-1])
+    return all(float(np.abs(values - other).max()) <= slack for other in turned)

@@ -1,0 +1,217 @@
+"""Local thickness of a phase, from exact squared Euclidean distances between voxels, on a torus or in a box."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.jit.compiled import jit
+
+FAR = np.int32(2**30)
+"""Stands for no voxel of the other phase at all."""
+
+
+def squared_distance(
+    phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool] = (True, True, True)
+) -> NDArray[np.int32]:
+    """For each voxel of a phase the squared distance to the nearest voxel outside of it, in voxels, center to center.
+
+    Parameters
+    ----------
+    phase : (nz, ny, nx) uint8
+        1 in the phase.
+    periodic : tuple of 3 bools
+        Whether opposite sides along x, y, z are neighbors; otherwise nothing is known to lie beyond a side.
+
+    Returns
+    -------
+    (nz, ny, nx) int32
+        0 outside the phase; `FAR` everywhere if there is no outside.
+    """
+    squared = np.where(phase != 0, FAR, np.int32(0))
+    # along one axis after the other, the nearest in a plane follows from the nearest in its rows
+    for axis, wraps in ((2, periodic[0]), (1, periodic[1]), (0, periodic[2])):
+        lines = np.ascontiguousarray(np.moveaxis(squared, axis, 2))
+        _along_rows(lines, wraps)
+        squared = np.ascontiguousarray(np.moveaxis(lines, 2, axis))
+    return squared
+
+
+@jit
+def _along_rows(lines: NDArray[np.int32], wraps: bool) -> None:
+    """One pass of Saito and Toriwaki (1994): each sample searches outward until nothing nearer can come."""
+    nz, ny, n = lines.shape
+    best = np.empty(n, np.int32)
+    for k in range(nz):
+        for j in range(ny):
+            row = lines[k, j]
+            for i in range(n):
+                nearest = row[i]
+                step = 1
+                while step < n and step * step < nearest:
+                    for side in (-step, step):
+                        at = i + side
+                        if wraps:
+                            if at < 0:
+                                at += n
+                            elif at >= n:
+                                at -= n
+                        elif at < 0 or at >= n:
+                            continue
+                        candidate = row[at] + step * step
+                        nearest = min(nearest, candidate)
+                    step += 1
+                best[i] = nearest
+            for i in range(n):
+                row[i] = best[i]
+
+
+class SizeDistribution(NamedTuple):
+    """Volume-weighted distribution of local thickness.
+
+    Attributes
+    ----------
+    mean, deviation, smallest, largest : float
+    quantiles : tuple of 3 floats
+        At 10, 50 and 90 % of the volume.
+    """
+
+    mean: float
+    deviation: float
+    smallest: float
+    largest: float
+    quantiles: tuple[float, float, float]
+
+
+def local_thickness(
+    phase: NDArray[np.uint8], periodic: tuple[bool, bool, bool] = (True, True, True)
+) -> NDArray[np.float32]:
+    """Diameter of the largest ball inside the phase that covers each voxel, in voxels.
+
+    Balls have their centers at voxel centers and reach to half way between the last voxel of the phase and the first
+    one outside; so a plate of w voxels has the thickness w where w is odd, w - 1 where it is even.
+
+    Parameters
+    ----------
+    phase : (nz, ny, nx) uint8
+        1 in the phase.
+    periodic : tuple of 3 bools
+        See `squared_distance`.
+
+    Returns
+    -------
+    (nz, ny, nx) float32
+        0 outside the phase. If there is no outside, the shortest side of the image everywhere.
+
+    References
+    ----------
+    Hildebrand and Rüegsegger 1997, "A new method for the model-independent assessment of thickness".
+    """
+    squared = squared_distance(phase, periodic)
+    if squared.size and squared.max() >= FAR:
+        return np.full(phase.shape, min(phase.shape), np.float32)
+    centers = np.flatnonzero(_ridge(squared, np.array(periodic[::-1], np.uint8)))
+    # the largest balls first, equal ones in the order of their voxels: each voxel is painted once
+    order = np.argsort(-squared.reshape(-1)[centers], kind="stable")
+    painted = np.zeros(phase.shape, np.float32)
+    _paint(squared, centers[order], np.array(periodic[::-1], np.uint8), painted)
+    return painted
+
+
+def size_distribution(thickness: NDArray[np.float32], spacing: float) -> SizeDistribution | None:
+    """Moments and quantiles of a local thickness; None if the phase is empty.
+
+    Parameters
+    ----------
+    thickness : array
+        In voxels, 0 outside the phase.
+    spacing : float
+        Edge of a voxel; the result has its unit.
+    """
+    sizes = np.sort(thickness[thickness > 0].astype(np.float64)) * spacing
+    if not len(sizes):
+        return None
+    low, middle, high = (float(sizes[min(len(sizes) - 1, int(share * len(sizes)))]) for share in (0.1, 0.5, 0.9))
+    return SizeDistribution(
+        float(sizes.mean()), float(sizes.std()), float(sizes[0]), float(sizes[-1]), (low, middle, high)
+    )
+
+
+@jit
+def _ridge(squared: NDArray[np.int32], wraps: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """1 at voxels whose ball is not inside that of a neighbor: only those can be the largest somewhere."""
+    nz, ny, nx = squared.shape
+    ridge = np.zeros((nz, ny, nx), np.uint8)
+    for k in range(nz):
+        for j in range(ny):
+            for i in range(nx):
+                own = squared[k, j, i]
+                if own == 0:
+                    continue
+                covered = False
+                for step in range(27):
+                    dk, dj, di = step // 9 - 1, step // 3 % 3 - 1, step % 3 - 1
+                    apart = dk * dk + dj * dj + di * di
+                    if apart == 0:
+                        continue
+                    z, y, x = k + dk, j + dj, i + di
+                    if wraps[0]:
+                        z %= nz
+                    elif z < 0 or z >= nz:
+                        continue
+                    if wraps[1]:
+                        y %= ny
+                    elif y < 0 or y >= ny:
+                        continue
+                    if wraps[2]:
+                        x %= nx
+                    elif x < 0 or x >= nx:
+                        continue
+                    other = squared[z, y, x]
+                    # sqrt(other) >= sqrt(own) + sqrt(apart), in integers
+                    rest = other - own - apart
+                    if rest > 0 and np.int64(rest) * rest >= 4 * np.int64(own) * apart:
+                        covered = True
+                        break
+                if not covered:
+                    ridge[k, j, i] = 1
+    return ridge
+
+
+@jit
+def _paint(
+    squared: NDArray[np.int32], centers: NDArray[np.int64], wraps: NDArray[np.uint8], painted: NDArray[np.float32]
+) -> None:
+    """Give each voxel the diameter of the first ball that covers it."""
+    nz, ny, nx = squared.shape
+    for center in centers:
+        k, j, i = center // (ny * nx), center // nx % ny, center % nx
+        reach = squared[k, j, i]
+        diameter = np.float32(2.0 * np.sqrt(np.float64(reach)) - 1.0)
+        radius = int(np.sqrt(np.float64(reach)))
+        for dk in range(-min(radius, nz - 1), min(radius, nz - 1) + 1):
+            z = k + dk
+            if wraps[0]:
+                z %= nz
+            elif z < 0 or z >= nz:
+                continue
+            for dj in range(-min(radius, ny - 1), min(radius, ny - 1) + 1):
+                left = reach - dk * dk - dj * dj
+                if left <= 0:
+                    continue
+                y = j + dj
+                if wraps[1]:
+                    y %= ny
+                elif y < 0 or y >= ny:
+                    continue
+                half = int(np.sqrt(np.float64(left - 1)))  # strictly inside: the voxel at the radius is outside
+                for di in range(-min(half, nx - 1), min(half, nx - 1) + 1):
+                    x = i + di
+                    if wraps[2]:
+                        x %= nx
+                    elif x < 0 or x >= nx:
+                        continue
+                    if painted[z, y, x] == 0 and squared[z, y, x] > 0:
+                        painted[z, y, x] = diameter

@@ -1,0 +1,327 @@
+"""Base of stages that write one printer's file, and what slicers need of a printer."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.families.layer_writer import EncodedLayers, LayerWriter
+from sppm_pipeline.method.nouns.printer import Printer, Resin, cards
+from sppm_pipeline.method.slicing.slice_stack import SliceStack
+from sppm_pipeline.nouns.length import Length, Pixel, voxel_mm
+from sppm_pipeline.stage import Context, Headline, option
+
+PREVIEW_SAMPLES = 128
+"""Samples along the longest side of the part for its picture in the file: a choice, some pixels of a thumbnail each."""
+
+
+def cut_for(
+    name: str | None, own: Path | None, pixel: Pixel | None, layer: Length | None
+) -> tuple[Printer | None, tuple[float, float, float]]:
+    """The printer of a slicer's options, and pixel pitch along x and y and layer height (mm).
+
+    Raises
+    ------
+    ConfigError
+        If the printer is unknown, or pixel pitch or layer height are not its own.
+    """
+    if name is None:
+        if own is not None:
+            raise ConfigError("`cards` holds printers, and `printer` names none of them")
+        if pixel is None:
+            raise ConfigError("give `printer` or `pixel`")
+        return None, voxel_mm(pixel, layer)
+    printer = cards(own).printer(name)
+    if layer is None:
+        low, high = printer.layer_mm
+        raise ConfigError(
+            f"`printer: {name}` needs a `layer`", hint=f"give a height of {low:g} to {high:g} mm, as `layer: 0.05 mm`"
+        )
+    printer.require_layer(layer.mm())
+    if pixel is not None:
+        printer.require_pixel(voxel_mm(pixel, layer)[:2])
+    return printer, (*printer.pixel_mm, layer.mm())
+
+
+def require_room(stack: SliceStack, own: Path | None = None) -> SliceStack:
+    """The stack, unless it was cut for a printer that is smaller than the part.
+
+    Raises
+    ------
+    DesignError
+        With the smallest printer that holds the part.
+    """
+    if stack.printer is not None:
+        (nx, ny, nz), (hx, hy) = stack.shape, stack.pixel_mm
+        stack.printer.require_room((nx * hx, ny * hy, nz * stack.layer_mm), cards(own).printers.values())
+    return stack
+
+
+class Place(NamedTuple):
+    """Where a block of pixels stands in the picture that a printer exposes."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+
+    def filled(self, block: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The whole picture, black around the block."""
+        picture = np.zeros((self.height, self.width), np.uint8)
+        picture[self.top : self.top + block.shape[0], self.left : self.left + block.shape[1]] = block
+        return picture
+
+
+def placed(image: NDArray[np.uint8], printer: Printer) -> tuple[NDArray[np.uint8], Place]:
+    """A layer in the middle of the display, turned and mirrored as the printer exposes it.
+
+    Parameters
+    ----------
+    image : (ny, nx) uint8
+        As `LayerWriter.encode` takes it: the first row is the side of largest y.
+    printer : Printer
+
+    Returns
+    -------
+    block : (h, w) uint8
+        A view of the layer.
+    place : Place
+    """
+    (width, height), (rows, columns) = printer.pixels, image.shape
+    left, top = (width - columns) // 2, height - rows - (height - rows) // 2
+    if printer.portrait:  # turned by 90 degrees: the largest x comes first, then the largest y
+        image, width, height, top, left = image.T[::-1], height, width, width - columns - left, top
+    rows, columns = image.shape
+    if printer.mirror_x:
+        image, left = image[:, ::-1], width - columns - left
+    if printer.mirror_y:
+        image, top = image[::-1], height - rows - top
+    return image, Place(top, left, height, width)
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that a printer's file says beside its layers, and what follows from it.
+
+    Attributes
+    ----------
+    name : str
+        Of the job: the name of the file without its extension.
+    printer : Printer
+    resin_name : str
+    resin : Resin
+    layers : int
+    layer_mm : float
+    gray : bool
+        Whether pixels have values between black and white.
+    volume_mm3 : float
+        Solid volume.
+    """
+
+    name: str
+    printer: Printer
+    resin: Resin
+    layers: int
+    layer_mm: float
+    gray: bool
+    volume_mm3: float
+
+    def exposure_s(self, layer: int) -> float:
+        """Exposure of a layer, counted from 0."""
+        return self.resin.exposure_s[layer >= self.resin.bottom_layers]
+
+    @property
+    def seconds(self) -> float:
+        """Time of the print: exposures, ways and rests, without acceleration."""
+        bottom = min(self.resin.bottom_layers, self.layers)
+        first, other = (
+            e + self.printer.motion.seconds(b) for e, b in zip(self.resin.exposure_s, (True, False), strict=True)
+        )
+        return bottom * first + (self.layers - bottom) * other
+
+    @property
+    def milliliters(self) -> float:
+        """Resin that becomes solid; what is washed away comes on top."""
+        return self.volume_mm3 / 1000
+
+    @property
+    def grams(self) -> float:
+        return self.milliliters * self.resin.density_g_ml
+
+    @property
+    def price(self) -> float | None:
+        """Price of the resin that becomes solid; None if its card names none."""
+        return None if self.resin.price_per_liter is None else self.milliliters / 1000 * self.resin.price_per_liter
+
+
+class Preview:
+    """A coarse image of the part, taken from its layers as they pass, and pictures of it."""
+
+    def __init__(self, stack: SliceStack) -> None:
+        sides = np.multiply(stack.shape, (*stack.pixel_mm, stack.layer_mm))
+        nx, ny, nz = np.clip(np.rint(sides * PREVIEW_SAMPLES / sides.max()), 1, stack.shape).astype(int).tolist()
+        self._shape = nx, ny, nz
+        self._spacing = float(sides[0] / nx), float(sides[1] / ny), float(sides[2] / nz)
+        self._at = {int((k + 0.5) * stack.shape[2] / nz): k for k in range(nz)}
+        self._share = np.zeros((nz, ny, nx), np.float32)
+
+    @property
+    def wanted(self) -> Collection[int]:
+        """The layers that it looks at."""
+        return self._at.keys()
+
+    def add(self, number: int, image: NDArray[np.uint8]) -> None:
+        """Take in a layer, as `LayerWriter.encode` takes it."""
+        from PIL import Image
+
+        if (k := self._at.get(number)) is not None:
+            nx, ny, _ = self._shape
+            small = Image.fromarray(image).resize((nx, ny), Image.Resampling.BOX)
+            self._share[k] = np.asarray(small, np.float32)[::-1] / 255
+
+    def picture(self, width: int, height: int) -> NDArray[np.uint8]:
+        """The part seen from the front and above, (height, width, 3); the background alone if nothing is solid."""
+        from sppm_pipeline.services.mesh.closing import capped_marching_cubes
+        from sppm_pipeline.services.pictures.mesh_view import render_mesh
+
+        if not (self._share >= 0.5).any():
+            return np.full((height, width, 3), 255, np.uint8)
+        field = np.pad(np.float32(0.5) - self._share, 1, constant_values=0.5)
+        vertices, faces = capped_marching_cubes(field, spacing=self._spacing)
+        return render_mesh(vertices, faces, size=(width, height))
+
+
+def thumbnail(layers: EncodedLayers, width: int, height: int) -> NDArray[np.uint8]:
+    """A picture of the part whose layers a `PrinterWriter` has all taken, (height, width, 3)."""
+    assert isinstance(layers.observer, Preview)
+    return layers.observer.picture(width, height)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrinterWriter(LayerWriter):
+    """Base of writers of printer files: implement `encode_placed` for a layer and `pack` for the file.
+
+    The layers must have been cut for a printer (`slice.field` with `printer`). The part stands in the middle of the
+    plate. No file of this program was tried on a machine; see `verified_on_hardware` in the list of printers.
+    """
+
+    format: ClassVar[str]
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("layers"), Headline("resin_ml", "resin", "ml"), Headline("print_time_s", "print time", "s"),
+        Headline("bytes"),
+    )  # fmt: skip
+
+    resin: str = option("generic_gray", help="resin; `sppm printers --resins` lists them")
+    cards: Path | None = options.cards(None)
+    exposure: float | None = option(
+        None, help="exposure of a layer; that of the resin's card if omitted", unit="s", above=0, maximum=600
+    )
+    bottom_exposure: float | None = option(
+        None, help="exposure of a bottom layer; that of the resin's card if omitted", unit="s", above=0, maximum=600
+    )
+    bottom_layers: int | None = option(
+        None, help="number of bottom layers; that of the resin's card if omitted", minimum=0, maximum=200
+    )
+    gray_from: int = option(
+        1,
+        help="lowest gray that cures the resin; the grays 1 to 255 of the layers are spread from here to 255",
+        minimum=1,
+        maximum=255,
+    )
+
+    @property
+    def rated_as(self) -> str:
+        return "write.png"
+
+    def check_options(self) -> None:
+        self.chosen_resin()
+
+    def chosen_resin(self) -> Resin:
+        """The card of the resin, with what the options say otherwise."""
+        card = cards(self.cards).resin(self.resin)
+        bottom, other = card.exposure_s
+        exposures = (self.bottom_exposure or bottom, self.exposure or other)
+        layers = card.bottom_layers if self.bottom_layers is None else self.bottom_layers
+        return replace(card, exposure_s=exposures, bottom_layers=layers)
+
+    def run(self, context: Context, stack: SliceStack) -> None:
+        """Refuse layers that are not of a printer of this format, and write the file."""
+        printer = stack.printer
+        if printer is None:
+            raise ConfigError(
+                f"{self.name} writes the file of one printer, and the layers were cut for none",
+                hint="give the slicing stage a `printer`; `sppm printers` lists them",
+            )
+        if printer.format != self.format:
+            raise ConfigError(
+                f"{self.name} writes no files for {printer.name}", hint=f"say `stage: write.{printer.format}`"
+            )
+        printer.require_pixel(stack.pixel_mm)
+        printer.require_layer(stack.layer_mm)
+        require_room(stack)
+        if printer.convert_to:
+            context.warn(f"{printer.name} reads {printer.convert_to} files: convert {self.path} by UVtools")
+        super().run(context, stack)
+
+    def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes:
+        printer = self._printer(stack)
+        if stack.gray and self.gray_from > 1:
+            image = spread_grays(self.gray_from)[image]
+        return self.encode_placed(*placed(image, printer), printer)
+
+    def observer(self, stack: SliceStack) -> Preview:
+        return Preview(stack)
+
+    def facts(self, stack: SliceStack, findings: dict[str, Any]) -> dict[str, Any]:
+        job = self.job(stack, findings)
+        told = {
+            "printer": job.printer.name, "resin": job.resin.name, "resin_measured": job.resin.measured,
+            "resin_ml": job.milliliters, "resin_g": job.grams, "print_time_s": job.seconds,
+            "verified_on_hardware": job.printer.verified_on_hardware,
+        }  # fmt: skip
+        return told if job.price is None else {**told, "resin_price": job.price}
+
+    def job(self, stack: SliceStack, findings: dict[str, Any]) -> Job:
+        """All about the print; `findings` are those of the layers once all were taken."""
+        return Job(
+            name=Path(self.path).stem,
+            printer=self._printer(stack),
+            resin=self.chosen_resin(),
+            layers=stack.shape[2],
+            layer_mm=stack.layer_mm,
+            gray=stack.gray,
+            volume_mm3=float(findings.get("solid_volume_mm3", 0.0)),
+        )
+
+    @staticmethod
+    def _printer(stack: SliceStack) -> Printer:
+        assert stack.printer is not None  # `run` has refused others
+        return stack.printer
+
+    @abstractmethod
+    def encode_placed(self, block: NDArray[np.uint8], place: Place, printer: Printer) -> bytes:
+        """One layer as bytes; called by several threads at once.
+
+        Parameters
+        ----------
+        block : (h, w) uint8
+            The pixels of the part, turned and mirrored as the printer exposes them.
+        place : Place
+            Where they stand in the picture, which is black around them.
+        printer : Printer
+        """
+
+
+def spread_grays(lowest: int) -> NDArray[np.uint8]:
+    """Table of 256 grays: 0 stays, 1 to 255 are spread evenly from `lowest` to 255."""
+    table = np.rint(lowest + (np.arange(256) - 1) * (255 - lowest) / 254)
+    table[0] = 0
+    return table.astype(np.uint8)

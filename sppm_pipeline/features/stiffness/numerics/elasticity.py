@@ -1,0 +1,182 @@
+"""The effective stiffness of a periodic voxel cell, by six load cases."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli, grids_of
+from sppm_pipeline.features.stiffness.numerics.mutual_energy import MutualEnergies
+from sppm_pipeline.services.elastic.voigt import from_lame
+from sppm_pipeline.services.multigrid.hierarchy import Hierarchy
+from sppm_pipeline.services.multigrid.solver import Solved, Stop, load_cases
+
+_FLOOR = 1e-6
+"""Stiffness over the mean of the voxels' stiffness below which no accuracy is requested ..."""
+
+_NO_LOAD_PATH = 1e-9
+"""... and below which a direction has no load path."""
+
+_FIRST_ORDER = 0.01
+"""Part of the tolerance with expansion, whose error is of first order in that of the displacements; measured on layers
+and random blobs, it then keeps to the tolerance, too, or to twice as much."""
+
+_NESTED = 3
+"""Iterations on each coarser grid, for a start from its solution."""
+
+
+class Homogenized(NamedTuple):
+    """Effective stiffness and how it was computed.
+
+    Attributes
+    ----------
+    stiffness : (6, 6) float64
+        Voigt order xx, yy, zz, yz, xz, xy, engineering shear strains; the unit of Young's modulus.
+    solved : tuple of 6 Solved
+        Iterations, residual and error of each load case.
+    precision : str
+        Of the final solution: double, if single precision was not enough.
+    expansion : (6,) float64 or None
+        Strain that a free cell takes on for each kelvin, engineering shear; NaN for strains without a load path. None
+        if no expansion was given.
+    """
+
+    stiffness: NDArray[np.float64]
+    solved: tuple[Solved, ...]
+    precision: str
+    expansion: NDArray[np.float64] | None = None
+
+
+def stiffness(
+    lam: NDArray[Any],
+    mu: NDArray[Any],
+    edges: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    *,
+    residual: float = 0.0,
+    tolerance: float = 1e-4,
+    iterations: int = 500,
+    precision: Any = np.float32,
+    threads: int = 1,
+    expansion: NDArray[Any] | None = None,
+) -> Homogenized:
+    """Effective stiffness of a periodic cell of isotropic voxels, trilinear bricks with full integration.
+
+    The displacement is that of a constant mean strain plus a periodic one. With the energies of the exact solutions
+    the error of the stiffness is of second order in that of the displacements, so that single precision gives about
+    six digits. Voids have no stiffness at all. Disconnected parts of the solid move freely and carry no load.
+
+    Parameters
+    ----------
+    lam, mu : (nz, ny, nx) float
+        Lamé constants of the voxels; both 0 in the void, else ``mu > 0`` and ``3 lam + 2 mu > 0``.
+    edges : (hx, hy, hz)
+        Of a voxel, in any unit.
+    residual : float
+        A load case ends when its residual is this part of the right-hand side; 0 for never.
+    tolerance : float
+        ... or when the estimated error of the stiffness along its strain is this part of that stiffness; 0 for never.
+    iterations : int
+        ... or after so many iterations.
+    precision : float32 or float64
+        Of the vectors; scalar products are always summed in double precision.
+    threads : int
+        Load cases that are solved at the same time, each with memory of its own. The result does not depend on it.
+    expansion : (nz, ny, nx) float, optional
+        Coefficients of thermal expansion of the voxels; what it is in the void does not matter.
+
+    Raises
+    ------
+    ValueError
+        If a stiffness is negative or not finite, or the shapes differ.
+    ArithmeticError
+        If the iteration fails in double precision, too.
+    """
+    body = ElasticBody.of(lam, mu, edges, precision)
+    del lam, mu
+    return body.stiffness(
+        residual=residual, tolerance=tolerance, iterations=iterations, threads=threads, expansion=expansion
+    )
+
+
+class ElasticBody(NamedTuple):
+    """A periodic cell in the form that is solved, so that nobody has to keep the arrays it was made of.
+
+    Attributes
+    ----------
+    finest : ElasticLevel, or None
+        Its grid, Lamé constants being divided by `scale`; None if all of it is void.
+    mean : (6, 6) float64
+        Mean stiffness of the voxels, divided by `scale`.
+    scale : float
+        The largest shear modulus, so that numbers are near 1, whatever the unit.
+    dtype : dtype
+        Precision of the vectors.
+    """
+
+    finest: ElasticLevel | None
+    mean: NDArray[np.float64]
+    scale: float
+    dtype: np.dtype[Any]
+
+    @classmethod
+    def of(
+        cls,
+        lam: NDArray[Any],
+        mu: NDArray[Any],
+        edges: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        precision: Any = np.float32,
+    ) -> ElasticBody:
+        """From Lamé constants; parameters and errors as of `stiffness`."""
+        dtype = np.dtype(precision)
+        lam, mu = np.asarray(lam, dtype), np.asarray(mu, dtype)
+        if lam.shape != mu.shape or lam.ndim != 3 or not lam.size:
+            raise ValueError(f"Lamé constants need three equal axes, got {lam.shape} and {mu.shape}")
+        if not (mu.min() >= 0 and (3 * lam + 2 * mu).min() >= 0 and np.isfinite(lam).all() and np.isfinite(mu).all()):
+            raise ValueError("the stiffness of a voxel must be finite and not negative")
+        if not mu.any():
+            return cls(None, np.zeros((6, 6)), 1.0, dtype)
+        scale = float(mu.max())
+        mean = from_lame(float(lam.mean(dtype=np.float64)) / scale, float(mu.mean(dtype=np.float64)) / scale)
+        longest = max(edges)
+        unit = (edges[0] / longest, edges[1] / longest, edges[2] / longest)
+        moduli = Moduli.of(lam, mu)
+        del lam, mu
+        moduli = moduli.each(lambda values: values / dtype.type(scale))
+        return cls(ElasticLevel(moduli, unit, dtype), mean, scale, dtype)
+
+    def stiffness(
+        self,
+        *,
+        residual: float = 0.0,
+        tolerance: float = 1e-4,
+        iterations: int = 500,
+        threads: int = 1,
+        expansion: NDArray[Any] | None = None,
+    ) -> Homogenized:
+        """See the function `stiffness`."""
+        if self.finest is None:
+            nothing = None if expansion is None else np.full(6, np.nan)
+            return Homogenized(np.zeros((6, 6)), (Solved(0, 0.0, 0.0, 0.0, True, True),) * 6, self.dtype.name, nothing)
+        finest, mean, measures = self.finest, np.diag(self.mean), list[MutualEnergies]()
+
+        def hierarchy(precision: np.dtype[Any], safe: bool) -> Hierarchy:
+            same = precision == self.dtype
+            return grids_of(finest if same else ElasticLevel(finest.moduli, finest.edges, precision), safe=safe)
+
+        def measure(hierarchy: Hierarchy) -> MutualEnergies:
+            measures[:] = [MutualEnergies(hierarchy, expansion)]
+            return measures[0]
+
+        stop = Stop(residual, tolerance if expansion is None else _FIRST_ORDER * tolerance, iterations)
+        matrix, solved, reached = load_cases(hierarchy, measure, mean, stop, _FLOOR, self.dtype, threads, _NESTED)
+        void = np.diag(matrix) < _NO_LOAD_PATH * mean
+        matrix[void] = 0
+        matrix[:, void] = 0
+        if expansion is None:
+            return Homogenized(matrix * self.scale, solved, reached)
+        held, heat = measures[0].held, measures[0].heat
+        strains = np.full(6, np.nan)
+        strains[~void] = np.linalg.lstsq(held[np.ix_(~void, ~void)], heat[~void], rcond=1e-9)[0]
+        return Homogenized(matrix * self.scale, solved, reached, strains)

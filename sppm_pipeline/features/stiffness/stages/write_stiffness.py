@@ -1,0 +1,126 @@
+"""``write.stiffness``: effective stiffness as JSON, material card and picture."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteStiffness(Stage):
+    """Write a folder with all that is known of an effective stiffness.
+
+    ``stiffness.json`` holds the matrix, moduli, isotropy and bounds; ``material.inp`` is a material card that Abaqus
+    and CalculiX read, with the error bars of its constants as comments if the grid's error was estimated;
+    ``young.png`` shows Young's modulus over all directions, as a surface whose distance from the center and color are
+    the modulus; ``young.ply`` is that surface, one unit of length for the largest modulus.
+    """
+
+    name: ClassVar[str] = "write.stiffness"
+    version: ClassVar[int] = 3
+    advice: ClassVar[str] = "give a smaller `image_size`"
+
+    path: str = options.write_path("stiffness", suffixes=("/",))
+    material: str = option("SPPM", help="name of the material in the card")
+    image_size: tuple[int, int] = options.image_size((900, 800), minimum=300, formerly="size")
+
+    def check_options(self) -> None:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", self.material):
+            raise ConfigError(f"`material` is {self.material!r}; allowed are letters, digits, _ and -, a letter first")
+
+    def estimate(self, palette: Palette, report: Size) -> Size:
+        return Size(pixels=float(self.image_size[0] * self.image_size[1]))
+
+    def run(self, context: Context, report: StiffnessReport) -> None:
+        """Write everything."""
+        from PIL import Image
+
+        from sppm_pipeline.services.elastic.directional import sphere_mesh, young_along
+        from sppm_pipeline.services.formats import ply
+        from sppm_pipeline.services.formats.inp import abaqus_card
+
+        folder = context.output(self.path)
+        folder.mkdir(parents=True)
+        unit = report.unit or "the unit of the base material"
+        (folder / "stiffness.json").write_text(
+            json.dumps(_plain(report.summary()), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
+        comments = [
+            f"effective stiffness of a porous cell, porosity {report.porosity:.4f}, {report.method}",
+            f"unit of stress: {unit}; axes 1, 2, 3 are x, y, z of the cell",
+            *_error_bars(report),
+        ]
+        (folder / "material.inp").write_text(abaqus_card(self.material, report.stiffness, comments), encoding="ascii")
+        directions, faces = sphere_mesh(5)
+        young = young_along(report.stiffness, directions)
+        largest = float(young.max())
+        if not largest > 0:
+            context.warn("the structure has no stiffness in any direction; there is no surface of moduli to draw")
+            return
+        surface = directions * (young / largest)[:, None]
+        (folder / "young.ply").write_bytes(b"".join(ply.encode(surface, faces)))
+        picture = young_picture(surface, faces, young, report.unit, self.image_size)
+        Image.fromarray(picture).save(folder / "young.png")
+
+
+def _error_bars(report: StiffnessReport) -> list[str]:
+    """Comments on how far the constants of the card may be from those of a fine grid."""
+    from sppm_pipeline.services.formats.inp import abaqus_constants
+
+    if report.error is None:
+        return ["error of the grid: not estimated (homogenize.voxel tells it with grids: 2 or 3)"]
+    summary = report.summary()
+    words = [f"{value:.2g}" for value in abaqus_constants(report.error)]
+    moduli = [f"{e:.4g} +- {error:.2g}" for e, error in zip(summary["E"], summary["E_error"], strict=True)]
+    return [
+        f"error of the grid: {summary['error_relative']:.2%} of the stiffness; Young's moduli {', '.join(moduli)}",
+        "error bar of each constant, in the order of the card:",
+        *(f"  {', '.join(words[start : start + 8])}" for start in range(0, 21, 8)),
+    ]
+
+
+def young_picture(
+    surface: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    young: NDArray[np.float64],
+    unit: str | None,
+    size: tuple[int, int],
+) -> NDArray[np.uint8]:
+    """The surface of moduli in color, with the directions of the axes and a scale beside it."""
+    from sppm_pipeline.services.pictures.camera import Camera, framed
+    from sppm_pipeline.services.pictures.mesh_view import render_mesh
+    from sppm_pipeline.services.pictures.sheets import annotated, colors_of, with_scale
+
+    low, high = float(young.min()), float(young.max())
+    # of a nearly isotropic material a range of rounding errors would look like a range
+    low = min(low, 0.999 * high)
+    colors = colors_of(young[faces].mean(axis=1), low, high)
+    shape = size[0] - 140, size[1]
+    picture = render_mesh(surface, faces, size=shape, face_colors=colors)
+    picture = annotated(picture, framed(Camera(), surface, shape), None, bar=False)
+    return with_scale(picture, low, high, f"E(n) / {unit}" if unit else "E(n)", 140)
+
+
+def _plain(value: object) -> object:
+    """Values as strict JSON has them; NaN and infinities as null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

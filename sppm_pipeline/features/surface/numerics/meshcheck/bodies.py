@@ -1,0 +1,127 @@
+"""The bodies that a closed mesh bounds: outer shells, each with the cavities directly inside of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.mesh.marching_cubes import Mesh
+from sppm_pipeline.services.mesh.measures import components
+
+
+class Shells(NamedTuple):
+    """The connected parts of a closed mesh.
+
+    Attributes
+    ----------
+    labels : (m,) int32
+        Shell of each triangle.
+    volumes : (n,) float64
+        Inside each shell; negative for a cavity, whose triangles look inwards.
+    """
+
+    labels: NDArray[np.int32]
+    volumes: NDArray[np.float64]
+
+    @property
+    def bodies(self) -> int:
+        """Number of shells with solid inside."""
+        return int(np.count_nonzero(self.volumes > 0))
+
+    @property
+    def cavities(self) -> int:
+        """Number of closed voids."""
+        return len(self.volumes) - self.bodies
+
+
+def find_shells(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Shells:
+    """The shells of a closed mesh, (n, 3) and (m, 3)."""
+    count, labels = components(faces)
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2 if len(vertices) else np.zeros(3)
+    return Shells(labels, _volumes(vertices, np.ascontiguousarray(faces, np.int32), labels, middle, count))
+
+
+def largest_body(vertices: NDArray[np.float64], faces: NDArray[np.int32], shells: Shells) -> Mesh:
+    """The body with the largest outer shell, with its own cavities and without whatever floats in them.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+    faces : (m, 3) int32
+        Closed, wound outwards, free of intersections.
+    shells : Shells
+        As `find_shells` gives them.
+    """
+    if shells.bodies == 0:
+        return np.empty((0, 3)), np.empty((0, 3), np.int32)
+    largest = int(np.argmax(shells.volumes))
+    kept = np.zeros(len(shells.volumes), np.bool_)
+    kept[largest] = True
+    order = np.argsort(shells.labels, kind="stable")
+    starts = np.searchsorted(shells.labels[order], np.arange(len(shells.volumes) + 1))
+    for cavity in np.flatnonzero(shells.volumes <= 0):
+        at = vertices[faces[order[starts[cavity]], 0]]
+        # the smallest body around a cavity is the one that it belongs to
+        larger = np.flatnonzero(shells.volumes > -shells.volumes[cavity])
+        for body in larger[np.argsort(shells.volumes[larger], kind="stable")]:
+            if _winding(vertices, faces, order[starts[body] : starts[body + 1]], at) > 0.5:
+                kept[cavity] = body == largest
+                break
+    return used_vertices(vertices, faces[kept[shells.labels]])
+
+
+def used_vertices(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
+    """The mesh without vertices that belong to no triangle; the order of the others stays."""
+    used = np.zeros(len(vertices), np.bool_)
+    used[faces] = True
+    number = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    return vertices[used], number[faces]
+
+
+@jit
+def _volumes(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    labels: NDArray[np.int32],
+    middle: NDArray[np.float64],
+    count: int,
+) -> NDArray[np.float64]:
+    volumes = np.zeros(count)
+    p = np.empty((3, 3))
+    for i in range(faces.shape[0]):
+        for c in range(3):
+            for a in range(3):
+                p[c, a] = vertices[faces[i, c], a] - middle[a]
+        volumes[labels[i]] += (
+            p[0, 0] * (p[1, 1] * p[2, 2] - p[1, 2] * p[2, 1])
+            + p[0, 1] * (p[1, 2] * p[2, 0] - p[1, 0] * p[2, 2])
+            + p[0, 2] * (p[1, 0] * p[2, 1] - p[1, 1] * p[2, 0])
+        ) / 6.0
+    return volumes
+
+
+@jit
+def _winding(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], which: NDArray[np.int64], at: NDArray[np.float64]
+) -> float:
+    """How often some triangles enclose a point: the sum of their solid angles (van Oosterom and Strackee, 1983)."""
+    total = 0.0
+    p, r = np.empty((3, 3)), np.empty(3)
+    for i in which:
+        for c in range(3):
+            for a in range(3):
+                p[c, a] = vertices[faces[i, c], a] - at[a]
+            r[c] = np.sqrt(p[c, 0] ** 2 + p[c, 1] ** 2 + p[c, 2] ** 2)
+        triple = (
+            p[0, 0] * (p[1, 1] * p[2, 2] - p[1, 2] * p[2, 1])
+            + p[0, 1] * (p[1, 2] * p[2, 0] - p[1, 0] * p[2, 2])
+            + p[0, 2] * (p[1, 0] * p[2, 1] - p[1, 1] * p[2, 0])
+        )
+        d01 = p[0, 0] * p[1, 0] + p[0, 1] * p[1, 1] + p[0, 2] * p[1, 2]
+        d12 = p[1, 0] * p[2, 0] + p[1, 1] * p[2, 1] + p[1, 2] * p[2, 2]
+        d20 = p[2, 0] * p[0, 0] + p[2, 1] * p[0, 1] + p[2, 2] * p[0, 2]
+        total += np.arctan2(triple, r[0] * r[1] * r[2] + d01 * r[2] + d12 * r[0] + d20 * r[1])
+    return total / (2.0 * np.pi)

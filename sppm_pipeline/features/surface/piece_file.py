@@ -1,0 +1,184 @@
+"""A mesh file that is written while the mesh is made: what it is made of is hashed and forgotten piece by piece."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.features.surface.mesh_stream import Foreseen
+from sppm_pipeline.method.families.file_writer import write_all, write_hashed
+from sppm_pipeline.services.formats.encoding import InPieces, largest
+from sppm_pipeline.services.threads import ordered_map
+from sppm_pipeline.stage import Context
+
+_READ_AT_ONCE = 2**20  # bytes
+
+
+class PieceFile:
+    """Takes the pieces of a mesh (`fields.mesh_stream.PieceTaker`), and is a file in the end.
+
+    Until then it lies in a folder for temporary files. What comes in front in the file is hashed as it comes. What
+    comes behind is written to its place, if that is known, and hashed at the end; or triangles wait in a nameless file.
+
+    Parameters
+    ----------
+    folder : Path
+    in_pieces : function
+        Of the numbers of vertices and triangles, and bounds of the largest coordinate: see `formats.ply.in_pieces`.
+    threads : int
+        With more than one, a piece is written while the next one is made; the bytes do not depend on it.
+
+    Attributes
+    ----------
+    whole : bool
+        Whether the file is finished.
+    """
+
+    def __init__(
+        self, folder: Path, in_pieces: Callable[[int, int, tuple[float, float]], InPieces | None], threads: int
+    ) -> None:
+        self._path = folder / f".sppm-mesh-{secrets.token_hex(6)}"
+        self._in_pieces, self._threads = in_pieces, threads
+        self._file: IO[bytes] | None = None
+        self._pool: ThreadPoolExecutor | None = None
+        self.whole = False
+
+    def begin(self, foreseen: Foreseen) -> bool:
+        """See `PieceTaker.begin`."""
+        pieces = self._in_pieces(foreseen.vertices, foreseen.faces, foreseen.reach)
+        if pieces is None:
+            return False
+        self._pieces, self._foreseen = pieces, foreseen
+        self._digest = hashlib.sha256()
+        self._file = self._path.open("xb+", buffering=0)
+        self._pool = ThreadPoolExecutor(1) if self._threads > 1 else None
+        self._waiting: Future[None] | None = None
+        self._spool: IO[bytes] | None = None
+        if pieces.back is not None and pieces.back_at is None:
+            self._spool = tempfile.TemporaryFile(dir=self._path.parent, buffering=0)  # noqa: SIM115 - see `drop`
+        self._spooled: list[tuple[int, int, str]] = []  # base, triangles, type of the corners
+        self._vertices = self._faces = self._size = 0
+        self._back_at = pieces.back_at or 0
+        self._largest = 0.0
+        self._put([(self._file, 0, memoryview(pieces.head))])
+        self._digest.update(pieces.head)
+        self._size = len(pieces.head)
+        return True
+
+    def add(self, points: NDArray[np.float64], base: int, known: int, faces: NDArray[np.int32]) -> None:
+        """See `PieceTaker.add`."""
+        assert self._file is not None
+        corners = faces - np.int32(base)
+        # a negative number is a large one when its sign is not looked at
+        if corners.size and int(corners.view(np.uint32).max()) >= len(points):
+            raise ValueError("a triangle names a vertex that does not exist")
+        found = largest(points[known:].reshape(-1))
+        if not np.isfinite(found):
+            raise ValueError("mesh vertices must be finite")
+        self._largest = max(self._largest, found)
+        front = self._pieces.front(points, known, corners)
+        parts = [(self._file, self._size, front)]
+        if self._spool is not None:
+            kind = "<u2" if len(points) <= 2**16 else "<i4"
+            self._spooled.append((base, len(faces), kind))
+            parts.append((self._spool, -1, corners.astype(kind).reshape(-1).view(np.uint8).data))
+        elif self._pieces.back is not None:
+            back = self._pieces.back(faces)
+            parts.append((self._file, self._back_at, back))
+            self._back_at += len(back)
+        self._put(parts)
+        self._digest.update(front)
+        self._size += len(front)
+        self._vertices, self._faces = base + len(points), self._faces + len(faces)
+
+    def finish(self) -> bool:
+        """See `PieceTaker.finish`."""
+        self._wait()
+        assert self._file is not None
+        foreseen = self._foreseen
+        as_foreseen = (self._vertices, self._faces) == (foreseen.vertices, foreseen.faces)
+        if not as_foreseen or not self._pieces.fits(self._largest):
+            return False
+        if self._spool is not None:
+            self._file.seek(self._size)
+            self._size += write_hashed(self._file, self._spooled_triangles(), self._digest, self._threads)
+        elif self._pieces.back is not None:
+            self._file.seek(self._size)
+            room = memoryview(bytearray(_READ_AT_ONCE))
+            while count := self._file.readinto(room):  # type: ignore[attr-defined]
+                self._digest.update(room[:count])
+                self._size += count
+        self._close()
+        self.whole = True
+        return True
+
+    def drop(self) -> None:
+        """See `PieceTaker.drop`."""
+        self._close()
+        self.whole = False
+        self._path.unlink(missing_ok=True)
+
+    def hand_over(self, context: Context, name: str) -> int:
+        """Make the file an output of a stage; returns its size in bytes."""
+        os.replace(self._path, context.output(name))
+        context.hashed(name, self._digest.hexdigest())
+        return self._size
+
+    def _spooled_triangles(self) -> Iterator[memoryview]:
+        """What comes behind of the triangles that have waited."""
+        assert self._spool is not None
+        spool, back = self._spool, self._pieces.back
+        assert back is not None
+        spool.seek(0)
+
+        def blocks() -> Iterator[NDArray[np.int32]]:
+            for base, count, kind in self._spooled:
+                corners = np.empty((count, 3), kind)
+                rest = corners.reshape(-1).view(np.uint8).data
+                while rest:
+                    got = spool.readinto(rest)  # type: ignore[attr-defined]
+                    if not got:
+                        raise OSError("the temporary file of the triangles is cut off")
+                    rest = rest[got:]
+                yield corners.astype(np.int32) + np.int32(base)
+
+        return ordered_map(back, blocks(), self._threads)
+
+    def _put(self, parts: list[tuple[IO[bytes], int, memoryview]]) -> None:
+        """Write parts to their places, or where a file stands for -1; what was handed over before is done then."""
+
+        def put() -> None:
+            for file, at, part in parts:
+                if at >= 0:
+                    file.seek(at)
+                write_all(file, part.cast("B") if part.nbytes else part)
+
+        self._wait()
+        if self._pool is None:
+            put()
+        else:
+            self._waiting = self._pool.submit(put)
+
+    def _wait(self) -> None:
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            waiting.result()
+
+    def _close(self) -> None:
+        if self._file is None:
+            return
+        if self._pool is not None:
+            self._pool.shutdown(wait=True)
+        self._file.close()
+        if self._spool is not None:
+            self._spool.close()
+        self._file = self._spool = self._pool = None

@@ -1,0 +1,213 @@
+"""``check.mesh``: the mesh report, and whether the mesh bounds a solid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Rejected, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.features.surface.numerics.meshcheck.report import MeshReport
+
+LISTED = 20
+"""Components and holes that are listed one by one, the largest first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckMesh(Stage):
+    """Report how well a mesh bounds a solid; the mesh is passed on as it is.
+
+    Watertight: no edge is left over when triangles are paired across edges. Manifold: no edge has more than two
+    triangles, no vertex touches two surfaces. Wound outwards: neighbors agree, and normals point out of the solid.
+    Triangles intersect themselves if they cross, touch or overlap another one beyond shared corners and edges.
+    The thickness is measured straight inwards from 100,000 points of the surface. To look at a broken file, read it
+    with `accept: any`.
+    """
+
+    name: ClassVar[str] = "check.mesh"
+    reported: ClassVar[tuple[str, ...]] = (
+        "triangles", "vertices", "unused_vertices", "watertight", "manifold", "non_manifold_edges",
+        "non_manifold_vertices", "winding_consistent", "winding_outward", "triangles_to_turn", "one_sided_surfaces",
+        "open_edges", "unmerged_vertices", "holes", "hole_edges.#6", "hole_lengths_mm.#6", "hole_sizes_mm.#6",
+        "components", "euler_number", "genus", "degenerate_triangles", "duplicate_triangles",
+        "self_intersecting_triangles", "self_intersecting_pairs", "self_intersections_complete", "volume_mm3",
+        "area_mm2", "lower_mm.#3", "upper_mm.#3", "genus_of_surfaces.#6", "component_volumes_mm3.#6", "cavities",
+        "cavity_mm3", "shells_inside_others", "shells_inside_out", "thickness_minimum_mm", "thickness_5_percent_mm",
+        "thickness_median_mm", "thickness_unknown_share", "thin_share",
+    )  # fmt: skip
+    advice: ClassVar[str] = "extract with a lower `resolution`"
+
+    thin: Length | None = option(None, help="walls thinner than this are thin", unit="mm", above=0, maximum=1e6)
+    thin_share: float = option(
+        0.01, help="share of the surface from which on thin walls are a problem", minimum=0, maximum=1
+    )
+    reject: tuple[str, ...] = option(
+        (),
+        help="problems that end the run; the others are warnings",
+        choices=(
+            "open",
+            "non_manifold",
+            "winding",
+            "self_intersections",
+            "components",
+            "shells",
+            "degenerate",
+            "duplicates",
+            "thin_walls",
+        ),
+    )
+
+    def check_options(self) -> None:
+        if "thin_walls" in self.reject and self.thin is None:
+            raise ConfigError("`reject: [thin_walls]` needs `thin`, the thickness that a wall must have")
+
+    def estimate(self, palette: Palette, mesh: Size) -> Size:
+        return Size(triangles=mesh.triangles, geometry=mesh.geometry)
+
+    def run(self, context: Context, mesh: SurfaceMesh) -> SurfaceMesh:
+        """Measure everything, then say what is wrong."""
+        from sppm_pipeline.features.surface.numerics.meshcheck.report import mesh_report
+
+        if not len(mesh.faces):
+            raise InputError(f"{mesh.name} has no triangles")
+        found = mesh_report(mesh.vertices, mesh.faces)
+        thin = self.thin.mm() if self.thin is not None else None
+        problems = self._problems(found, thin)
+        counts = f"{_count(found.measures.components, 'component')}, {_count(found.measures.faces, 'triangle')}"
+        if problems:
+            verdict = f"{mesh.name} ({counts}) has {_count(len(problems), 'problem')}: {'; '.join(problems.values())}"
+        else:
+            verdict = f"{mesh.name} ({counts}) bounds a solid: watertight, manifold, wound outwards"
+            if thin is not None:
+                share = found.walls.share_below(thin)
+                verdict += f", {share:.1%} of it" if share else ", none of it"
+                verdict += f" with walls thinner than {thin:g} mm"
+        context.report(verdict=verdict, problems=list(problems), **_numbers(found, thin))
+        for problem in problems.values():
+            context.warn(problem)
+        if found.shells is not None and found.shells.cavities.any():
+            closed = np.abs(found.shells.volumes[found.shells.cavities])
+            context.warn(
+                f"closed cavities: {len(closed):,}, of "
+                f"{closed.sum():.4g} mm3: liquid resin or powder stays inside when {mesh.name} is printed"
+            )
+        refused = [problems[word] for word in self.reject if word in problems]
+        if refused:
+            raise Rejected(
+                f"{mesh.name} is rejected: {'; '.join(refused)}",
+                hint="repair the mesh, or take the word off `reject` in `check.mesh`",
+            )
+        return mesh
+
+    def _problems(self, found: MeshReport, thin: float | None) -> dict[str, str]:
+        """A sentence for each thing that is wrong, by the word that `reject` knows it by."""
+        edges, oriented, hit = found.measures.edges, found.orientation, found.intersections
+        problems = {}
+        if not found.watertight:
+            holes = len(found.boundary_loops.edges)
+            text = f"it is not watertight: {_count(holes, 'hole')} with {_count(edges.boundary, 'open edge')}"
+            if holes:
+                text += f", the largest {found.boundary_loops.sizes[0]:.3g} mm wide"
+            if found.unmerged_vertices:
+                text += f"; {found.unmerged_vertices} vertices there lie on others and were not merged with them"
+            problems["open"] = text
+        if not found.manifold:
+            problems["non_manifold"] = (
+                f"it is not manifold: {_count(edges.non_manifold, 'edge')} of three or more triangles, "
+                f"{found.non_manifold_vertices} vertices in which surfaces touch"
+            )
+        if not found.outward:
+            text = f"{_count(oriented.turned, 'triangle')} of {found.measures.faces} should be turned to face outwards"
+            if oriented.one_sided:
+                text += f"; {_count(oriented.one_sided, 'surface')} with one side only, as a Möbius strip has"
+            problems["winding"] = text
+        if hit.pairs or not hit.complete:
+            least = "" if hit.complete else "at least "
+            problems["self_intersections"] = (
+                f"it runs into itself: {least}{_count(int(hit.faces.sum()), 'triangle')} in {_count(hit.pairs, 'pair')}"
+            )
+        if found.buried:
+            problems["shells"] = (
+                f"{_count(found.buried, 'shell')} inside the solid of another, filled with it; "
+                "for a hollow its triangles have to face inwards"
+            )
+        pieces = found.measures.components - (int(found.shells.cavities.sum()) if found.shells else 0)
+        if pieces > 1:
+            problems["components"] = f"it is in {pieces} pieces"
+        if found.measures.degenerate:
+            problems["degenerate"] = f"{_count(found.measures.degenerate, 'triangle')} without area"
+        if found.duplicates:
+            problems["duplicates"] = f"{_count(found.duplicates, 'triangle')} there twice"
+        if thin is not None and len(found.walls.thickness):
+            share = found.walls.share_below(thin)
+            if share > self.thin_share:
+                problems["thin_walls"] = (
+                    f"{share:.1%} of the surface is on walls thinner than {thin:g} mm; "
+                    f"the thinnest 5 % are below {found.walls.quantile(0.05):.3g} mm"
+                )
+        return problems
+
+
+def _count(n: int, artifact: str) -> str:
+    return f"{n:,} {artifact}{'' if n == 1 else 's'}"
+
+
+def _numbers(found: MeshReport, thin: float | None) -> dict[str, Any]:
+    """All measures under plain names."""
+    m, walls = found.measures, found.walls
+    numbers: dict[str, Any] = {
+        "triangles": m.faces,
+        "vertices": m.vertices,
+        "unused_vertices": found.unused_vertices,
+        "watertight": found.watertight,
+        "manifold": found.manifold,
+        "non_manifold_edges": m.edges.non_manifold,
+        "non_manifold_vertices": found.non_manifold_vertices,
+        "winding_consistent": m.edges.consistent,
+        "winding_outward": found.outward,
+        "triangles_to_turn": found.orientation.turned,
+        "one_sided_surfaces": found.orientation.one_sided,
+        "open_edges": m.edges.boundary,
+        "unmerged_vertices": found.unmerged_vertices,
+        "holes": len(found.boundary_loops.edges),
+        "hole_edges": found.boundary_loops.edges[:LISTED],
+        "hole_lengths_mm": found.boundary_loops.lengths[:LISTED],
+        "hole_sizes_mm": found.boundary_loops.sizes[:LISTED],
+        "components": m.components,
+        "euler_number": m.euler,
+        "genus": None if found.genus is None else int(found.genus.sum()),
+        "degenerate_triangles": m.degenerate,
+        "duplicate_triangles": found.duplicates,
+        "self_intersecting_triangles": int(found.intersections.faces.sum()),
+        "self_intersecting_pairs": found.intersections.pairs,
+        "self_intersections_complete": found.intersections.complete,
+        "volume_mm3": m.volume if found.watertight else None,
+        "area_mm2": m.area,
+        "lower_mm": m.low,
+        "upper_mm": m.high,
+    }
+    if found.genus is not None:
+        numbers["genus_of_surfaces"] = np.sort(found.genus)[::-1][:LISTED]
+    if found.shells is not None:
+        volumes = found.shells.volumes
+        numbers["component_volumes_mm3"] = volumes[np.argsort(-np.abs(volumes), kind="stable")][:LISTED]
+        numbers["cavities"] = int(found.shells.cavities.sum())
+        numbers["cavity_mm3"] = float(np.abs(volumes[found.shells.cavities]).sum())
+        numbers["shells_inside_others"] = found.buried
+        numbers["shells_inside_out"] = int(found.shells.inside_out.sum())
+    if len(walls.thickness):
+        numbers["thickness_minimum_mm"] = walls.quantile(0.0)
+        numbers["thickness_5_percent_mm"] = walls.quantile(0.05)
+        numbers["thickness_median_mm"] = walls.quantile(0.5)
+        numbers["thickness_unknown_share"] = float(np.isinf(walls.thickness).mean())
+        if thin is not None:
+            numbers["thin_share"] = walls.share_below(thin)
+    return numbers

@@ -1,0 +1,201 @@
+"""``extract.marching_cubes``: a triangle mesh of a field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.features.surface.field_surface import (
+    KEPT_SAMPLES,
+    MAX_VOXELS,
+    MIN_VOXELS,
+    FieldSurface,
+    expected_voxels,
+    node_grid,
+    voxels_along_edge,
+)
+from sppm_pipeline.features.surface.mesh_store import MeshStore
+from sppm_pipeline.features.surface.mesh_stream import MeshStream, PieceTaker, PieceWindow
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
+
+MEMORY_SHARE = 4
+"""A mesh larger than this fraction of the memory to plan with goes into temporary files; a choice."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarchingCubes(Stage):
+    """Extract the boundary of the solid: closed, oriented outward, without degenerate triangles.
+
+    Cells and tilings are capped at the border of their box; the nodes of the mesh on opposite faces of a periodic cell
+    match one by one. The field is sampled slab by slab, so that the memory is that of the mesh. A tiling that is not
+    cut to a part takes not even that with ``islands: remove`` if only `write.mesh` reads the mesh, as STL, PLY or OBJ:
+    the file is written meanwhile, and the time of writing counts as that of this stage. With ``backend:
+    reference`` scikit-image's independent implementation is used, slower and on all samples at once, for comparison.
+    """
+
+    name: ClassVar[str] = "extract.marching_cubes"
+    advice: ClassVar[str] = "lower `resolution`, or slice without a mesh (`slice.field`)"
+    version: ClassVar[int] = 4
+
+    resolution: int | None = options.resolution(
+        None, note="32 if `voxel` is not given either", minimum=MIN_VOXELS, maximum=MAX_VOXELS
+    )
+    voxel: Length | None = options.voxel(
+        None,
+        note="at most this long, instead of `resolution`; the cell is cut into equal parts",
+        formerly="spacing",
+    )
+    caps: bool = option(
+        True, help="close the surface at the border of a cell or tiling; without, it ends there in open boundaries"
+    )
+    islands: str = options.islands("remove")
+    exact: bool = options.exact(False)
+    backend: str = option("compiled", help="which implementation runs", choices=("compiled", "reference"))
+
+    def check_options(self) -> None:
+        if self.resolution is not None and self.voxel is not None:
+            raise ConfigError("`resolution` and `voxel` exclude each other")
+        if self.backend == "reference" and not self.caps:
+            raise ConfigError("the reference implementation always closes the surface: leave out `caps: false`")
+
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        n = expected_voxels(field.body.edge_mm, self.resolution, self.voxel)
+        return field.grid(n, at_once=KEPT_SAMPLES, triangles=field.body.triangles(n))
+
+    def run(self, context: Context, field: ScalarField) -> SurfaceMesh:
+        """Sample the nodes of a grid and extract the surface, in mm (cell sizes for a cell without a size)."""
+        n = voxels_along_edge(field, self.resolution, self.voxel)
+        if (coarse := field.coarseness(1 / n)) is not None:
+            context.warn(coarse)
+        surface = FieldSurface(field.exactly() if self.exact else field, node_grid(field, n), self.islands, self.caps)
+        scale = field.edge_mm if field.edge_mm is not None else 1.0
+        if self.backend == "reference":
+            made = _by_reference(surface, context, scale, field.origin_mm)
+        else:
+            made = _compiled(surface, context, scale, field.origin_mm)
+        context.report(resolution=n, voxel=scale / n, **made.findings)
+        if not made.counts[1]:
+            raise DesignError(
+                "there is no surface to mesh: at this resolution the whole box is void, or solid without `caps`",
+                hint="there is no solid if the porosity is too high or the level too low; lower the porosity",
+            )
+        if self.caps and not made.measures.balanced:
+            raise ValueError("the mesh is not closed")
+        if field.edge_mm is None:
+            context.warn("the cell has no physical size: one cell size is written as 1 mm")
+        if made.arrays is None:
+            return SurfaceMesh.handed_on(*made.counts, "surface", made.measures.box_and_volume)
+        return SurfaceMesh.measured(*made.arrays, "surface", made.measures.box_and_volume)
+
+
+class _Extracted(NamedTuple):
+    """A mesh, or what is known of one that was given away in pieces."""
+
+    arrays: tuple[NDArray[np.float64], NDArray[np.int32]] | None
+    counts: tuple[int, int]
+    measures: StreamedMeasures
+    findings: dict[str, Any]
+
+
+def _compiled(surface: FieldSurface, context: Context, scale: float, origin: tuple[float, float, float]) -> _Extracted:
+    """The mesh in mm, given away piece by piece if those who read it take it so."""
+
+    def stream() -> MeshStream:
+        return surface.stream(context.threads, lambda done, of: context.progress(done, of, "planes"))
+
+    pieces = stream()
+    readers: Sequence[PieceTaker] = context.begin_readers()
+    foreseen = pieces.foreseen() if readers else None
+    if foreseen is None or not foreseen.faces:
+        return _stored(pieces, context, scale, origin)
+    try:
+        if all(reader.begin(foreseen.moved(scale, np.array(origin))) for reader in readers):
+            if (given := _handed_on(pieces, readers, scale, origin)) is not None:
+                return given
+            pieces = stream()
+    except BaseException:
+        for reader in readers:
+            reader.drop()
+        raise
+    for reader in readers:
+        reader.drop()
+    return _stored(pieces, context, scale, origin)
+
+
+def _handed_on(
+    pieces: MeshStream, readers: Sequence[PieceTaker], scale: float, origin: tuple[float, float, float]
+) -> _Extracted | None:
+    """Give away all pieces; None if a reader finds that the mesh is not as foreseen."""
+    from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
+
+    measures, window = StreamedMeasures(scale, np.array(origin)), PieceWindow(scale, np.array(origin))
+    faces = 0
+    for piece in pieces:
+        points = window.push(piece.vertices)
+        measures.add_window(points, window.base, piece.faces)
+        for reader in readers:
+            reader.add(points, window.base, window.known, piece.faces)
+        faces += len(piece.faces)
+    if not all(reader.finish() for reader in readers):
+        return None
+    return _Extracted(None, (window.base + len(points), faces), measures, pieces.findings)
+
+
+def _stored(stream: MeshStream, context: Context, scale: float, origin: tuple[float, float, float]) -> _Extracted:
+    """The whole mesh; one that takes more than a share of the memory lies in files."""
+    from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
+
+    measures = StreamedMeasures(scale, np.array(origin))
+    store: MeshStore | None = None
+    for piece in stream:
+        if store is None:  # what to expect is known once the first piece is there
+            store = MeshStore(context.memory // MEMORY_SHARE, context.scratch(), stream.expected, scale, origin)
+        measures.add(store.add(piece.vertices, piece.faces), piece.faces, stream.points)
+    nothing = np.empty((0, 3)), np.empty((0, 3), np.int32)
+    arrays = nothing if store is None else store.finish(stream.points)
+    return _Extracted(arrays, (len(arrays[0]), len(arrays[1])), measures, stream.findings)
+
+
+def _by_reference(
+    surface: FieldSurface, context: Context, scale: float, origin: tuple[float, float, float]
+) -> _Extracted:
+    from sppm_pipeline.features.surface.numerics.meshcheck.streamed_measures import StreamedMeasures
+    from sppm_pipeline.features.surface.numerics.placing import Samples, place_vertices
+    from sppm_pipeline.features.surface.numerics.reference import marching_cubes_reference
+    from sppm_pipeline.method.part.crossings import Crossings
+
+    (x, y, z), (h, _, _), _ = grid = surface.grid
+    sampled = surface.slabs(context.threads)
+    slabs = list(sampled)
+    values = np.concatenate([slab.values for slab in slabs])
+    padded = np.pad(values, 1, constant_values=1.0)
+    vertices, faces = marching_cubes_reference(padded, 0.0, (x - h, y - h, z - h), (h, h, h))
+    nothing = np.empty((0, 0, 0), np.float32)
+    samples = Samples(grid, 0, values, nothing, nothing)
+    if isinstance(surface.source, Part):
+        fields = zip(*(slab.apart for slab in slabs if slab.apart is not None), strict=True)
+        field, domain, skin = (*(np.concatenate(planes) for planes in fields), nothing)[:3]
+        found = [slab.crossings for slab in slabs]
+        edge, share, triangle = (np.concatenate([c[a] for c in found]) for a in range(3))
+        samples = Samples(grid, 0, field, domain, skin, Crossings(edge, share, triangle, found[0].normals))
+    place_vertices(vertices, samples)
+    vertices *= scale
+    vertices += np.array(origin)
+    measures = StreamedMeasures(scale, np.array(origin))
+    measures.add(vertices, faces, np.empty((0, 3)))
+    return _Extracted((vertices, faces), (len(vertices), len(faces)), measures, sampled.findings)

@@ -1,0 +1,114 @@
+"""Walls between pores, pierced by tunnels, in any layout of interiors and faces."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.assembly.contents import TilingArrays
+from sppm_pipeline.method.fields.microstructure import Microstructure, sampling_tables
+from sppm_pipeline.services.grid import Grid
+
+if TYPE_CHECKING:
+    from sppm_pipeline.features.walls.numerics.walls import WallSampler
+
+_SAMPLERS = 32
+"""Layouts of one microstructure whose Voronoi cells are kept."""
+
+DEPTH = 0.2
+"""Mean distances of pores from a tunnel, farther than which the field does not look at it: no wall is as thick."""
+
+
+@dataclass(frozen=True, eq=False)
+class WalledMicrostructure(Microstructure):
+    """Solid within half a thickness of the faces of the pores' Voronoi cells, but for the tunnels.
+
+    What other microstructures call their kernel sum G is here the `opening`, the half thickness above which walls close
+    a point, and the level is half the thickness of the walls. As tunnels stay open at any thickness, G jumps at
+    their surface; what is sampled instead has the same sign and is a distance from walls and tunnels near both.
+
+    Attributes
+    ----------
+    pieces : Pieces
+        Of the kernels only the places count, and the radii of the tunnels, ``1 / mu``.
+    level : float
+        Half the thickness of the walls, cell sizes.
+    rounding : float
+        Radius of the fillets where walls meet and of the rims of their openings, cell sizes.
+    """
+
+    reported: ClassVar[tuple[str, ...]] = (*Microstructure.reported, "thickness", "tunnel_radius")
+
+    rounding: float = 0.0
+
+    @property
+    def additive(self) -> bool:
+        return False
+
+    @property
+    def coarse_pitch(self) -> None:
+        """Walls have creases, between which nothing may be interpolated."""
+        return None
+
+    def own_values(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        return self.alone(0, (0, 0, 0)).own_values(grid, start, stop, threads)
+
+    @property
+    def finest_radius(self) -> float | None:
+        mu = self.pieces.kernels.mu
+        return 1 / float(mu.max()) if len(mu) else None
+
+    @property
+    def reach(self) -> float:
+        """A face nearby lies between pores not farther than the largest empty radius from it."""
+        from sppm_pipeline.features.walls.numerics.walls import largest_empty_radius
+
+        widest = 1 / float(self.pieces.kernels.mu.min(initial=np.inf))
+        return max(largest_empty_radius(self.pieces) + 2 * self.level + self.rounding, widest)
+
+    @property
+    def thinnest_wall(self) -> float | None:
+        return 2 * self.level
+
+    def laid_sums(
+        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1,
+        wanted: NDArray[np.int32] | None = None,
+    ) -> NDArray[np.float32]:  # fmt: skip
+        """The half thickness above which walls close each sample of a layout."""
+        from sppm_pipeline.features.walls.numerics.between_pores import opening
+
+        return opening(*self._sampler(arrays).sample(grid, start, stop, threads), self.rounding)
+
+    def laid_values(
+        self, arrays: TilingArrays, grid: Grid, start: int, stop: int, threads: int = 1
+    ) -> NDArray[np.float32]:
+        """The larger of the distance from walls and the depth in tunnels, negative in the solid."""
+        from sppm_pipeline.features.walls.numerics.between_pores import wall_field
+
+        distance, depth = self._sampler(arrays).sample(grid, start, stop, threads)
+        return wall_field(distance, depth, self.level, self.rounding)
+
+    def _sampler(self, arrays: TilingArrays) -> WallSampler:
+        """Distances do not depend on the level, so microstructures that differ in nothing else share them."""
+        from sppm_pipeline.features.walls.numerics.walls import WallSampler
+
+        h = hashlib.sha256(repr((arrays.shape, arrays.periodic, arrays.halo)).encode())
+        for values in (arrays.interior, *arrays.faces):
+            h.update(np.ascontiguousarray(values).tobytes())
+        kept: dict[Any, WallSampler] = sampling_tables(self.pieces).setdefault("walls", {})
+        key = h.digest(), self.rounding
+        if key not in kept:
+            if len(kept) >= _SAMPLERS:
+                kept.pop(next(iter(kept)), None)
+            depth = max(2 * (self.finest_radius or 0.0), DEPTH * self.graph.pores.per_cell ** (-1 / 3))
+            margin = depth + self.rounding
+            kept[key] = WallSampler(self.pieces, arrays, self.rounding, margin)
+        return kept[key]
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers of pores and tunnels, thickness of the walls and radius of the thinnest tunnel."""
+        return {**super().summary(), "thickness": 2 * self.level, "tunnel_radius": self.finest_radius}

@@ -1,0 +1,199 @@
+"""The candidate graph: each pore and its k nearest neighbors, made connected by the shortest bridging edges."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sppm_pipeline.method.connecting.bridging import bridging_edges
+from sppm_pipeline.method.connecting.buckets import (
+    Buckets,
+    bucket_of,
+    last_ring,
+    ring_distance,
+    sorted_into_buckets,
+    wrapped_bucket,
+)
+from sppm_pipeline.method.connecting.trees import (
+    Periodic,
+    as_points,
+    canonical_edges,
+    component_labels,
+    periods,
+    wrapped,
+)
+from sppm_pipeline.services.distinct import distinct
+from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.metric import determinants, lengths_in, semi_axes
+
+
+def candidate_graph(
+    points: ArrayLike, k: int = 10, *, periodic: Periodic = False, metric: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Edges from each pore to its k nearest neighbors, in both senses, plus the shortest edges that connect them.
+
+    On periodic axes every image of a pore counts as a neighbor of its own, as long as the edge is not
+    longer than the period of that axis; so two pores may be joined several times when there are few of them. A pore
+    is never joined to an image of itself. Equally near neighbors are taken by index, then by shift. If the graph
+    falls apart, its components are joined as in Boruvka's algorithm, twice: the second time by edges that avoid the
+    ends of the first, so that a bounded degree or a second path is not ruled out.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Pore centers; the unit is the cell size if an axis is periodic.
+    k : int
+        Neighbors of each pore.
+    periodic : bool, or 3 whole numbers
+        Whether the axes repeat with period 1, or after how many cells each does.
+    metric : (n, 6) float64, optional
+        Metrics of the pores, in the mean of which distances are measured; only on axes that do not repeat.
+
+    Returns
+    -------
+    edges : (m, 2) int64
+        Pairs i < j, sorted by (i, j, shift).
+    shifts : (m, 3) int64
+        The edge runs from ``points[i]`` to ``points[j] + shift``.
+    """
+    points = as_points(points)
+    if k < 1:
+        raise ValueError(f"k must be at least 1, not {k}")
+    period = periods(periodic)
+    n = len(points)
+    if n < 2:
+        return np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
+    inside, cells = wrapped(points, period)
+    # at most 27 images of each other pore can be a neighbor; more slots would only stay empty
+    slots = min(k, (n - 1) * 27)
+    keys = distinct(_keys_near(inside, period, slots, metric))
+    keys = keys[keys >= 0]
+    edges, turns = edges_of_keys(keys, n)
+    shifts = turns * period.astype(np.int64)
+    shifts += cells[edges[:, 0]] - cells[edges[:, 1]]
+    first, first_shifts = bridging_edges(points, edges, period)
+    if not len(first):
+        return edges, shifts
+    used = np.zeros(n, np.bool_)
+    used[first] = True
+    labels = component_labels(n, edges)
+    alone = np.bincount(labels, weights=~used)[labels] == 0
+    second, second_shifts = bridging_edges(points, edges, period, used & ~alone)
+    return canonical_edges(
+        np.concatenate([edges, first, second]), np.concatenate([shifts, first_shifts, second_shifts])
+    )
+
+
+def _keys_near(
+    inside: NDArray[np.float64], period: NDArray[np.float64], k: int, metric: NDArray[np.float64] | None
+) -> NDArray[np.int64]:
+    """`nearest_keys` of all pores, by their distances in the metric: of those that are near enough plainly.
+
+    A ball of the metric with k pores lies within a plain one that holds as many times more pores as its volume is
+    larger, where both have the density of the whole.
+    """
+    n = len(inside)
+    if metric is None:
+        return nearest_keys(sorted_into_buckets(inside, period), np.arange(n), k)
+    longest = semi_axes(metric)[:, 0]
+    wide = int(min(np.ceil(k * float((longest**3 * np.sqrt(determinants(metric))).max())), max(n - 1, 1)))
+    keys = nearest_keys(sorted_into_buckets(inside, period), np.arange(n), wide)
+    edges, _ = edges_of_keys(np.maximum(keys, 0).ravel(), n)
+    steps = inside[edges[:, 1]] - inside[edges[:, 0]]
+    length = lengths_in((metric[edges[:, 0]] + metric[edges[:, 1]]) / 2, steps).reshape(keys.shape)
+    order = np.argsort(np.where(keys < 0, np.inf, length), axis=1, kind="stable")[:, :k]
+    return np.take_along_axis(keys, order, axis=1)
+
+
+def edges_of_keys(keys: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs i < j, (m, 2), and the periods by which the image of j is moved, (m, 3), of keys of edges."""
+    pairs, image = np.divmod(keys, 27)
+    edges = np.stack(np.divmod(pairs, n), axis=1)
+    return edges, np.stack([image // 9 - 1, image // 3 % 3 - 1, image % 3 - 1], axis=1)
+
+
+@jit
+def nearest_keys(cells: Buckets, pores: NDArray[np.int64], k: int) -> NDArray[np.int64]:
+    """The k nearest images around each of the pores as edges (p, k): ``(i n + j) 27 + image code`` with i < j.
+
+    Empty slots hold -1. The keys are sorted as the edges are: by i, j and the image of j.
+    """
+    n = cells.points.shape[0]
+    keys = np.full((len(pores), k), -1, np.int64)
+    best = np.empty(k)
+    who = np.empty(k, np.int64)
+    how = np.empty(k, np.int64)
+    here = np.zeros(3, np.int64)
+    turn = np.zeros(3, np.int64)
+    for row in range(len(pores)):
+        i = pores[row]
+        bucket_of(cells, i, here)
+        count = int(np.int64(0))
+        for ring in range(last_ring(cells, here) + 1):
+            if count == k and ring_distance(cells, here, i, ring) ** 2 > best[k - 1]:
+                break
+            for dx in range(-ring, ring + 1):
+                for dy in range(-ring, ring + 1):
+                    on_side = abs(dx) == ring or abs(dy) == ring
+                    for dz in range(-ring, ring + 1, 1 if on_side else max(2 * ring, 1)):
+                        bucket = wrapped_bucket(cells, here, dx, dy, dz, turn)
+                        if bucket >= 0:
+                            count = _insert_bucket(cells, i, bucket, turn, best, who, how, count)
+        for s in range(count):
+            # seen from the other end the image lies the other way
+            keys[row, s] = (i * n + who[s]) * 27 + how[s] if i < who[s] else (who[s] * n + i) * 27 + 26 - how[s]
+    return keys
+
+
+@jit
+def _insert_bucket(
+    cells: Buckets,
+    i: int,
+    bucket: int,
+    turn: NDArray[np.int64],
+    best: NDArray[np.float64],
+    who: NDArray[np.int64],
+    how: NDArray[np.int64],
+    count: int,
+) -> int:
+    """Sort the pores of a bucket, moved by `turn`, into the list of the nearest; returns its new length."""
+    k = len(best)
+    code = int(np.int64(0))
+    for a in range(3):
+        code = 3 * code + 1 + (0 if turn[a] == 0 else 1 if turn[a] > 0 else -1)
+    for s in range(cells.start[bucket], cells.start[bucket + 1]):
+        j = int(cells.order[s])
+        if j == i:
+            continue
+        d = 0.0
+        beyond = False
+        for a in range(3):
+            step = cells.points[j, a] + turn[a] - cells.points[i, a]
+            beyond |= cells.period[a] > 0 and abs(step) > cells.period[a]
+            d += step * step
+        if beyond:
+            continue
+        if count < k:
+            slot = count
+            count += 1
+        elif d < best[k - 1] or (d == best[k - 1] and (j, code) < (who[k - 1], how[k - 1])):
+            slot = k - 1
+        else:
+            continue
+        while slot > 0 and (d < best[slot - 1] or (d == best[slot - 1] and (j, code) < (who[slot - 1], how[slot - 1]))):
+            best[slot], who[slot], how[slot] = best[slot - 1], who[slot - 1], how[slot - 1]
+            slot -= 1
+        best[slot], who[slot], how[slot] = d, j, code
+    return count
+
+
+def candidates_of_region(
+    points: NDArray[np.float64], chosen: NDArray[np.int64], k: int, metric: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Edges to the k nearest pores and those chosen, (m, 2), by (i, j), and the positions of those chosen."""
+    n = len(points)
+    near = _keys_near(points, np.zeros(3), k, metric).ravel()
+    # without periodic axes the image code is that of no shift
+    keys = (chosen[:, 0] * n + chosen[:, 1]) * 27 + 13
+    together = np.unique(np.concatenate([near[near >= 0], keys]))
+    return edges_of_keys(together, n)[0], np.searchsorted(together, keys)

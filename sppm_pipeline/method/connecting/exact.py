@@ -1,0 +1,224 @@
+"""The shortest spanning subgraph: an integer program, solved by branching or, where that takes too long, by HiGHS."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.method.connecting.branching import shortest_choice
+from sppm_pipeline.method.connecting.candidates import candidate_graph, candidates_of_region
+from sppm_pipeline.method.connecting.greedy import Edges, all_images, greedy_subgraph, merged_edges
+from sppm_pipeline.method.connecting.program import Program
+from sppm_pipeline.method.connecting.trees import component_labels, minimum_spanning_tree
+
+# a relaxed variable this near to 0 or 1 counts as decided
+_DECIDED = 1e-6
+
+# reduced costs below this fraction of the mean edge length leave an edge undecided in the first round; the fraction
+# falls as _NEARLY_PORES / n, because the work grows steeply with the number of such edges while the loss grows with the
+# length
+_NEARLY = 0.1
+_NEARLY_PORES = 15.0
+
+# rounding of the solver in reduced costs and gap, as a fraction of the total length of the candidates
+_SLACK = 1e-9
+
+
+def exact_subgraph(
+    points: NDArray[np.float64],
+    lower: int,
+    upper: int,
+    *,
+    period: NDArray[np.float64],
+    k: int,
+    loops: bool,
+    clearance: float | None,
+    fix: bool,
+    metric: NDArray[np.float64] | None = None,
+) -> Edges:
+    """Shortest connected spanning subgraph of the candidate graph; `fix` keeps what the linear relaxation decides.
+
+    The edges of the greedy graph are candidates too, so that there is a solution. Only a clearance may leave none: then
+    k is doubled once, because to prove that there is none takes the longer the more candidates there are.
+
+    Raises
+    ------
+    DesignError
+        If no graph with this clearance exists on the widest candidate graph, or the solver gives up.
+    """
+    if lower <= 1 and clearance is None and not loops and metric is None:
+        # the shortest connected graph is the minimum spanning tree, unless the upper bound forbids it
+        edges, shifts = minimum_spanning_tree(points, periodic=period.tolist())
+        if np.bincount(edges.ravel()).max() <= upper:
+            return edges, shifts
+    n = len(points)
+    widest = min(2 * k, all_images(n, period))
+    k = min(k, widest)
+    try:
+        greedy = greedy_subgraph(
+            points, lower, upper, period=period, k=k, loops=loops, clearance=clearance, metric=metric
+        )
+    except DesignError as error:
+        # the clearance was too much for the greedy search, but may not be for the solver
+        greedy, failure = None, error
+    while True:
+        edges, shifts = candidate_graph(points, k, periodic=period.tolist(), metric=metric)
+        incumbent = None
+        if greedy is not None:
+            # nearly always its edges are candidates already; otherwise they make the program feasible
+            edges, shifts, positions = merged_edges(edges, shifts, *greedy)
+            incumbent = np.zeros(len(edges), np.bool_)
+            incumbent[positions] = True
+        program = Program(
+            points,
+            edges,
+            shifts,
+            lower,
+            upper,
+            tree=lower <= 1 and not loops,
+            connected=np.zeros(n, np.int64),
+            loops=loops,
+            period=period,
+            clearance=clearance,
+            metric=metric,
+        )
+        chosen = _solution(program, incumbent, fix)
+        if chosen is not None:
+            return edges[chosen], shifts[chosen]
+        if greedy is not None:  # the solver takes a program for infeasible that is not
+            return greedy
+        if k == widest:
+            raise failure
+        k = min(2 * k, widest)
+
+
+def exactly_improved(
+    points: NDArray[np.float64],
+    edges: NDArray[np.int64],
+    lower: NDArray[np.int64],
+    upper: NDArray[np.int64],
+    tree: bool,
+    k: int,
+    fix: bool,
+    metric: NDArray[np.float64] | None = None,
+) -> NDArray[np.int64]:
+    """The shortest edges (m, 2) with degrees within the bounds of each pore that connect what the given ones connect.
+
+    With `tree` no more edges than are given may be used.
+    """
+    both, chosen = candidates_of_region(points, edges, k, metric)
+    incumbent = np.zeros(len(both), np.bool_)
+    incumbent[chosen] = True
+    program = Program(
+        points,
+        both,
+        np.zeros((len(both), 3), np.int64),
+        lower,
+        upper,
+        tree=tree,
+        connected=component_labels(len(points), edges),
+        metric=metric,
+    )
+    found = _solution(program, incumbent, fix)
+    return edges if found is None else both[found]
+
+
+def _sparse_rows(program: Program) -> tuple[Any, NDArray[np.float64], NDArray[np.float64]]:
+    """The rows as a sparse matrix, and their bounds."""
+    from scipy.sparse import csr_array
+
+    columns, counts, low, high = program.rows()
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    matrix = csr_array((np.ones(len(columns)), columns, starts), shape=(len(counts), len(program.cost)))
+    return matrix, low, high
+
+
+def _relaxed(program: Program) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Solution of the linear relaxation and its reduced costs, both (m,); None if there is none.
+
+    Adds the rows that the edges in use violate until there are none.
+    """
+    from scipy.optimize import linprog
+    from scipy.sparse import vstack
+
+    while True:
+        rows, low, high = _sparse_rows(program)
+        above, below = np.isfinite(high), np.isfinite(low)
+        result = linprog(
+            program.cost,
+            A_ub=vstack([rows[above], -rows[below]]),
+            b_ub=np.concatenate([high[above], -low[below]]),
+            bounds=np.stack([np.zeros(len(program.cost)), program.allowed], axis=1),
+            method="highs",
+        )
+        if not _solved(program, result):
+            return None
+        if not program.cut_off(result.x > _DECIDED):
+            return result.x, result.lower.marginals + result.upper.marginals
+
+
+def _whole(program: Program, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.bool_] | None:
+    """The shortest choice of edges with ``low <= x <= high``, (m,) bool; None if there is none."""
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    while True:
+        rows, least, most = _sparse_rows(program)
+        result = milp(
+            program.cost,
+            constraints=LinearConstraint(rows, least, most),
+            integrality=np.ones(len(program.cost)),
+            bounds=Bounds(low, high),
+            options={"mip_rel_gap": 0.0},
+        )
+        if not _solved(program, result):
+            return None
+        chosen: NDArray[np.bool_] = result.x > 0.5
+        if not program.cut_off(chosen):
+            return chosen
+
+
+def _solved(program: Program, result: Any) -> bool:
+    """Whether there is a solution; raises if the solver does not decide it."""
+    if result.status in (0, 2):
+        return bool(result.status == 0)
+    raise DesignError(
+        f"the solver found no spanning subgraph on {program.n} pores: {result.message}",
+        hint="use the greedy mode, or wider degree bounds",
+    )
+
+
+def _solution(program: Program, incumbent: NDArray[np.bool_] | None, fix: bool) -> NDArray[np.bool_] | None:
+    """Which edges are chosen, (m,) bool; None if there is no solution.
+
+    Most programs of some hundred pores need no solver, see `shortest_choice`. For the others, and with `fix`, first
+    only those edges stay undecided that the relaxation leaves fractional or nearly as cheap, or on which it differs
+    from the `incumbent`, any solution (E. Danna, E. Rothberg, C. Le Pape, Math. Programming 102, 2005). With `fix` that
+    is all. Otherwise the length of what was found decides the edges whose reduced cost exceeds the gap that is left,
+    without loss, and the rest is solved.
+    """
+    slack = _SLACK * float(program.cost.sum())
+    if not fix and (chosen := shortest_choice(program, incumbent, slack)) is not None:
+        return chosen
+    zero, one = np.zeros(len(program.cost)), program.allowed
+    relaxation = _relaxed(program)
+    if relaxation is None:
+        return None
+    relaxed, reduced = relaxation
+    free = (relaxed > _DECIDED) & (relaxed < 1.0 - _DECIDED)
+    if not program.tree:
+        # the relaxed tree is all but whole, and its ties are many
+        free |= np.abs(reduced) < min(_NEARLY, _NEARLY_PORES / program.n) * program.cost.mean()
+    if incumbent is not None:
+        free |= incumbent != (relaxed > 0.5)
+    decided = np.rint(relaxed)
+    found = _whole(program, np.where(free, zero, decided), np.where(free, one, decided))
+    if found is None:
+        return _whole(program, zero, one)
+    if fix:
+        return found
+    gap = float(program.cost[found].sum() - relaxed @ program.cost)
+    open_ = np.abs(reduced) <= gap + slack
+    return _whole(program, np.where(open_, zero, decided), np.where(open_, one, decided))

@@ -1,0 +1,164 @@
+"""The greedy spanning subgraph: a bounded tree, filled up, closed to loops, then improved by exchange; no solver."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.method.connecting.candidates import candidate_graph
+from sppm_pipeline.method.connecting.clearance import close_pairs
+from sppm_pipeline.method.connecting.degrees import harary_edges
+from sppm_pipeline.method.connecting.exchange import connect_and_fill, improve
+from sppm_pipeline.method.connecting.loops import make_loops
+from sppm_pipeline.method.connecting.moves import CHOSEN, edge_table, insert_all, node_table
+from sppm_pipeline.method.connecting.trees import canonical_edges, edge_lengths, minimum_spanning_tree, nearest_turns
+
+Edges = tuple[NDArray[np.int64], NDArray[np.int64]]
+
+# beyond this many neighbors per pore a graph that can't be completed is replaced by a ring graph
+_WIDEST = 40
+
+
+def greedy_subgraph(
+    points: NDArray[np.float64],
+    lower: int,
+    upper: int,
+    *,
+    period: NDArray[np.float64],
+    k: int,
+    loops: bool,
+    clearance: float | None,
+    metric: NDArray[np.float64] | None = None,
+) -> Edges:
+    """Short connected spanning subgraph with degrees in [lower, upper]; the bounds must be feasible.
+
+    Clearance is not looked at while the graph is built; the exchange then takes out the tunnels that are too close. If
+    the k-nearest graph is too sparse for the bounds or the clearance, k is doubled; at last the search starts from
+    Harary's ring graph along the minimum spanning tree, which always satisfies the bounds.
+
+    Raises
+    ------
+    DesignError
+        If no graph with this clearance was found.
+    """
+    n = len(points)
+    most = all_images(n, period)
+    k = min(k, most)
+    while True:
+        edges, shifts = candidate_graph(points, k, periodic=period.tolist(), metric=metric)
+        conflicts = _conflicts(points, edges, shifts, period, clearance)
+        length = edge_lengths(points, edges, shifts, metric)
+        edge, conflict, near, order = edge_table(edges, length, conflicts)
+        node = node_table(n, edges, lower, upper, slots=upper, detour=n)
+        last = k >= min(most, _WIDEST)
+        complete = connect_and_fill(edge, node, length, near, order)
+        if complete and loops:
+            complete = make_loops(edge, node, length, near)
+        if not complete and last:
+            ring_edges, ring_shifts = _ring_graph(points, period, max(lower, 2) if n > 2 else lower)
+            edges, shifts, ring = merged_edges(edges, shifts, ring_edges, ring_shifts)
+            conflicts = _conflicts(points, edges, shifts, period, clearance)
+            length = edge_lengths(points, edges, shifts, metric)
+            edge, conflict, near, order = edge_table(edges, length, conflicts)
+            node = node_table(n, edges, lower, upper, slots=upper, detour=n)
+            insert_all(edge, node, ring)
+            complete = True
+        if complete:
+            improve(edge, node, conflict, length, near, np.ones(n, np.bool_), loops)
+            chosen = edge[:, CHOSEN] == 1
+            if not chosen[conflicts].all(axis=1).any():
+                return edges[chosen], shifts[chosen]
+            if last:
+                raise _clearance_error(points, edges[chosen], shifts[chosen], period, clearance or 0.0)
+        k = min(2 * k, most)
+
+
+def all_images(n: int, period: NDArray[np.float64]) -> int:
+    """More neighbors than a pore among n can have: every image of every other pore."""
+    return max((n - 1) * int(3 ** np.count_nonzero(period)), 1)
+
+
+def _clearance_error(
+    points: NDArray[np.float64],
+    edges: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+    period: NDArray[np.float64],
+    clearance: float,
+) -> DesignError:
+    """The error for a clearance that can't be held, with the figures of the graph that came nearest to it."""
+    _, distances = close_pairs(points, edges, shifts, clearance, periodic=period.tolist())
+    return DesignError(
+        f"no tunnel graph found in which tunnels without a common pore stay {clearance:g} apart: the best one has "
+        f"{len(distances)} pairs that come closer and meets a clearance of {distances.min():.4g}",
+        hint="use thinner tunnels (a smaller clearance), a larger spacing of the pores, or wider degree bounds",
+    )
+
+
+def _conflicts(
+    points: NDArray[np.float64],
+    edges: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+    period: NDArray[np.float64],
+    clearance: float | None,
+) -> NDArray[np.int64]:
+    """The pairs (c, 2) of edges that exclude each other; an edge too close to its own image excludes itself."""
+    if clearance is None:
+        return np.zeros((0, 2), np.int64)
+    return close_pairs(points, edges, shifts, clearance, periodic=period.tolist())[0]
+
+
+def merged_edges(
+    edges: NDArray[np.int64],
+    shifts: NDArray[np.int64],
+    more_edges: NDArray[np.int64],
+    more_shifts: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The union of two sets of edges in canonical order, and the positions of the second set in it."""
+    edges, shifts = canonical_edges(np.concatenate([edges, more_edges]), np.concatenate([shifts, more_shifts]))
+    position = {tuple(row): e for e, row in enumerate(np.concatenate([edges, shifts], axis=1).tolist())}
+    rows = np.concatenate([more_edges, more_shifts], axis=1).tolist()
+    return edges, shifts, np.array([position[tuple(row)] for row in rows], dtype=np.int64)
+
+
+def _ring_graph(points: NDArray[np.float64], period: NDArray[np.float64], degree: int) -> Edges:
+    """Harary's graph on the pores in the order of a walk round their minimum spanning tree; pairs i < j."""
+    n = len(points)
+    ring = _walk(n, minimum_spanning_tree(points, periodic=period.tolist())[0])
+    pairs = np.sort(ring[harary_edges(n, degree)], axis=1)
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    shifts = np.empty((len(pairs), 3), np.int64)
+    copy = 0
+    for e, (i, j) in enumerate(pairs.tolist()):
+        # the q-th copy of a pair takes its q-th nearest image
+        copy = copy + 1 if e > 0 and (pairs[e] == pairs[e - 1]).all() else 0
+        shifts[e] = _image(points, i, j, copy, period)
+    return pairs, shifts
+
+
+def _walk(n: int, tree: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The vertices of a tree in depth-first order: neighbors on the walk are near each other."""
+    around: list[list[int]] = [[] for _ in range(n)]
+    for i, j in tree.tolist():
+        around[i].append(j)
+        around[j].append(i)
+    order: list[int] = []
+    seen = [False] * n
+    stack = [0]
+    while stack:
+        v = stack.pop()
+        if not seen[v]:
+            seen[v] = True
+            order.append(v)
+            stack.extend(w for w in reversed(around[v]) if not seen[w])
+    return np.array(order, dtype=np.int64)
+
+
+def _image(points: NDArray[np.float64], i: int, j: int, rank: int, period: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Shift to the rank-th nearest image of j seen from i."""
+    reach = [np.arange(-1, 2) * p if p else np.zeros(1) for p in period]
+    grid = np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, 3)
+    shifts = grid + nearest_turns(points[j] - points[i], period)
+    order = np.argsort(((points[j] + shifts - points[i]) ** 2).sum(axis=1), kind="stable")
+    chosen: NDArray[np.int64] = shifts[order[rank]].astype(np.int64)
+    return chosen

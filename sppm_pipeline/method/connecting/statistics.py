@@ -1,0 +1,167 @@
+"""Statistics of a tunnel graph: degrees, parts, loops, bridges, lengths, and whether it runs through the periodic cell.
+
+Also the graph as `networkx` has it, for GraphML, JSON and inspection by other tools.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sppm_pipeline.method.connecting.trees import Indices, as_points, bridge_mask, component_labels, edge_lengths
+from sppm_pipeline.services.jit.compiled import jit
+
+
+class GraphStatistics(NamedTuple):
+    """Figures of a tunnel graph.
+
+    Attributes
+    ----------
+    pores, tunnels : int
+        Numbers n and m of vertices and edges.
+    degree_histogram : (highest degree + 1,) int64
+        Number of pores with 0, 1, 2, ... tunnels.
+    mean_degree : float
+        2 m / n.
+    components : int
+        Connected parts; a pore without a tunnel is one.
+    loops : int
+        Independent loops, m - n + components.
+    bridges : int
+        Tunnels on no loop.
+    mean_length, min_length, max_length : float
+        Lengths of the tunnels in the unit of the points; NaN without a tunnel.
+    wraps : tuple of 3 bools
+        Along which axes the graph runs through the periodic cell into its own image.
+    """
+
+    pores: int
+    tunnels: int
+    degree_histogram: NDArray[np.int64]
+    mean_degree: float
+    components: int
+    loops: int
+    bridges: int
+    mean_length: float
+    min_length: float
+    max_length: float
+    wraps: tuple[bool, bool, bool]
+
+
+def graph_statistics(points: ArrayLike, edges: Indices, shifts: Indices) -> GraphStatistics:
+    """Figures of the graph with the tunnels ``points[i]`` to ``points[j] + shift``; parallel tunnels count each.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Pore centers.
+    edges, shifts : (m, 2), (m, 3) int64
+        Tunnels.
+    """
+    points = as_points(points)
+    edges = np.ascontiguousarray(edges, dtype=np.int64)
+    n, m = len(points), len(edges)
+    lengths = edge_lengths(points, edges, shifts) if m else np.array([np.nan])
+    components = int(component_labels(n, edges).max(initial=-1)) + 1
+    return GraphStatistics(
+        pores=n,
+        tunnels=m,
+        degree_histogram=np.bincount(np.bincount(edges.ravel(), minlength=n)).astype(np.int64),
+        mean_degree=2.0 * m / n if n else 0.0,
+        components=components,
+        loops=m - n + components,
+        bridges=int(bridge_mask(n, edges).sum()),
+        mean_length=float(lengths.mean()),
+        min_length=float(lengths.min()),
+        max_length=float(lengths.max()),
+        wraps=wraps(n, edges, shifts),
+    )
+
+
+def wraps(n: int, edges: Indices, shifts: Indices) -> tuple[bool, bool, bool]:
+    """Along which axes some cycle of the graph on n pores ends in another image of its start.
+
+    Each pore carries its offset from the root of its component; a tunnel that closes a cycle whose offsets do not add
+    up to zero along an axis runs through the cell along that axis (J. Machta et al., Phys. Rev. E 54, 1996).
+    """
+    edges = np.ascontiguousarray(edges, dtype=np.int64).reshape(-1, 2)
+    x, y, z = _wraps(n, edges, np.ascontiguousarray(shifts, dtype=np.int64).reshape(-1, 3)).tolist()
+    return x, y, z
+
+
+@jit
+def _wraps(n: int, edges: NDArray[np.int64], shifts: NDArray[np.int64]) -> NDArray[np.bool_]:
+    parent = np.arange(n)
+    # cell of the root's image minus the cell of the vertex, along the way to the parent
+    offset = np.zeros((n, 3), np.int64)
+    found = np.zeros(3, np.bool_)
+    ends = np.empty(2, np.int64)
+    total = np.zeros((2, 3), np.int64)
+    for e in range(edges.shape[0]):
+        for p in range(2):
+            v = edges[e, p]
+            for a in range(3):
+                total[p, a] = 0
+            while parent[v] != v:
+                up = parent[v]
+                if parent[up] != up:
+                    for a in range(3):
+                        offset[v, a] += offset[up, a]
+                    parent[v] = parent[up]
+                for a in range(3):
+                    total[p, a] += offset[v, a]
+                v = parent[v]
+            ends[p] = v
+        if ends[0] == ends[1]:
+            for a in range(3):
+                if total[0, a] != total[1, a] + shifts[e, a]:
+                    found[a] = True
+        else:
+            parent[ends[1]] = ends[0]
+            for a in range(3):
+                offset[ends[1], a] = total[0, a] - total[1, a] - shifts[e, a]
+    return found
+
+
+def networkx_graph(
+    points: ArrayLike,
+    edges: Indices,
+    shifts: Indices,
+    regions: Sequence[str] | None = None,
+) -> Any:
+    """The tunnel graph as a `networkx.MultiGraph`: two pores may share tunnels to several images.
+
+    Every attribute is a plain number or string, so that GraphML and JSON can hold it.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Pore centers: node attributes ``x``, ``y``, ``z``.
+    edges, shifts : (m, 2), (m, 3) int64
+        Tunnels from ``points[i]`` to ``points[j] + shift`` with i < j: edge attributes ``length`` and ``shift``, the
+        latter as three integers in a string ("0 0 -1").
+    regions : n strings, optional
+        Node attribute ``region``, for example "face" or "interior".
+
+    Raises
+    ------
+    ValueError
+        If `regions` has another length than `points`.
+    """
+    import networkx
+
+    points = as_points(points)
+    if regions is not None and len(regions) != len(points):
+        raise ValueError(f"{len(regions)} regions for {len(points)} points")
+    graph = networkx.MultiGraph()
+    for v, (x, y, z) in enumerate(points.tolist()):
+        graph.add_node(v, x=x, y=y, z=z)
+        if regions is not None:
+            graph.nodes[v]["region"] = str(regions[v])
+    lengths = edge_lengths(points, edges, shifts).tolist()
+    for (i, j), shift, length in zip(edges.tolist(), shifts.tolist(), lengths, strict=True):
+        graph.add_edge(i, j, length=length, shift=" ".join(str(step) for step in shift))
+    return graph

@@ -1,0 +1,134 @@
+"""Floating islands of one cell: remove them, or see whether they would make the paper reject the cell."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.connectivity.components import find_components
+from sppm_pipeline.services.jit.compiled import jit
+
+Mask = TypeVar("Mask", NDArray[np.bool_], NDArray[np.uint8])
+
+
+class LooseParts(NamedTuple):
+    """The components that removing islands would take away.
+
+    Attributes
+    ----------
+    components : int
+        Their number.
+    at_boundary : int
+        How many of them have voxels in the first or last layer along some axis.
+    removed_share : float
+        Their share of the phase.
+    """
+
+    components: int
+    at_boundary: int
+    removed_share: float
+
+
+def keep_largest(mask: Mask, periodic: tuple[bool, bool, bool] = (True, True, True), connectivity: int = 6) -> Mask:
+    """A copy of a mask in which only the largest component of the phase is left.
+
+    On the torus this keeps a periodic cell periodic. Of several largest components the one with the first voxel stays.
+
+    Parameters
+    ----------
+    mask : (nz, ny, nx) bool or uint8
+        The phase; anything but 0 belongs to it.
+    periodic : 3 bools
+        Whether opposite faces are merged, along x, y, z.
+    connectivity : {6, 26}
+        Neighbors across faces, or across faces, edges and corners.
+
+    Returns
+    -------
+    (nz, ny, nx) array of the type of `mask`
+        With 0 in the removed voxels.
+    """
+    found = find_components(mask, periodic, connectivity)
+    kept = np.array(mask, order="C")
+    clear_runs(found.runs.rows, found.runs.bounds, found.of_run == 0, kept.view(np.uint8))
+    return kept
+
+
+def loose_parts(mask: NDArray[np.bool_] | NDArray[np.uint8], connectivity: int = 6) -> LooseParts:
+    """The components besides the largest, with labels that do not wrap: what the paper's rejection looks at.
+
+    A cell is rejected if a loose part lies at its surface (`at_boundary` > 0): inside the cell it can be removed
+    without a trace, at the surface that would break the match with the neighboring cell.
+
+    Parameters
+    ----------
+    mask : (nz, ny, nx) bool or uint8
+        The phase; anything but 0 belongs to it.
+    connectivity : {6, 26}
+        Neighbors across faces, or across faces, edges and corners.
+
+    Returns
+    -------
+    LooseParts
+    """
+    found = find_components(mask, (False, False, False), connectivity)
+    total = int(found.sizes.sum())
+    loose = found.sizes[1:]
+    share = int(loose.sum()) / total if total else 0.0
+    return LooseParts(int(loose.size), int(np.count_nonzero(found.faces[1:].any(axis=1))), share)
+
+
+def grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask and all voxels that share a face, an edge or a corner with it; a copy."""
+    for axis in range(3):
+        along = np.moveaxis(mask, axis, 0)
+        more = along.copy(order="K")
+        more[1:] |= along[:-1]
+        more[:-1] |= along[1:]
+        mask = np.moveaxis(more, 0, axis)
+    return mask
+
+
+@jit
+def clear_runs(
+    rows: NDArray[np.int64],
+    bounds: NDArray[np.int32],
+    keep: NDArray[np.bool_],
+    out: NDArray[np.uint8],
+) -> None:
+    """Set the voxels of the runs that are not kept to 0; `out` is (nz, ny, nx)."""
+    nz, ny, _ = out.shape
+    for z in range(nz):
+        for y in range(ny):
+            row = out[z, y]
+            for r in range(rows[z * ny + y], rows[z * ny + y + 1]):
+                if not keep[r]:
+                    row[bounds[2 * r] : bounds[2 * r + 1]] = 0
+
+
+@jit
+def negate_runs(
+    rows: NDArray[np.int64],
+    bounds: NDArray[np.int32],
+    keep: NDArray[np.bool_],
+    size: tuple[int, int, int],
+    start: int,
+    values: NDArray[np.float32],
+) -> None:
+    """Turn the sign of samples (planes, ny, nx) in the runs that are not kept; the first plane has the number `start`.
+
+    `size` is the shape (nz, ny, nx) in which the runs were found; samples beyond it are periodic images, at most one
+    along x.
+    """
+    nz, ny, nx = size
+    for k in range(values.shape[0]):
+        for y in range(values.shape[1]):
+            row = (start + k) % nz * ny + y % ny
+            for r in range(rows[row], rows[row + 1]):
+                if not keep[r]:
+                    for x in range(bounds[2 * r], bounds[2 * r + 1]):
+                        values[k, y, x] = -values[k, y, x]
+                    if bounds[2 * r] == 0 and values.shape[2] > nx:
+                        values[k, y, nx] = -values[k, y, nx]

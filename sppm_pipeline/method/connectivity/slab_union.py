@@ -1,0 +1,128 @@
+"""Components of a part whose slabs were labeled apart from each other, by processes that know nothing of the others.
+
+The result is that of labeling all layers at once, in components, in their order and in which of equals is the first: a
+component of the part is numbered by its first voxel, which lies in the lowest slab that it reaches, and there in the
+local component that begins first. Slabs are added from the bottom; only the last layer of one of them is kept.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.connectivity.runs import neighbor_reach, unite
+from sppm_pipeline.method.connectivity.streaming import resolve
+from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
+from sppm_pipeline.services.jit.compiled import jit
+
+
+class SlabUnion:
+    """Unites the components of slabs that follow each other.
+
+    Call `add` for each slab in the order of z, then `finish` once. Kept are four bytes for each id, some forty for each
+    component of a slab, and the runs of one layer.
+
+    Parameters
+    ----------
+    connectivity : {6, 26}
+        That of the slabs.
+    """
+
+    def __init__(self, connectivity: int = 6) -> None:
+        self._reach = neighbor_reach(connectivity)
+        self._layers = 0
+        self._starts = [0]
+        self._components: list[NDArray[np.int32]] = []
+        self._voxels: list[NDArray[np.int64]] = []
+        self._boxes: list[NDArray[np.int32]] = []
+        self._parent = np.zeros(1024, dtype=np.int32)
+        self._below: SlabLabels | None = None
+
+    def add(self, labels: SlabLabels) -> None:
+        """Take in the next slab."""
+        start = self._starts[-1]
+        stop = start + labels.voxels.size
+        if stop > self._parent.size:
+            self._parent = np.pad(self._parent, (0, stop))
+        self._parent[start:stop] = np.arange(start, stop, dtype=np.int32)
+        if (below := self._below) is not None:
+            _join_border(
+                below.last.rows,
+                below.last.bounds,
+                below.of_last + np.int32(self._starts[-2]),
+                labels.first.rows,
+                labels.first.bounds,
+                labels.of_first + np.int32(start),
+                self._parent,
+                self._reach,
+            )
+        boxes = labels.boxes.copy()
+        boxes[:, 4:] += self._layers
+        self._boxes.append(boxes)
+        self._voxels.append(labels.voxels)
+        self._components.append(labels.component)
+        self._starts.append(stop)
+        self._layers += labels.layers
+        self._below = labels._replace(component=labels.component[:0], first=labels.last, of_first=labels.of_last)
+
+    def finish(self, keep: Literal["largest"] | float = "largest") -> tuple[IslandStatistics, list[NDArray[np.bool_]]]:
+        """Decide what stays.
+
+        Parameters
+        ----------
+        keep : "largest" or float
+            See `IslandFilter.finish`.
+
+        Returns
+        -------
+        statistics : IslandStatistics
+        verdicts : list of (n_ids,) bool
+            For each slab, whether its ids stay; see `IslandFilter.decided`.
+
+        Raises
+        ------
+        ValueError
+            If the fraction is not in (0, 1].
+        """
+        parent = self._parent[: self._starts[-1]].copy()
+        voxels = np.concatenate([np.zeros(0, np.int64), *self._voxels])
+        boxes = np.concatenate([np.zeros((0, 6), np.int32), *self._boxes])
+        resolve(parent, voxels, boxes)
+        kept, statistics = decide(parent, voxels, boxes, self._layers, keep)
+        stays = kept[parent]
+        slabs = zip(self._starts[:-1], self._components, strict=True)
+        return statistics, [stays[start + component] for start, component in slabs]
+
+
+@jit
+def _join_border(
+    rows_below: NDArray[np.int64],
+    bounds_below: NDArray[np.int32],
+    labels_below: NDArray[np.int32],
+    rows: NDArray[np.int64],
+    bounds: NDArray[np.int32],
+    labels: NDArray[np.int32],
+    parent: NDArray[np.int32],
+    reach: int,
+) -> None:
+    """Unite the labels of runs that touch across the border of two slabs; the smaller root stays."""
+    ny = rows.size - 1
+    for y in range(ny):
+        for dy in range(-reach, reach + 1):
+            if y + dy < 0 or y + dy >= ny:
+                continue
+            a, a_stop = rows[y], rows[y + 1]
+            b, b_stop = rows_below[y + dy], rows_below[y + dy + 1]
+            while a < a_stop and b < b_stop:
+                if bounds[2 * a + 1] + reach <= bounds_below[2 * b]:
+                    a += 1
+                elif bounds_below[2 * b + 1] + reach <= bounds[2 * a]:
+                    b += 1
+                else:
+                    unite(parent, labels[a], labels_below[b])
+                    if bounds[2 * a + 1] < bounds_below[2 * b + 1]:
+                        a += 1
+                    else:
+                        b += 1

@@ -1,0 +1,344 @@
+"""Floating islands of a part whose layers come slab by slab and are never all in memory.
+
+Islands have to be removed on the assembly, never per tile: what floats in a tile may be held by its neighbor. So the
+part is gone through twice. The first pass gives every run of a layer an *id*: that of the component which it touches in
+the layer below or in the row before, or a new one. Ids that turn out to be one component are united, and voxels are
+counted per id. Of the ids that a layer has brought, those remain that nothing is known to be one with.
+
+What stays is known when all layers were seen, but most of it long before: a run that is one with the largest component
+so far remains so. Runs that are not, the *loose* ones, are written down, a few in a hundred. The second pass looks up
+whether their ids stay, and takes out those that do not; it need not look at the others. Should there be too many to
+write down, the second pass derives the ids of all runs again, in the same way.
+
+Slabs may also be labeled apart from each other, each by a filter of its own: `IslandFilter.labels` ends the first pass
+of a slab, `slab_union` unites them, and `IslandFilter.decided` begins the second pass.
+
+Kept between layers are the runs of one layer and their ids; besides, some forty bytes per id until `finish`, and one
+byte afterwards, and sixteen for each loose run. A new id is needed only where a two-dimensional component lies on
+nothing below: a few per cell.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.method.connectivity.layer_ids import clear_runs, layer_ids, list_loose, set_runs, still_loose
+from sppm_pipeline.method.connectivity.runs import Runs, as_bytes, find_root, neighbor_reach, runs_of_bits
+from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
+from sppm_pipeline.services.bit_rows import count, pack, unpack
+from sppm_pipeline.services.jit.compiled import jit
+
+_REMEMBERED = 1 << 21
+"""Loose runs that are written down in the first pass: 32 MB."""
+
+_LOOKED_THROUGH = 1 << 18
+"""Loose runs from which it is worth looking whether they still are: most of those of the first layers are not."""
+
+
+class _Loose(NamedTuple):
+    """Of a layer, what the second pass needs to know.
+
+    Attributes
+    ----------
+    voxels : int
+        How many are set, so that another layer is noticed.
+    main : int
+        An id of the component that was the largest when the layer was seen; -1 if the layer is empty.
+    runs : (n, 4) int32
+        Row, first voxel, the one after the last, and id of each run of another component.
+    """
+
+    voxels: int
+    main: int
+    runs: NDArray[np.int32]
+
+
+class IslandFilter:
+    """Remove floating islands in two passes over the same slabs.
+
+    Call `observe` for every slab in the order of z, `finish` once, then `clear` for every slab in the same order (the
+    slabs may be cut differently). The result is that of labeling all layers at once.
+
+    Parameters
+    ----------
+    ny, nx : int
+        Size of a layer.
+    connectivity : {6, 26}
+        Neighbors across faces, or across faces, edges and corners.
+    """
+
+    def __init__(self, ny: int, nx: int, connectivity: int = 6) -> None:
+        self._shape = (ny, nx)
+        self._reach = neighbor_reach(connectivity)
+        self._layers = 0
+        self._parent = np.zeros(1024, dtype=np.int32)
+        self._voxels = np.zeros(1024, dtype=np.int64)
+        # x low, x high, y low, y high, z low, z high; the highs are inclusive
+        self._boxes = np.zeros((1024, 6), dtype=np.int32)
+        self._verdict: NDArray[np.bool_] | None = None
+        self._remembered: deque[_Loose] | None = deque()  # emptied by the second pass
+        self._written, self._next_look = 0, _LOOKED_THROUGH
+        self._rewind()
+        self._first, self._ids_first = self._below, self._ids_below
+
+    @classmethod
+    def decided(cls, ny: int, nx: int, layers: int, verdict: NDArray[np.bool_], connectivity: int = 6) -> IslandFilter:
+        """The filter of a slab whose second pass begins; `verdict` says of each of its ids whether it stays."""
+        islands = cls(ny, nx, connectivity)
+        islands._layers, islands._verdict, islands._remembered = layers, verdict, None
+        return islands
+
+    def _rewind(self) -> None:
+        ny, nx = self._shape
+        self._largest = 0  # the id with most voxels, of those known
+        self._below = Runs((1, ny, nx), np.zeros(ny + 1, dtype=np.int64), np.zeros(0, dtype=np.int32))
+        self._ids_below = np.zeros(0, dtype=np.int32)
+        self._n_ids = 0
+        self._z = 0
+
+    def _bytes(self, slab: NDArray[np.bool_] | NDArray[np.uint8]) -> NDArray[np.uint8]:
+        if slab.ndim != 3 or slab.shape[1:] != self._shape:
+            raise ValueError(f"a slab is (nz, {self._shape[0]}, {self._shape[1]}), not {slab.shape}")
+        return as_bytes(slab)
+
+    def _advance(self, layer: NDArray[np.uint64], counting: bool) -> Runs:
+        """Find the runs of the next layer (1, ny, words) and their ids; count their voxels in the first pass."""
+        runs = runs_of_bits(layer, self._shape[1])
+        needed = self._n_ids + runs.n_runs
+        if needed > self._parent.size:
+            self._parent = _grown(self._parent, self._n_ids, needed)
+        if counting and needed > self._voxels.size:
+            self._voxels, self._boxes = (_grown(of, self._n_ids, needed) for of in (self._voxels, self._boxes))
+        ids = np.empty(runs.n_runs, dtype=np.int32)
+        self._n_ids, self._largest = layer_ids(
+            runs.rows,
+            runs.bounds,
+            self._below.rows,
+            self._below.bounds,
+            self._ids_below,
+            ids,
+            self._parent,
+            self._voxels,
+            self._boxes,
+            self._n_ids,
+            self._largest,
+            self._z,
+            self._reach,
+            counting,
+        )
+        self._below, self._ids_below = runs, ids
+        self._z += 1
+        return runs
+
+    def observe(self, slab: NDArray[np.bool_] | NDArray[np.uint8]) -> None:
+        """First pass: take in the next layers.
+
+        Parameters
+        ----------
+        slab : (nz, ny, nx) bool or uint8
+            Anything but 0 belongs to the phase.
+        """
+        self.observe_bits(pack(self._bytes(slab)))
+
+    def observe_bits(self, slab: NDArray[np.uint64]) -> int:
+        """`observe` for bits, (nz, ny, words), see `numerics.bit_rows`; returns how many are set."""
+        if self._verdict is not None:
+            raise ValueError("observe comes before finish")
+        total = 0
+        for k in range(slab.shape[0]):
+            runs = self._advance(slab[k : k + 1], counting=True)
+            if self._z == 1:
+                self._first, self._ids_first = runs, self._ids_below
+            voxels = int(runs.lengths.sum())
+            total += voxels
+            if self._remembered is not None:
+                self._remember(runs, voxels)
+        self._layers = self._z
+        return total
+
+    def _remember(self, runs: Runs, voxels: int) -> None:
+        """Write down the loose runs of the last layer; of no layer any more, if there are too many."""
+        assert self._remembered is not None
+        loose = np.empty((0, 4), np.int32)
+        main = -1
+        if self._n_ids:
+            main = int(find_root(self._parent, self._largest))
+            loose = np.empty((np.count_nonzero(self._ids_below != main), 4), np.int32)
+            list_loose(runs.rows, runs.bounds, self._ids_below, main, loose)
+        self._remembered.append(_Loose(voxels, main, loose))
+        self._written += len(loose)
+        if self._written > self._next_look:
+            self._look_through()
+
+    def _look_through(self) -> None:
+        """Drop runs that have become one with the largest component since they were written down."""
+        assert self._remembered is not None
+        main = int(find_root(self._parent, self._largest))
+        for number, loose in enumerate(self._remembered):
+            if loose.main >= 0 and find_root(self._parent, loose.main) == main:
+                still = still_loose(loose.runs[:, 3], self._parent, main)
+                self._remembered[number] = loose._replace(runs=loose.runs[still])
+        self._written = sum(len(loose.runs) for loose in self._remembered)
+        self._next_look = self._written + _LOOKED_THROUGH
+        if self._written > _REMEMBERED:
+            self._remembered = None
+
+    def finish(self, keep: Literal["largest"] | float = "largest") -> IslandStatistics:
+        """Decide what stays; `clear` may follow.
+
+        Parameters
+        ----------
+        keep : "largest" or float
+            Keep the largest component only (the first of equals), or all that hold at least this fraction of the phase.
+
+        Returns
+        -------
+        IslandStatistics
+
+        Raises
+        ------
+        ValueError
+            If the fraction is not in (0, 1].
+        """
+        if self._verdict is not None:
+            raise ValueError("finish comes once")
+        root = self._parent[: self._n_ids]
+        _resolve(root, self._voxels, self._boxes)
+        kept, statistics = decide(root, self._voxels[: root.size], self._boxes[: root.size], self._layers, keep)
+        self._verdict = kept[root]
+        self._forget()
+        return statistics
+
+    def labels(self) -> SlabLabels:
+        """End the first pass of a slab that is one of several; nothing else may follow.
+
+        Raises
+        ------
+        ValueError
+            If no layer was observed, or the first pass has ended already.
+        """
+        if self._verdict is not None or not self._layers:
+            raise ValueError("labels come once, after the layers of a slab")
+        root = self._parent[: self._n_ids]
+        _resolve(root, self._voxels, self._boxes)
+        is_root = root == np.arange(root.size, dtype=np.int32)
+        number = np.cumsum(is_root, dtype=np.int32) - np.int32(1)
+        component = number[root]
+        made = SlabLabels(
+            layers=self._layers,
+            component=component,
+            voxels=self._voxels[: root.size][is_root],
+            boxes=self._boxes[: root.size][is_root],
+            first=self._first,
+            of_first=component[self._ids_first],
+            last=self._below,
+            of_last=component[self._ids_below],
+        )
+        self._verdict = np.zeros(0, dtype=np.bool_)
+        self._remembered = None  # the second pass may be another process
+        self._forget()
+        return made
+
+    def _forget(self) -> None:
+        """What only the first pass needs."""
+        self._parent, self._voxels, self._boxes = (
+            np.zeros(0, dtype=np.int32),
+            np.zeros(0, dtype=np.int64),
+            np.zeros((0, 6), dtype=np.int32),
+        )
+        self._rewind()
+        self._first, self._ids_first = self._below, self._ids_below
+
+    def clear(
+        self, slab: NDArray[np.bool_] | NDArray[np.uint8], out: NDArray[np.uint8] | None = None
+    ) -> NDArray[np.uint8]:
+        """Second pass: take the islands out of the next layers.
+
+        Parameters
+        ----------
+        slab : (nz, ny, nx) bool or uint8
+            The same layers, in the same order, as in the first pass.
+        out : (nz, ny, nx) uint8, C-contiguous, optional
+            Where the result goes; may be `slab` itself, which saves a copy.
+
+        Returns
+        -------
+        (nz, ny, nx) uint8
+            The slab with 0 in the voxels of islands.
+
+        Raises
+        ------
+        InputError
+            If the layers are not those of the first pass, as far as that shows.
+        """
+        layers = self._bytes(slab)
+        bits = pack(layers)
+        self.clear_bits(bits)
+        if out is None:
+            out = layers.copy()
+        elif out is not slab:
+            out[...] = layers
+        out *= unpack(bits, self._shape[1])
+        return out
+
+    def clear_bits(self, slab: NDArray[np.uint64]) -> None:
+        """`clear` for bits, (nz, ny, words), see `numerics.bit_rows`; in place."""
+        if self._verdict is None:
+            raise ValueError("clear comes after finish")
+        if self._z + slab.shape[0] > self._layers:
+            raise InputError(f"the second pass has more layers than the first, which had {self._layers}")
+        for k in range(slab.shape[0]):
+            if self._remembered is None:
+                runs = self._advance(slab[k : k + 1], counting=False)
+                if self._n_ids > self._verdict.size:
+                    raise _other_layer(self._z - 1)
+                clear_runs(runs.rows, runs.bounds, self._verdict[self._ids_below], slab[k])
+                continue
+            loose = self._remembered.popleft()
+            if count(slab[k]) != loose.voxels:
+                raise _other_layer(self._z)
+            self._z += 1
+            if loose.main < 0:
+                continue
+            main_stays = bool(self._verdict[loose.main])
+            chosen = loose.runs[self._verdict[loose.runs[:, 3]] != main_stays]
+            if not main_stays:
+                slab[k] = 0
+            set_runs(chosen, not main_stays, slab[k])
+
+
+def _grown(of_ids: NDArray[Any], known: int, needed: int) -> NDArray[Any]:
+    """The numbers of the known ids, with room for as many as are needed and half as many again."""
+    larger = np.empty((needed + needed // 2, *of_ids.shape[1:]), of_ids.dtype)
+    larger[:known] = of_ids[:known]
+    return larger
+
+
+def resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
+    """Point every label at its root and gather voxels and bounding boxes there; in place."""
+    _resolve(parent, voxels, boxes)
+
+
+def _other_layer(z: int) -> InputError:
+    return InputError(
+        f"layer {z} of the second pass is not that of the first",
+        hint="both passes must make the same layers from the same input",
+    )
+
+
+@jit
+def _resolve(parent: NDArray[np.int32], voxels: NDArray[np.int64], boxes: NDArray[np.int32]) -> None:
+    """Point every id at its root and gather counts and bounding boxes there."""
+    for i in range(parent.size):
+        root = parent[parent[i]]  # a parent is never after its child
+        parent[i] = root
+        if root != i:
+            voxels[root] += voxels[i]
+            for axis in range(3):
+                boxes[root, 2 * axis] = min(boxes[root, 2 * axis], boxes[i, 2 * axis])
+                boxes[root, 2 * axis + 1] = max(boxes[root, 2 * axis + 1], boxes[i, 2 * axis + 1])

@@ -1,0 +1,147 @@
+"""Base classes of stages that make a field from a formula: one method evaluates it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.families.tiler import lattice_for
+from sppm_pipeline.method.fields.formula import FormulaField
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.stage import Context, Stage
+
+
+@dataclass(frozen=True, kw_only=True)
+class Formula(Stage):
+    """Common base of `FieldMaker` and `PartFieldMaker`: the formula, and the size of a cell.
+
+    Implement `cut_at` where an option says what tuning the porosity should change, and `finest_radius` where it is
+    known what a grid must show.
+    """
+
+    edge: Length | None = options.edge(None)
+
+    def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
+        """Values, negative in the solid, at the points of three axes: x (nx, 1, 1), y (ny, 1), z (nz,).
+
+        Positions are in cell sizes: 0 <= x, y, z < 1 in a periodic cell, else from the low corner of the part. The
+        values are (nx, ny, nz), or broadcast to it, in any order in memory. That at a point may not depend on which
+        others are asked for.
+        """
+        raise NotImplementedError(f"{type(self).__name__} needs the method `evaluate`")
+
+    def cut_at(self, value: float) -> Self | None:
+        """The stage whose solid is where this one's values are smaller than `value`; None to subtract the value."""
+        return None
+
+    @property
+    def finest_radius(self) -> float | None:
+        """Radius of the thinnest channel, cell sizes, which coarse grids are warned about; None if unknown."""
+        return None
+
+    @property
+    def edge_mm(self) -> float | None:
+        """Cell size, mm; None if it has no physical size."""
+        return self.edge.mm() if self.edge is not None else None
+
+    def in_cells(self, length: Length, edge_mm: float | None = None) -> float:
+        """A length in cell sizes; `edge_mm` replaces that of the stage.
+
+        Raises
+        ------
+        ConfigError
+            If the length has a unit and the cell has no physical size.
+        """
+        if length.unit is None:
+            return length.value
+        edge_mm = edge_mm or self.edge_mm
+        if edge_mm is None:
+            raise ConfigError(
+                f"the length {length} has a physical unit, but the cell has no physical size",
+                hint="give the stage the size of the cell, for example `edge: 7.5 mm`, or write the length as a "
+                "fraction of the cell size",
+            )
+        return length.mm() / edge_mm
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldMaker(Formula):
+    """Base of formulas of a periodic cell: implement `evaluate`.
+
+    The stage itself is what is evaluated, so its options are the parameters of the formula. A stage whose formula
+    needs more than options, such as something drawn at random, replaces `run` and makes a `FormulaField` of its own.
+    """
+
+    def run(self, context: Context) -> ScalarField:
+        """Make the field; nothing is computed before it is sampled."""
+        return MadeField(maker=self, edge=self.edge_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartFieldMaker(Formula):
+    """Base of formulas that do not repeat but fill a part, or a box of cells, of any size: implement `evaluate`.
+
+    A stage whose formula needs more than options replaces `run` and makes a `FormulaField` or, with a content of its
+    own in every cell, a `CellwiseField`.
+    """
+
+    cells: tuple[int, int, int] | None = options.cells(None)
+
+    def region(
+        self, cover: SurfaceMesh | None, edge_mm: float | None = None
+    ) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
+        """Cells that the part takes, or those of `cells`, and the world position of the first one's low corner.
+
+        Raises
+        ------
+        ConfigError
+            If there is neither a part nor a number of cells, or the size of a cell is missing.
+        """
+        if self.cells is not None:
+            return self.cells, (0.0, 0.0, 0.0)
+        lattice = lattice_for(None, None, cover, edge_mm or self.edge_mm)
+        nx, ny, nz = lattice.mask.shape
+        return (nx, ny, nz), lattice.origin
+
+    def run(self, context: Context, cover: SurfaceMesh | None) -> ScalarField:
+        """Make the field of the part; nothing is computed before it is sampled."""
+        region, origin = self.region(cover)
+        return MadeField(maker=self, edge=self.edge_mm, region=region, origin=origin)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MadeField(FormulaField):
+    """The field that a stage evaluates.
+
+    Attributes
+    ----------
+    maker : Formula
+    offset : float
+        Subtracted from the values.
+    """
+
+    maker: Formula
+    offset: float = 0.0
+
+    def evaluate(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.floating]:
+        values = self.maker.evaluate(x, y, z)
+        return values - np.float64(self.offset) if self.offset else values
+
+    def cut_at(self, value: float) -> MadeField:
+        maker = self.maker.cut_at(value)
+        return replace(self, offset=self.offset + value) if maker is None else replace(self, maker=maker)
+
+    @property
+    def finest_radius(self) -> float | None:
+        return self.maker.finest_radius
+
+    def summary(self) -> dict[str, Any]:
+        """The size."""
+        return {"cells": list(self.cells), "cell_mm": self.edge}

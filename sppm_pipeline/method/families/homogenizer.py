@@ -1,0 +1,281 @@
+"""Base of stages that homogenize voxels: options, the way from a field or an image to a cell, warnings."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from sppm_pipeline.engine.process.budget import require_memory
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.services.grid import cell_centers
+from sppm_pipeline.stage import Context, Headline, Stage, option
+
+if TYPE_CHECKING:
+    from sppm_pipeline.services.elastic.convergence import Limit
+    from sppm_pipeline.services.multigrid.solver import Solved
+
+
+ELASTIC_HEADLINE = (
+    Headline("E", unit="{unit}", error="E_error"),
+    Headline("G", unit="{unit}", error="G_error"),
+    Headline("nu"),
+    Headline("C.1.1", "C11", "{unit}", "error.1.1"),
+    Headline("C.1.2", "C12", "{unit}", "error.1.2"),
+    Headline("C.4.4", "C44", "{unit}", "error.4.4"),
+    Headline("porosity"),
+)
+"""What is shown of an effective stiffness: E along x, y, z, G for yz, xz, xy, nu by pair of axes."""
+
+LOCKING = 0.49
+"""Poisson's ratio above which bricks and straight tetrahedra are warned of. On a gyroid C11 falls by 3 % from 12 to 24
+voxels at .49, and by 15 % at .499."""
+
+
+class VoxelCell(NamedTuple):
+    """A periodic cell of voxels, indexed x, y, z; x is contiguous in memory, so that solvers take the transpose.
+
+    Attributes
+    ----------
+    phase : (nx, ny, nz) uint8, or None
+        The phase of each voxel, 0 for void.
+    fraction : (nx, ny, nz) float32, or None
+        Solid fraction of each voxel; exactly one of the two is set.
+    edges : (hx, hy, hz)
+        Of a voxel.
+    """
+
+    phase: NDArray[np.uint8] | None
+    fraction: NDArray[np.float32] | None
+    edges: tuple[float, float, float]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels along x, y, z."""
+        given = self.phase if self.phase is not None else self.fraction
+        assert given is not None
+        nx, ny, nz = given.shape
+        return nx, ny, nz
+
+    @property
+    def porosity(self) -> float:
+        """Volume fraction of the void."""
+        if self.phase is not None:
+            return 1 - float(np.count_nonzero(self.phase)) / self.phase.size
+        assert self.fraction is not None
+        return 1 - float(self.fraction.mean(dtype=np.float64))
+
+    def occupied(self) -> NDArray[np.uint8]:
+        """1 where there is any solid."""
+        given = self.phase if self.phase is not None else self.fraction
+        assert given is not None
+        return (given > 0).view(np.uint8)
+
+    def of_voxels(self, values: tuple[float, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """Voxels (nz, ny, nx) of values of the void and of each phase; by solid fraction, means weighted by volume."""
+        table = np.array(values, dtype)
+        if self.phase is not None:
+            return np.asarray(table[self.phase.T])
+        assert self.fraction is not None
+        return np.asarray(table[0] + self.fraction.T.astype(dtype) * (table[1] - table[0]))
+
+    def check_materials(self, context: Context, given: int, options: str) -> None:
+        """Whether there are as many materials as phases: an error if one has none, a warning if some are left over.
+
+        Raises
+        ------
+        DesignError
+            If a phase has no material, or there are several for a field or an image of solid fractions.
+        """
+        if self.phase is None:
+            if given > 1:
+                raise DesignError(
+                    f"materials are given for {given} phases, and a field or an image of solid fractions has one",
+                    hint=f"give {options} one value, or label the field by `extract.phases`",
+                )
+            return
+        phases = int(self.phase.max())
+        if phases > given:
+            raise DesignError(
+                f"the image has phases up to {phases}, and materials are given for {given}",
+                hint=f"give {options} a value for every phase from 1 on",
+            )
+        if phases < given > 1:
+            context.warn(f"materials are given for {given} phases, and the image has {phases or 'none'}")
+
+
+def per_phase(value: float | tuple[float, ...] | None) -> tuple[float, ...]:
+    """Values of the phases from 1 on, of an option that takes one number or several, or nothing."""
+    if value is None:
+        return ()
+    return value if isinstance(value, tuple) else (value,)
+
+
+Report = TypeVar("Report")
+
+
+def grids_below(resolution: int, grids: int) -> list[int]:
+    """Voxels along an edge of the cell of each grid of a refinement, each two thirds of the next, the coarsest first.
+
+    Raises
+    ------
+    ConfigError
+        If the resolution is too low for so many.
+    """
+    counts = [max(2, round(resolution * (2 / 3) ** step)) for step in reversed(range(grids))]
+    if len(set(counts)) < grids:
+        raise ConfigError(f"a resolution of {resolution} has no coarser grids")
+    return counts
+
+
+def refined(
+    context: Context,
+    source: ScalarField | Voxels,
+    counts: list[int],
+    solve: Callable[[int], Report],
+    values: Callable[[Report], NDArray[np.float64]],
+    assumed: float = 2.0,
+) -> tuple[list[Report], Limit]:
+    """Reports of all grids of a refinement, and what their values tell of the limit of fine grids.
+
+    Raises
+    ------
+    ConfigError
+        If the source is an image, which has no other grids.
+    """
+    if isinstance(source, Voxels):
+        raise ConfigError("an image has one grid only", hint="leave out `grids`, or homogenize the field")
+    from sppm_pipeline.services.elastic.convergence import richardson
+
+    reports = []
+    for number, count in enumerate(counts):
+        reports.append(solve(count))
+        context.progress(number + 1, len(counts), "grids")
+    return reports, richardson([1 / count for count in counts], [values(report) for report in reports], assumed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Homogenizer(Stage):
+    """Base of stages that solve cell problems on voxels."""
+
+    resolution: int = options.resolution(64, note="of fields; images keep theirs")
+    fractions: str = option(
+        "auto",
+        help="auto: voxels at the surface count by their solid fraction; binary: by their center",
+        choices=("auto", "binary"),
+    )
+    solver_tolerance: float = option(
+        1e-4,
+        help="relative error of the result left by the solver, estimated",
+        minimum=1e-12,
+        maximum=0.1,
+        formerly="tolerance",
+    )
+    residual: float | None = options.residual(None, note="in place of `solver_tolerance`")
+    iterations: int = options.iterations(1000)
+    precision: str = option("single", help="precision of the solver's vectors", choices=("single", "double"))
+
+    advice: ClassVar[str] = "lower `resolution`, or take `precision: single`"
+
+    @abstractmethod
+    def bytes_of_a_voxel(self, threads: int) -> int:
+        """Memory of the solver in single precision, with as many load cases at a time as there are threads."""
+
+    def solving(self, source: Size, resolution: int, repeats: float = 1.0) -> Size:
+        """The size of solving the problem of a field or of an image."""
+        grid = Size(voxels=source.voxels) if source.voxels else source.grid(resolution)
+        voxels = (source.voxels or grid.samples) * (2 if self.precision == "double" else 1)
+        return Size(
+            samples=repeats * grid.samples, sums=repeats * grid.sums, voxels=repeats * voxels, resident=voxels,
+            geometry=source.geometry,
+        )  # fmt: skip
+
+    def grid_of(
+        self, context: Context, source: ScalarField | Voxels
+    ) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
+        """Voxels of a periodic cell along x, y, z, and the edges of a voxel: 1 for fields.
+
+        Raises
+        ------
+        DesignError
+            If `source` is not periodic.
+        ResourceError
+            If the solver would need more memory than there is.
+        """
+        bytes_per_voxel = self.bytes_of_a_voxel(context.threads)
+        if isinstance(source, Voxels):
+            if not all(source.periodic):
+                raise DesignError(
+                    f"homogenization needs an image that is periodic along x, y and z, not {source.periodic}",
+                    hint="declare it periodic where it is read, if opposite sides fit together",
+                )
+            self._check_memory(context, source.shape, bytes_per_voxel)
+            return source.shape, source.spacing
+        if not source.periodic:
+            raise DesignError(
+                "homogenization needs a periodic cell; this field ends at the border of its cells or part",
+                hint="take the cell itself (`from: tune.porosity`, say), or a tiling with `tile.periodic`",
+            )
+        if (coarse := source.coarseness(1 / self.resolution)) is not None:
+            context.warn(coarse)
+        x, y, z = (self.resolution * cells for cells in source.cells)
+        self._check_memory(context, (x, y, z), bytes_per_voxel)
+        return (x, y, z), (1.0, 1.0, 1.0)
+
+    def cell_of(self, context: Context, source: ScalarField | Voxels) -> VoxelCell:
+        """Voxels of a periodic cell; errors as of `grid_of`."""
+        shape, edges = self.grid_of(context, source)
+        if isinstance(source, Voxels):
+            values = source.values
+            if not source.fractions:
+                return VoxelCell(np.asfortranarray(values, np.uint8), None, edges)
+            if self.fractions == "binary":
+                return VoxelCell((values >= 0.5).astype(np.uint8), None, edges)
+            return VoxelCell(None, np.asfortranarray(values, np.float32), edges)
+        if self.fractions == "binary":
+            return VoxelCell(source.solid(cell_centers(self.resolution, source.cells), context.threads), None, edges)
+        from sppm_pipeline.method.porosity.fractions import solid_fractions
+
+        fraction = solid_fractions(
+            lambda grid, start, stop: source.sample_zyx(grid, start, stop, context.threads), shape, self.resolution
+        )
+        return VoxelCell(None, fraction.T, edges)
+
+    def solver_options(self, threads: int) -> dict[str, Any]:
+        """Keyword arguments of `elasticity.stiffness` and `conduction.conductivity`."""
+        return {
+            "residual": self.residual or 0.0,
+            "tolerance": self.solver_tolerance if self.residual is None else 0.0,
+            "iterations": self.iterations,
+            "precision": np.float32 if self.precision == "single" else np.float64,
+            "threads": threads,
+        }
+
+    def solver_warnings(self, solved: tuple[Solved, ...], precision: str) -> list[str]:
+        """Whether the load cases converged, and in the requested precision."""
+        warnings = []
+        if not all(case.converged for case in solved):
+            warnings.append(
+                f"after {self.iterations} iterations a load case has an estimated error of "
+                f"{max(case.error for case in solved):.1g}; allow more `iterations`"
+            )
+        if precision == "float64" and self.precision == "single":
+            warnings.append("single precision was not enough for this cell; it was solved in double precision")
+        return warnings
+
+    def _check_memory(self, context: Context, shape: tuple[int, int, int], bytes_per_voxel: int) -> None:
+        needed = float(np.prod(shape, dtype=np.float64)) * bytes_per_voxel * (2 if self.precision == "double" else 1)
+        require_memory(
+            needed,
+            f"homogenizing {' x '.join(map(str, shape))} voxels",
+            "lower the `resolution`, take `precision: single`, or use fewer threads (--threads)",
+            limit=context.memory_limit,
+        )

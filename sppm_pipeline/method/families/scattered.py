@@ -1,0 +1,225 @@
+"""Samplers and connectors on blocks without faces: how one method that knows a cell serves a whole lattice."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.method.families.cloud import Cloud
+from sppm_pipeline.method.nouns.pores import PoreSet
+from sppm_pipeline.method.nouns.tunnels import TunnelGraph
+from sppm_pipeline.nouns.palette import Blocks, HexahedralBlocks
+from sppm_pipeline.stage import Context
+
+if TYPE_CHECKING:
+    from sppm_pipeline.method.families.connector import Connector
+    from sppm_pipeline.method.families.sampler import Sampler
+
+
+def with_darts(
+    context: Context, base: PoreSet, blocks: Blocks, mean: float, spacing: float, *, obstacles: bool = True
+) -> PoreSet:
+    """Throw darts into all blocks, `mean` pores each, by the compiled way.
+
+    Parameters
+    ----------
+    context : Context
+    base : PoreSet
+        Pores thrown before.
+    blocks : Blocks
+    mean : float
+        Pores of a block; fractions are carried from block to block.
+    spacing : float
+        Cell sizes.
+    obstacles : bool
+        Whether to keep the spacing from the pores thrown before, too.
+    """
+    from sppm_pipeline.method.sampling.blocks import block_quotas, check_block_spacing, throw_blocks
+
+    if isinstance(blocks, HexahedralBlocks):
+        from sppm_pipeline.features.grading.hexahedral_cloud import with_darts_in_cells
+
+        return with_darts_in_cells(context, base, blocks, mean, spacing)
+    if blocks.density is not None:
+        return _with_graded_darts(context, base, blocks, mean, spacing)
+    check_block_spacing(mean, spacing)
+    before = (base.centers, _first_of_blocks(base.piece, blocks)) if obstacles and len(base.centers) else None
+    quotas = block_quotas(blocks.mask, mean)
+    seed = int(context.rng().integers(0, 2**64, dtype=np.uint64))
+    centers, first = throw_blocks(
+        seed, quotas, spacing, periodic=blocks.periodic, before=before, threads=context.threads
+    )
+    return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], spacing)
+
+
+def _with_graded_darts(context: Context, base: PoreSet, blocks: Blocks, mean: float, spacing: float) -> PoreSet:
+    """`with_darts` where density and spacing vary, or more pores beside those that are kept."""
+    from sppm_pipeline.method.sampling.graded_blocks import graded_quotas, throw_graded_blocks
+
+    assert blocks.density is not None
+    _refuse_another_sampler(base)
+    before = None
+    if blocks.kept is not None:
+        assert blocks.added is not None
+        base = base.extended(*blocks.kept.handed_over())
+        before = base.centers, _first_of_blocks(base.piece, blocks)
+        quotas = np.zeros(blocks.shape, np.int64)
+        quotas[blocks.mask] = blocks.added
+    else:
+        quotas = graded_quotas(blocks.mask, mean, blocks.density)
+    seed = int(context.rng().integers(0, 2**64, dtype=np.uint64))
+    centers, first = throw_graded_blocks(
+        seed, quotas, spacing, blocks.density, metric=blocks.metric, before=before, threads=context.threads
+    )
+    least = spacing * float(blocks.density.max()) ** (-1 / 3)
+    return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], least)
+
+
+def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Blocks) -> PoreSet:
+    """Call the sampler's `throw` for every block, with the pores of all neighbors thrown before as obstacles.
+
+    Raises
+    ------
+    DesignError
+        If the lattice repeats and is one block wide along some axes, but not along all.
+    """
+    from sppm_pipeline.method.families.interiors import InteriorBox
+    from sppm_pipeline.method.sampling.blocks import block_colors
+
+    alone = blocks.periodic and blocks.shape == (1, 1, 1)
+    if blocks.periodic and min(blocks.shape) == 1 and not alone:
+        raise DesignError(
+            f"{sampler.name} throws block by block, and a box of {list(blocks.shape)} blocks that repeats has blocks "
+            "that are their own neighbors",
+            hint="give at least 2 cells along each axis",
+        )
+    if isinstance(blocks, HexahedralBlocks):
+        raise ConfigError(
+            f"{sampler.name} throws into cubes, and can't fill a mesh of hexahedra", hint="use `sample.dart_throwing`"
+        )
+    if blocks.metric is not None:
+        raise ConfigError(
+            f"{sampler.name} measures plain distances, and can't throw pores that are stretched",
+            hint="use `sample.dart_throwing`, or leave out the map `stretch`",
+        )
+    quotas = factors = None
+    if blocks.density is not None:
+        base, quotas, factors = _graded_by_block(sampler, base, blocks)
+    spacing = sampler.requested_spacing(base.cell) or base.spacing
+    sites, numbers = blocks.sites, blocks.numbers
+    thrown = [base.of_piece(t) for t in range(base.interiors)]
+    new: list[NDArray[np.float64]] = [np.zeros((0, 3))] * base.interiors
+    shifts = [np.array(step) for step in itertools.product((-1, 0, 1), repeat=3)]
+    colors = block_colors(blocks.shape, blocks.periodic)[tuple(sites.T)]
+    for done, t in enumerate(np.argsort(colors, kind="stable")):
+        around = [thrown[t]] if alone else []
+        for shift in () if alone else shifts:
+            place = sites[t] + shift
+            if blocks.periodic:
+                place %= blocks.shape
+            if (place >= 0).all() and (place < blocks.shape).all() and numbers[tuple(place)] >= 0:
+                around.append(thrown[numbers[tuple(place)]] + shift)
+        own = np.column_stack([thrown[t], np.ones(len(thrown[t]))])
+        box = InteriorBox(np.zeros(3), np.ones(3), alone, np.concatenate(around), base.cell, spacing, 0, folded=own)
+        stage = sampler
+        if quotas is not None and factors is not None:
+            if not quotas[t]:
+                continue
+            stage = sampler.with_pores(int(quotas[t]))
+            box = box._replace(spacing=None if spacing is None else spacing * float(factors[t]))
+        new[t] = stage.thrown(context, int(t), box)
+        thrown[t] = np.concatenate([thrown[t], new[t]])
+        context.progress(done + 1, base.interiors, "blocks")
+    counts = np.array([len(points) for points in new])
+    return _extended(base, blocks, np.concatenate(new), counts, sampler.kept_spacing(base.cell, base))
+
+
+def _refuse_another_sampler(base: PoreSet) -> None:
+    if len(base.centers):
+        raise ConfigError(
+            "graded cells are scattered by one sampler",
+            hint="give `sample.mirrored_faces` a `total` instead of `count`",
+        )
+
+
+def _graded_by_block(
+    sampler: Sampler, base: PoreSet, blocks: Blocks
+) -> tuple[PoreSet, NDArray[np.int64], NDArray[np.float64]]:
+    """The pores that are kept, and for each block how many more and the factor of their spacing."""
+    from sppm_pipeline.method.sampling.graded_blocks import density_means, graded_quotas
+
+    assert blocks.density is not None
+    _refuse_another_sampler(base)
+    factors = density_means(blocks.density)[blocks.mask] ** (-1 / 3)
+    if blocks.kept is not None:
+        assert blocks.added is not None
+        return base.extended(*blocks.kept.handed_over()), blocks.added, factors
+    total = getattr(sampler, "total", None) or sampler.expected_count(0.0)
+    return base, graded_quotas(blocks.mask, float(total), blocks.density)[blocks.mask], factors
+
+
+def _extended(
+    base: PoreSet, blocks: Blocks, centers: NDArray[np.float64], counts: NDArray[np.int64], spacing: float | None
+) -> PoreSet:
+    """The pores of before and the new ones, `counts` in each interior, sorted by block."""
+    piece = np.repeat(np.arange(base.interiors, dtype=np.int32), counts)
+    if len(base.centers):
+        centers, piece = np.concatenate([base.centers, centers]), np.concatenate([base.piece, piece])
+        order = np.argsort(piece, kind="stable")
+        centers, piece = centers[order], piece[order]
+    # those that were kept are among the pores, and need not be kept twice
+    blocks = replace(blocks, kept=None, added=None)
+    return replace(base, centers=centers, piece=piece, spacing=spacing, colors=(0, 0, 0), blocks=blocks)
+
+
+def _first_of_blocks(piece: NDArray[np.int32], blocks: Blocks) -> NDArray[np.int64]:
+    """Where the pores of each block of the lattice begin, (blocks + 1,)."""
+    counts = np.zeros(blocks.mask.size, np.int64)
+    counts[blocks.mask.ravel()] = np.bincount(piece, minlength=int(blocks.mask.sum()))
+    return np.concatenate([[0], np.cumsum(counts)])
+
+
+def joined(context: Context, connector: Connector, pores: PoreSet) -> TunnelGraph:
+    """Join the pores of all blocks into one graph.
+
+    Raises
+    ------
+    ConfigError
+        If the sampler knows nothing of blocks, or the connector nothing of stretched pores.
+    """
+    blocks = pores.blocks
+    if blocks is None:
+        raise ConfigError(
+            "a sampler of this recipe throws cells that know nothing of their neighbors, which can't be scattered",
+            hint="use `sample.dart_throwing`, or lay cells by `tile.fresh`",
+        )
+    # an axis at a time: there may be millions of pores
+    corners, points = blocks.sites.astype(np.int32).T, np.array(pores.centers)
+    for axis in range(3):
+        points[:, axis] += corners[axis][pores.piece]
+    metric = None
+    if blocks.metric is not None:
+        from sppm_pipeline.method.sampling.graded_blocks import at_nodes
+
+        if not connector.follows_metric:
+            raise ConfigError(
+                f"{connector.name} measures plain distances, and can't join pores that are stretched",
+                hint="use `connect.mbdst`, or leave out the map `stretch`",
+            )
+        metric = at_nodes(blocks.metric, points)
+    periodic = (blocks.periodic,) * 3
+    cloud = Cloud(points, _first_of_blocks(pores.piece, blocks), blocks.shape, periodic, pores.cell, metric)
+    edges, shift = connector.join_cloud(context, cloud)
+    del cloud, points
+    first, second = (pores.piece[edges[:, end]] for end in range(2))
+    shift = np.require(shift, np.int32, "W")
+    for axis in range(3):
+        shift[:, axis] += corners[axis][second]
+        shift[:, axis] -= corners[axis][first]
+    del first, second
+    return TunnelGraph(pores, edges, shift)

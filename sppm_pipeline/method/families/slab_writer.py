@@ -1,0 +1,177 @@
+"""Layers that the workers of a run evaluate and encode slab by slab; finished bytes come back, pixels do not travel."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable, Collection, Iterator
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.slicing.sampled_slices import SampledSlices
+from sppm_pipeline.method.slicing.slab_passes import (
+    SlabTask,
+    Survey,
+    add_counts,
+    cleared_slab,
+    slab_tasks,
+    survey_slab,
+    surveyed,
+)
+from sppm_pipeline.method.slicing.slice_stack import SliceStack
+from sppm_pipeline.nouns.storage import NotStorable, stored_bytes
+from sppm_pipeline.services.threads import ordered_map
+from sppm_pipeline.stage import Context
+
+
+class Encoder(Protocol):
+    """A stage that encodes layers; see `LayerWriter`."""
+
+    def takes_bits(self, stack: SliceStack) -> bool: ...
+
+    def encode(self, image: NDArray[np.uint8], stack: SliceStack) -> bytes: ...
+
+    def encode_bits(self, rows: NDArray[np.uint64], stack: SliceStack) -> bytes: ...
+
+
+def encoded_bits(writer: Encoder, rows: NDArray[np.uint64], stack: SliceStack) -> bytes:
+    """A layer of black and white that is there as bits, (ny, words), the side of largest y first."""
+    return writer.encode_bits(rows, stack) if writer.takes_bits(stack) else writer.encode(image_of(rows, stack), stack)
+
+
+def image_of(rows: NDArray[np.uint64], stack: SliceStack) -> NDArray[np.uint8]:
+    """Such a layer as `LayerWriter.encode` takes it."""
+    from sppm_pipeline.services.bit_rows import unpack
+
+    image: NDArray[np.uint8] = unpack(rows[None], stack.shape[0], 255)[0]
+    return image
+
+
+class EncodedSlab(NamedTuple):
+    """What a worker hands back.
+
+    Attributes
+    ----------
+    layers : list of bytes
+    pictures : dict of int to bytes
+        The pixels of the layers that were asked for, compressed.
+    voxels : int
+        Solid samples.
+    counts : dict
+        See `SampledSlices.decided`.
+    """
+
+    layers: list[bytes]
+    pictures: dict[int, bytes]
+    voxels: int
+    counts: dict[str, int]
+
+
+def encode_slab(common: tuple[SampledSlices, Encoder], task: SlabTask) -> EncodedSlab:
+    """Second pass: evaluate a slab, or read its bits, take the islands out, and encode its layers."""
+    stack, writer = common
+    from sppm_pipeline.services.bit_rows import count
+
+    made = EncodedSlab([], {}, 0, {})
+    voxels, gray = 0, stack.gray
+
+    def layers() -> Iterator[NDArray[Any]]:
+        nonlocal voxels
+        for start, solid in cleared_slab(stack, task, made.counts):
+            voxels += count(solid)
+            for number, layer in enumerate(stack.shaded(solid) if gray else solid, start // stack.sublayers):
+                image = layer[::-1].copy()
+                if number in task.shown:
+                    made.pictures[number] = zlib.compress((image if gray else image_of(image, stack)).data, 1)
+                yield image
+
+    def encoded(layer: NDArray[Any]) -> bytes:
+        return writer.encode(layer, stack) if gray else encoded_bits(writer, layer, stack)
+
+    made.layers.extend(ordered_map(encoded, layers(), task.threads))
+    return made._replace(voxels=voxels)
+
+
+def divides(context: Context, stack: SliceStack, writer: Encoder) -> bool:
+    """Whether the layers of a stack are given to the workers of a run."""
+    if not context.workers or not isinstance(stack, SampledSlices) or stack.is_kept:
+        return False
+    if not context.worth_workers(math.prod(stack.samples.shape)):
+        return False
+    try:
+        stored_bytes((stack, writer))
+    except NotStorable as error:
+        context.warn(f"one process makes all layers, as workers can't be handed {error}")
+        return False
+    return True
+
+
+class DividedLayers:
+    """Encoded layers from the lowest, made by workers.
+
+    Parameters
+    ----------
+    context : Context
+    stack : SampledSlices
+    writer : Encoder
+    shown : collection of int
+        Layers whose pixels are wanted.
+    show : function of int and image
+        Is given them, the lowest first.
+
+    Attributes
+    ----------
+    findings : dict
+        Empty until the last layer was taken.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        stack: SampledSlices,
+        writer: Encoder,
+        shown: Collection[int],
+        show: Callable[[int, NDArray[np.uint8]], None],
+    ) -> None:
+        self._context, self._stack, self._shown, self._show = context, stack, shown, show
+        self._common = (stack, writer)
+        self.findings: dict[str, Any] = {}
+
+    def __iter__(self) -> Iterator[bytes]:
+        context, stack = self._context, self._stack
+        nx, ny, _ = stack.shape
+        keep, known = stack.islands == "keep", stack.survey is not None
+        survey = None if keep else stack.survey or self._survey()
+        tasks = survey.tasks if survey is not None else slab_tasks(stack, *self._means)
+        wanted = [task._replace(shown=tuple(self._of(task))) for task in tasks]
+        voxels, counts = 0, dict[str, int]()
+        before, total = (0, len(tasks)) if keep or known else (len(tasks), 2 * len(tasks))
+        for number, made in enumerate(context.map(encode_slab, wanted, self._common), 1):
+            voxels += made.voxels
+            add_counts(counts, made.counts)
+            for layer, data in made.pictures.items():
+                self._show(layer, np.frombuffer(zlib.decompress(data), np.uint8).reshape(ny, nx))
+            yield from made.layers
+            context.progress(before + number, total, "slabs, encoded")
+        islands, told = ({}, stack.told(counts)) if survey is None else (survey.islands, survey.told)
+        self.findings = stack.findings(islands, voxels, told)
+
+    @property
+    def _means(self) -> tuple[int, int, int]:
+        return self._context.workers, self._context.worker_threads, self._context.memory
+
+    def _of(self, task: SlabTask) -> list[int]:
+        m = self._stack.sublayers
+        return [number for number in range(task.start // m, task.stop // m) if number in self._shown]
+
+    def _survey(self) -> Survey:
+        context = self._context
+        tasks = slab_tasks(self._stack, *self._means, context.shared_folder())
+        return surveyed(
+            self._stack,
+            tasks,
+            lambda tasks: context.map(survey_slab, tasks, self._common),
+            lambda ready: context.progress(ready, 2 * len(tasks), "slabs, searched for islands"),
+        )

@@ -1,0 +1,287 @@
+"""Base class of tile rules: one method chooses the content of all cells."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.nouns.artifact import whole_numbers
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Stage
+
+if TYPE_CHECKING:
+    from sppm_pipeline.method.tiling.lattice import Laid
+
+MEASURED_CLOSELY, COARSEST = 127, 6
+"""Cells up to which the porosity is measured at the full resolution, and voxels along an edge that many are given."""
+
+SPARE_SAMPLES = 2**20
+"""Samples of a box of cells that is measured at once though most of them are not there; a choice."""
+
+
+class Lattice(NamedTuple):
+    """The cells a tiler has to fill.
+
+    Attributes
+    ----------
+    mask : (nx, ny, nz) bool
+        Which cells are needed.
+    edge : float or None
+        Cell edge, mm.
+    origin : tuple of 3 floats
+        World position of the low corner of cell (0, 0, 0), mm.
+    """
+
+    mask: NDArray[np.bool_]
+    edge: float | None
+    origin: tuple[float, float, float]
+
+
+def lattice_for(
+    cell: Length | None, cells: tuple[int, int, int] | None, cover: SurfaceMesh | None, own_edge: float | None
+) -> Lattice:
+    """The lattice that covers a part, or a box of cells.
+
+    Raises
+    ------
+    ConfigError
+        If neither a part nor a number of cells is given, or the size of a cell is missing.
+    """
+    edge = cell.mm() if cell is not None else own_edge
+    if cells is not None:
+        return Lattice(np.ones(cells, bool), edge, (0.0, 0.0, 0.0))
+    if cover is None:
+        raise ConfigError(
+            "there is no part to cover and no number of cells",
+            hint="read a mesh before this stage, or give `cells: [4, 4, 4]`",
+        )
+    if edge is None:
+        raise ConfigError("the size of a cell is missing", hint="give `cell: 7.5 mm`, or `edge` on the sampling stage")
+    from sppm_pipeline.method.part.inside import cells_touched
+
+    lower, upper = cover.lower, cover.upper
+    # centered, so that opposite sides of a symmetric part are cut alike
+    count = np.maximum(np.ceil((upper - lower) / edge - 1e-9), 1).astype(int)
+    origin = (lower + upper - count * edge) / 2
+    shape = (int(count[0]), int(count[1]), int(count[2]))
+    mask = cells_touched(cover.vertices, cover.faces, origin, edge, shape, cover.bounds_solid)
+    return Lattice(mask, edge, (float(origin[0]), float(origin[1]), float(origin[2])))
+
+
+def tiling_size(
+    cell: Length | None, cells: tuple[int, int, int] | None, cover: Size | None, content: Size, **patches: float
+) -> Size:
+    """The size of a tiling: of a box of cells, or of those that cover a part.
+
+    Cells that the surface of a part passes through are filled, too: half a cell on either side of it, and some corners.
+    """
+    edge = cell.mm() if cell is not None else content.body.edge_mm
+    if cells is not None:
+        box, filled = tuple(map(float, cells)), math.inf
+    elif cover is None or edge is None:
+        raise LookupError("the lattice is unknown")
+    else:
+        part = cover.body.in_unit(edge)
+        box = tuple(float(max(1, math.ceil(size - 1e-9))) for size in part.box)
+        filled = part.volume + 0.7 * part.envelope + 8
+    return content.in_box(box, filled, edge_mm=edge, **patches)
+
+
+HALO = 1
+"""Cells that are laid around a part or box: their kernels reach into it, and faces own the pores of their low edges
+alone, so that none would lie on the far edges."""
+
+
+def laid_cells(made: Size, periodic: bool) -> float:
+    """How many cells are laid for a tiling of this size, its halo included."""
+    if periodic:
+        return made.cells
+    x, y, z = (n + 2.0 * HALO for n in made.body.box)
+    return min(x * y * z, made.cells + HALO * made.body.envelope)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tiler(Stage):
+    """Base of tile rules: implement `lay`; `run` finds the cells that are needed.
+
+    Unless the box repeats, one more cell is laid on all sides, as if the box or part were cut out of a larger whole.
+    """
+
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
+    periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
+    kinds: ClassVar[tuple[str, ...]] = ("wang",)
+    advice: ClassVar[str] = "give larger cells or fewer of them"
+
+    def check_options(self) -> None:
+        check_repeats(self.periodic, self.cells)
+
+    @abstractmethod
+    def lay(self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
+        """Choose the content of all cells in `mask`; if `periodic`, so that opposite ends of the box fit together.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+        mask : (nx, ny, nz) bool
+            The cells of the part and, unless `periodic`, those around them.
+        tileset : TileSet
+
+        Returns
+        -------
+        interior : (nx, ny, nz) int32
+            Interior of each cell, -1 where `mask` is False.
+        faces : tuple of 3 int32 arrays
+            Face colors; the array of axis a has one more entry along a: plane i is the low side of cell i. -1
+            where no cell touches.
+        """
+
+    def estimate(self, palette: Palette, tileset: Size, cover: Size | None) -> Size:
+        return tiling_size(self.cell, self.cells, cover, tileset)
+
+    def run(self, context: Context, tileset: TileSet, cover: SurfaceMesh | None) -> Tiling:
+        """Lay the cells."""
+        from sppm_pipeline.method.assembly.contents import TilingArrays
+        from sppm_pipeline.method.tiling.lattice import with_halo
+
+        if tileset.kind not in self.kinds:
+            raise ConfigError(
+                f"{self.name} lays tile sets of kind {' or '.join(self.kinds)}, this one is of kind {tileset.kind!r}",
+                hint=f"use `tile.{KIND_TO_RULE[tileset.kind]}`, or draw the set with another `tileset` stage",
+            )
+        lattice = lattice_for(self.cell, self.cells, cover, tileset.micro.edge_mm)
+        halo = 0 if self.periodic else HALO
+        mask = with_halo(lattice.mask, halo)
+        interior, faces = checked_lay(self.name, self.lay(context.rng(), mask, tileset), mask, tileset)
+        if self.periodic and any((np.take(f, 0, axis) != np.take(f, -1, axis)).any() for axis, f in enumerate(faces)):
+            raise ConfigError(f"{self.name} does not lay boxes that repeat", hint="use `tile.wang_3color`")
+        return Tiling(tileset, TilingArrays(interior, faces, self.periodic, halo), lattice.edge, lattice.origin)
+
+
+def checked_lay(name: str, laid: Any, mask: NDArray[np.bool_], tileset: TileSet) -> Laid:
+    """What `lay` returned, if it is what it should be.
+
+    Raises
+    ------
+    ValueError
+        If shapes, types or numbers are not those that `Tiler.lay` names; `name` is that of the stage.
+    """
+    from sppm_pipeline.method.assembly.contents import TilingArrays, check_tiling
+
+    if not (isinstance(laid, tuple) and len(laid) == 2 and isinstance(laid[1], (tuple, list)) and len(laid[1]) == 3):
+        raise ValueError(f"{name}.lay must return (interior, (faces of x, of y, of z)), got {type(laid).__name__}")
+    interior, *faces = (whole_numbers(part, np.int32, f"what {name}.lay returns") for part in (laid[0], *laid[1]))
+    if interior.shape != mask.shape:
+        raise ValueError(
+            f"{name}.lay must return interiors of the shape of `mask`, {mask.shape}, in the order x, y, z; got "
+            f"{interior.shape}"
+        )
+    try:
+        check_tiling(TilingArrays(interior, (faces[0], faces[1], faces[2]), False), tileset.micro.pieces)
+    except ValueError as error:
+        raise ValueError(f"{name}.lay: {error}") from None
+    if ((interior >= 0) != mask).any():
+        cell = tuple(np.argwhere((interior >= 0) != mask)[0].tolist())
+        raise ValueError(
+            f"{name}.lay must fill the cells of `mask` and no others (-1); cell {cell} is {interior[cell]}, and "
+            f"mask{list(cell)} is {mask[cell]}"
+        )
+    return interior, (faces[0], faces[1], faces[2])
+
+
+def measured_per_edge(cells: float, resolution: int) -> int:
+    """Voxels along the edge of a cell at which `at_porosity` measures so many cells.
+
+    Cells that are drawn one by one differ by some per cent in porosity, and those at the rim count by the share that
+    lies in the part. So all of them are measured, and the more there are, the fewer samples each takes; fewer than
+    `COARSEST` would see where in a cell they lie.
+    """
+    if cells <= MEASURED_CLOSELY:
+        return resolution
+    return max(min(COARSEST, resolution), int(resolution * (MEASURED_CLOSELY / cells) ** (1 / 3)))
+
+
+def measured_voxels(cells: float, resolution: int) -> float:
+    """Samples that `at_porosity` takes of so many cells."""
+    return cells * float(measured_per_edge(cells, resolution)) ** 3
+
+
+def boxes_of(cells: NDArray[np.int64], spare: float) -> list[tuple[NDArray[np.int64], tuple[int, int, int]]]:
+    """Low corners and shapes of boxes that hold these cells, (n, 3), each once.
+
+    Half of a box are cells that it is to hold, or it has no more than `spare` altogether: a layer of a ring or frame
+    would be hollow.
+    """
+    lower, size = cells.min(0), np.ptp(cells, 0) + 1
+    if size.prod() <= max(2 * len(cells), spare):
+        return [(lower, (int(size[0]), int(size[1]), int(size[2])))]
+    axis = int(size.argmax())
+    low = cells[:, axis] < lower[axis] + size[axis] // 2
+    return [*boxes_of(cells[low], spare), *boxes_of(cells[~low], spare)]
+
+
+def at_porosity(
+    context: Context, tiling: Tiling, cover: SurfaceMesh | None, porosity: float, resolution: int
+) -> Tiling:
+    """The tiling cut at the level that gives this porosity, within the part if there is one.
+
+    Few cells are measured one by one, at `resolution` voxels along an edge; many in layers, or pieces of these, at
+    `measured_per_edge`.
+    """
+    from sppm_pipeline.method.part.part import Part
+    from sppm_pipeline.method.porosity.level import level_for_porosity
+    from sppm_pipeline.services.grid import Grid
+
+    micro, mask = tiling.tileset.micro, tiling.arrays.surrounded().interior >= 0
+    filled = np.argwhere(mask)
+    per_edge = measured_per_edge(len(filled), resolution)
+    h = 1.0 / per_edge
+    part = None if cover is None else Part(tiling, cover, 0.0, "keep")
+
+    def samples_of(corner: NDArray[np.int64], shape: tuple[int, int, int]) -> NDArray[np.float32]:
+        (x, y, z), (nx, ny, nz) = corner.astype(float), shape
+        grid = Grid((x + h / 2, y + h / 2, z + h / 2), (h,) * 3, (nx * per_edge, ny * per_edge, nz * per_edge))
+        sums = tiling.sums(grid, context.threads)
+        if part is not None:
+            within: NDArray[np.float32] = sums.T[part.inside_zyx(grid, 0, grid.shape[2]) != 0]
+            return within
+        inside = mask[tuple(slice(low, low + n) for low, n in zip(corner, shape, strict=True))]
+        for axis in range(3):
+            inside = inside.repeat(per_edge, axis)
+        return sums[inside]
+
+    if len(filled) <= MEASURED_CLOSELY:
+        found = [samples_of(cell, (1, 1, 1)) for cell in filled]
+    else:
+        layers = (filled[filled[:, 2] == z] for z in np.unique(filled[:, 2]))
+        found = [samples_of(*box) for cells in layers for box in boxes_of(cells, SPARE_SAMPLES / per_edge**3)]
+    samples = np.concatenate(found)
+    if not samples.size:
+        raise DesignError(
+            f"no voxel of {per_edge} along a cell edge lies in the part, so that its porosity can't be measured",
+            hint="raise `resolution`, or give smaller cells",
+        )
+    micro = micro.with_level(level_for_porosity(samples, porosity).level)
+    return Tiling(TileSet(micro, tiling.tileset.kind, 0), tiling.arrays, tiling.edge, tiling.origin)
+
+
+def check_repeats(periodic: bool, cells: tuple[int, int, int] | None) -> None:
+    """Raise `ConfigError` if a part, not a box of cells, should repeat."""
+    if periodic and cells is None:
+        raise ConfigError("only a box of cells repeats", hint="give `cells: [3, 3, 3]`, or leave out `periodic`")
+
+
+KIND_TO_RULE = {"wang": "wang_3color", "free": "free_faces", "corner": "corner_colors"}
+"""The built-in rule for each kind of tile set."""

@@ -1,0 +1,217 @@
+"""The scalar field whose negative part is solid."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.services.grid import Grid, cell_centers
+
+RESOLVED = 1.2
+"""Voxels up to this many tunnel radii keep the void in one piece, as measured on cells of the paper."""
+
+RESOLVED_WALL = 1 / math.sqrt(3)
+"""Voxels up to this share of its thickness keep a wall of any direction in one piece across their faces."""
+
+
+class ScalarField(Artifact, ABC):
+    """A field ``G - C`` over a lattice of unit cells: negative inside the solid, positive in pores and tunnels.
+
+    It is no distance. Positions are in cell sizes, measured from the lattice origin; `edge_mm` and `origin_mm` say
+    where that is in the world. Nothing is computed before somebody samples it.
+
+    Samples are indexed x, y, z. The program's own kernels go along rows of x, with z outermost; they get the same
+    memory by `sample_zyx` and `solid_zyx`, at no cost if x is contiguous.
+
+    Attributes
+    ----------
+    cells : tuple of 3 ints
+        Extent of the described region.
+    periodic : bool
+        Whether the region repeats for ever; otherwise the field is defined in ``[0, cells]``.
+    """
+
+    @property
+    @abstractmethod
+    def cells(self) -> tuple[int, int, int]: ...
+
+    @property
+    @abstractmethod
+    def periodic(self) -> bool: ...
+
+    def check(self) -> None:
+        """Cells there are, and a few samples are numbers of the right shape.
+
+        Classes that are known to sample rightly check what they are made of instead.
+        """
+        cells = tuple(self.cells)
+        if len(cells) != 3 or not all(isinstance(n, (int, np.integer)) and n > 0 for n in cells):
+            raise ValueError(f"`cells` of a field are 3 whole numbers above 0, got {cells}")
+        edge: Any = self.edge_mm  # whatever a subclass returns
+        if edge is not None and not 0 < edge < math.inf:
+            raise ValueError(f"`edge_mm` of a field is a length above 0, or None, got {edge}")
+        # no two sides are equal, so that axes in another order show
+        probe = Grid((0.17, 0.23, 0.31), (0.21, 0.13, 0.27), (2, 4, 3))
+        values: Any = self.sample_layers(probe, 0, 3)
+        if not isinstance(values, np.ndarray) or values.shape != probe.shape or values.dtype != np.float32:
+            got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
+            raise ValueError(f"samples of 2 x 4 x 3 points (x, y, z) are float32 of the shape (2, 4, 3), got {got}")
+        if not np.isfinite(values).all():
+            raise ValueError(f"samples of a field are finite numbers, got {values[~np.isfinite(values)][0]}")
+
+    @property
+    def edge_mm(self) -> float | None:
+        """Edge of a cell in millimeters; None if it has no physical size."""
+        return None
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        """Position of the lattice origin in the world."""
+        return (0.0, 0.0, 0.0)
+
+    @abstractmethod
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """Values in the layers start <= k < stop of a grid (cell sizes), (nx, ny, stop - start) float32.
+
+        A sample depends on its position alone: not on the number of threads, nor on the layers that are asked for. Any
+        order in memory will do; where x is contiguous nothing has to be copied. Nobody writes into what is handed out,
+        so it may be an array that the field keeps.
+        """
+
+    def sample(self, grid: Grid | int, threads: int = 1) -> NDArray[np.float32]:
+        """Values at the points of a grid (cell sizes), (nx, ny, nz) float32, x contiguous in memory.
+
+        Parameters
+        ----------
+        grid : Grid or int
+            An integer means the voxel centers of all `cells`, so many along a cell edge.
+        threads : int
+        """
+        grid = self._grid(grid)
+        return self.sample_zyx(grid, 0, grid.shape[2], threads).T
+
+    def solid(self, grid: Grid | int, threads: int = 1) -> NDArray[np.uint8]:
+        """1 where the field is negative, else 0, (nx, ny, nz) uint8; faster than `sample` where a class can."""
+        grid = self._grid(grid)
+        return self.solid_zyx(grid, 0, grid.shape[2], threads).T
+
+    def _grid(self, grid: Grid | int) -> Grid:
+        return grid if isinstance(grid, Grid) else cell_centers(grid, self.cells)
+
+    def solid_layers(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        """`solid` for the layers start <= k < stop of a larger grid; classes may keep what the whole grid needs.
+
+        `wanted` (stop - start, ny, 2) names, by layer and row, the first sample of the row that matters and the one
+        after the last; a class may leave the others undecided.
+        """
+        return (self.sample_layers(grid, start, stop, threads) < 0).view(np.uint8)
+
+    def sample_zyx(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """`sample_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
+        return np.ascontiguousarray(self.sample_layers(grid, start, stop, threads).T)
+
+    def slabs_in_threads(self, grid: Grid) -> bool:
+        """Whether threads may ask `solid_layers` for different layers of this grid at once, and gain by it.
+
+        What they share is prepared by this call.
+        """
+        return False
+
+    def solid_zyx(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        """`solid_layers` for kernels: (stop - start, ny, nx), C-contiguous."""
+        return np.ascontiguousarray(self.solid_layers(grid, start, stop, threads, wanted).T)
+
+    def solid_bits(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint64]:
+        """`solid_layers` as bits, (stop - start, ny, words), see `numerics.bit_rows`; a class may make them at once."""
+        from sppm_pipeline.services.bit_rows import pack
+
+        return pack(self.solid_zyx(grid, start, stop, threads, wanted))
+
+    def exactly(self) -> ScalarField:
+        """The same field without the short cuts of fine grids; itself if its class takes none."""
+        return self
+
+    def cut_at(self, value: float) -> ScalarField:
+        """The structure whose solid is where this field is smaller than `value`; what tuning the porosity asks for.
+
+        A class that has a name for it (a level, a radius, a thickness) makes one of its own with that changed.
+        """
+        from sppm_pipeline.method.fields.wrapped import CutField
+
+        return CutField(self, value)
+
+    @property
+    def sum_level(self) -> float | None:
+        """The level C if the field is ``G - C`` with a sum G of kernels that are not negative; else None."""
+        return None
+
+    @property
+    def finest_radius(self) -> float | None:
+        """Radius of the thinnest tunnel, cell sizes; None if it is unknown."""
+        return None
+
+    @property
+    def thinnest_wall(self) -> float | None:
+        """Thickness of the thinnest wall of the design, cell sizes; None if there are no walls of a known thickness."""
+        return None
+
+    def coarseness(self, spacing: float) -> str | None:
+        """Warning for samples too far apart to resolve the thinnest tunnels or walls; None if they are not.
+
+        Parameters
+        ----------
+        spacing : float
+            Distance of samples, cell sizes.
+        """
+        radius, wall = self.finest_radius, self.thinnest_wall
+        needed = []
+        if radius is not None and spacing > RESOLVED * radius:
+            needed.append((RESOLVED * radius, f"tunnels, of radius {radius:.3g} cell sizes: some void may look closed"))
+        if wall is not None and spacing > RESOLVED_WALL * wall:
+            needed.append((RESOLVED_WALL * wall, f"walls, {wall:.3g} cell sizes thick: they may look broken"))
+        if not needed:
+            return None
+        finest, what = min(needed)
+        wanted = math.ceil(1 / finest)
+        edge = f" ({self.edge_mm / wanted:.3g} mm)" if self.edge_mm else ""
+        return (
+            f"{1 / spacing:.4g} voxels along an edge of the cell are too few for the thinnest {what}; "
+            f"{wanted} or more{edge} show them"
+        )
+
+    def _picture_html(self) -> str:
+        from sppm_pipeline.features.browser.live_view import live_frame
+
+        return live_frame(self) or super()._picture_html()
+
+    def _repr_png_(self) -> bytes | None:
+        from sppm_pipeline.method.pictures.field_picture import notebook_png
+
+        return notebook_png(self)
+
+    def physical_edge(self) -> float:
+        """`edge_mm`, or an error for those who need a size.
+
+        Raises
+        ------
+        DesignError
+            If the cell has no physical size.
+        """
+        if self.edge_mm is None:
+            raise DesignError(
+                "the cell has no physical size, so that millimeters mean nothing to it",
+                hint="give the first sampling stage `edge: 7.5 mm`, or lay the cell with a `tile` stage and its `cell`",
+            )
+        return self.edge_mm

@@ -1,0 +1,144 @@
+"""The level spline along rows of samples, compiled: taken off a number, and compared with the samples of a cell."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.jit.compiled import jit
+
+OUTSIDE = np.iinfo(np.int16).min
+"""Code of samples that do not count."""
+
+
+@jit
+def less_level(
+    rows: NDArray[np.float32],
+    cell: NDArray[np.int64],
+    weights: NDArray[np.float32],
+    begin: np.float32,
+    row: int,
+    column: int,
+    out: NDArray[np.float32],
+) -> None:
+    """A number less the spline in a window of a layer, (h, w) float32; products and sums one by one, as in NumPy.
+
+    Parameters
+    ----------
+    rows : (ny, cells + 2) float32
+        Control points along every row, with one more at each end.
+    cell : (nx,) int64
+        Cell of every sample of a row.
+    weights : (3, nx) float32
+        Of the control points before, in and after its cell.
+    begin : float32
+    row, column : int
+        Where the window begins.
+    out : (h, w) float32
+    """
+    height, width = out.shape
+    i = 0
+    while i < width:
+        c, stop = cell[column + i], i + 1
+        while stop < width and cell[column + stop] == c:
+            stop += 1
+        span = slice(column + i, column + stop)
+        first, second, third = weights[0, span], weights[1, span], weights[2, span]
+        for j in range(height):
+            low, own, high = rows[row + j, c], rows[row + j, c + 1], rows[row + j, c + 2]
+            target = out[j, i:stop]
+            for k in range(stop - i):
+                target[k] = begin - (low * first[k] + own * second[k] + high * third[k])
+        i = stop
+
+
+@jit
+def void_at_level(
+    codes: NDArray[np.int16],
+    control: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    middle: float,
+    scale: float,
+    most: float,
+    width: int,
+) -> tuple[int, int, int, int]:
+    """Samples of a cell that count, and how far they lie above the level, each no more than a width tells apart.
+
+    Parameters
+    ----------
+    codes : (n, n, n) int16
+        Values less `middle`, times `scale`, rounded, indexed z, y, x; `OUTSIDE` for those that do not count.
+    control : (3, 3, 3) float64
+        Control points of the spline in and around the cell, indexed x, y, z.
+    weights : (n, 3) float64
+        Of the control points before, in and after the cell at the samples along an axis.
+    middle, scale, most : float
+        Levels are coded as values are, and no code is larger than `most`.
+    width : int
+        A multiple of 4.
+
+    Returns
+    -------
+    inside : int
+        Samples that count.
+    wide, narrow : int
+        Sums over these of how far they lie above the level less half a width, at most a width; the same for half of it.
+    beside : int
+        Those within half a width of the level.
+    """
+    inside, beside = int(np.int64(0)), int(np.int64(0))
+    wide, narrow = int(np.int64(0)), int(np.int64(0))
+    n = codes.shape[2]
+    level = np.empty(n, np.int32)
+    plane, row = np.empty((3, 3)), np.empty(3)
+    half, quarter = np.int32(width // 2), np.int32(width // 4)
+    for z in range(codes.shape[0]):
+        for i in range(3):
+            for j in range(3):
+                c = control[i, j]
+                plane[i, j] = c[0] * weights[z, 0] + c[1] * weights[z, 1] + c[2] * weights[z, 2]
+        for y in range(codes.shape[1]):
+            for i in range(3):
+                p = plane[i]
+                row[i] = p[0] * weights[y, 0] + p[1] * weights[y, 1] + p[2] * weights[y, 2]
+            for x in range(n):
+                value = row[0] * weights[x, 0] + row[1] * weights[x, 1] + row[2] * weights[x, 2]
+                level[x] = np.int32(np.rint(min(max((value - middle) * scale, -most), most)))
+            for x in range(n):
+                code = np.int32(codes[z, y, x])
+                counted = np.int32(code != OUTSIDE)
+                more = code - level[x]
+                inside += int(counted)
+                wide += int(counted * min(max(more + half, np.int32(0)), half + half))
+                narrow += int(counted * min(max(more + quarter, np.int32(0)), half))
+                beside += int(counted * np.int32(more >= -half and more < half))
+    return inside, wide, narrow, beside
+
+
+@jit
+def level_at(
+    rows: NDArray[np.float32],
+    cell: NDArray[np.int64],
+    weights: NDArray[np.float32],
+    row: int,
+    row_from: NDArray[np.int64],
+    columns: NDArray[np.int32],
+    out: NDArray[np.float32],
+) -> None:
+    """The spline at some samples of some rows of a layer from `row` on; see `less_level`.
+
+    Parameters
+    ----------
+    row_from : (h + 1,) int64
+        Where the samples of each row begin in `columns` and `out`, and where they end.
+    columns : (n,) int32
+    out : (n,) float32
+    """
+    for j in range(len(row_from) - 1):
+        for s in range(row_from[j], row_from[j + 1]):
+            i = columns[s]
+            c = cell[i]
+            value = rows[row + j, c] * weights[0, i]
+            value += rows[row + j, c + 1] * weights[1, i]
+            value += rows[row + j, c + 2] * weights[2, i]
+            out[s] = value

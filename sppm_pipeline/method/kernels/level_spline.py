@@ -1,0 +1,161 @@
+"""A quadratic tensor spline over a lattice of cells, with one control point in the middle of each.
+
+Inside a cell, at t from 0 to 1 along an axis, the control points before, in and after it have the weights
+``(1 - t)^2 / 2``, ``1/2 + t - t^2`` and ``t^2 / 2``: the uniform B-spline of degree two, whose value and slope are
+continuous. Beyond the first and the last cell the outermost control point is repeated, so that the spline ends with
+slope zero and goes on as a constant. Its mean over a cell is ``(1/6, 2/3, 1/6)`` of the three control points.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class _Along(NamedTuple):
+    """Positions along one axis: the first and last cell that they lie in, and for each its cell and three weights."""
+
+    cell: NDArray[np.int64]
+    weights: NDArray[np.float64]
+
+
+def _along(positions: NDArray[np.float64], cells: int) -> _Along:
+    cell = np.clip(np.floor(positions).astype(np.int64), 0, cells - 1)
+    t = np.clip(positions - cell, 0.0, 1.0)
+    return _Along(cell, np.stack([(1 - t) ** 2 / 2, 0.5 + t - t**2, t**2 / 2], -1))
+
+
+def _contracted(values: NDArray[np.float64], along: _Along) -> NDArray[np.float64]:
+    """Control points along the first axis of `values` to positions along the last one of the result."""
+    padded = np.concatenate([values[:1], values, values[-1:]])
+    taken = [padded[along.cell + k] * along.weights[:, k].reshape(-1, *[1] * (values.ndim - 1)) for k in range(3)]
+    return np.moveaxis(taken[0] + taken[1] + taken[2], 0, -1)
+
+
+@cache
+def weights_in_cell(n: int) -> NDArray[np.float64]:
+    """Weights (n, 3) of the control points before, in and after a cell, in the middles of n voxels along an axis."""
+    weights = _along(1 + (np.arange(n) + 0.5) / n, 3).weights
+    weights.flags.writeable = False
+    return weights
+
+
+class LayerSpline:
+    """The spline on the rows of layers, as what samples a field layer by layer asks for it.
+
+    A value depends on its position alone: it is the same sum of three numbers whatever is asked for beside it.
+
+    Parameters
+    ----------
+    control : (nx, ny, nz) float64
+    x, y, z : (k,), (m,), (n,) float64
+        Positions of the samples, cell sizes.
+    """
+
+    def __init__(
+        self, control: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
+    ) -> None:
+        across = _along(x, control.shape[0])
+        self._cell, self._weights = across.cell, np.ascontiguousarray(across.weights.T, np.float32)
+        upwards, along = _along(z, control.shape[2]), _along(y, control.shape[1])
+        planes = _contracted(control.transpose(2, 0, 1), upwards)
+        rows = _contracted(planes.transpose(1, 2, 0), along).transpose(0, 2, 1).astype(np.float32)
+        self._rows = np.ascontiguousarray(np.concatenate([rows[..., :1], rows, rows[..., -1:]], -1))
+
+    def less(self, begin: float, layer: int, rows: slice, columns: slice) -> NDArray[np.float32]:
+        """`begin` less the spline in a window of a layer, float32, indexed y, x."""
+        from sppm_pipeline.method.kernels.level_rows import less_level
+
+        out = np.empty((rows.stop - rows.start, columns.stop - columns.start), np.float32)
+        less_level(self._rows[layer], self._cell, self._weights, np.float32(begin), rows.start, columns.start, out)
+        return out
+
+    def at(
+        self, layer: int, rows: range, row_from: NDArray[np.int64], columns: NDArray[np.int32], out: NDArray[np.float32]
+    ) -> None:
+        """Write the spline at some samples of some rows of a layer.
+
+        Those of a row begin at ``row_from[r]`` in `columns`, and `out` holds as many.
+        """
+        from sppm_pipeline.method.kernels.level_rows import level_at
+
+        level_at(self._rows[layer], self._cell, self._weights, rows.start, row_from, columns, out)
+
+
+def control_of_means(means: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The control points whose spline has the given means over the cells, (nx, ny, nz): a banded solve for each axis.
+
+    Along each axis means are ``(1/6, 2/3, 1/6)`` of the control points, ``(5/6, 1/6)`` at the ends.
+    """
+    values = means
+    for axis in range(3):
+        n = means.shape[axis]
+        if n > 1:
+            diagonal = np.full(n, 2 / 3)
+            diagonal[[0, -1]] += 1 / 6
+            lines = np.array(np.moveaxis(values, axis, 0), np.float64)
+            # elimination without pivoting: the diagonal outweighs the rest of its row
+            for k in range(1, n):
+                share = 1 / 6 / diagonal[k - 1]
+                diagonal[k] -= share / 6
+                lines[k] -= share * lines[k - 1]
+            lines[-1] /= diagonal[-1]
+            for k in range(n - 2, -1, -1):
+                lines[k] = (lines[k] - lines[k + 1] / 6) / diagonal[k]
+            values = np.moveaxis(lines, 0, axis)
+    return values
+
+
+def control_with_some_held(means: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Control points that are zero in some cells, whose spline has the given means over all others.
+
+    Parameters
+    ----------
+    means : (nx, ny, nz) float64
+    held : (nx, ny, nz) bool
+        Cells whose control point is zero; their means come out as they may.
+
+    Returns
+    -------
+    (nx, ny, nz) float64
+        By conjugate gradients: the matrix is symmetric, its eigenvalues lie between 1/27 and 1.
+    """
+    found = np.zeros_like(means)
+    residual = np.where(held, 0.0, means)
+    direction, square = residual, float((residual**2).sum())
+    enough = 1e-20 * square
+    while square > enough:
+        applied = np.where(held, 0.0, _means_of(direction))
+        step = square / float((direction * applied).sum())
+        found = found + step * direction
+        residual = residual - step * applied
+        last, square = square, float((residual**2).sum())
+        direction = residual + square / last * direction
+    return found
+
+
+def _means_of(control: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means of the spline over the cells."""
+    for axis in range(3):
+        padded = np.pad(control, [(int(a == axis),) * 2 for a in range(3)], mode="edge")
+        ends = [padded.take(range(k, k + control.shape[axis]), axis) for k in range(3)]
+        control = (ends[0] + 4 * ends[1] + ends[2]) / 6
+    return control
+
+
+def extended(values: NDArray[np.float64], known: NDArray[np.bool_], sweeps: int = 200) -> NDArray[np.float64]:
+    """`values` where they are known, elsewhere a smooth continuation: the mean of the neighbors, as far as it spreads.
+
+    Where nothing is known within `sweeps` cells the mean of all known values is taken.
+    """
+    if known.all() or not known.any():
+        return np.where(known, values, 0.0)
+    found = np.where(known, values, values[known].mean())
+    for _ in range(min(sweeps, 2 * sum(found.shape))):
+        padded = np.pad(found, 1, mode="edge")
+        around = sum(np.roll(padded, step, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for step in (-1, 1))
+        found = np.where(known, values, around / 6)
+    return found

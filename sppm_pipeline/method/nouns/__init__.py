@@ -1,0 +1,1 @@
+"""What passes between the stages of the method: pores, tunnels, meshes, voxels, printers, stiffness."""

@@ -1,0 +1,234 @@
+"""Triangle meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.nouns.artifact import (
+    NOTEBOOK_SIZE,
+    Artifact,
+    frozen,
+    in_rows,
+    optional_module,
+    png_of,
+    whole_numbers,
+)
+from sppm_pipeline.services.paging import blocks
+
+_MOST_VERTICES = 2**31 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMesh(Artifact):
+    """An indexed triangle mesh; faces are oriented so that their normals point out of the solid.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64, mm
+    faces : (m, 3) int32
+    name : str
+        What a person would call it, for messages.
+    groups : tuple of (str, int, int)
+        Named stretches of the triangles, first <= i < last, as the file names them; they may overlap.
+    """
+
+    reported: ClassVar[tuple[str, ...]] = ("vertices", "triangles", "size_mm.#3", "volume_mm3")
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    name: str = "mesh"
+    groups: tuple[tuple[str, int, int], ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", frozen(in_rows(np.asarray(self.vertices, np.float64), 3, "vertices")))
+        corners = whole_numbers(self.faces, np.int32, "the corners of triangles")
+        object.__setattr__(self, "faces", frozen(in_rows(corners, 3, "the corners of triangles")))
+
+    @classmethod
+    def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike, name: str = "mesh") -> SurfaceMesh:
+        """A mesh of vertices (n, 3), mm, and triangles (m, 3), whose normals point out of the solid.
+
+        Raises
+        ------
+        ValueError
+            If a vertex is not finite, or a triangle names one that does not exist.
+        """
+        mesh = cls(np.array(vertices, np.float64), np.array(faces), name)
+        mesh.check()
+        return mesh
+
+    @classmethod
+    def measured(
+        cls,
+        vertices: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        name: str,
+        box_and_volume: tuple[NDArray[np.float64], NDArray[np.float64], float],
+    ) -> SurfaceMesh:
+        """A mesh whose low corner, high corner and volume are known already."""
+        mesh = cls(vertices, faces, name)
+        mesh.__dict__["_measured"] = box_and_volume  # where the property would keep them
+        return mesh
+
+    @classmethod
+    def handed_on(
+        cls,
+        vertices: int,
+        faces: int,
+        name: str,
+        box_and_volume: tuple[NDArray[np.float64], NDArray[np.float64], float],
+    ) -> SurfaceMesh:
+        """A mesh that was given away in pieces (`Context.begin_readers`): its numbers, and no arrays at all."""
+        mesh = object.__new__(cls)
+        mesh.__dict__.update(name=name, groups=(), _counts=(vertices, faces), _measured=box_and_volume)
+        return mesh
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether there are arrays; not so of a mesh that was given away in pieces, which nobody else asks for."""
+        return "_counts" not in self.__dict__
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of vertices and triangles."""
+        given: tuple[int, int] | None = self.__dict__.get("_counts")
+        return given or (len(self.vertices), len(self.faces))
+
+    @classmethod
+    def from_trimesh(cls, mesh: Any, name: str = "mesh") -> SurfaceMesh:
+        """A `trimesh.Trimesh`; see `from_arrays`."""
+        return cls.from_arrays(mesh.vertices, mesh.faces, name)
+
+    def to_trimesh(self) -> Any:
+        """A `trimesh.Trimesh` with the same vertices and triangles.
+
+        Raises
+        ------
+        ResourceError
+            If trimesh is not installed.
+        """
+        return optional_module("trimesh").Trimesh(self.vertices.copy(), self.faces.copy(), process=False)
+
+    def to_pyvista(self) -> Any:
+        """A `pyvista.PolyData`.
+
+        Raises
+        ------
+        ResourceError
+            If pyvista is not installed.
+        """
+        return optional_module("pyvista").PolyData.from_regular_faces(self.vertices, self.faces)
+
+    def check(self) -> None:
+        """Finite vertices, indices in range."""
+        if not self.is_whole:
+            return  # those who took the pieces have seen to it
+        for rows in blocks(len(self.vertices), self.vertices):
+            if not np.isfinite(self.vertices[rows]).all():
+                raise ValueError("mesh vertices must be finite")
+        for rows in blocks(len(self.faces), self.faces):
+            # a negative index is a large one when its sign is not looked at
+            if len(self.faces) and int(self.faces[rows].view(np.uint32).max()) >= len(self.vertices):
+                raise ValueError("a triangle names a vertex that does not exist")
+        if any(not 0 <= first < last <= len(self.faces) for _, first, last in self.groups):
+            raise ValueError("a group holds triangles that do not exist")
+
+    @cached_property
+    def bounds_solid(self) -> bool:
+        """Whether the triangles bound a volume; if not, what is inside is a matter of votes."""
+        from sppm_pipeline.services.mesh.measures import edge_counts
+
+        return edge_counts(self.faces).bounds_solid
+
+    @cached_property
+    def _measured(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        """Low and high corner, and volume."""
+        from sppm_pipeline.services.mesh.measures import box_and_volume
+
+        return box_and_volume(self.vertices, self.faces)
+
+    @property
+    def lower(self) -> NDArray[np.float64]:
+        """Low corner of the bounding box of the triangles, (3,) mm."""
+        return self._measured[0]
+
+    @property
+    def upper(self) -> NDArray[np.float64]:
+        """High corner of the bounding box of the triangles, (3,) mm."""
+        return self._measured[1]
+
+    def _repr_png_(self) -> bytes | None:
+        if not len(self.faces):
+            return None
+        from sppm_pipeline.services.pictures.mesh_view import render_mesh
+
+        return png_of(render_mesh(self.vertices, self.faces, size=NOTEBOOK_SIZE))
+
+    def summary(self) -> dict[str, Any]:
+        """Counts, box and signed volume."""
+        vertices, triangles = self.counts
+        if not triangles:
+            return {"name": self.name, "vertices": vertices, "triangles": 0}
+        return {
+            "name": self.name,
+            "vertices": vertices,
+            "triangles": triangles,
+            "size_mm": [float(v) for v in self.upper - self.lower],
+            "volume_mm3": self._measured[2],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedMesh(Artifact):
+    """A mesh placed at several positions; copies may touch each other, each is closed by itself.
+
+    Attributes
+    ----------
+    mesh : SurfaceMesh
+    offsets : (k, 3) float64, mm
+        Shifts of the copies.
+    """
+
+    reported: ClassVar[tuple[str, ...]] = (
+        "copies", "mesh.vertices", "mesh.triangles", "mesh.size_mm.#3", "mesh.volume_mm3",
+    )  # fmt: skip
+
+    mesh: SurfaceMesh
+    offsets: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "offsets", frozen(np.asarray(self.offsets, np.float64).reshape(-1, 3)))
+
+    def check(self) -> None:
+        """A valid mesh, and finite positions."""
+        self.mesh.check()
+        if not np.isfinite(self.offsets).all():
+            raise ValueError("the places of copies must be finite")
+
+    def whole(self) -> SurfaceMesh:
+        """One mesh of all copies; surfaces at which copies touch stay within it.
+
+        Raises
+        ------
+        DesignError
+            If it would have more vertices than 32 bits count.
+        """
+        n, copies = len(self.mesh.vertices), len(self.offsets)
+        if n * copies > _MOST_VERTICES:
+            raise DesignError(
+                f"{copies} copies of {self.mesh.name!r} have {n * copies} vertices; one mesh counts {_MOST_VERTICES}",
+                hint="write a .glb file or `copies: components`, which place copies, or slice without a mesh",
+            )
+        vertices = (self.offsets[:, None] + self.mesh.vertices[None]).reshape(-1, 3)
+        faces = (np.arange(copies, dtype=np.int32)[:, None, None] * np.int32(n) + self.mesh.faces).reshape(-1, 3)
+        return SurfaceMesh(vertices, faces, name=self.mesh.name)
+
+    def summary(self) -> dict[str, Any]:
+        """The mesh's numbers and the number of copies."""
+        return {"copies": len(self.offsets), "mesh": self.mesh.summary()}

@@ -1,0 +1,188 @@
+"""Pores of a cell, or of all the interiors and colored faces of a tile set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows, twin_rows, whole_numbers
+from sppm_pipeline.nouns.length import Cell, parse_length
+from sppm_pipeline.nouns.palette import Blocks
+from sppm_pipeline.services.distinct import distinct
+
+_ROUNDING = 1e-9
+"""How far, in cell sizes, a pore may lie outside of its cell by rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoreSet(Artifact):
+    """Pore centers, grouped by the piece of the cell they belong to.
+
+    Pieces are numbered: interior t is piece t; the face pattern perpendicular to `axis` with color k is piece
+    ``interiors + sum(colors[:axis]) + k``. A face pore is listed once, in the plane coordinate 0 of its axis; its
+    twin on the opposite face is its image at coordinate 1 (paper, section 2.1, "Boundary Periodicity Regulation").
+    Pores on an edge or a corner belong to one face pattern that touches it, in the low planes: they have two or three
+    coordinates 0 and images at both ends of each of these.
+
+    Attributes
+    ----------
+    cell : Cell
+    centers : (n, 3) float64, cell sizes
+    piece : (n,) int32
+    interiors : int
+    colors : tuple of 3 ints
+        Number of face patterns perpendicular to x, y, z; zeros where no pores were put on faces.
+    spacing : float or None
+        Smallest distance the sampler kept between pores, cell sizes.
+    blocks : Blocks or None
+        Where the interiors lie, if they are blocks of a lattice without faces. Pores are then sorted by interior.
+    """
+
+    reported: ClassVar[tuple[str, ...]] = ("pores", "face_pores", "interiors", "colors.#3", "pores_per_cell", "spacing")
+
+    cell: Cell
+    centers: NDArray[np.float64]
+    piece: NDArray[np.int32]
+    interiors: int = 1
+    colors: tuple[int, int, int] = (0, 0, 0)
+    spacing: float | None = None
+    blocks: Blocks | None = None
+
+    def __post_init__(self) -> None:
+        centers = in_rows(np.asarray(self.centers, np.float64), 3, "pore centers")
+        # of a view a copy is made, so that the array of whoever calls stays theirs
+        object.__setattr__(self, "centers", frozen(centers.reshape(-1, 3)))
+        object.__setattr__(self, "piece", frozen(whole_numbers(self.piece, np.int32, "the pieces of pores")))
+
+    @classmethod
+    def from_array(
+        cls, centers: ArrayLike, *, edge: str | float | None = None, spacing: float | None = None
+    ) -> PoreSet:
+        """The pores of one cell, none of them on a face.
+
+        Parameters
+        ----------
+        centers : (n, 3) array_like
+            In the unit cube.
+        edge : str or float, optional
+            Edge of the cell with a unit, for instance ``"7.5 mm"``, or in mm; without it the cell has no physical size.
+        spacing : float, optional
+            Smallest distance between the pores, cell sizes.
+
+        Raises
+        ------
+        ValueError
+            If a center is not finite or outside of the cell, or two are equal.
+        """
+        points = in_rows(np.array(centers, np.float64), 3, "pore centers")
+        cell = Cell() if edge is None else Cell(parse_length(edge).mm(), physical=True)
+        pores = cls(cell, points, np.zeros(len(points), np.int32), spacing=spacing)
+        pores.check()
+        return pores
+
+    def check(self) -> None:
+        """Shapes, range of the pieces, centers inside the cell and all different, faces lying in their planes."""
+        if self.interiors < 1 or len(self.colors) != 3 or min(self.colors) < 0:
+            raise ValueError(
+                f"a cell has an interior and face colors of 3 axes, got {self.interiors} and {self.colors}"
+            )
+        if self.piece.shape != (len(self.centers),):
+            raise ValueError(f"{len(self.centers)} pores but {self.piece.shape} piece numbers")
+        if not np.isfinite(self.centers).all():
+            raise ValueError("pore centers must be finite")
+        if len(self.centers) and not -_ROUNDING <= self.centers.min() <= self.centers.max() <= 1 + _ROUNDING:
+            raise ValueError(
+                f"pore centers lie in the cell, from 0 to 1 (cell sizes), got {self.centers.min():g} to "
+                f"{self.centers.max():g}"
+            )
+        if len(self.piece) and not 0 <= self.piece.min() <= self.piece.max() < self.interiors + sum(self.colors):
+            raise ValueError("a pore belongs to a piece that does not exist")
+        if self.blocks is not None and (self.has_faces or (np.diff(self.piece) < 0).any()):
+            raise ValueError("pores of blocks are sorted by block, and none lies on a face")
+        for axis in range(3):
+            on_face = self.axis_of_piece()[self.piece] == axis
+            if on_face.any() and np.abs(self.centers[on_face, axis]).max() > 0:
+                raise ValueError(f"face pores perpendicular to axis {axis} must have coordinate 0 there")
+        # 0.0 is added as -0.0 has other bytes than 0.0
+        twins = twin_rows(*(self.centers + 0.0).T, self.piece.astype(np.int64)) if len(self.centers) else None
+        if twins is not None:
+            first, second = twins
+            x, y, z = self.centers[first]
+            raise ValueError(
+                f"pores {first} and {second} of piece {self.piece[first]} are one: both lie at ({x:g}, {y:g}, {z:g})"
+            )
+
+    @property
+    def has_faces(self) -> bool:
+        """Whether pores were put on the faces of the cell."""
+        return sum(self.colors) > 0
+
+    def axis_of_piece(self) -> NDArray[np.int64]:
+        """For each piece its face axis 0, 1, 2, or -1 for interiors."""
+        return np.repeat([-1, 0, 1, 2], [self.interiors, *self.colors])
+
+    def around_edges(self) -> NDArray[np.float64]:
+        """Places of all pores on edges and corners, of all colors, at all edges and corners of the cell, (k, 3)."""
+        lying = (self.piece >= self.interiors) & ((self.centers == 0).sum(1) > 1)
+        low = distinct(self.centers[lying], axis=0)
+        for axis in range(3):
+            low = np.concatenate([low, low[low[:, axis] == 0] + np.eye(3)[axis]])
+        return low
+
+    def face_piece(self, axis: int, color: int) -> int:
+        """Piece number of a face pattern."""
+        return self.interiors + sum(self.colors[:axis]) + color
+
+    def face_pieces(self, axes: NDArray[np.integer], colors: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Piece numbers of many face patterns, (p,) int64."""
+        first = self.interiors + np.cumsum([0, *self.colors[:2]])
+        pieces: NDArray[np.int64] = first[axes] + colors
+        return pieces
+
+    def indices(self, piece: int) -> NDArray[np.int64]:
+        """Indices of the pores of one piece."""
+        order, start = self.by_piece
+        return order[start[piece] : start[piece + 1]]
+
+    def of_piece(self, piece: int) -> NDArray[np.float64]:
+        """Centers of one piece, (k, 3)."""
+        return self.centers[self.indices(piece)]
+
+    @cached_property
+    def by_piece(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Pores in the order of their pieces, (n,) int64, and where each piece begins there, (pieces + 1,) int64."""
+        count = np.bincount(self.piece, minlength=self.interiors + sum(self.colors))
+        return np.argsort(self.piece, kind="stable"), np.concatenate([[0], np.cumsum(count)])
+
+    def extended(self, centers: NDArray[np.float64], piece: NDArray[np.int32], **changes: Any) -> PoreSet:
+        """The same set with more pores."""
+        values: dict[str, Any] = {
+            "cell": self.cell, "interiors": self.interiors, "colors": self.colors, "spacing": self.spacing,
+            "blocks": self.blocks,
+        } | changes  # fmt: skip
+        return PoreSet(
+            centers=np.concatenate([self.centers, centers]), piece=np.concatenate([self.piece, piece]), **values
+        )
+
+    @property
+    def per_cell(self) -> float:
+        """Mean number of pores of one cell, each face counted once."""
+        axis_of_pore = self.axis_of_piece()[self.piece]
+        faces = sum(float((axis_of_pore == axis).sum()) / self.colors[axis] for axis in range(3) if self.colors[axis])
+        return faces + float((axis_of_pore < 0).sum()) / self.interiors
+
+    def summary(self) -> dict[str, Any]:
+        """Counts; `pores_per_cell` is the mean number of pores of one cell, each face counted once."""
+        on_face = self.piece >= self.interiors
+        return {
+            "pores": len(self.centers),
+            "face_pores": int(on_face.sum()),
+            "interiors": self.interiors,
+            "colors": list(self.colors),
+            "pores_per_cell": self.per_cell,
+            "spacing": self.spacing,
+        }

@@ -1,0 +1,62 @@
+"""Capsules, balls swept along segments: the holes by which a part drains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.grid import Grid
+
+Window = tuple[slice, slice, slice]
+
+
+def depths_in_capsules(
+    grid: Grid, capsules: Sequence[Sequence[float]] | NDArray[np.float64], margin: float = 0.0
+) -> Iterator[tuple[Window, NDArray[np.float32]]]:
+    """How deep samples lie in each capsule, where any does.
+
+    Parameters
+    ----------
+    grid : Grid
+    capsules : (n, 7) floats
+        Both ends (x, y, z) of the segment and the radius.
+    margin : float
+        How far samples outside are told as well.
+
+    Yields
+    ------
+    window : 3 slices
+        Along z, y, x of the grid.
+    depth : (nz, ny, nx) float32
+        Radius minus the distance from the segment, positive inside; the same bits however the grid is cut into layers.
+    """
+    rows = np.reshape(np.asarray(capsules, np.float64), (-1, 7))
+    heights, reach = rows[:, [2, 5]], rows[:, 6] + margin
+    low, high = grid.origin[2], grid.origin[2] + grid.spacing[2] * grid.shape[2]
+    near = (heights.min(1, initial=np.inf) - reach <= high) & (heights.max(1, initial=-np.inf) + reach >= low)
+    for row in rows[near]:
+        a, b, radius = row[:3], row[3:6], float(row[6])
+        window = []
+        for axis in (2, 1, 0):
+            lowest, highest = min(a[axis], b[axis]) - radius - margin, max(a[axis], b[axis]) + radius + margin
+            first = math.floor((lowest - grid.origin[axis]) / grid.spacing[axis])
+            last = math.ceil((highest - grid.origin[axis]) / grid.spacing[axis])
+            window.append(slice(max(0, first), max(0, min(grid.shape[axis], last + 1))))
+        z, y, x = (
+            grid.axis(axis)[one].reshape([-1 if i == 2 - axis else 1 for i in range(3)])
+            for axis, one in zip((2, 1, 0), window, strict=True)
+        )
+        if not (z.size and y.size and x.size):
+            continue
+        offset, along = (x - a[0], y - a[1], z - a[2]), b - a
+        length2 = float(along @ along)
+        dot = offset[0] * along[0] + offset[1] * along[1] + offset[2] * along[2]
+        t = np.clip(dot / length2, 0, 1) if length2 else np.zeros_like(dot)
+        squares = [(o - t * d) ** 2 for o, d in zip(offset, along, strict=True)]
+        yield (
+            (window[0], window[1], window[2]),
+            (radius - np.sqrt(squares[0] + squares[1] + squares[2])).astype(np.float32),
+        )

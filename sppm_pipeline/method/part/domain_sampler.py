@@ -1,0 +1,171 @@
+"""Inside test of, and signed distance from, a mesh, layer by layer of one grid."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.services.grid import Grid
+
+if TYPE_CHECKING:
+    from sppm_pipeline.method.part.crossings import Crossings
+    from sppm_pipeline.method.part.inside import Method
+    from sppm_pipeline.method.part.ray_crossings import Scan
+    from sppm_pipeline.method.part.spanned import SpannedScan
+    from sppm_pipeline.method.part.three_axis import ThreeAxisScan
+
+DISTANCE_SAMPLES = 2**22
+"""Samples whose distance from the domain is found at a time."""
+
+ROUNDING = 2.0**-20
+"""Distances from the domain below this fraction of the spacing are taken for zero; a choice, far above rounding."""
+
+VOTED_LAYERS = 64
+"""Layers that are decided together where rays along all axes vote."""
+
+
+class DomainSampler:
+    """A domain on one grid: what all layers need is prepared once, and the last block of layers is kept.
+
+    Parameters
+    ----------
+    domain : SurfaceMesh
+        mm.
+    of : Grid
+        The grid as the caller knows it.
+    world : Grid
+        The same grid in mm.
+    skin_mm : float
+        Thickness of the skin; distances are needed up to it.
+    method : {"scanline", "winding", "vote"}
+        The inside test.
+    skin_faces : (n,) int32, optional
+        The triangles that have a skin; all of them if omitted.
+    """
+
+    def __init__(
+        self,
+        domain: SurfaceMesh,
+        of: Grid,
+        world: Grid,
+        skin_mm: float,
+        method: Method,
+        skin_faces: NDArray[np.int32] | None = None,
+    ) -> None:
+        self.of = of
+        self._domain = domain
+        self._world = world
+        self._skin_mm = skin_mm
+        self._method = method
+        self._scan: Scan | SpannedScan | ThreeAxisScan | None = None
+        self._voted: tuple[int, int, NDArray[np.uint8]] | None = None
+        self._triangles: NDArray[np.float64] | None = None
+        self._normals: NDArray[np.float64] | None = None
+        self._skin_faces = skin_faces
+        self._skin_corners: NDArray[np.float64] | None = None
+        self._kept: dict[str, tuple[int, NDArray[np.float32]]] = {}
+
+    def inside(self, start: int, stop: int) -> NDArray[np.uint8]:
+        """Which voxels of the layers start <= k < stop lie in the domain."""
+        from sppm_pipeline.method.part.inside import inside_layers, prepare_inside
+
+        if self._scan is None:
+            self._scan = prepare_inside(self._domain.vertices, self._domain.faces, self._world, self._method)
+        if self._method != "vote":
+            return inside_layers(self._scan, start, stop).mask
+        # a vote costs as much for one layer as for many, so layers are asked for in thick blocks
+        if self._voted is None or not self._voted[0] <= start <= stop <= self._voted[1]:
+            last = min(self._world.shape[2], max(stop, start + VOTED_LAYERS))
+            self._voted = (start, last, inside_layers(self._scan, start, last).mask)
+        first, _, block = self._voted
+        return block[start - first : stop - first].copy()
+
+    def inside_bits(self, start: int, stop: int) -> NDArray[np.uint64]:
+        """`inside` as bits, (stop - start, ny, words), see `numerics.bit_rows`."""
+        from sppm_pipeline.method.part.inside import prepare_inside
+        from sppm_pipeline.method.part.ray_crossings import Scan
+        from sppm_pipeline.method.part.scanline import scan_bits
+        from sppm_pipeline.services.bit_rows import pack
+
+        if self._scan is None:
+            self._scan = prepare_inside(self._domain.vertices, self._domain.faces, self._world, self._method)
+        if isinstance(self._scan, Scan):
+            return scan_bits(self._scan, start, stop)
+        return pack(self.inside(start, stop))
+
+    def distance(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Signed distance from the domain in the layers start <= k < stop, mm."""
+        return self._in_blocks("domain", start, stop)
+
+    def skin_distance(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Distance from the triangles that have a skin, without a sign, in the layers start <= k < stop, mm."""
+        return self._in_blocks("skin", start, stop)
+
+    def add_skin(self, start: int, inside: NDArray[np.uint8], solid: NDArray[np.uint8]) -> None:
+        """Make solid what is inside and within the skin of its triangles, in layers from `start` on; in place."""
+        from sppm_pipeline.method.part.chosen_faces import add_skin_on
+
+        add_skin_on(self._chosen(), self._world, start, self._skin_mm, inside, solid)
+
+    def _in_blocks(self, what: str, start: int, stop: int) -> NDArray[np.float32]:
+        """Distances in layers start <= k < stop.
+
+        Each is computed in blocks that belong to the grid, whichever layers are asked for: where the skin is thick, the
+        distance in a block depends a little on where the block ends.
+        """
+        nx, ny, nz = self._world.shape
+        block = max(1, DISTANCE_SAMPLES // (nx * ny), 4 * math.ceil(self._skin_mm / self._world.spacing[2]))
+        out = np.empty((stop - start, ny, nx), np.float32)
+        for number in range(start // block, -(-stop // block)):
+            first, last = number * block, min(nz, (number + 1) * block)
+            if what not in self._kept or self._kept[what][0] != number:
+                compute = self._signed_distance if what == "domain" else self._skin_distance
+                self._kept[what] = number, compute(first, last)
+            low, high = max(start, first), min(stop, last)
+            out[low - start : high - start] = self._kept[what][1][low - first : high - first]
+        return out
+
+    def _skin_distance(self, first: int, last: int) -> NDArray[np.float32]:
+        from sppm_pipeline.method.part.signed_distance import distance_layers
+
+        return distance_layers(self._chosen(), self._world, first, last, max(self._world.spacing) + self._skin_mm)
+
+    def _signed_distance(self, first: int, last: int) -> NDArray[np.float32]:
+        from sppm_pipeline.method.part.signed_distance import distance_layers, reach_bare_borders
+
+        spacing = self._world.spacing
+        reach = max(spacing) + (self._skin_mm if self._skin_faces is None else 0.0)
+        distance = distance_layers(self._corners(), self._world, first, last, reach)
+        halo = 0 if self._method == "scanline" else math.ceil(reach / spacing[2])
+        low, high = max(0, first - halo), min(self._world.shape[2], last + halo)
+        around = self.inside(low, high)
+        if halo:
+            reach_bare_borders(distance, around, first - low, spacing)
+        inside = around[first - low : last - low].view(bool)
+        np.negative(distance, out=distance, where=inside)
+        # Nodes on the surface itself, as those of a box often are, are void whatever way their distance is rounded: a
+        # face of the part is then flat.
+        distance[np.abs(distance) < ROUNDING * min(spacing)] = 0.0
+        return distance
+
+    def crossings(self, start: int, stop: int) -> Crossings:
+        """Where grid edges that begin in the layers start <= k < stop pierce the triangles of the domain."""
+        from sppm_pipeline.method.part.crossings import grid_crossings, unit_normals
+
+        if self._normals is None:
+            self._normals = unit_normals(self._corners())
+        return grid_crossings(self._corners(), self._normals, self._world, start, stop)
+
+    def _chosen(self) -> NDArray[np.float64]:
+        if self._skin_corners is None:
+            self._skin_corners = np.ascontiguousarray(self._corners()[self._skin_faces])
+        return self._skin_corners
+
+    def _corners(self) -> NDArray[np.float64]:
+        if self._triangles is None:
+            self._triangles = self._domain.vertices[self._domain.faces]
+        return self._triangles

@@ -1,0 +1,311 @@
+"""A part: a field cut by a domain, with an optional solid skin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.fields.wrapped import WrappedField
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.capsules import depths_in_capsules
+from sppm_pipeline.method.part.domain_sampler import DomainSampler
+from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.services.grid import Grid
+
+if TYPE_CHECKING:
+    from sppm_pipeline.method.part.crossings import Crossings
+    from sppm_pipeline.method.part.inside import Method
+    from sppm_pipeline.nouns.length import Length
+    from sppm_pipeline.nouns.size import Size
+
+COARSE_VOXELS = 2**20
+"""Voxels of the grid on which a part is looked at as a whole: a choice, for some tenths of a second."""
+
+COARSE_ALONG = 48
+"""Voxels along the longest side of a part whose skin would allow for larger ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part(WrappedField):
+    """The intersection of a microstructure with a domain, evaluated where somebody samples it (paper, section 2.4).
+
+    Attributes
+    ----------
+    base : ScalarField
+        The microstructure; has a physical size.
+    domain : SurfaceMesh
+        The part to fill, mm.
+    skin_mm : float
+        Thickness of the solid skin inside the domain's surface; 0 for none.
+    skin_faces : (n,) int32 or None
+        The triangles of the domain that have the skin: what is within its thickness of one of them. None for all.
+    islands : {"remove", "keep"}
+        Whether solid that is not connected to the largest component is left out where the part is sliced or meshed.
+    inside : {"scanline", "winding", "vote"} or None
+        Method of the inside test of the domain; None for the first if the domain bounds a solid, else the second.
+    drains : tuple of tuples of 7 floats
+        Capsules (both ends of a segment, radius), mm, that are void in skin and microstructure alike.
+    fills : (n, 7) float64
+        Capsules that are solid as far as they lie in the domain; drains win over them.
+    """
+
+    domain: SurfaceMesh
+    skin_mm: float = 0.0
+    islands: str = "remove"
+    inside: Method | None = None
+    drains: tuple[tuple[float, ...], ...] = ()
+    skin_faces: NDArray[np.int32] | None = None
+    fills: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fills", frozen(np.asarray(self.fills, np.float64)))
+        if self.skin_faces is not None:
+            object.__setattr__(self, "skin_faces", frozen(np.asarray(self.skin_faces, np.int32)))
+
+    @property
+    def periodic(self) -> bool:
+        return False
+
+    @property
+    def method(self) -> Method:
+        """Method of the inside test of the domain."""
+        from sppm_pipeline.method.part.inside import way_for
+
+        return self.inside or way_for(self.domain.bounds_solid)
+
+    def check(self) -> None:
+        """Drains are capsules with a radius."""
+        super().check()
+        for drain in self.drains:
+            if len(drain) != 7 or not all(math.isfinite(number) for number in drain) or drain[6] <= 0:
+                raise ValueError(f"a drain is two ends (x, y, z) and a positive radius, 7 numbers in mm, not {drain}")
+        chosen = self.skin_faces
+        if chosen is not None and len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(self.domain.faces):
+            raise ValueError("the skin is on a triangle that the domain does not have")
+        if self.fills.shape[1:] != (7,) or not np.isfinite(self.fills).all() or not (self.fills[:, 6] > 0).all():
+            raise ValueError("fills are rows of two ends (x, y, z) and a positive radius, 7 numbers in mm")
+
+    def in_mm(self, grid: Grid) -> Grid:
+        """`grid`, given in cell sizes, in world millimeters."""
+        edge = self.physical_edge()
+        x, y, z = (o + edge * g for o, g in zip(self.origin_mm, grid.origin, strict=True))
+        hx, hy, hz = (edge * h for h in grid.spacing)
+        return Grid((x, y, z), (hx, hy, hz), grid.shape)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        """The larger of the microstructure's field and the distance from the domain in cell sizes.
+
+        Who extracts a surface takes both apart, as their sizes have nothing to do with each other.
+        """
+        inner, outer = self.apart_zyx(grid, threads, start, stop)
+        return np.maximum(inner, outer, out=outer).T
+
+    def apart_zyx(
+        self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The microstructure's field, made solid inside the skin, and the distance from the domain in cell sizes.
+
+        Both for kernels, (stop - start, ny, nx).
+        The distance is cut off one spacing from the surface of the domain; with a skin, as much farther as that is
+        thick. Layers start <= k < stop of the grid, all of them unless given.
+        """
+        inner, skin, outer = self.fields_zyx(grid, threads, start, stop)
+        if skin is not None:
+            # farther in, the microstructure decides alone; a distance cut off would lie between
+            deep = skin >= np.float32(0.999 * max(grid.spacing) - 0.001 * self.skin_mm / self.physical_edge())
+            np.minimum(inner, skin, out=inner, where=~deep)
+        return inner, outer
+
+    def fields_zyx(
+        self, grid: Grid, threads: int = 1, start: int = 0, stop: int | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32]]:
+        """The fields of the microstructure, of the skin (None without one) and of the domain; see `apart_zyx`.
+
+        Solid is where the domain's field is negative and one of the other two as well. Those of the domain and of the
+        skin are distances in cell sizes; that of the microstructure is steeper or flatter.
+        """
+        stop = grid.shape[2] if stop is None else stop
+        inner = self.base.sample_zyx(grid, start, stop, threads)
+        outer = self._in_domain(grid).distance(start, stop)
+        edge = np.float32(self.physical_edge())
+        outer /= edge
+        skin = None
+        if self.skin_mm:
+            away = -outer if self.skin_faces is None else self._in_domain(grid).skin_distance(start, stop) / edge
+            skin = away - np.float32(self.skin_mm) / edge
+        return self._filled_and_drained_field(inner, skin, grid, start, stop), skin, outer
+
+    def within_zyx(
+        self, grid: Grid, threads: int, start: int, stop: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.bool_]]:
+        """The fields of the microstructure and of the skin as in `fields_zyx`, and which samples the domain holds."""
+        inside = self._in_domain(grid).inside(start, stop).view(np.bool_)
+        if self.skin_mm:
+            return *self.fields_zyx(grid, threads, start, stop)[:2], inside
+        inner = self.base.sample_zyx(grid, start, stop, threads)
+        return self._filled_and_drained_field(inner, None, grid, start, stop), None, inside
+
+    def _filled_and_drained_field(
+        self, inner: NDArray[np.float32], skin: NDArray[np.float32] | None, grid: Grid, start: int, stop: int
+    ) -> NDArray[np.float32]:
+        """The microstructure's field with fills in it and drains taken out, of the skin's as well, which is changed."""
+        if not (len(self.fills) or len(self.drains)):
+            return inner
+        inner = inner.copy()  # what a field hands out may be its own
+        world, edge = self.in_mm(grid), np.float32(self.physical_edge())
+        layers, margin = world.layers(start, stop), 2 * max(world.spacing)
+        for window, depth in depths_in_capsules(layers, self.fills, margin):
+            np.minimum(inner[window], depth / -edge, out=inner[window])
+        for window, depth in depths_in_capsules(layers, self.drains, margin):
+            for values in (inner, skin):
+                if values is not None:
+                    np.maximum(values[window], depth / edge, out=values[window])
+        return inner
+
+    def cut_zyx(
+        self, grid: Grid, threads: int, start: int, stop: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32], Crossings]:
+        """`fields_zyx`, and where grid edges that begin in these layers pierce the triangles of the domain.
+
+        Of the domain's field only the sign counts where these are known: without a skin and drains, a closed domain is
+        -1 inside and 1 outside. Nodes on its surface are outside, whatever way their place is rounded, so that faces
+        are flat.
+        """
+        from sppm_pipeline.method.part.crossings import on_surface
+
+        domain = self._in_domain(grid)
+        crossings = domain.crossings(start, stop)
+        if self.skin_mm or self.drains or self.method != "scanline":
+            return *self.fields_zyx(grid, threads, start, stop), crossings
+        inside = domain.inside(start, stop).view(np.bool_)
+        inside &= ~on_surface(crossings, grid, start, stop)
+        outer = np.where(inside, np.float32(-1), np.float32(1))
+        inner = self.base.sample_zyx(grid, start, stop, threads)
+        return self._filled_and_drained_field(inner, None, grid, start, stop), None, outer, crossings
+
+    def solid_layers(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint8]:
+        from sppm_pipeline.method.assembly.occupancy import row_spans
+
+        if not self.skin_mm or self.skin_faces is not None:
+            domain = self._in_domain(grid)
+            inside = domain.inside(start, stop)
+            solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
+            solid &= inside
+            if self.skin_mm:
+                domain.add_skin(start, inside, solid)
+            return self._filled_and_drained(solid, inside, grid, start, stop).T
+        from sppm_pipeline.method.part.skin import halo_layers, skin_layers
+
+        spacing = self.in_mm(grid).spacing
+        halo = halo_layers(self.skin_mm, spacing[2])
+        first, last = max(0, start - halo), min(grid.shape[2], stop + halo)
+        around = self._in_domain(grid).inside(first, last)
+        inside = around[start - first : stop - first]
+        solid = self.base.solid_zyx(grid, start, stop, threads, row_spans(inside))
+        solid &= inside
+        solid |= skin_layers(around, spacing, self.skin_mm, start - first, last - stop)
+        return self._filled_and_drained(solid, inside, grid, start, stop).T
+
+    def solid_bits(
+        self, grid: Grid, start: int, stop: int, threads: int = 1, wanted: NDArray[np.int32] | None = None
+    ) -> NDArray[np.uint64]:
+        if self.skin_mm or self.drains or len(self.fills):
+            return super().solid_bits(grid, start, stop, threads, wanted)
+        from sppm_pipeline.method.assembly.occupancy import row_spans_of_bits
+
+        inside = self._in_domain(grid).inside_bits(start, stop)
+        solid = self.base.solid_bits(grid, start, stop, threads, row_spans_of_bits(inside))
+        solid &= inside
+        return solid
+
+    def slabs_in_threads(self, grid: Grid) -> bool:
+        if self.method != "scanline" or not self.base.slabs_in_threads(grid):
+            return False
+        self._in_domain(grid).inside(0, 0)
+        return True
+
+    def _filled_and_drained(
+        self, solid: NDArray[np.uint8], inside: NDArray[np.uint8], grid: Grid, start: int, stop: int
+    ) -> NDArray[np.uint8]:
+        """The layers with what fills add in the domain, and without what drains take away."""
+        layers = self.in_mm(grid).layers(start, stop)
+        for window, depth in depths_in_capsules(layers, self.fills):
+            solid[window] |= inside[window] & (depth > 0)
+        for window, depth in depths_in_capsules(layers, self.drains):
+            solid[window][depth > 0] = 0
+        return solid
+
+    def coarse_pitch(self) -> float:
+        """Edge of the voxels, mm, of which there are about `COARSE_VOXELS` in the box of the part."""
+        extent = np.asarray(self.domain.upper - self.domain.lower)
+        fine = self.skin_mm / 1.5 or math.inf
+        return float(max(min(fine, extent.max() / COARSE_ALONG), math.cbrt(extent.prod() / COARSE_VOXELS)))
+
+    def coarse_solid(self, threads: int = 1, pitch: float | None = None) -> tuple[NDArray[np.uint8], Grid]:
+        """The part on cubes of a pitch, mm, (nz, ny, nx) uint8, and their centers in mm; a margin is void.
+
+        The pitch is `coarse_pitch` if omitted. A skin thinner than it is taken as thick, so that it stays closed.
+        """
+        lower, extent = np.asarray(self.domain.lower), np.asarray(self.domain.upper - self.domain.lower)
+        pitch = self.coarse_pitch() if pitch is None else pitch
+        nx, ny, nz = (int(n) + 2 for n in np.ceil(extent / pitch))
+        edge = self.physical_edge()
+        x, y, z = ((lower - pitch / 2 - self.origin_mm) / edge).tolist()
+        grid = Grid((x, y, z), (pitch / edge,) * 3, (nx, ny, nz))
+        thick = replace(self, skin_mm=max(self.skin_mm, 1.01 * pitch)) if self.skin_mm else self
+        return thick.solid_zyx(grid, 0, nz, threads), self.in_mm(grid)
+
+    def inside_zyx(self, grid: Grid, start: int, stop: int) -> NDArray[np.uint8]:
+        """Which samples of a grid lie in the domain, skin included, (stop - start, ny, nx) uint8."""
+        return self._in_domain(grid).inside(start, stop)
+
+    def skin_gap(self, voxel_mm: tuple[float, float, float]) -> str | None:
+        """Warning for voxels larger than the skin is thick, which leave it open; None for smaller ones."""
+        largest = max(voxel_mm)
+        if not 0 < self.skin_mm < largest * (1 - 1e-6):
+            return None
+        which = "layers" if voxel_mm[2] == largest else "pixels"
+        return (
+            f"the skin of {self.skin_mm:g} mm is thinner than {which} of {largest:g} mm, which leaves it open across "
+            f"them; make it thicker, or the {which} finer"
+        )
+
+    def _in_domain(self, grid: Grid) -> DomainSampler:
+        """The sampler of the domain on a grid; the last one is kept, as slab after slab asks for the same grid."""
+        sampler = _SAMPLERS.get(self)
+        if sampler is None or sampler.of != grid:
+            world = self.in_mm(grid)
+            sampler = DomainSampler(self.domain, grid, world, self.skin_mm, self.method, self.skin_faces)
+            _SAMPLERS[self] = sampler
+        return sampler
+
+    def summary(self) -> dict[str, Any]:
+        """The domain's and the lattice's size."""
+        return {
+            "domain": self.domain.summary(),
+            "skin_mm": self.skin_mm,
+            **({} if self.skin_faces is None else {"skin_triangles": len(self.skin_faces)}),
+            "drains": len(self.drains),
+            "fills": len(self.fills),
+            "islands": self.islands,
+            "inside": self.method,
+            "cells": list(self.cells),
+        }
+
+
+def coarse_size(part: Size, pitch: Length | None = None) -> Size:
+    """Expected work of `Part.coarse_solid`, as for a part without a thin skin, which wants finer voxels."""
+    body = part.body
+    extent = [body.scale * side for side in body.box]
+    own = max(max(extent) / COARSE_ALONG, math.cbrt(math.prod(extent) / COARSE_VOXELS))
+    return replace(part.grid(body.scale / (own if pitch is None else pitch.mm())), nodes=part.nodes)
+
+
+_SAMPLERS: WeakKeyDictionary[Part, DomainSampler] = WeakKeyDictionary()

@@ -1,0 +1,341 @@
+"""Pictures of fields, meshes and tile sets: what is solid, seen by rays; cut faces in a color of their own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.features.surface.field_surface import node_grid
+from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.nouns.artifact import NOTEBOOK_SIZE, png_of
+from sppm_pipeline.services.grid import Grid
+
+if TYPE_CHECKING:
+    from sppm_pipeline.method.pictures.solid_view import Colors, Solid
+    from sppm_pipeline.services.pictures.camera import Camera, Frame
+    from sppm_pipeline.services.pictures.shading import Background
+
+MAX_SAMPLES = 64_000_000
+"""Samples of a field for one picture; finer grids are coarsened, as no pixel would show the difference."""
+
+MAX_TILES = 64
+"""Tiles on a sheet."""
+
+SLAB_SAMPLES = 2**20
+"""Samples taken at a time."""
+
+_BEYOND = 2  # samples; a choice
+
+_BOX_FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+     [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Something to be seen, sampled once for any number of views.
+
+    Attributes
+    ----------
+    solid : Solid
+        In the unit of length of what is seen: cell sizes, or of a mesh millimeters.
+    unit_mm : float or None
+        That unit, mm; None if it has no physical size.
+    removed_share : float
+        Islands that were left out, as a share of the solid samples.
+    colors : Colors
+    """
+
+    solid: Solid
+    unit_mm: float | None
+    removed_share: float
+    colors: Colors
+
+    def frame(self, size: tuple[int, int], camera: Camera) -> Frame:
+        """The camera, pointed at the whole, cut or not."""
+        from sppm_pipeline.services.pictures.camera import framed
+
+        return framed(camera, self.solid.vertices[np.unique(self.solid.faces)], size)
+
+    def picture(
+        self,
+        size: tuple[int, int],
+        camera: Camera,
+        *,
+        section: float | None = None,
+        section_along: str = "y",
+        annotate: bool = False,
+        background: Background = "light",
+        threads: int = 1,
+    ) -> NDArray[np.uint8]:
+        """A view (height, width, 3), or with a transparent background (height, width, 4) uint8.
+
+        Parameters
+        ----------
+        size : (width, height)
+        camera : Camera
+        section : float, optional
+            Keep only this fraction along `section_along`, the side away from the viewer, to look inside.
+        section_along : {"x", "y", "z"}
+        annotate : bool
+            Whether the axes and a scale bar are drawn.
+        background : Background
+        threads : int
+        """
+        from sppm_pipeline.method.pictures.solid_view import render_solid
+        from sppm_pipeline.services.pictures.sheets import annotated
+
+        frame, plane = self.frame(size, camera), None
+        if section is not None:
+            axis = "xyz".index(section_along)
+            side = 1.0 if frame.axes[2, axis] > 0 else -1.0
+            corners = side * self.solid.vertices[np.unique(self.solid.faces), axis]
+            normal = [0.0, 0.0, 0.0]
+            normal[axis] = side
+            low, high = float(corners.min()), float(corners.max())
+            plane = normal, low + section * (high - low)
+        picture = render_solid(
+            self.solid, frame, size, section=plane, colors=self.colors, background=background, threads=threads
+        )
+        return annotated(picture, frame, self.unit_mm, dark=background == "dark") if annotate else picture
+
+
+def scene_of(
+    what: ScalarField | SurfaceMesh,
+    resolution: int,
+    *,
+    threads: int = 1,
+    max_samples: int = MAX_SAMPLES,
+) -> Scene:
+    """What is solid of a field, or what a closed mesh bounds.
+
+    Parameters
+    ----------
+    what : ScalarField or SurfaceMesh
+    resolution : int
+        Samples along a cell edge; fewer if there were more than `max_samples`. A mesh needs none.
+    threads, max_samples : int
+    """
+    from sppm_pipeline.method.pictures.solid_view import COLORS, Solid
+
+    if isinstance(what, SurfaceMesh):
+        grid = Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (2, 2, 2))
+        filled = Solid(grid, what.vertices, what.faces, np.full((2, 2, 2), -1, np.float32))
+        return Scene(filled, 1.0, 0.0, COLORS._replace(domain=COLORS.field))
+    n, grid = resolution, node_grid(what, resolution)
+    while n > 4 and math.prod(grid.shape) > max_samples:
+        n -= 1
+        grid = node_grid(what, n)
+    if isinstance(what, Part):
+        solid, removed = _part_solid(what, grid, threads)
+    else:
+        solid, removed = Solid(grid, *_box(grid), _smooth(what, what.sample_zyx(grid, 0, grid.shape[2], threads))), 0.0
+    return Scene(solid, what.edge_mm, removed, COLORS)
+
+
+def _box(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+    """Vertices and triangles of the box that a grid fills, wound outwards."""
+    ends = [(grid.origin[a], grid.origin[a] + (grid.shape[a] - 1) * grid.spacing[a]) for a in range(3)]
+    return np.array([[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]]), _BOX_FACES
+
+
+def _smooth(field: ScalarField, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logarithms in place of sums of kernels, as less happens between their samples; in place."""
+    from sppm_pipeline.features.surface.numerics.placing import log_of_sums
+
+    return values if field.sum_level is None else log_of_sums(values, field.sum_level)
+
+
+def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
+    """What is solid of a part, without islands if it has none, and the share of these."""
+    from sppm_pipeline.method.pictures.solid_view import Solid
+
+    nx, ny, nz = grid.shape
+    closed = part.method == "scanline"
+    field = np.empty((nz, ny, nx), np.float32)
+    skin = np.empty_like(field) if part.skin_mm else None
+    outer = None if closed else np.empty_like(field)
+    held = np.empty(field.shape if part.islands == "remove" else (0, 0, 0), np.uint8)
+    step = max(1, SLAB_SAMPLES // (nx * ny))
+    for start in range(0, nz, step):
+        layers = slice(start, min(start + step, nz))
+        if outer is None:
+            inner, shell, inside = part.within_zyx(grid, threads, layers.start, layers.stop)
+        else:
+            inner, shell, outer[layers] = part.fields_zyx(grid, threads, layers.start, layers.stop)
+            inside = outer[layers] < 0
+        if held.size:
+            held[layers] = ((inner < 0) if shell is None else (np.minimum(inner, shell) < 0)) & inside
+        field[layers] = _smooth(part.base, inner)
+        if skin is not None:
+            skin[layers] = shell
+    removed = _remove_islands((field,) if skin is None else (field, skin), held) if held.size else 0.0
+    vertices, faces = _box(grid)
+    if closed:
+        vertices, faces = (part.domain.vertices - part.origin_mm) / part.physical_edge(), part.domain.faces
+    solid = Solid(grid, vertices, faces, field)
+    if skin is not None:
+        solid = solid._replace(skin=skin)
+    return solid if outer is None else solid._replace(outer=outer), removed
+
+
+def _remove_islands(fields: tuple[NDArray[np.float32], ...], held: NDArray[np.uint8]) -> float:
+    """Make void what is not connected to the largest component of the samples held by the part; return its share.
+
+    The fields are changed in place. They go on beyond the surface of the part, where solid stays that is within
+    `_BEYOND` samples of what does: enough for the edges of the part, while chips, of which the part holds no sample,
+    vanish.
+    """
+    from sppm_pipeline.method.connectivity.components import find_components
+    from sppm_pipeline.method.connectivity.islands import clear_runs, grown
+
+    found = find_components(held)
+    total, largest = int(found.sizes.sum()), int(found.sizes[:1].sum())
+    beyond = np.logical_and.reduce([field >= 0 for field in fields])
+    np.logical_not(beyond, out=beyond)
+    beyond &= held == 0
+    if largest < total:
+        clear_runs(found.runs.rows, found.runs.bounds, found.of_run == 0, held)
+    stays = held.view(np.bool_)
+    for _ in range(_BEYOND):
+        stays = (grown(stays) & beyond) | held.view(np.bool_)
+    for field in fields:
+        np.negative(field, out=field, where=(field < 0) & ~stays)
+    return (total - largest) / max(1, total)
+
+
+def field_picture(
+    field: ScalarField,
+    resolution: int,
+    size: tuple[int, int],
+    camera: Camera,
+    *,
+    section: float | None = None,
+    threads: int = 1,
+    max_samples: int = MAX_SAMPLES,
+) -> NDArray[np.uint8]:
+    """The solid of a field as a picture (height, width, 3): `scene_of` and a view of it."""
+    scene = scene_of(field, resolution, threads=threads, max_samples=max_samples)
+    return scene.picture(size, camera, section=section, threads=threads)
+
+
+def mesh_picture(
+    mesh: SurfaceMesh,
+    size: tuple[int, int],
+    camera: Camera,
+    *,
+    annotate: bool = False,
+    background: Background = "light",
+    threads: int = 1,
+) -> NDArray[np.uint8]:
+    """The triangles of a mesh, seen from both sides; (height, width, 3), or 4 with a transparent background."""
+    return _triangles(mesh.vertices, mesh.faces, None, 1.0, size, camera, annotate, background, threads)
+
+
+def voxel_picture(
+    image: Voxels,
+    size: tuple[int, int],
+    camera: Camera,
+    *,
+    section: float | None = None,
+    section_along: str = "y",
+    annotate: bool = False,
+    background: Background = "light",
+    threads: int = 1,
+) -> NDArray[np.uint8]:
+    """The voxels of an image that are not void, in colors of their phases, as `mesh_picture` shows triangles.
+
+    Only every second or third voxel of larger images than `MAX_SAMPLES` is looked at; no pixel would show the rest.
+    """
+    from sppm_pipeline.features.crushing.voxel_view import phase_surface
+
+    phases = image.solid().view(np.uint8) if image.fractions else np.asarray(image.values, np.uint8)
+    step = math.ceil((phases.size / MAX_SAMPLES) ** (1 / 3))
+    phases = phases[::step, ::step, ::step]
+    if section is not None:
+        axis = "xyz".index(section_along)
+        n = phases.shape[axis]
+        phases = np.take(phases, range(min(n - 1, round((1 - section) * n)), n), axis)
+    x, y, z = (step * h for h in image.spacing)
+    vertices, faces, colors = phase_surface(phases, (x, y, z))
+    unit_mm = 1.0 if image.physical else None
+    return _triangles(vertices, faces, colors, unit_mm, size, camera, annotate, background, threads)
+
+
+def _triangles(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.integer],
+    colors: NDArray[np.uint8] | None,
+    unit_mm: float | None,
+    size: tuple[int, int],
+    camera: Camera,
+    annotate: bool,
+    background: Background,
+    threads: int,
+) -> NDArray[np.uint8]:
+    """Triangles, in colors of their own or not, and where they are wanted axes and a scale bar."""
+    from sppm_pipeline.services.pictures.camera import framed
+    from sppm_pipeline.services.pictures.mesh_view import render_mesh
+    from sppm_pipeline.services.pictures.sheets import annotated
+
+    picture = render_mesh(
+        vertices, faces, camera=camera, size=size, face_colors=colors, background=background, threads=threads
+    )
+    if not (annotate and len(faces)):
+        return picture
+    frame = framed(camera, vertices[np.unique(faces)], size)
+    return annotated(picture, frame, unit_mm, dark=background == "dark")
+
+
+def tile_sheet(
+    tileset: TileSet,
+    resolution: int,
+    camera: Camera,
+    *,
+    background: Background = "light",
+    threads: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> NDArray[np.uint8]:
+    """Pictures of the tiles of a set, up to `MAX_TILES`, with their colors and porosities."""
+    from sppm_pipeline.services.pictures.sheets import DARK_PAPER, INK, LIGHT_INK, PAPER, contact_sheet
+
+    pictures, labels = [], []
+    c = tileset.palette_colors
+    shown = min(tileset.micro.interiors, MAX_TILES)
+    for t in range(shown):
+        colors = (t // c**2, t // c % c, t % c) if tileset.kind == "wang" else (0, 0, 0)
+        scene = scene_of(tileset.micro.alone(t, colors), resolution, threads=threads)
+        pictures.append(scene.picture((300, 270), camera, background=background, threads=threads))
+        share = f"  {tileset.porosity[t]:.1%}" if t < len(tileset.porosity) else ""
+        name = "".join("xyz"[a] + str(colors[a] + 1) for a in range(3)) if tileset.kind == "wang" else str(t)
+        labels.append(name + share)
+        progress(t + 1, shown)
+    paper, ink = (DARK_PAPER, LIGHT_INK) if background == "dark" else (PAPER, INK)
+    columns = 9 if len(pictures) > 16 else 4
+    return contact_sheet(pictures, labels, columns=columns, background=paper, ink=ink)
+
+
+NOTEBOOK_SAMPLES = 1_500_000
+"""Samples of a field for a picture in a notebook."""
+
+
+def notebook_png(what: ScalarField | TileSet) -> bytes | None:
+    """A small picture for notebooks as PNG; None of kernels that have to be laid out before there is a field."""
+    from sppm_pipeline.services.pictures.camera import Camera
+
+    if isinstance(what, TileSet):
+        return png_of(tile_sheet(what, 24, Camera()))
+    if isinstance(what, Microstructure) and (what.interiors > 1 or max(what.colors) > 1):
+        return None
+    return png_of(field_picture(what, 40, NOTEBOOK_SIZE, Camera(), max_samples=NOTEBOOK_SAMPLES))

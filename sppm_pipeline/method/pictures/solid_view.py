@@ -1,0 +1,240 @@
+"""Pictures of sampled fields by rays: from each pixel through the field, within the triangles that bound the part.
+
+Where a ray is inside the part is known from the triangles themselves. Rims, where the microstructure meets the surface
+of the part, are therefore exact, which they are not on a mesh of the maximum of both fields. A pixel has one ray; those
+on edges, of which a neighbor has another depth, normal or color, get eight more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.connectivity.islands import grown
+from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.services.pictures.camera import Frame, projected
+from sppm_pipeline.services.pictures.mesh_view import vertex_normals
+from sppm_pipeline.services.pictures.rays import RayScene, list_overlaps, trace
+from sppm_pipeline.services.pictures.shading import (
+    BONE,
+    CUT,
+    LINEAR,
+    SKIN,
+    Background,
+    Color,
+    Hidden,
+    Seen,
+    add_light,
+    empty_seen,
+    hidden_sky,
+    lit,
+    on_background,
+)
+from sppm_pipeline.services.threads import in_bands
+
+_BATCH = 2**15  # pixels that are traced at a time
+_BAND = 64  # rows
+_FAR = 3  # blocks without solid around one that are looked for
+
+_NO_VALUES = np.empty((0, 0, 0), np.float32)
+
+# Rays miss the middles of pixels by this, so that views along an axis do not run within faces or through corners.
+_ASIDE = (3.1e-5, 1.7e-5)
+
+# Eight places in a pixel of which no two share a row or column (a solution of the queens' problem), besides its middle.
+_PLACES = (np.stack([np.arange(8), np.array([3, 6, 2, 7, 1, 4, 0, 5])], axis=1) + 0.5) / 8
+
+_SAME_NORMAL = 0.85  # cosine; a choice
+_FLAT = np.float32(0.2)  # cosine; surfaces seen at a smaller angle are as good as steep
+_SAME_DEPTH = 0.75  # pixels by which a neighbor may be off the plane of a sample; a choice
+
+
+class Solid(NamedTuple):
+    """What is solid: negative samples within a mesh.
+
+    Attributes
+    ----------
+    grid : Grid
+        Where the samples are; all spacings are equal.
+    vertices : (n, 3) float64
+        Of the mesh, in the unit of the grid.
+    faces : (m, 3) int
+        They bound the part, wound outwards.
+    field : (nz, ny, nx) float32
+        Negative in the solid of the microstructure.
+    skin : (nz, ny, nx) float32, optional
+        Negative in the skin, which is united with the microstructure.
+    outer : (nz, ny, nx) float32, optional
+        Positive outside of a part whose triangles do not bound it; the mesh is then something around it.
+    """
+
+    grid: Grid
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.integer]
+    field: NDArray[np.float32]
+    skin: NDArray[np.float32] = _NO_VALUES
+    outer: NDArray[np.float32] = _NO_VALUES
+
+
+class Colors(NamedTuple):
+    """Colors of the microstructure's surface, the surface of the part, the skin, and the section plane."""
+
+    field: Color = BONE
+    domain: Color = CUT
+    skin: Color = SKIN
+    section: Color = CUT
+
+
+COLORS = Colors()
+
+
+def _traced(
+    scene: RayScene, pixels: NDArray[np.int64], offsets: NDArray[np.float64], threads: int
+) -> Iterator[tuple[NDArray[np.int64], Seen]]:
+    """Some of the pixels at a time, and what rays through some places of each see, (pixels, places)."""
+    for start in range(0, len(pixels), _BATCH):
+        some = pixels[start : start + _BATCH]
+        shape = len(some), len(offsets)
+        found = empty_seen(shape[1], shape[0])
+        in_bands(partial(trace, scene, some, offsets, *found), len(some), threads)
+        yield some, found
+
+
+def _edges(seen: Seen) -> NDArray[np.int64]:
+    """Pixels whose depth, normal or color jumps to a neighbor in their row or column, by number."""
+    edges = np.zeros(seen.depth.shape, np.bool_)
+    for start in range(0, len(edges), _BAND):  # a band at a time, for memory
+        rows = slice(max(0, start - 1), start + _BAND)
+        depth, normal, color = seen.depth[rows], seen.normal[rows], seen.color[rows]
+        there = np.isfinite(depth)
+        for axis in (0, 1):
+            one = tuple(slice(None, -1) if a == axis else slice(None) for a in (0, 1))
+            two = tuple(slice(1, None) if a == axis else slice(None) for a in (0, 1))
+            both = there[one] & there[two]
+            jump = there[one] != there[two]
+            jump |= both & (color[one] != color[two]).any(2)
+            m, n = normal[one], normal[two]
+            jump |= both & (np.einsum("...i,...i", m, n) < np.float32(_SAME_NORMAL))
+            # a neighbor in the plane of a sample: right is the first coordinate, and rows count downwards
+            toward = m[..., 2] + n[..., 2]
+            rise = m[..., 0] + n[..., 0] if axis == 1 else -m[..., 1] - n[..., 1]
+            step = np.where(both, depth[two], 0) - np.where(both, depth[one], 0)
+            jump |= both & (np.abs(step * toward + rise) > np.float32(_SAME_DEPTH) * np.maximum(np.abs(toward), _FLAT))
+            edges[rows][one] |= jump
+            edges[rows][two] |= jump
+    return np.flatnonzero(edges)
+
+
+def render_solid(
+    solid: Solid,
+    frame: Frame,
+    size: tuple[int, int],
+    *,
+    section: tuple[Sequence[float], float] | None = None,
+    colors: Colors = COLORS,
+    occlusion: float = 1.0,
+    background: Background = "light",
+    antialias: bool = True,
+    threads: int = 1,
+) -> NDArray[np.uint8]:
+    """Picture of a solid.
+
+    Parameters
+    ----------
+    solid : Solid
+    frame : Frame
+        The camera, pointed at the solid for a picture of this size.
+    size : (width, height)
+        In pixels.
+    section : (normal, place), optional
+        A plane, as the unit vector towards what is left out and its distance along that from the origin; the viewer is
+        on that side.
+    colors : Colors
+    occlusion : float
+        Strength of the darkening of pores and creases; 0 leaves it out.
+    background : Background
+        "light" or "dark", which are gradients, "transparent", or one color.
+    antialias : bool
+        Whether pixels on edges get eight rays more.
+    threads : int
+
+    Returns
+    -------
+    (height, width, 3) uint8
+        The picture (sRGB); with a fourth channel, the opacity, if the background is transparent.
+    """
+    width, height = size
+    scene = _scene(solid, frame, size, section, colors)
+    seen = empty_seen(width, height)
+    middle = np.array([[0.5, 0.5]]) + _ASIDE
+    for pixels, found in _traced(scene, np.flatnonzero(np.diff(scene.starts)), middle, threads):
+        rows, columns = np.divmod(pixels, width)
+        seen.depth[rows, columns] = found.depth[:, 0]
+        seen.normal[rows, columns] = found.normal[:, 0]
+        seen.color[rows, columns] = found.color[:, 0]
+    hidden = hidden_sky(seen, threads) if occlusion > 0.0 else Hidden(*(np.zeros_like(seen.depth),) * 2)
+    light = lit(seen, hidden, occlusion)
+    if antialias:
+        strength = np.float32(occlusion)
+        for pixels, more in _traced(scene, _edges(seen), _PLACES + _ASIDE, threads):
+            add = partial(add_light, pixels, *more, seen.depth, *hidden, strength, LINEAR, light)
+            in_bands(add, len(pixels), threads)
+    return on_background(light, background)
+
+
+def _scene(
+    solid: Solid,
+    frame: Frame,
+    size: tuple[int, int],
+    section: tuple[Sequence[float], float] | None,
+    colors: Colors,
+) -> RayScene:
+    width, height = size
+    origin, h = np.array(solid.grid.origin), solid.grid.spacing[0]
+    faces = np.ascontiguousarray(solid.faces, np.int64)
+    places = projected(frame, np.ascontiguousarray(solid.vertices, np.float64))
+    vertices = (solid.vertices - origin) / h
+    starts = np.zeros(width * height + 2, np.int64)
+    list_overlaps(places, faces, width, height, starts[1:], np.empty(0, np.int32))
+    np.cumsum(starts, out=starts)
+    owners = np.empty(max(1, int(starts[-1])), np.int32)
+    list_overlaps(places, faces, width, height, starts, owners)
+    # lengths of the frame in spacings; nearness becomes the reciprocal of such a length
+    places[:, 2] *= h if frame.distance > 0.0 else 1 / h
+    normal, place = section or ((0.0, 0.0, 0.0), 0.0)
+    target = (np.asarray(frame.target) - origin) / h
+    cut = (place - float(np.dot(normal, origin))) / h
+    numbers = [*target, frame.distance / h, frame.scale * h, frame.column, frame.row, *normal, cut, width]
+    return RayScene(
+        solid.field, solid.skin, solid.outer, _void(solid), vertices, faces, vertex_normals(vertices, faces), places,
+        starts, owners, np.asarray(frame.axes), np.array(numbers, np.float64), np.array(colors, np.uint8),
+    )  # fmt: skip
+
+
+def _void(solid: Solid) -> NDArray[np.uint8]:
+    """How many blocks away from each block, at least, the next one is that may hold some solid; up to `_FAR`.
+
+    Blocks are 2 x 2 x 2 cubes of samples; distances are the largest difference of indices, 0 is the block itself.
+    """
+    near = _in_blocks(solid.field < 0 if not solid.skin.size else (solid.field < 0) | (solid.skin < 0))
+    if solid.outer.size:
+        near &= _in_blocks(solid.outer < 0)
+    void = np.zeros(near.shape, np.uint8)
+    for _ in range(_FAR):
+        void += ~near
+        near = grown(near)
+    return void
+
+
+def _in_blocks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Blocks of 2 x 2 x 2 cubes with any of their 27 samples in the mask."""
+    for axis in range(3):
+        low = np.arange(0, max(1, mask.shape[axis] - 1), 2)
+        ends = (np.minimum(low + step, mask.shape[axis] - 1) for step in range(3))
+        first, second, third = (mask.take(end, axis) for end in ends)
+        mask = first | second | third
+    return mask

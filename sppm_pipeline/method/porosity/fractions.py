@@ -1,0 +1,105 @@
+"""Solid fractions of voxels, from samples of a smooth field."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.grid import Grid
+from sppm_pipeline.services.jit.compiled import inline_jit, jit
+
+_LAYERS = 16
+"""Layers of voxels sampled in one go, to bound memory."""
+
+
+@inline_jit
+def _cube(value: float) -> float:
+    return value * value * value if value > 0.0 else 0.0
+
+
+@inline_jit
+def below_plane(value: float, a: float, b: float, c: float) -> float:
+    """Fraction of a unit cube in which ``value + (a, b, c) · x`` is negative, x being measured from its center.
+
+    Exact for a plane: inclusion and exclusion of the corners that the plane cuts off.
+    """
+    a, b, c = abs(a), abs(b), abs(c)
+    reach = 0.5 * (a + b + c)
+    if value >= reach:
+        return 0.0
+    if value <= -reach:
+        return 1.0
+    # the formula divides by each slope
+    least = 1e-3 * reach
+    a, b, c = max(a, least), max(b, least), max(c, least)
+    up = 0.5 * (a + b + c) - value
+    total = _cube(up) - _cube(up - a) - _cube(up - b) - _cube(up - c)
+    total += _cube(up - a - b) + _cube(up - a - c) + _cube(up - b - c) - _cube(up - a - b - c)
+    return min(1.0, max(0.0, total / (6.0 * a * b * c)))
+
+
+@jit
+def _add_fractions(samples: NDArray[np.float32], k: Any, shift: float, out: NDArray[np.float32]) -> None:
+    """Mean fraction of the k^3 parts of each voxel; `samples` has one part more on each side, `shift` is in parts."""
+    nz, ny, nx = out.shape
+    share = 1.0 / (k * k * k)
+    for z in range(1, nz * k + 1):
+        for y in range(1, ny * k + 1):
+            for x in range(1, nx * k + 1):
+                value = np.float64(samples[z, y, x])
+                left, right = np.float64(samples[z, y, x - 1]), np.float64(samples[z, y, x + 1])
+                front, back = np.float64(samples[z, y - 1, x]), np.float64(samples[z, y + 1, x])
+                low, high = np.float64(samples[z - 1, y, x]), np.float64(samples[z + 1, y, x])
+                # the mean over the part, to second order value + Laplacian / 24: with the
+                # sample alone, curved walls would all be displaced to one side
+                mean = 0.75 * value + (left + right + front + back + low + high) / 24.0
+                slopes = 0.5 * (right - left), 0.5 * (back - front), 0.5 * (high - low)
+                if shift != 0.0:
+                    mean += shift * math.sqrt(slopes[0] ** 2 + slopes[1] ** 2 + slopes[2] ** 2)
+                inside = below_plane(mean, slopes[0], slopes[1], slopes[2])
+                out[(z - 1) // k, (y - 1) // k, (x - 1) // k] += np.float32(share * inside)
+
+
+def solid_fractions(
+    sample_layers: Callable[[Grid, int, int], NDArray[np.float32]],
+    shape: tuple[int, int, int],
+    resolution: int,
+    parts: int = 2,
+    *,
+    shift: float = 0.0,
+) -> NDArray[np.float32]:
+    """Fraction of each voxel in which a periodic field is negative, (nz, ny, nx) float32.
+
+    Each voxel is cut into ``parts^3``; in each part the field is taken for a plane, with its mean and slope from the
+    samples at the center and its six neighbors. That is exact for flat walls and of second order for curved ones;
+    with two parts the fraction of a voxel on a sphere with a radius of four voxels is right within 0.02, the volume
+    within 0.1 %.
+
+    Parameters
+    ----------
+    sample_layers : callable
+        Values of the field at the layers start <= k < stop of a grid, (stop - start, ny, nx).
+    shape : (nx, ny, nz)
+        Voxels.
+    resolution : int
+        Voxels along a unit of the field's coordinates.
+    parts : int
+        Along a voxel edge.
+    shift : float
+        By how many voxels the walls are moved into the solid, everywhere the same.
+    """
+    nx, ny, nz = shape
+    h = 1.0 / (resolution * parts)
+    grid = Grid((-h / 2,) * 3, (h,) * 3, (nx * parts + 2, ny * parts + 2, nz * parts + 2))
+    out = np.zeros((nz, ny, nx), np.float32)
+    for start in range(0, nz, _LAYERS):
+        stop = min(nz, start + _LAYERS)
+        samples = sample_layers(grid, start * parts, stop * parts + 2)
+        _add_fractions(
+            np.ascontiguousarray(samples, np.float32), np.int64(parts), float(shift * parts), out[start:stop]
+        )
+    return np.clip(out, 0, 1)

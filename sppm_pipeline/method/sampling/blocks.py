@@ -1,0 +1,263 @@
+"""Dart throwing by quota on a lattice of blocks: no faces, and any region can be thrown alone.
+
+Every block gets a given number of pores, uniform in the block but for the spacing, which holds across blocks, too.
+Blocks have colors such that no two neighbors share one. They are thrown color after color, each by a random stream of
+its own, made from the seed and the place of the block, so that neither threads nor the order of the blocks of a color
+enter the result. A block then depends only on neighbors of earlier colors: with the order below on at most 4, 2 and 1
+blocks along x, y and z (`needed_blocks` tells which), whatever the size of the lattice.
+
+Rules are those of `darts.throw`: plain darts up to 75 % of the capacity, then darts into active voxels.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.method.sampling.active_voxels import fill_active_voxels, throw_darts
+from sppm_pipeline.method.sampling.capacity import box_capacity, check_capacity, largest_spacing
+from sppm_pipeline.method.sampling.cell_list import CellList, add_point, empty_cell_list
+from sppm_pipeline.method.sampling.darts import NAIVE_BUDGET, NAIVE_SHARE
+from sppm_pipeline.method.tiling.lattice import INTERIOR, dilated, hash_places
+from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.threads import ordered_map
+
+# Parities of x, y, z in the order of their colors: a Gray code, so that a chain of dependent blocks, whose parities
+# differ by one step along the axes where they change, changes x at most 4, y 2 and z 1 times.
+_GRAY = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1))
+ATTEMPTS = 20
+_BLOCK_PORE = 0
+
+
+def block_colors(shape: tuple[int, int, int], periodic: bool = False) -> NDArray[np.int8]:
+    """Colors of the blocks of a lattice, (nx, ny, nz), from 0 on in the order in which they are thrown.
+
+    Parameters
+    ----------
+    shape : 3 ints
+    periodic : bool
+        Whether the lattice repeats. Along an axis with an odd number of blocks the last one then is neither even nor
+        odd, which takes more than eight colors.
+    """
+    rank = np.zeros((3, 3, 3), np.int8)
+    later = [parities for parities in itertools.product(range(3), repeat=3) if 2 in parities]
+    for color, parities in enumerate([*_GRAY, *later]):
+        rank[parities] = color
+    parity = [np.arange(n) % 2 for n in shape]
+    for axis, n in enumerate(shape):
+        if periodic and n % 2 and n > 1:
+            parity[axis][-1] = 2
+    return rank[np.ix_(*parity)]
+
+
+def needed_blocks(wanted: NDArray[np.bool_], periodic: bool = False) -> NDArray[np.bool_]:
+    """The blocks that have to be thrown for the wanted ones: those, and what they depend on, (nx, ny, nz) bool."""
+    colors = block_colors(wanted.shape, periodic)
+    needed = np.array(wanted, np.bool_)
+    for color in range(int(colors.max()), 0, -1):
+        needed |= dilated(needed & (colors == color), periodic) & (colors < color)
+    return needed
+
+
+def block_quotas(mask: NDArray[np.bool_], mean: float) -> NDArray[np.int64]:
+    """Numbers of pores of the blocks, (nx, ny, nz): whole, `mean` on average, the rest carried on in the order z, y, x.
+
+    The carry belongs to the place in the lattice alone, so that the quota of a block does not depend on the mask.
+    """
+    place = np.arange(mask.size + 1, dtype=np.float64)
+    quotas = np.diff(np.floor(place * mean + 0.5)).astype(np.int64).reshape(mask.shape[::-1]).transpose(2, 1, 0)
+    return np.where(mask, quotas, 0)
+
+
+def check_block_spacing(mean: float, spacing: float) -> None:
+    """Check that blocks can hold `mean` pores each.
+
+    Raises
+    ------
+    DesignError
+        If the spacing is longer than a block, or the number above the capacity.
+    """
+    if not 0.0 < spacing <= 1.0:
+        raise DesignError(
+            f"the pore spacing is {spacing:.6g} cell sizes; scattered pores need more than 0 and at most 1",
+            hint="give a larger cell: pores of a block look at the neighboring blocks only",
+        )
+    check_capacity(math.ceil(mean), spacing, (1.0, 1.0, 1.0), periodic=True, what="block")
+
+
+def spacing_at_share(mean: float, share: float) -> float:
+    """The spacing at which `mean` pores a block are this share of the capacity."""
+    return largest_spacing(max(round(mean / share), 1), (1.0, 1.0, 1.0), periodic=True)
+
+
+def throw_blocks(
+    seed: int,
+    quotas: NDArray[np.int64],
+    spacing: float,
+    *,
+    periodic: bool = False,
+    before: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None,
+    threads: int = 1,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Throw the pores of a lattice of blocks.
+
+    Parameters
+    ----------
+    seed : int
+        Taken modulo 2^64.
+    quotas : (nx, ny, nz) int64
+        Pores of each block.
+    spacing : float
+        Smallest distance of two pores, block edges; at most 1.
+    periodic : bool
+        Whether the lattice repeats.
+    before : ((k, 3) float64, (blocks + 1,) int64), optional
+        Pores that are there already, in the form of the result.
+    threads : int
+        Number of threads; the result does not depend on it.
+
+    Returns
+    -------
+    centers : (n, 3) float64
+        Relative to the low corner of the block, in block edges; blocks in C order of (x, y, z).
+    first : (blocks + 1,) int64
+        Where the pores of each block begin.
+
+    Raises
+    ------
+    DesignError
+        If a block holds fewer pores than its quota.
+    """
+    quotas = np.ascontiguousarray(quotas, np.int64)
+    shape = quotas.shape
+    check_block_spacing(float(quotas.max(initial=0)), spacing)
+    first = np.concatenate([[0], np.cumsum(quotas.ravel())])
+    centers = np.empty((int(first[-1]), 3))
+    old = before if before is not None else (np.zeros((0, 3)), np.zeros(quotas.size + 1, np.int64))
+    streams = hash_places(seed, INTERIOR, *np.ogrid[tuple(slice(n) for n in shape)]).ravel()
+    colors = block_colors(shape, periodic).ravel()
+    # an axis along which the only block is its own neighbor repeats inside the cell list
+    wraps = np.array([periodic and n == 1 for n in shape])
+    most = int(quotas.max(initial=0)) + int(np.diff(old[1]).max(initial=0))
+    # what lies within the spacing around a block: no packing of balls is denser than pi / sqrt(18)
+    rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * spacing) ** 3 / spacing**3 + 27)) + most
+    naive = NAIVE_SHARE * box_capacity(1.0, spacing, True)
+    missing = np.zeros(quotas.size, np.int64)
+
+    def throw(blocks: NDArray[np.int64]) -> None:
+        cells = empty_cell_list(rows, spacing, np.zeros(3), np.ones(3), wraps.tolist())
+        _throw_in_turn(
+            cells, blocks, np.array(shape), periodic, wraps, streams, first, centers, *old, naive, ATTEMPTS, missing
+        )
+
+    for color in range(int(colors.max()) + 1):
+        blocks = np.flatnonzero((colors == color) & (quotas.ravel() > 0))
+        if len(blocks):
+            parts = np.array_split(blocks, min(len(blocks), 4 * threads)) if threads > 1 else [blocks]
+            for _ in ordered_map(throw, parts, threads):
+                pass
+    if missing.any():
+        worst = int(missing.argmax())
+        wanted = int(quotas.ravel()[worst])
+        place = tuple(int(i) for i in np.unravel_index(worst, shape))
+        near = spacing * (1 - missing[worst] / wanted) ** (1 / 3)
+        raise DesignError(
+            f"only {wanted - missing[worst]} of {wanted} pores fit into the block {place} with a spacing of "
+            f"{spacing:.6g} ({wanted / box_capacity(1.0, spacing, True):.0%} of the capacity, {ATTEMPTS} throws); "
+            f"{np.count_nonzero(missing)} of {np.count_nonzero(quotas)} blocks are too full",
+            hint=f"ask for fewer pores, or for a spacing of about {0.95 * near:.4g} (cell sizes)",
+        )
+    return centers, first
+
+
+@jit
+def _throw_in_turn(
+    cells: CellList,
+    blocks: NDArray[np.int64],
+    shape: NDArray[np.int64],
+    periodic: bool,
+    wraps: NDArray[np.bool_],
+    streams: NDArray[np.uint64],
+    first: NDArray[np.int64],
+    centers: NDArray[np.float64],
+    old_centers: NDArray[np.float64],
+    old_first: NDArray[np.int64],
+    naive: float,
+    attempts: int,
+    missing: NDArray[np.int64],
+) -> None:
+    """Throw the pores of blocks that are not neighbors; what can't be placed is noted in `missing`.
+
+    Blocks that are not thrown yet are empty to their neighbors: `streams` of a thrown block is 0.
+    """
+    low, side = np.zeros(3), np.ones(3)
+    for block in blocks:
+        stream = streams[block : block + 1].copy()
+        wanted = first[block + 1] - first[block]
+        most = np.int64(min(wanted, naive))
+        for _ in range(attempts):
+            list_neighbors(cells, block, shape, periodic, wraps, streams, first, centers, old_centers, old_first)
+            start = cells.used[0]
+            placed = throw_darts(cells, stream, low, side, most, NAIVE_BUDGET * most + 1000, _BLOCK_PORE, 0)
+            if placed < wanted:
+                placed += fill_active_voxels(cells, stream, low, side, wanted - placed, _BLOCK_PORE, 0)
+            if placed == wanted:
+                break
+        missing[block] = wanted - placed
+        for row in range(placed):
+            for axis in range(3):
+                centers[first[block] + row, axis] = cells.points[start + row, axis]
+        streams[block] = 0
+
+
+@jit
+def list_neighbors(
+    cells: CellList,
+    block: int | np.int64,
+    shape: NDArray[np.int64],
+    periodic: bool,
+    wraps: NDArray[np.bool_],
+    streams: NDArray[np.uint64],
+    first: NDArray[np.int64],
+    centers: NDArray[np.float64],
+    old_centers: NDArray[np.float64],
+    old_first: NDArray[np.int64],
+) -> None:
+    """Empty the cell list and add all pores that lie within the spacing around a block."""
+    cells.used[0] = 0
+    nz, ny, nx = cells.first.shape
+    for k in range(nz):
+        for j in range(ny):
+            for i in range(nx):
+                cells.first[k, j, i] = -1
+    place = (block // (shape[1] * shape[2]), block // shape[2] % shape[1], block % shape[2])
+    for step in range(27):
+        shift = (step // 9 - 1, step // 3 % 3 - 1, step % 3 - 1)
+        other = 0
+        there = True
+        for axis in range(3):
+            at = place[axis] + shift[axis]
+            if periodic:
+                at = (at + shape[axis]) % shape[axis]
+            there = there and 0 <= at < shape[axis] and not (wraps[axis] and shift[axis] != 0)
+            other = other * shape[axis] + at
+        if not there:
+            continue
+        for row in range(old_first[other], old_first[other + 1]):
+            _add_near(cells, old_centers, row, shift)
+        if streams[other] == 0 and other != block:
+            for row in range(first[other], first[other + 1]):
+                _add_near(cells, centers, row, shift)
+
+
+@jit
+def _add_near(cells: CellList, centers: NDArray[np.float64], row: int, shift: tuple[int, int, int]) -> None:
+    """Add the point of a neighboring block if it lies within the spacing around this one."""
+    x, y, z = centers[row, 0] + shift[0], centers[row, 1] + shift[1], centers[row, 2] + shift[2]
+    low, high = -cells.reach, 1.0 + cells.reach
+    if low <= x <= high and low <= y <= high and low <= z <= high:
+        add_point(cells, x, y, z, _BLOCK_PORE, 0)

@@ -1,0 +1,214 @@
+"""Sample elimination: exactly n well-spread points, without a spacing to be chosen.
+
+Yuksel 2015, "Sample elimination for generating Poisson disk sample sets" (Computer Graphics Forum 34): start from many
+random points and take away, one by one, the point with the largest weight (a sum over near neighbors), until n are
+left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sppm_pipeline.errors import DesignError
+from sppm_pipeline.method.sampling.cell_list import (
+    CellList,
+    add_points,
+    bucket_of,
+    empty_cell_list,
+    search_range,
+    wrapped,
+)
+from sppm_pipeline.services.jit.compiled import jit
+
+# The constants of the paper: the weight's exponent is 8 (three squarings below); neighbors nearer than a fraction
+# BETA (1 - (n / m)^GAMMA) of the ideal distance weigh no more than at that distance.
+_BETA, _GAMMA = 0.65, 1.5
+
+
+@jit
+def _sift(
+    heap: NDArray[np.int64], place: NDArray[np.int64], weight: NDArray[np.float64], size: int | np.int64, slot: int
+) -> None:
+    """Restore the order of a heap with the largest weight on top, after the weight at `slot` changed."""
+    row = heap[slot]
+    while slot > 0:
+        parent = (slot - 1) // 2
+        if weight[heap[parent]] >= weight[row]:
+            break
+        heap[slot] = heap[parent]
+        place[heap[slot]] = slot
+        slot = parent
+    while 2 * slot + 1 < size:
+        child = 2 * slot + 1
+        if child + 1 < size and weight[heap[child + 1]] > weight[heap[child]]:
+            child += 1
+        if weight[heap[child]] <= weight[row]:
+            break
+        heap[slot] = heap[child]
+        place[heap[slot]] = slot
+        slot = child
+    heap[slot] = row
+    place[row] = slot
+
+
+@jit
+def _spread(
+    cells: CellList,
+    row: int,
+    nearest: float,
+    weight: NDArray[np.float64],
+    heap: NDArray[np.int64],
+    place: NDArray[np.int64],
+    size: int | np.int64,
+) -> None:
+    """Pass over the neighbors of a point: sum their weights into it (size 0), or take its weight from them.
+
+    In the second case `size` is that of the heap, whose order is kept; points out of the heap have place -1.
+    """
+    points, period = cells.points, cells.period
+    nz, ny, nx = cells.first.shape
+    i, j, k = bucket_of(cells, points[row, 0], points[row, 1], points[row, 2])
+    i0, ni = search_range(i, nx, period[0] == 1.0)
+    j0, nj = search_range(j, ny, period[1] == 1.0)
+    k0, nk = search_range(k, nz, period[2] == 1.0)
+    for step in range(nk * nj * ni):
+        kk = wrapped(k0 + step // (nj * ni), nz)
+        jj = wrapped(j0 + step // ni % nj, ny)
+        ii = wrapped(i0 + step % ni, nx)
+        other = cells.first[kk, jj, ii]
+        while other >= 0:
+            if other != row and place[other] >= 0:
+                total = 0.0
+                for axis in range(3):
+                    gap = abs(points[row, axis] - points[other, axis])
+                    gap = min(gap, abs(period[axis] - gap))
+                    total += gap * gap
+                near = 1.0 - max(np.sqrt(total), nearest) / cells.reach
+                if near > 0.0:
+                    near *= near
+                    near *= near
+                    near *= near
+                    if size == 0:
+                        weight[row] += near
+                    else:
+                        weight[other] -= near
+                        _sift(heap, place, weight, size, place[other])
+            other = cells.following[other]
+
+
+@jit
+def _eliminate(cells: CellList, count: int, nearest: float) -> NDArray[np.int64]:
+    """Rows of all points: the `count` that are left, then those taken away, the last one first."""
+    size = cells.used[0]
+    heap, place = np.arange(size), np.arange(size)
+    weight = np.zeros(size)
+    none = np.int64(0)  # typed: a literal would compile a second version of the kernel
+    for row in range(size):
+        _spread(cells, row, nearest, weight, heap, place, none)
+    for slot in range(size):
+        _sift(heap, place, weight, slot + 1, slot)
+    while size > count:
+        row = heap[0]
+        size -= 1
+        place[row] = -1
+        if size > 0:
+            heap[0] = heap[size]
+            place[heap[0]] = 0
+            _sift(heap, place, weight, size, place[heap[0]])
+            _spread(cells, row, nearest, weight, heap, place, size)
+        heap[size] = row
+    return heap
+
+
+def elimination_order(
+    points: ArrayLike,
+    count: int,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    *,
+    periodic: Sequence[bool] = (False, False, False),
+) -> NDArray[np.int64]:
+    """Remove the point with the largest weight, again and again, until `count` points are left.
+
+    Parameters
+    ----------
+    points : (m, 3)
+        Points inside the box, cell sizes.
+    count : int
+        Number of points to leave; at most m.
+    lower, upper : (3,)
+        Corners of the box, cell sizes; equal coordinates along an axis mean a plane or a line.
+    periodic : 3 bools
+        Axes of period 1.
+
+    Returns
+    -------
+    (m,) int64
+        Rows of `points`: the `count` that are left, ascending, then those taken away, the last one first.
+    """
+    candidates = np.ascontiguousarray(points, dtype=np.float64)
+    low = np.ascontiguousarray(lower, dtype=np.float64)
+    side = np.asarray(upper, dtype=np.float64) - low
+    wraps = np.asarray(periodic, dtype=np.bool_)
+    if candidates.ndim != 2 or candidates.shape[1] != 3 or not 0 <= count <= len(candidates):
+        raise ValueError(f"need (m, 3) points and 0 <= count <= m, got {candidates.shape} and {count}")
+    if low.shape != (3,) or side.shape != (3,) or np.any(side < 0.0) or np.any(side[wraps] > 1.0):
+        raise ValueError(f"a box needs 0 <= upper - lower (<= 1 along periodic axes), got {side.tolist()}")
+    used = side[side > 0.0]
+    if count in (0, len(candidates)) or len(used) == 0:
+        return np.arange(len(candidates))
+    # Distance of the points in the densest lattice of this dimension: no set of `count` points can be wider.
+    room = float(np.prod(used)) / count
+    ideal = {1: room, 2: math.sqrt(room * 2.0 / math.sqrt(3.0)), 3: math.cbrt(room * math.sqrt(2.0))}[len(used)]
+    nearest = ideal * _BETA * (1.0 - math.pow(count / len(candidates), _GAMMA))
+    cells = empty_cell_list(len(candidates), ideal, low, low + side, wraps.tolist())
+    add_points(cells, candidates, 0, 0)
+    order = _eliminate(cells, count, nearest)
+    order[:count].sort()
+    return order
+
+
+def eliminate(
+    rng: np.random.Generator,
+    count: int,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    *,
+    periodic: Sequence[bool] = (False, False, False),
+    oversampling: float = 5.0,
+) -> NDArray[np.float64]:
+    """Exactly `count` points with a spacing as large as sample elimination makes it (some .7 of the densest packing's).
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+    count : int
+        Number of points.
+    lower, upper : (3,)
+        Corners of the box, cell sizes; equal coordinates along an axis give points in a plane or on a line.
+    periodic : 3 bools
+        Axes of period 1. Along the others points gather at the walls, as nothing outside adds weight.
+    oversampling : float
+        Random points to start from, as a multiple of `count`; at least 1.
+
+    Returns
+    -------
+    (count, 3) float64
+        Positions in cell sizes, in no meaningful order.
+
+    Raises
+    ------
+    DesignError
+        For a negative count or an oversampling below 1.
+    """
+    if count < 0 or not 1.0 <= oversampling < math.inf:
+        raise DesignError(f"need count >= 0 and oversampling >= 1, got {count} and {oversampling}")
+    low = np.asarray(lower, dtype=np.float64)
+    side = np.asarray(upper, dtype=np.float64) - low
+    points = low + side * rng.random((math.ceil(oversampling * count), 3))
+    return points[elimination_order(points, count, lower, upper, periodic=periodic)[:count]]

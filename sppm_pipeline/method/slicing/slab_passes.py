@@ -1,0 +1,264 @@
+"""Layers in slabs that workers go through apart from each other: once to find islands, once to deliver.
+
+The bits of the first pass stay in a file for each slab, in a folder that all workers see, so that the second one need
+not evaluate them again. Whoever finds no such file, or not all of it, evaluates the slab.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import shutil
+import socket
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.slicing.sampled_slices import BitSlab, SampledSlices, said_of
+from sppm_pipeline.method.slicing.spool import OF_THE_DISK
+
+if TYPE_CHECKING:
+    from sppm_pipeline.method.connectivity.verdicts import SlabLabels
+
+EACH = 6
+"""Slabs for each worker at least, so that the last ones do not wait long for each other; a choice."""
+
+RESULTS = 16
+"""One in so many bytes of the memory may be taken by encoded slabs, all together; a choice."""
+
+HELD = 2
+"""Encoded slabs of a worker that may wait at once, as it is given so many."""
+
+
+class SlabTask(NamedTuple):
+    """A slab for a worker.
+
+    Attributes
+    ----------
+    start, stop : int
+        First sheet of samples, and the one after the last.
+    threads : int
+    file : str or None
+        Where the bits of the first pass lie or are to lie.
+    verdict : (n_ids,) bool or None
+        Whether ids stay, in the second pass; None to keep everything.
+    shown : tuple of int
+        Layers whose pixels are wanted, too.
+    """
+
+    start: int
+    stop: int
+    threads: int
+    file: str | None = None
+    verdict: NDArray[np.bool_] | None = None
+    shown: tuple[int, ...] = ()
+
+
+class Surveyed(NamedTuple):
+    """What a worker has found out about a slab in the first pass."""
+
+    labels: SlabLabels
+    counts: dict[str, int]
+
+
+def slab_tasks(
+    stack: SampledSlices, workers: int, threads: int, memory: int, folder: Path | None = None
+) -> list[SlabTask]:
+    """Slabs of a stack, from the bottom.
+
+    They begin where the stack itself would begin one. Their height bounds the encoded layers that a worker hands back.
+
+    Parameters
+    ----------
+    stack : SampledSlices
+    workers, threads : int
+        Number of workers, and threads of each.
+    memory : int
+        Bytes to plan with.
+    folder : Path, optional
+        Where the bits of the first pass are kept, if the disk has room for them.
+    """
+    nx, ny, layers = stack.shape
+    each = nx * ny if stack.gray else nx * ny / 8  # of a layer that can't be compressed
+    most = int(memory / (RESULTS * HELD * workers) / each)
+    height = max(1, min(-(-layers // (EACH * workers)), most)) * stack.sublayers
+    height = max(1, height // stack.height) * stack.height
+    *across, sheets = stack.samples.shape
+    if folder is not None and math.prod(across) * sheets / 8 > OF_THE_DISK * shutil.disk_usage(folder).free:
+        folder = None
+    return [
+        SlabTask(start, min(start + height, sheets), threads, None if folder is None else str(folder / f"{start}.bits"))
+        for start in range(0, sheets, height)
+    ]
+
+
+def survey_slab(common: tuple[SampledSlices, Any], task: SlabTask) -> Surveyed:
+    """First pass: evaluate a slab, keep its bits, and label its components."""
+    from sppm_pipeline.method.connectivity.streaming import IslandFilter
+
+    stack = common[0]
+    nx, ny, _ = stack.samples.shape
+    islands, counts = IslandFilter(ny, nx), dict[str, int]()
+    with _Bits(task.file) as bits:
+        for _, solid in _evaluated(stack, task, counts):
+            islands.observe_bits(solid)
+            bits.add(solid)
+    return Surveyed(islands.labels(), counts)
+
+
+def cleared_slab(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -> Iterator[BitSlab]:
+    """Second pass: the sheets of a slab without islands, from its bits or evaluated again."""
+    nx, ny, _ = stack.samples.shape
+    sheets = _read(stack, task)
+    if sheets is None:
+        sheets = _evaluated(stack, task, counts)
+    if task.verdict is None or task.verdict.all():
+        yield from sheets
+        return
+    from sppm_pipeline.method.connectivity.streaming import IslandFilter
+
+    islands = IslandFilter.decided(ny, nx, task.stop - task.start, task.verdict)
+    for start, solid in sheets:
+        islands.clear_bits(solid)
+        yield start, solid
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the first pass over all slabs has found out.
+
+    Attributes
+    ----------
+    tasks : tuple of SlabTask
+        The slabs for the second pass.
+    islands, told : dict
+        See `SampledSlices.findings`.
+    """
+
+    tasks: tuple[SlabTask, ...]
+    islands: dict[str, Any]
+    told: dict[str, Any]
+
+    def cleared(self, stack: SampledSlices, threads: int) -> Iterator[BitSlab]:
+        """All sheets without islands, in this process."""
+        for task in self.tasks:
+            yield from cleared_slab(stack, task._replace(threads=threads), {})
+
+
+def surveyed(
+    stack: SampledSlices,
+    tasks: Sequence[SlabTask],
+    run: Callable[[Iterable[SlabTask]], Iterator[Surveyed]],
+    progress: Callable[[int], None],
+) -> Survey:
+    """The first pass by workers; the stack knows the result, too, for whoever reads it next.
+
+    Parameters
+    ----------
+    stack : SampledSlices
+    tasks : sequence of SlabTask
+    run : function
+        Has workers call `survey_slab` for each task, in order.
+    progress : function
+        Told how many slabs are ready.
+    """
+    from sppm_pipeline.method.connectivity.slab_union import SlabUnion
+
+    union, counts = SlabUnion(), dict[str, int]()
+    for number, found in enumerate(run(tasks), 1):
+        union.add(found.labels)
+        add_counts(counts, found.counts)
+        progress(number)
+    statistics, verdicts = union.finish("largest")
+    second = tuple(task._replace(verdict=verdict) for task, verdict in zip(tasks, verdicts, strict=True))
+    survey = Survey(second, said_of(statistics), stack.told(counts))
+    stack.keep(survey)
+    return survey
+
+
+def add_counts(counts: dict[str, int], more: dict[str, int]) -> None:
+    """Add what another slab has counted; in place."""
+    for name, count in more.items():
+        counts[name] = counts.get(name, 0) + count
+
+
+def _evaluated(stack: SampledSlices, task: SlabTask, counts: dict[str, int]) -> Iterator[BitSlab]:
+    if stack not in _PREPARED:
+        _PREPARED[stack] = stack.prepared()
+    return stack.decided(task.threads, counts, task.start, task.stop, _PREPARED[stack])
+
+
+_PREPARED: WeakKeyDictionary[SampledSlices, Any] = WeakKeyDictionary()
+"""What a worker needs for every slab of a stack."""
+
+
+class _Bits:
+    """Writes the bits of a slab, whole or not at all; a full disk is no error, as there is another way."""
+
+    def __init__(self, file: str | None) -> None:
+        self._final = None if file is None else Path(file)
+        self._part = Path(f"{file}.{socket.gethostname()}-{os.getpid()}")
+        self._open: IO[bytes] | None = None
+
+    def __enter__(self) -> _Bits:
+        if self._final is not None:
+            with contextlib.suppress(OSError):
+                self._open = self._part.open("wb")
+        return self
+
+    def add(self, solid: NDArray[np.uint64]) -> None:
+        """Append sheets."""
+        if self._open is not None:
+            try:
+                self._open.write(solid.data)
+            except OSError:
+                self._drop()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if self._open is None:
+            return
+        try:
+            self._open.close()
+            if kind is None and self._final is not None:
+                os.replace(self._part, self._final)
+                return
+        except OSError:
+            pass
+        self._drop()
+
+    def _drop(self) -> None:
+        if self._open is not None:
+            with contextlib.suppress(OSError):
+                self._open.close()
+            self._open = None
+        with contextlib.suppress(OSError):
+            self._part.unlink()
+
+
+def _read(stack: SampledSlices, task: SlabTask) -> Iterator[BitSlab] | None:
+    """The sheets of a slab from its bits; None if they are not all there."""
+    from sppm_pipeline.services.bit_rows import words_of
+
+    nx, ny, _ = stack.samples.shape
+    spans = list(stack.spans(task.start, task.stop))
+    words = words_of(nx)
+    try:
+        if task.file is None or os.stat(task.file).st_size != 8 * (task.stop - task.start) * ny * words:
+            return None
+        opened = open(task.file, "rb")  # noqa: SIM115  # closed by whoever has read it
+    except OSError:
+        return None
+
+    def sheets() -> Iterator[BitSlab]:
+        with opened:
+            for start, stop in spans:
+                shape = (stop - start, ny, words)
+                yield start, np.fromfile(opened, np.uint64, math.prod(shape)).reshape(shape)
+
+    return sheets()

@@ -1,0 +1,112 @@
+"""``check.connectivity``: the connected components of solid and void."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.fields.level_field import LevelField
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.fields.wrapped import CleanedField
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.services.grid import cell_centers
+from sppm_pipeline.stage import Context, Rejected, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckConnectivity(Stage):
+    """Report, for solid and void, the components, whether the largest runs through in x, y and z, and the rest.
+
+    A periodic cell is labeled on the torus, where opposite faces are one; so removing everything but the largest
+    component keeps it periodic. The paper labels without wrapping and calls a cell erroneous if a component that had
+    to be removed touches its surface; that is ``islands: reject``, to be used inside ``tune.retry``.
+
+    Of cells that were laid from pores and tunnels the parts of their graph are counted, too. At the center of every
+    pore and along the axis of every tunnel the sum of the kernels is at least 1, above any level that is below 1: one
+    part proves, without voxels, that all pores and tunnels are one void, with the cells around the box taken along.
+    """
+
+    name: ClassVar[str] = "check.connectivity"
+    reported: ClassVar[tuple[str, ...]] = (
+        "solid_components", "solid_wraps.#3", "solid_removed_share", "void_components", "void_wraps.#3",
+        "void_removed_share", "porosity", "islands_at_surface", "graph_parts",
+    )  # fmt: skip
+
+    resolution: int = options.resolution(48, minimum=4, maximum=512)
+    islands: str = options.islands(
+        "remove",
+        note="remove it, reject the cell as the paper does, or keep and only report it",
+        choices=("remove", "reject", "keep"),
+    )
+    bicontinuous: bool = option(False, help="reject a structure whose solid or void does not run through in x, y and z")
+
+    def estimate(self, palette: Palette, field: Size) -> Size:
+        return field.grid(self.resolution)
+
+    def run(self, context: Context, field: ScalarField) -> ScalarField:
+        """Label both phases; the result is the field, without islands if they are removed."""
+        from sppm_pipeline.method.connectivity.components import phase_report
+        from sppm_pipeline.method.connectivity.islands import keep_largest, loose_parts
+
+        n = self.resolution
+        solid = field.solid(cell_centers(n, field.cells), context.threads).T
+        periodic = (field.periodic,) * 3
+        through = True
+        for phase, zeros in (("solid", False), ("void", True)):
+            report = phase_report(solid, periodic, 6, zeros=zeros)
+            through &= all(report.wraps)
+            context.report(
+                **{
+                    f"{phase}_components": report.components,
+                    f"{phase}_wraps": list(report.wraps),
+                    f"{phase}_removed_share": report.removed_share,
+                }
+            )
+        context.report(porosity=1 - float(solid.mean()))
+        if (parts := _graph_parts(field)) is not None:
+            context.report(graph_parts=parts)
+        if self.islands == "reject":
+            loose = loose_parts(solid)
+            context.report(islands_at_surface=loose.at_boundary)
+            if loose.at_boundary:
+                raise Rejected(f"{loose.at_boundary} islands lie at the surface of the cell")
+        if self.bicontinuous and not through:
+            raise Rejected("solid and void do not both run through in x, y and z")
+        if self.islands == "keep":
+            return field
+        kept = keep_largest(solid, periodic)
+        if (kept == solid).all():
+            return field
+        # voxels of what stays may touch an island across an edge or a corner
+        return CleanedField(field, _grown(solid - kept, field.periodic) & ~kept, n)
+
+
+def _graph_parts(field: ScalarField) -> int | None:
+    """Connected parts of the pores and tunnels of a layout; None of other fields, and of levels that reach 1."""
+    from sppm_pipeline.method.connectivity.laid_graph import parts_of_layout
+
+    level = 0.0
+    while isinstance(field, (LevelField, CleanedField)):
+        if isinstance(field, LevelField):
+            level = math.exp(float(field.control.max())) if field.additive else math.inf
+        field = field.base
+    if not (isinstance(field, Tiling) and field.additive and max(level, field.solid_below) < 1):
+        return None
+    graph = field.tileset.micro.graph
+    pores = graph.pores
+    return parts_of_layout(pores.piece, graph.edges, graph.shift, pores.interiors, pores.colors, field.arrays)
+
+
+def _grown(mask: NDArray[Any], periodic: bool) -> NDArray[np.uint8]:
+    """The mask and all voxels beside it."""
+    grown = np.pad(mask.astype(np.uint8), 1, mode="wrap" if periodic else "edge")
+    for axis in range(3):
+        grown = grown | np.roll(grown, 1, axis) | np.roll(grown, -1, axis)
+    return np.ascontiguousarray(grown[1:-1, 1:-1, 1:-1])

@@ -1,0 +1,128 @@
+"""``field.gaussian``: the sum of pore and tunnel kernels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.fields.microstructure import (
+    CUTOFF,
+    LOWEST_LEVEL,
+    Microstructure,
+    finest_pitch,
+    pieces_from_graph,
+)
+from sppm_pipeline.method.kernels.kernels import log_normal_factors
+from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES
+from sppm_pipeline.method.nouns.tunnels import TunnelGraph
+from sppm_pipeline.nouns.length import Cell, Length
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Geometry, Size
+from sppm_pipeline.stage import Context, Stage, option
+
+NARROWEST, WIDEST = 1e-3, 8.0
+"""Cell sizes from the axis of a kernel to where it is cut off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianField(Stage):
+    """Sum Gaussian pores ``exp(-omega r^2)`` and tunnels ``exp(-mu d)``, cut at the level C (paper, eq. 1-5).
+
+    Sizes are given either as radii, which the lone kernel has at the level C, or as omega and mu. The paper prints
+    tunnels with the plain distance d; with ``tunnel: squared`` they fall off like pores. Sizes may vary from pore to
+    pore and from tunnel to tunnel by a log-normal factor.
+    """
+
+    name: ClassVar[str] = "field.gaussian"
+    reported: ClassVar[tuple[str, ...]] = ("pore_radius", "tunnel_radius", "omega", "mu")
+
+    pore_radius: Length | None = options.pore_radius(None)
+    tunnel_radius: Length | None = options.tunnel_radius(None)
+    omega: float | None = option(None, help="pore size parameter", unit="1 / cell size^2", minimum=1e-9, maximum=1e15)
+    mu: float | None = option(
+        None,
+        help="tunnel size parameter",
+        unit="1 / cell size (linear) or 1 / cell size^2 (squared)",
+        minimum=1e-9,
+        maximum=1e15,
+    )
+    level: float = options.level(0.25)
+    tunnel: str = option("linear", help="how the distance enters the tunnel kernel", choices=tuple(TUNNEL_PROFILES))
+    pore_spread: float = option(0.0, help="standard deviation of the logarithm of the pore radii", minimum=0, maximum=1)
+    tunnel_spread: float = options.tunnel_spread(0.0)
+
+    def check_options(self) -> None:
+        if (self.pore_radius is None) == (self.omega is None):
+            raise ConfigError("give the size of the pores by one of `pore_radius` and `omega`")
+        if (self.tunnel_radius is None) == (self.mu is None):
+            raise ConfigError("give the size of the tunnels by one of `tunnel_radius` and `mu`")
+
+    def estimate(self, palette: Palette, graph: Size) -> Size:
+        from sppm_pipeline.method.kernels.profiles import PORE_PROFILE
+        from sppm_pipeline.services.boolean_model import expected_structure, kernels_at_a_point
+
+        cell, profile = graph.cell, TUNNEL_PROFILES[self.tunnel]
+        omega, mu = self._parameters(Cell(cell.edge, cell.edge_mm is not None))
+        radii = PORE_PROFILE.radius(omega, self.level), profile.radius(mu, self.level)
+        reaches = float(PORE_PROFILE.reach(omega, CUTOFF)), float(profile.reach(mu, CUTOFF))
+        porosity, surface = expected_structure(cell.pores, cell.tunnels, *radii)
+        kernels = kernels_at_a_point(cell.pores, cell.tunnels, *reaches)
+        coarse = 1 / finest_pitch(omega, mu, self.tunnel, self.level) if self.level >= LOWEST_LEVEL else math.inf
+        made = Geometry(
+            edge_mm=cell.edge_mm, porosity=porosity, surface=surface, kernels=kernels, reach=max(reaches), coarse=coarse
+        )
+        return Size(
+            pores=cell.interiors * cell.pores, tunnels=cell.interiors * cell.tunnels,
+            design=replace(cell, radii=radii), geometry=made,
+        )  # fmt: skip
+
+    def run(self, context: Context, graph: TunnelGraph) -> Microstructure:
+        """Give every pore and tunnel its kernel."""
+        from sppm_pipeline.method.kernels.profiles import PORE_PROFILE
+
+        cell, profile = graph.pores.cell, TUNNEL_PROFILES[self.tunnel]
+        omega, mu = self._parameters(cell)
+        pores = log_normal_factors(lambda: context.rng(0), self.pore_spread, len(graph.pores.centers))
+        tunnels = log_normal_factors(lambda: context.rng(1), self.tunnel_spread, len(graph.edges))
+        all_omega = omega * PORE_PROFILE.scaled_radius(pores)
+        all_mu = mu * profile.scaled_radius(tunnels)
+        del pores, tunnels  # there may be millions
+        self._check_reach("pore_radius" if self.omega is None else "omega", PORE_PROFILE.reach(all_omega, CUTOFF))
+        self._check_reach("tunnel_radius" if self.mu is None else "mu", profile.reach(all_mu, CUTOFF))
+        context.report(
+            pore_radius=PORE_PROFILE.radius(omega, self.level),
+            tunnel_radius=profile.radius(mu, self.level),
+            omega=omega,
+            mu=mu,
+        )
+        return Microstructure(cell, graph, pieces_from_graph(graph, all_omega, all_mu, self.tunnel), self.level)
+
+    def _parameters(self, cell: Cell) -> tuple[float, float]:
+        """Omega and mu in cell sizes, from whichever option is there."""
+        from sppm_pipeline.method.kernels.profiles import omega_from_radius, omega_in_cell_units
+
+        profile = TUNNEL_PROFILES[self.tunnel]
+        if self.omega is not None:
+            omega = omega_in_cell_units(self.omega, cell.edge)
+        else:
+            assert self.pore_radius is not None
+            omega = omega_from_radius(cell.fraction(self.pore_radius), self.level)
+        if self.mu is not None:
+            return omega, profile.in_cell_units(self.mu, cell.edge)
+        assert self.tunnel_radius is not None
+        return omega, profile.mu(cell.fraction(self.tunnel_radius), self.level)
+
+    def _check_reach(self, name: str, reach: NDArray[np.float64]) -> None:
+        """Refuse kernels that no grid shows, and kernels so wide that each is felt in hundreds of cells around it."""
+        if len(reach) and not (reach.min() >= NARROWEST and reach.max() <= WIDEST):
+            raise ConfigError(
+                f"option {name!r} is {getattr(self, name)}, which makes kernels that reach {reach.min():.3g} to "
+                f"{reach.max():.3g} cell sizes; allowed are {NARROWEST:g} to {WIDEST:g}",
+                hint="lengths are fractions of the cell size unless the first sampling stage gives another `edge`",
+            )

@@ -1,0 +1,197 @@
+"""``fill.implicit``: microstructure AND part, decided point by point."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError, InputError
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.families.inside_test import outward_mesh
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.services.formats.input_file import content_of
+from sppm_pipeline.stage import Context, Headline, Stage, option
+
+FEWEST_CELLS = 2
+"""Along the longest side of a part; a smaller one is seldom meant."""
+
+LARGEST_LIST = 2**27
+"""Bytes of a list of triangles."""
+
+NOTICED = 5e-3
+"""Sealed void that is warned about, as a fraction of the part's bounding box; less is a voxel's doubt."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImplicitFill(Stage):
+    """Intersect the implicit fields of the microstructure and of the part (paper, "Mesh-free Slicing").
+
+    The field is not evaluated here; layers, meshes and pictures evaluate the part where they need it. A part that is
+    not closed is tested on a coarse grid: its triangles are wound outwards, and it is filled where its winding number
+    is above one half, or refused if too much of it is near one half.
+
+    A skin closes what it covers: how much void it seals, in which liquid resin or powder stays, is measured on a coarse
+    grid and warned about. `check.print` measures it on the layers. `drains` open it: they win over skin and
+    microstructure, where the part is, in the coordinates of the part.
+
+    A skin may be on some faces only: on the triangles that face one of the directions `skin_toward`, on those of
+    `skin_groups` of the file or listed in `skin_triangles`, and on those near the mesh at the port `skin_near`, all of
+    these together. What lies in the part within the thickness of one of them is solid, so the skin ends around the edge
+    of the faces in a round rim.
+    """
+
+    name: ClassVar[str] = "fill.implicit"
+    version: ClassVar[int] = 2
+    headline: ClassVar[tuple[Headline, ...]] = (
+        Headline("turned_triangles", "turned triangles"), Headline("skin_mm", "skin", "mm"),
+        Headline("sealed_mm3", "void sealed by it", "mm^3"),
+    )  # fmt: skip
+
+    skin: Length | None = options.skin(None, minimum=1e-3, maximum=1e4)
+    skin_toward: tuple[tuple[float, float, float], ...] = option(
+        (), help="skin on faces that point in one of these directions [x, y, z]", minimum=-1e6, maximum=1e6
+    )
+    skin_angle: float = option(
+        45.0, help="largest angle between these and the normal of a face", unit="degrees", minimum=0, maximum=180
+    )
+    skin_groups: tuple[str, ...] = option(
+        (),
+        help="skin on these groups of the mesh file: objects, groups and materials of OBJ, objects of 3MF, solids of "
+        "an ASCII STL",
+    )
+    skin_triangles: Path | None = options.read_path(
+        None, note="numbers of the triangles that have the skin, counted from 0 in the order of the mesh file"
+    )
+    skin_within: Length | None = option(
+        None, help="skin on triangles whose three corners are within this distance of the mesh at `skin_near`",
+        unit="mm", minimum=0, maximum=1e4,
+    )  # fmt: skip
+    drains: tuple[tuple[float, float, float, float, float, float, float], ...] = option(
+        (),
+        help="holes through skin and microstructure: [x, y, z, x, y, z, radius], a ball that moves between two points",
+        unit="mm",
+        minimum=-1e5,
+        maximum=1e5,
+    )
+    islands: str = options.islands("remove", note="in the finished part")
+    inside: str = options.inside("auto")
+
+    def check_options(self) -> None:
+        """Drains that are open, and faces to choose only for a skin."""
+        if self.skin is None and self._chooses:
+            raise ConfigError("faces are chosen for a skin, and there is none", hint="give `skin: 1 mm`")
+        for number, direction in enumerate(self.skin_toward, 1):
+            if not any(direction):
+                raise ConfigError(f"direction {number} of `skin_toward` is 0 along all axes, which is none")
+        for number, drain in enumerate(self.drains, 1):
+            if drain[6] <= 0:
+                raise ConfigError(f"the radius of drain {number} is {drain[6]:g} mm; it must be above 0")
+
+    def estimate(self, palette: Palette, field: Size, domain: Size, skin_near: Size | None = None) -> Size:
+        body, part = field.body, domain.body.in_unit(field.body.scale)
+        made = replace(body, box=part.box, volume=part.volume, envelope=part.envelope)
+        return Size(nodes=domain.triangles / 2, design=field.design, geometry=made)
+
+    @property
+    def _chooses(self) -> bool:
+        chosen = (self.skin_toward, self.skin_groups, self.skin_triangles, self.skin_within)
+        return any(choice not in ((), None) for choice in chosen)
+
+    def run(
+        self, context: Context, field: ScalarField, domain: SurfaceMesh, skin_near: SurfaceMesh | None = None
+    ) -> Part:
+        """Put the two together."""
+        if self.skin_within is not None and skin_near is None:
+            raise ConfigError(
+                "`skin_within` is a distance from a mesh, and none is wired to the port `skin_near`",
+                hint="read it by a stage with an id, and say from: {domain: PART, skin_near: ID}",
+            )
+        edge = field.physical_edge()
+        domain, method = outward_mesh(context, domain, self.inside)
+        extent = domain.upper - domain.lower if len(domain.faces) else None
+        if extent is not None and extent.max() < FEWEST_CELLS * edge:
+            context.warn(
+                f"{domain.name} is {' x '.join(f'{side:.4g}' for side in extent)} mm in size, less than {FEWEST_CELLS} "
+                f"cells of {edge:g} mm; if its file is in inches, `unit: in` of `read.mesh` makes it "
+                f"{' x '.join(f'{25.4 * side:.4g}' for side in extent)} mm"
+            )
+        chosen = self._chosen(context, domain, skin_near) if self._chooses else None
+        part = Part(field, domain, self.skin.mm() if self.skin else 0.0, self.islands, method, self.drains, chosen)
+        if part.skin_mm:
+            sealed = sealed_void(part, context.threads)
+            context.report(sealed_mm3=sealed)
+            if sealed > NOTICED * float(np.prod(domain.upper - domain.lower)):
+                context.warn(
+                    f"the skin of {part.skin_mm:g} mm seals about {sealed:.3g} mm3 of void, in which liquid resin or "
+                    "powder stays; let `fix.drains` open it, or keep the skin to some faces (`skin_toward`)"
+                )
+        return part
+
+    def _chosen(self, context: Context, domain: SurfaceMesh, near: SurfaceMesh | None) -> NDArray[np.int32]:
+        """Numbers of the triangles that have the skin."""
+        from sppm_pipeline.method.part.chosen_faces import faces_toward, faces_within
+        from sppm_pipeline.services.mesh.measures import surface_area
+
+        chosen = np.zeros(len(domain.faces), np.bool_)
+        if self.skin_toward:
+            chosen |= faces_toward(domain.vertices, domain.faces, self.skin_toward, self.skin_angle)
+        if self.skin_within is not None and near is not None:
+            others = near.vertices[near.faces]
+            chosen |= faces_within(domain.vertices, domain.faces, others, self.skin_within.mm())
+        known = dict.fromkeys(name for name, _, _ in domain.groups)
+        for wanted in self.skin_groups:
+            if wanted not in known:
+                listed = ", ".join(list(known)[:20]) + (", ..." if len(known) > 20 else "")
+                raise InputError(
+                    f"{domain.name} has no group {wanted!r}",
+                    hint=f"it has {listed}" if known else "OBJ, 3MF and ASCII STL files name groups; this one has none",
+                )
+        for name, first, last in domain.groups:
+            if name in self.skin_groups:
+                chosen[first:last] = True
+        if self.skin_triangles is not None:
+            chosen[listed_triangles(self.skin_triangles, len(chosen))] = True
+        if not chosen.any():
+            raise InputError(
+                f"none of the {len(chosen)} triangles of {domain.name} is chosen for the skin",
+                hint="widen `skin_angle` or `skin_within`, or leave out `skin`",
+            )
+        context.report(
+            skin_triangles=int(chosen.sum()), skin_area_mm2=surface_area(domain.vertices, domain.faces[chosen])
+        )
+        return np.flatnonzero(chosen).astype(np.int32)
+
+
+def listed_triangles(path: Path, count: int) -> NDArray[np.int64]:
+    """The triangle numbers in a text file, between blanks, commas or line ends.
+
+    Raises
+    ------
+    InputError
+        If one is no number of a triangle.
+    """
+    words = content_of(path, LARGEST_LIST).replace(b",", b" ").split()
+    wrong = next((word for word in words if not (word.isdigit() and len(word) < 10 and int(word) < count)), None)
+    if wrong is not None:
+        raise InputError(
+            f"{path.name}: {wrong[:40].decode('utf-8', 'replace')!r} is no triangle; there are {count}, numbered from 0"
+        )
+    return np.array([int(word) for word in words], np.int64)
+
+
+def sealed_void(part: Part, threads: int) -> float:
+    """Volume of the void of a part that opens nowhere, mm3, on a coarse grid."""
+    from sppm_pipeline.features.printing.numerics.routes import find_traps
+
+    solid, grid = part.coarse_solid(threads)
+    return float(find_traps(solid).sizes.sum()) * math.prod(grid.spacing)

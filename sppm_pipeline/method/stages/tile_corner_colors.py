@@ -1,0 +1,28 @@
+"""``tile.corner_colors``: corner colors by a hash of the place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.method.families.tiler import Tiler
+from sppm_pipeline.method.fields.tileset import TileSet
+
+
+@dataclass(frozen=True, kw_only=True)
+class CornerColorsTiling(Tiler):
+    """Draw the color of every lattice corner by a hash of its place; faces follow from their four corners."""
+
+    name: ClassVar[str] = "tile.corner_colors"
+    kinds: ClassVar[tuple[str, ...]] = ("corner",)
+
+    def lay(
+        self, rng: np.random.Generator, mask: NDArray[np.bool_], tileset: TileSet
+    ) -> tuple[NDArray[np.int32], tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
+        from sppm_pipeline.method.tiling.corners import tile_corners
+
+        seed = int(rng.integers(2**62))
+        return tile_corners(mask, seed, tileset.palette_colors, tileset.micro.interiors, periodic=self.periodic)

@@ -1,0 +1,67 @@
+"""``tile.periodic``: one cell, repeated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.method.assembly.contents import TilingArrays
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.families.tiler import HALO, lattice_for, tiling_size
+from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.fields.wrapped import RepeatedField
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicTiling(Stage):
+    """Repeat one periodic cell, or one tile of the paper's set, through a part."""
+
+    name: ClassVar[str] = "tile.periodic"
+    advice: ClassVar[str] = "give larger cells or fewer of them"
+
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
+    tile: int = option(0, help="which tile of a tile set is repeated", minimum=0, maximum=511)
+
+    def estimate(self, palette: Palette, source: Size, cover: Size | None) -> Size:
+        return tiling_size(self.cell, self.cells, cover, source, patches=1.0)
+
+    def run(self, context: Context, source: TileSet | ScalarField, cover: SurfaceMesh | None) -> Tiling | RepeatedField:
+        """Lay the cells."""
+        if isinstance(source, TileSet):
+            if source.kind != "wang":
+                raise ConfigError("only tiles of a `tileset.wang_3color` are periodic cells")
+            if self.tile >= source.micro.interiors:
+                raise ConfigError(f"there is no tile {self.tile}; the set has {source.micro.interiors}")
+            tileset, c = source, source.palette_colors
+            interior, colors = self.tile, (self.tile // c**2, self.tile // c % c, self.tile % c)
+        elif isinstance(source, Microstructure):
+            tileset, interior, colors = TileSet(source, "wang", 1), 0, (0, 0, 0)
+        else:
+            if not source.periodic:
+                raise ConfigError(f"a {type(source).__name__} does not repeat")
+            lattice = lattice_for(self.cell, self.cells, cover, source.edge_mm)
+            nx, ny, nz = lattice.mask.shape
+            return RepeatedField(source, (nx, ny, nz), lattice.edge, lattice.origin)
+        lattice = lattice_for(self.cell, self.cells, cover, tileset.micro.edge_mm)
+        faces, repeats = [], self.cells is not None
+        halo = 0 if repeats else HALO
+        cells = tuple(n + 2 * halo for n in lattice.mask.shape)
+        for axis in range(3):
+            shape = list(cells)
+            shape[axis] += 1
+            color = colors[axis] if tileset.micro.colors[axis] else -1
+            faces.append(np.full(shape, color, np.int32))
+        arrays = TilingArrays(np.full(cells, interior, np.int32), (faces[0], faces[1], faces[2]), repeats, halo)
+        return Tiling(tileset, arrays, lattice.edge, lattice.origin)

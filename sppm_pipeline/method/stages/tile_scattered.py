@@ -1,0 +1,129 @@
+"""``tile.scattered``: pores scattered over the whole part, without faces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.features.grading.graded import DIRECTION, trial
+from sppm_pipeline.features.grading.graded_cloud import ROOM, TOLD, GradedCloud, without_faces
+from sppm_pipeline.features.grading.grading import Grading
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.families.tiler import (
+    HALO,
+    Lattice,
+    at_porosity,
+    check_repeats,
+    laid_cells,
+    lattice_for,
+    measured_voxels,
+    tiling_size,
+)
+from sppm_pipeline.method.fields.microstructure import Microstructure
+from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.nouns.palette import Blocks, Palette
+from sppm_pipeline.nouns.size import RecipeSize, Size
+from sppm_pipeline.stage import Context, Recipe, Stage
+
+FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "stretch", *DIRECTION)
+"""Maps that change what is scattered."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScatteredTiling(Stage):
+    """Scatter pores over the whole part: there are no faces, and nothing repeats.
+
+    An extension of the paper. The lattice only says how many pores lie in each of its blocks: the recipe's number for a
+    cell, faces and interior together. Pores keep their spacing and are joined across blocks. Samplers that need the
+    whole cell are refused.
+
+    With maps of `porosity`, `scale` or `pore_radius` density and spacing follow them: the number of pores comes from a
+    curve that trial boxes give, and pores are then added and taken away at random where a block is found to be off, in
+    rounds. Sizes at a scale s are s times those of the recipe. The recipe's samplers then need `total`. A map of
+    `spacing` changes the distance of pores alone. With maps of `stretch` s and of a direction pores are s times as long
+    along it as across, where their radii are those of the recipe, and 1/s as many.
+    """
+
+    name: ClassVar[str] = "tile.scattered"
+    version: ClassVar[int] = 3
+    advice: ClassVar[str] = "give larger cells, or use `tileset.free_faces` with many interiors"
+
+    cell: Length | None = options.cell(None, note="in the part; the recipe's `edge` if omitted")
+    cells: tuple[int, int, int] | None = options.cells(None)
+    periodic: bool = options.periodic(False, note="those of the box of `cells`, which repeats")
+    porosity: float | None = options.porosity(None, note="that of the part or box; the recipe's own level if omitted")
+    resolution: int = options.resolution(32, note="for measuring the porosity", minimum=8, maximum=256)
+    rounds: int = options.rounds(2, note="in which pores are added and taken away, with maps", minimum=0, maximum=10)
+    trials: int = options.trials(3, note="of the curve, with maps")
+
+    def estimate(self, palette: Palette, recipe: RecipeSize, cover: Size | None, grading: Size | None) -> Size:
+        made = tiling_size(self.cell, self.cells, cover, recipe(palette, 0))
+        blocks = laid_cells(made, self.periodic)
+        trial = measured_voxels(made.cells, self.resolution) if self.porosity is not None else 0.0
+        if grading is None:
+            recipe(palette, blocks)
+        else:  # drawn and measured in rounds, the last one but one closely, as are some cells in the end
+            recipe(palette, blocks * (1 + self.rounds) + 8 * ROOM**3 * self.trials)
+            trial = float(self.resolution) ** 3 * (made.cells * (1 + (self.rounds - 1) / 8) + min(made.cells, TOLD))
+        counts = {"cells": blocks, "samples": trial, "sums": trial * made.body.kernels, "resident": trial}
+        return made.at_porosity(self.porosity, **counts)
+
+    def check_options(self) -> None:
+        check_repeats(self.periodic, self.cells)
+
+    def run(
+        self, context: Context, recipe: Recipe, cover: SurfaceMesh | None, grading: Grading | None = None
+    ) -> Tiling:
+        """Throw and join the pores of all blocks of the part, and of those around it."""
+        from sppm_pipeline.method.tiling.lattice import with_halo
+
+        lattice = lattice_for(self.cell, self.cells, cover, None)
+        halo = 0 if self.periodic else HALO
+        blocks = Blocks(with_halo(lattice.mask, halo), self.periodic)
+        if grading is not None and any(name in grading for name in FOLLOWED):
+            return self._graded(context, recipe, grading, cover, lattice, blocks.mask)
+        micro = recipe.run(context, palette=Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks))
+        if not isinstance(micro, Microstructure):
+            raise ConfigError(
+                f"the recipe {recipe.name!r} makes a {type(micro).__name__}; scattered cells need a Microstructure",
+                hint="end the recipe with `field.gaussian`",
+            )
+        check_reach(micro)
+        edge = lattice.edge if lattice.edge is not None else micro.edge_mm
+        tiling = without_faces(micro, blocks, halo, edge, lattice.origin)
+        return tiling if self.porosity is None else at_porosity(context, tiling, cover, self.porosity, self.resolution)
+
+    def _graded(
+        self,
+        context: Context,
+        recipe: Recipe,
+        grading: Grading,
+        cover: SurfaceMesh | None,
+        lattice: Lattice,
+        mask: NDArray[np.bool_],
+    ) -> Tiling:
+        if self.periodic:
+            raise ConfigError("graded cells do not repeat", hint="leave out `periodic`")
+        if self.porosity is not None and "porosity" in grading:
+            raise ConfigError("the porosity is given twice, by a map and by the option", hint="leave out `porosity`")
+        edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
+        blocks = np.pad(lattice.mask, HALO), mask, HALO, edge, lattice.origin
+        cloud = GradedCloud(recipe, grading, cover, *blocks, self.porosity, self.trials, self.resolution)
+        tiling = cloud.laid(context, self.rounds)
+        check_reach(tiling.tileset.micro)
+        return tiling
+
+
+def check_reach(micro: Microstructure) -> None:
+    """Raise `DesignError` if kernels are felt beyond the next cell."""
+    if micro.reach > HALO:
+        raise DesignError(
+            f"the kernels reach {micro.reach:.3g} cell sizes, but only the next cell is looked at",
+            hint="give larger cells with more pores, or smaller radii",
+        )

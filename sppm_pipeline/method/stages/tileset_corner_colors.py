@@ -1,0 +1,43 @@
+"""``tileset.corner_colors``: face patterns named by the colors of their corners."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sppm_pipeline.method.assembly.contents import TilingArrays
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.families.tileset_maker import TileSetMaker
+from sppm_pipeline.nouns.palette import Palette
+
+
+@dataclass(frozen=True, kw_only=True)
+class CornerColorsTileSet(TileSetMaker):
+    """Corner cubes (Lagae and Dutre 2006): each lattice corner has one of c colors, each face one of c^4 patterns.
+
+    Neighbors that only touch at an edge or corner are thereby constrained, too, and far more patterns occur than
+    with colored faces. An extension of the paper.
+    """
+
+    name: ClassVar[str] = "tileset.corner_colors"
+    kind: ClassVar[str] = "corner"
+
+    colors: int = options.colors(2, note="of corners", maximum=3)
+    interiors: int = options.interiors(64)
+
+    def palette_size(self) -> int:
+        return self.colors
+
+    def palette(self) -> Palette:
+        return Palette(self.interiors, (self.colors**4,) * 3)
+
+    def trial(self) -> list[TilingArrays]:
+        """One periodic layout by the hash, large enough to show every interior in turn."""
+        from sppm_pipeline.method.tiling.corners import tile_corners
+
+        side = max(2, int(np.ceil(self.interiors ** (1 / 3))))
+        interior, faces = tile_corners(np.ones((side,) * 3, bool), 0, self.colors, self.interiors, periodic=True)
+        interior = (np.arange(interior.size, dtype=np.int32) % self.interiors).reshape(interior.shape)
+        return [TilingArrays(interior, faces, True)]

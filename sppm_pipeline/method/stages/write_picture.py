@@ -1,0 +1,107 @@
+"""``write.picture``: a rendered view, without a display."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.method.families import options
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.tileset import TileSet
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.nouns.voxels import Voxels
+from sppm_pipeline.method.pictures.field_picture import (
+    MAX_SAMPLES,
+    MAX_TILES,
+    mesh_picture,
+    scene_of,
+    tile_sheet,
+    voxel_picture,
+)
+from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.size import Size
+from sppm_pipeline.stage import Context, Stage, option
+
+
+@dataclass(frozen=True, kw_only=True)
+class WritePicture(Stage):
+    """Render a mesh, a cell, a tiling, a part or voxels as PNG; a tile set becomes a sheet of all its tiles.
+
+    What is solid of a field is seen by rays, within the triangles of the part: rims are exact. Islands that are removed
+    from the layers of a part are not shown, and their share of the solid is reported. Cut faces, and the skin, have
+    colors of their own. Voxels have the color of their phase: bone, blue, orange, green, pink, sky, red.
+    """
+
+    name: ClassVar[str] = "write.picture"
+    advice: ClassVar[str] = "lower `resolution` or `image_size`"
+    version: ClassVar[int] = 3
+    reported: ClassVar[tuple[str, ...]] = ("removed_share",)
+
+    path: str = options.write_path("picture.png", suffixes=(".png",))
+    resolution: int = options.resolution(32, note="fewer where the picture could not show them", minimum=4, maximum=512)
+    image_size: tuple[int, int] = options.image_size((1200, 900), minimum=16, formerly="size")
+    azimuth: float = options.azimuth(-60.0)
+    elevation: float = options.elevation(25.0)
+    section: float | None = options.section(None)
+    section_along: str = option("y", help="axis across which `section` cuts", choices=("x", "y", "z"))
+    annotate: bool = option(True, help="draw the directions of the axes and a scale bar; not on sheets of tiles")
+    background: str = option("light", help="what is behind the part", choices=("light", "dark", "transparent"))
+
+    def estimate(self, palette: Palette, what: Size) -> Size:
+        pixels, n = float(self.image_size[0] * self.image_size[1]), self.resolution
+        tiles = 1.0
+        if what.triangles:
+            return Size(pixels=pixels, triangles=what.triangles)
+        if what.voxels:
+            # as many as an image of pores and walls that are eight voxels wide has
+            return Size(pixels=pixels, triangles=what.voxels / 2)
+        body = what.body
+        if what.cells > body.volume:  # a sheet of a tile set
+            tiles, pixels = min(what.cells, MAX_TILES), 300.0 * 270
+        while n > 4 and body.samples(n) > MAX_SAMPLES:
+            n -= 1
+        grid = what.grid(n)
+        return Size(
+            pixels=tiles * pixels, samples=tiles * grid.samples, sums=tiles * grid.sums, resident=grid.samples
+        )  # fmt: skip
+
+    def run(self, context: Context, what: SurfaceMesh | ScalarField | TileSet | Voxels) -> None:
+        """Render and write."""
+        from PIL import Image
+
+        from sppm_pipeline.services.pictures.camera import Camera
+
+        camera, threads = Camera(azimuth=self.azimuth, elevation=self.elevation), context.threads
+        if isinstance(what, TileSet):
+            picture = tile_sheet(
+                what,
+                self.resolution,
+                camera,
+                background=self.background,
+                threads=threads,
+                progress=lambda done, of: context.progress(done, of, "tiles drawn"),
+            )
+        elif isinstance(what, Voxels):
+            picture = voxel_picture(
+                what, self.image_size, camera, section=self.section, section_along=self.section_along,
+                annotate=self.annotate, background=self.background, threads=threads,
+            )  # fmt: skip
+        elif isinstance(what, SurfaceMesh) and self.section is None:
+            picture = mesh_picture(
+                what, self.image_size, camera, annotate=self.annotate, background=self.background, threads=threads
+            )
+        else:
+            if isinstance(what, SurfaceMesh) and not what.bounds_solid:
+                raise ConfigError(
+                    "`section` cuts solids, and this mesh has a border, so that nothing is inside of it",
+                    hint="leave out `section`, or close the mesh",
+                )
+            scene = scene_of(what, self.resolution, threads=threads)
+            if scene.removed_share:
+                context.report(removed_share=scene.removed_share)
+            picture = scene.picture(
+                self.image_size, camera, section=self.section, section_along=self.section_along,
+                annotate=self.annotate, background=self.background, threads=threads,
+            )  # fmt: skip
+        Image.fromarray(picture).save(context.output(self.path))

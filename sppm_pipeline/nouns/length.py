@@ -1,0 +1,129 @@
+"""Lengths as users write them, and the cell that relates them to the unit cube."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.nouns.artifact import Artifact
+
+UNITS_IN_MM = {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+
+_LENGTH = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ]*)\s*")
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length as written: a value and, if one was given, a physical unit.
+
+    Attributes
+    ----------
+    value : float
+    unit : str or None
+        A key of `UNITS_IN_MM`; None means the documented unit of the option.
+    """
+
+    value: float
+    unit: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.value:g} {self.unit}" if self.unit else f"{self.value:g}"
+
+    def mm(self) -> float:
+        """The length in millimeters; a bare number is millimeters."""
+        return self.value * (UNITS_IN_MM[self.unit] if self.unit else 1.0)
+
+
+def parse_length(value: object) -> Length:
+    """Read ``7.5``, ``"7.5 mm"`` or ``"50 um"``.
+
+    Raises
+    ------
+    ValueError
+        If the value is no finite number, or the unit is unknown.
+    """
+    if isinstance(value, Length):
+        return value
+    if isinstance(value, bool):
+        raise ValueError(f"expected a length such as 0.16 or '7.5 mm', got {str(value).lower()}")
+    if isinstance(value, (int, float)):
+        number, unit = float(value), None
+    else:
+        match = _LENGTH.fullmatch(value) if isinstance(value, str) else None
+        if not match:
+            raise ValueError(f"expected a length such as 0.16 or '7.5 mm', got {value!r}")
+        number, unit = float(match[1]), match[2] or None
+        if unit is not None and unit not in UNITS_IN_MM:
+            raise ValueError(f"unknown unit {unit!r} in {value!r}; known: {', '.join(UNITS_IN_MM)}")
+    if not math.isfinite(number):
+        raise ValueError(f"a length must be finite, got {value!r}")
+    return Length(number, unit)
+
+
+Pixel = Length | tuple[Length, Length]
+"""Pixel pitch as written: one length for square pixels, else those along x and y."""
+
+
+def voxel_mm(pixel: Pixel, layer: Length | None) -> tuple[float, float, float]:
+    """Pixel pitch along x and y, and layer height, in millimeters; without a height layers are as high as pixels.
+
+    Raises
+    ------
+    ConfigError
+        If only one of two pitches has a unit, or pixels that are not square leave the layer height open.
+    """
+    x, y = pixel if isinstance(pixel, tuple) else (pixel, pixel)
+    if (x.unit is None) != (y.unit is None):
+        raise ConfigError(
+            f"of `pixel: [{x}, {y}]` one has a unit and the other has none",
+            hint="write both with their unit, for example `pixel: [0.019 mm, 0.024 mm]`",
+        )
+    if layer is None and not math.isclose(x.mm(), y.mm(), rel_tol=1e-9):
+        raise ConfigError(
+            f"`pixel: [{x}, {y}]` needs a `layer`: pixels that are not square don't tell how high a layer is",
+            hint="give the layer height of the printer, for example `layer: 0.05 mm`",
+        )
+    return x.mm(), y.mm(), (x if layer is None else layer).mm()
+
+
+@dataclass(frozen=True)
+class Cell(Artifact):
+    """The periodic cube in which pores are designed.
+
+    Inside the program a cell is the unit cube; `edge` says how long that cube's edge is in the lengths that the
+    user writes: 1 for cell sizes, 2 for the paper's [-1, 1]^3, 7.5 with unit mm for a physical cell.
+
+    Attributes
+    ----------
+    edge : float
+        Edge length in the user's lengths.
+    physical : bool
+        Whether the user's lengths are millimeters.
+    """
+
+    edge: float = 1.0
+    physical: bool = False
+
+    def fraction(self, length: Length) -> float:
+        """`length` in cell sizes.
+
+        Raises
+        ------
+        ConfigError
+            If the length has a physical unit and the cell has no physical size.
+        """
+        if length.unit is None:
+            return length.value / self.edge
+        if not self.physical:
+            raise ConfigError(
+                f"the length {length} has a physical unit, but the cell has no physical size",
+                hint="give the first sampling stage the size of the cell, for example `edge: 7.5 mm`, "
+                "or write the length without a unit, as a fraction of the cell size",
+            )
+        return length.mm() / self.edge
+
+    def summary(self) -> dict[str, object]:
+        """Edge and its unit."""
+        return {"edge": self.edge, "unit": "mm" if self.physical else "cell size"}

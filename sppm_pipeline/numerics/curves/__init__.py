@@ -1,1 +1,0 @@
-"""Curves of tests and simulations: measures, corrections, spread."""

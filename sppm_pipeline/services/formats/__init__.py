@@ -1,0 +1,1 @@
+"""Bytes of files that several features read or write."""

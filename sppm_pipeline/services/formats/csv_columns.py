@@ -1,0 +1,108 @@
+"""Columns of numbers of a CSV file, by their names."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.services.formats.input_file import require_file
+
+LARGEST_FILE = 2**33
+"""Bytes; larger files are refused before they are read."""
+
+MOST_ROWS = 5_000_000
+"""Rows that are held; a file of more is refused as soon as one more has been read."""
+
+_LONGEST_LINE = 1 << 16
+
+
+def read_columns(path: Path, names: Sequence[str], *, gaps: bool = False) -> NDArray[np.float64]:
+    """Numbers of named columns.
+
+    Parameters
+    ----------
+    path : Path
+        A text file whose first line names the columns; commas, semicolons, tabs or blanks separate them.
+    names : sequence of str
+        Upper and lower case are the same.
+    gaps : bool
+        Whether a field may be empty, which makes it NaN.
+
+    Returns
+    -------
+    (rows, len(names)) float64
+
+    Raises
+    ------
+    InputError
+        If a column is missing or there twice, a field is no number, or there are no rows or too many.
+    """
+    require_file(path, LARGEST_FILE)
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        number, line = 0, ""
+        while not line:
+            text = file.readline(_LONGEST_LINE)
+            number += 1
+            if not text:
+                raise InputError(
+                    f"{path.name} is empty", hint="its first line names the columns, for example x,y,z,value"
+                )
+            if len(text) == _LONGEST_LINE:
+                raise InputError(
+                    f"{path.name}: line {number} is longer than {_LONGEST_LINE} characters: is it a table?"
+                )
+            line = text.partition("#")[0].strip()
+        separator = next((mark for mark in (";", "\t", ",") if mark in line), None)
+        found = [word.strip().strip('"').lower() for word in (line.split(separator) if separator else line.split())]
+        places = [_place(path.name, found, name) for name in names]
+        converters: Any = dict.fromkeys(places, _with_gaps) if gaps else None
+        try:
+            with warnings.catch_warnings():  # of lines without data
+                warnings.simplefilter("ignore")
+                rows: NDArray[np.float64] = np.loadtxt(
+                    file, delimiter=separator, comments="#", usecols=places, ndmin=2, max_rows=MOST_ROWS + 1,
+                    quotechar='"', converters=converters,
+                )  # fmt: skip
+        except (ValueError, IndexError) as error:
+            raise InputError(
+                f"{path.name}: {_explained(str(error), number)}", hint="fields of these columns are numbers"
+            ) from error
+    if not rows.size:
+        raise InputError(f"{path.name} names columns, but holds no rows")
+    if len(rows) > MOST_ROWS:
+        raise InputError(
+            f"{path.name} has more than {MOST_ROWS} rows", hint="average some of them, or make an image of them"
+        )
+    return rows
+
+
+def _with_gaps(text: str) -> float:
+    return float(text) if text.strip() else np.nan
+
+
+def _place(file: str, found: list[str], name: str) -> int:
+    """The place of a column."""
+    count = found.count(name.lower())
+    if count == 1:
+        return found.index(name.lower())
+    listed = ", ".join(word[:40] for word in found[:20])
+    if count:
+        raise InputError(f"{file} has {count} columns {name!r}", hint=f"its columns are {listed}")
+    close = get_close_matches(name.lower(), found, 1)
+    hint = f"did you mean {close[0][:40]!r}? " if close else ""
+    raise InputError(f"{file} has no column {name[:40]!r}", hint=f"{hint}its columns are {listed}")
+
+
+def _explained(message: str, above: int) -> str:
+    """What numpy says of a field; of what can't be converted it counts rows from 0."""
+    first = (message.splitlines() or [""])[0]
+    first = re.sub(r"at row (\d+), column", lambda match: f"at row {int(match[1]) + 1}, column", first)
+    return re.sub(r"at row (\d+)", rf"at row \1 below line {above}", first)[:200]

@@ -1,0 +1,1 @@
+"""Compiled kernels: Numba when it is needed, kept machine code when it is not."""

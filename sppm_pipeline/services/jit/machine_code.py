@@ -1,0 +1,386 @@
+"""Machine code of kernels, kept so that it starts without the compiler that made it.
+
+Numba's own cache needs all of Numba to be imported, a third of a short run, only to hand over code that is finished.
+So the object code of each kernel that Python has called is kept once more, beside Numba's files, with all that it takes
+to start it: the name of its entry, the symbols that it looks for, and the environments of its functions. LLVM links it,
+and two of Numba's extension modules, which are loaded by their files, lend it what compiled code calls: conversions of
+arguments, memory, exceptions. The machine code is the same, so results are, to the byte.
+
+Whatever does not fit is left to Numba: other kinds of arguments, a symbol that is not there, a damaged file, a setting
+of Numba's in the environment, a version of Numba that this has not been tried with (`TRIED`: what compiled code looks
+for is no promise of Numba's), another system than Linux on x86-64 (object files are read here to know what symbols they
+want, as LLVM ends the process where one is missing; others have not been tried).
+"""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import ctypes
+import functools
+import hashlib
+import importlib
+import importlib.machinery
+import importlib.util
+import json
+import os
+import pickle
+import re
+import struct
+import sys
+import threading
+import zlib
+from collections.abc import Callable, Sequence
+from types import FunctionType, ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sppm_pipeline.services.jit.kernel_cache import kernel_cache_folder
+
+FORMAT = 4
+"""Of the files; part of their names."""
+
+SWITCH = "SPPM_KEPT_KERNELS"
+"""Environment variable; ``off`` has Numba start all kernels."""
+
+TRIED = ("0.68",)
+"""Versions of Numba, without their last number, whose code was started without it, and all tests passed."""
+
+_MAGIC = b"sppm machine code\n"
+
+_SETTINGS = ("NUMBA_CACHE_DIR",)
+"""Settings of Numba that do not change what it makes."""
+
+NUMBERS: dict[type, str] = {
+    int: "int64",
+    float: "float64",
+    bool: "bool",
+    **{
+        getattr(np, name): name.rstrip("_")
+        for name in ("bool_", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32",
+                     "uint64")
+    },
+}  # fmt: skip
+"""Scalars that kernels take, and Numba's names for them."""
+
+_C, _F, _ALIGNED, _WRITABLE = 0x1, 0x2, 0x100, 0x400
+FLAGS = _C | _F | _ALIGNED | _WRITABLE
+"""Those of `ndarray.flags.num` that tell kinds of arrays apart."""
+
+
+class TooLarge:
+    """Stands for an int that does not fit into 64 bits with a sign.
+
+    Where it is the first of its kind in a call, the call is left to Numba. Kept code that was started for a smaller one
+    is called with it all the same, and raises OverflowError.
+    """
+
+
+def kind_of(value: Any) -> Any:
+    """What tells kinds of arguments apart, to look them up by; cheap, as each call of a kernel asks for it."""
+    kind = type(value)
+    if kind is np.ndarray or kind is np.memmap:
+        return value.dtype, value.ndim, value.flags.num & FLAGS
+    if kind is int:
+        return int if value.bit_length() < 64 else TooLarge
+    if isinstance(value, tuple):
+        return (kind, *map(kind_of, value))
+    return kind
+
+
+def written(kind: Any) -> str | list[Any] | None:
+    """A kind as a JSON value, as `services.jit.kernel_signatures` writes Numba's types; None for others."""
+    if not isinstance(kind, tuple):
+        return "none" if kind is type(None) else NUMBERS.get(kind)
+    if isinstance(kind[0], type):
+        parts = [written(part) for part in kind[1:]]
+        if any(part is None for part in parts):
+            return None
+        return ["" if kind[0] is tuple else f"{kind[0].__module__}.{kind[0].__qualname__}", *parts]
+    dtype, dimensions, flags = kind
+    if not flags & _ALIGNED or not dtype.isnative or dtype.type not in NUMBERS:
+        return None
+    order = "C" if flags & _C else "F" if flags & _F else "A"
+    return f"{NUMBERS[dtype.type]} {dimensions} {order}" + ("" if flags & _WRITABLE else " readonly")
+
+
+class Code(NamedTuple):
+    """Object code of a kernel and what it takes to start it.
+
+    Attributes
+    ----------
+    entry : str
+        Symbol of the function that Python calls.
+    environment : str
+        That of the entry; one of `environments`.
+    environments : dict of symbol to dtypes
+        Of this function and those that it calls; the only constants kept are dtypes, of arrays that are made. None if
+        there are others.
+    object : bytes
+    """
+
+    entry: str
+    environment: str
+    environments: dict[str, list[str] | None]
+    object: bytes
+
+
+@functools.cache
+def hindrance() -> str:
+    """Why no kept code is used; nothing where it is."""
+    if sys.platform != "linux" or os.uname().machine != "x86_64":
+        return "tried on Linux on x86-64 only"
+    if os.environ.get(SWITCH, "").lower() == "off":
+        return f"{SWITCH}=off"
+    if settings := [n for n in sorted(os.environ) if n.startswith("NUMBA_") and n not in _SETTINGS]:
+        return f"{settings[0]} is set"
+    if os.path.exists(".numba_config.yaml"):  # where Numba looks for settings, too
+        return "there is a .numba_config.yaml here"
+    version = _version()
+    return "" if version.rpartition(".")[0] in TRIED else f"not tried with Numba {version}"
+
+
+def usable() -> bool:
+    """Whether kept code is used at all."""
+    return not hindrance()
+
+
+def _version() -> str:
+    """Numba's, from its files, as its import is what all this saves."""
+    with contextlib.suppress(OSError, ImportError):
+        with open(os.path.join(_numba(), "_version.py"), encoding="utf-8") as file:
+            found = re.search(r'"version": "([^"]+)"', file.read())
+        if found:
+            return found[1]
+    return ""
+
+
+def _place_of(function: FunctionType, kinds: Sequence[Any]) -> str | None:
+    """The file of a kernel for arguments of these kinds, as `written`; None if it can't be kept.
+
+    A function with a closure is made anew in every process, and what it holds may differ.
+    """
+    code, name = function.__code__, function.__qualname__
+    if function.__closure__ is not None or not name.replace(".", "").isidentifier():
+        return None
+    about = [FORMAT, code.co_firstlineno, code.co_code.hex(), list(kinds), *_target()]
+    digest = hashlib.sha256(json.dumps(about).encode()).hexdigest()[:20]
+    return os.path.join(kernel_cache_folder(code.co_filename), f"{name}-{digest}.code")
+
+
+@functools.cache
+def _target() -> tuple[str, ...]:
+    """What machine code is made for, and by which versions."""
+    import llvmlite.binding as llvm
+
+    numba = _numba()
+    stat = os.stat(os.path.join(numba, "_version.py"))
+    made_by = f"{numba} {stat.st_size} {stat.st_mtime_ns}", str(llvm.llvm_version_info), llvm.__file__
+    return (
+        *made_by, np.__version__, llvm.get_process_triple(), llvm.get_host_cpu_name(),
+        llvm.get_host_cpu_features().flatten(),
+    )  # fmt: skip
+
+
+@functools.cache
+def _numba() -> str:
+    """The folder of Numba, without its import."""
+    found = importlib.util.find_spec("numba")
+    if found is None or not found.submodule_search_locations:
+        raise ImportError("Numba is not installed")
+    return found.submodule_search_locations[0]
+
+
+def keep(function: FunctionType, kinds: Sequence[Any], code: Code) -> None:
+    """Keep machine code, if all that it looks for can be told; the file appears whole or not at all."""
+    file, symbols = _place_of(function, kinds), symbols_of(code.object)
+    if file is None or symbols is None:
+        return
+    # most functions are inlined, and nobody asks for the environments that they would have had
+    needed = {n: dtypes for n, dtypes in code.environments.items() if n == code.environment or n in symbols[1]}
+    if None in needed.values():
+        return
+    about = {
+        "entry": code.entry,
+        "environment": code.environment,
+        "environments": needed,
+        "symbols": symbols[0],
+    }
+    head = json.dumps(about, separators=(",", ":")).encode()
+    new = f"{file}.{os.getpid()}-{threading.get_ident()}"
+    whole = struct.pack("<I", len(head)) + head + code.object
+    try:
+        with open(new, "wb") as opened:
+            opened.write(_MAGIC + struct.pack("<I", zlib.crc32(whole)) + whole)
+        os.replace(new, file)
+    except OSError:  # a full disk, as a rule
+        with contextlib.suppress(OSError):
+            os.unlink(new)
+
+
+def load(function: FunctionType, kinds: Sequence[Any]) -> Callable[..., Any] | None:
+    """Start kept machine code; None if there is none, or it can't be started here."""
+    try:
+        place = _place_of(function, kinds)
+        if place is None:
+            return None
+        with open(place, "rb") as opened:
+            data = opened.read()
+        check, length = struct.unpack_from("<II", data, len(_MAGIC))
+        if not data.startswith(_MAGIC) or zlib.crc32(memoryview(data)[len(_MAGIC) + 4 :]) != check:
+            return None
+        at = len(_MAGIC) + 8
+        about = json.loads(data[at : at + length])
+        code = data[at + length :]
+        with _LOADING:
+            return _linker().start(about, code, function)
+    except (OSError, struct.error, ValueError, KeyError, TypeError, AttributeError, ImportError, RuntimeError):
+        return None
+
+
+_LOADING = threading.RLock()
+
+
+@functools.cache
+def _linker() -> _Linker:
+    return _Linker()
+
+
+class _Linker:
+    """LLVM's linker, with the symbols that Numba's code looks for."""
+
+    def __init__(self) -> None:
+        import llvmlite.binding as llvm
+
+        self._llvm = llvm
+        self._known: set[str] = set()
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        self._target = llvm.Target.from_triple(llvm.get_process_triple())
+        self._dynfunc, helpers, memory = map(_extension, ("_dynfunc", "_helperlib", "core.runtime._nrt_python"))
+        memory.memsys_use_cpython_allocator()
+        # under the names that Numba gives them; exceptions are the classes, not pointers to them as in Python's library
+        symbols = {f"PyExc_{n}": id(e) for n, e in vars(builtins).items() if _is_exception(e)}
+        symbols["_Py_NoneStruct"] = id(None)
+        symbols |= {n if n.startswith("_") else f"NRT_{n}": address for n, address in memory.c_helpers.items()}
+        for table in (helpers.c_helpers, self._dynfunc.c_helpers):
+            symbols |= {f"numba_{name}": address for name, address in table.items()}
+        symbols |= {name: helpers.c_helpers[name] for name in _MATH if name in helpers.c_helpers}
+        symbols["numba_unpickle"] = ctypes.cast(_UNPICKLE, ctypes.c_void_p).value or 0
+        for name, address in symbols.items():
+            llvm.add_symbol(name, address)
+            self._known.add(name)
+
+    def start(self, about: dict[str, Any], code: bytes, function: FunctionType) -> Callable[..., Any] | None:
+        """Link object code and return the function that Python calls; None if a symbol is missing.
+
+        Each kernel is linked by itself: two may hold functions of one name, made by different processes.
+        """
+        llvm = self._llvm
+        # the machine is the engine's from here; the first engine lets LLVM see the symbols of this process
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), self._target.create_target_machine(jit=True))
+        for name in about["symbols"]:
+            if name not in self._known:
+                if not llvm.address_of_symbol(name):
+                    return None  # LLVM would end the process
+                self._known.add(name)
+        file = llvm.ObjectFileRef.from_data(code)
+        engine.add_object_file(file)
+        engine.finalize_object()
+        environments = {}
+        for symbol, constants in about["environments"].items():
+            made = self._dynfunc.Environment({})  # globals are for code that is interpreted
+            made.consts[:] = [np.dtype(text) for text in constants]
+            environments[symbol] = made
+            if address := engine.get_global_value_address(symbol):
+                ctypes.c_void_p.from_address(address).value = id(made)
+        module, name = sys.modules[function.__module__], function.__name__
+        kept = (engine, file, *environments.values())
+        environment = environments[about["environment"]]
+        entry = engine.get_function_address(about["entry"])
+        if not entry:
+            return None
+        started: Callable[..., Any] = self._dynfunc.make_function(
+            module, name, function.__doc__ or "", entry, environment, kept
+        )
+        return started
+
+
+def _is_exception(value: Any) -> bool:
+    return isinstance(value, type) and issubclass(value, BaseException)
+
+
+_MATH = (
+    *(name + end for end in ("", "f") for name in (
+        "sin", "cos", "tan", "sinh", "cosh", "tanh", "asin", "acos", "atan", "asinh", "acosh", "atanh", "exp", "expm1",
+        "sqrt", "fabs", "floor", "ceil", "log", "log10", "log1p", "round", "trunc", "pow", "fmod", "atan2",
+    )),
+)  # fmt: skip
+"""Functions of C that compiled code calls as Python itself does."""
+
+
+def _extension(name: str) -> ModuleType:
+    """One of Numba's extension modules by its file; not entered into `sys.modules`, so that Numba may import it."""
+    full = f"numba.{name}"
+    if full in sys.modules:
+        return sys.modules[full]
+    stem = os.path.join(_numba(), *name.split("."))
+    for suffix in importlib.machinery.EXTENSION_SUFFIXES:
+        if os.path.exists(stem + suffix):
+            spec = importlib.util.spec_from_file_location(full, stem + suffix)
+            assert spec is not None
+            assert spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+            sys.modules.pop(full, None)  # where modules of this old kind enter themselves
+            return module
+    raise ImportError(f"there is no {stem}")
+
+
+_unpickled: dict[tuple[int, bytes], Any] = {}
+
+
+def _unpickle(data: int, length: int, digest: int) -> Any:
+    """Types and exceptions that compiled code holds; Numba's own asks for all of Numba."""
+    key = data, ctypes.string_at(digest, 20)
+    if key not in _unpickled:
+        _unpickled[key] = pickle.loads(ctypes.string_at(data, length))
+    return _unpickled[key]
+
+
+_UNPICKLE = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)(_unpickle)
+
+
+def symbols_of(data: bytes) -> tuple[list[str], set[str]] | None:
+    """Symbols that an object file (ELF, 64 bits, little-endian) looks for elsewhere, and all that its code uses.
+
+    See the System V ABI, chapters "ELF header", "Sections", "Symbol table" and "Relocation". None for other files.
+    """
+    if data[:6] != b"\x7fELF\x02\x01":
+        return None
+    (table,) = struct.unpack_from("<Q", data, 40)
+    size, count = struct.unpack_from("<HH", data, 58)
+    sections = [struct.unpack_from("<IIQQQQIIQQ", data, table + number * size) for number in range(count)]
+    relocated = {
+        struct.unpack_from("<Q", data, at + 8)[0] >> 32
+        for section in sections
+        if section[1] == _RELOCATIONS
+        for at in range(section[4], section[4] + section[5], 24)
+    }
+    wanted, used = set(), set()
+    for _, kind, _, _, start, length, link, *_ in sections:
+        if kind == _SYMBOLS:
+            for number, at in enumerate(range(start, start + length, 24)):
+                name, _, _, section = struct.unpack_from("<IBBH", data, at)
+                first = sections[link][4] + name  # the section of their names
+                text = data[first : data.index(b"\0", first)].decode()
+                if number in relocated:
+                    used.add(text)
+                if section == 0 and text:
+                    wanted.add(text)
+    return sorted(wanted), used
+
+
+_SYMBOLS, _RELOCATIONS = 2, 4
+"""Types of sections."""

@@ -1,0 +1,213 @@
+"""Interpolation between a grid and the next coarser one, and its transpose.
+
+A coarse axis has ``ceil(n / 2)`` voxels. Where n is even, its nodes are the even nodes of the fine axis. Where n is
+odd, the fine axis, a ring, is taken from its second node on, and the voxel that is left over, the first, becomes the
+last coarse one by itself: with the first voxel whole, no coarse voxel is ever shorter than half of the others. Nodes
+between two coarse ones take their mean.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sppm_pipeline.services.jit.compiled import inline_jit, jit
+
+_0, _1 = np.uint64(0), np.uint64(1)
+
+
+def coarsened(fine: NDArray[Any]) -> NDArray[Any]:
+    """Mean of the (up to) eight children of each coarse voxel, for any number of axes."""
+    for axis, n in enumerate(fine.shape):
+        ring = np.moveaxis(np.roll(fine, -1, axis) if n % 2 and n > 1 else fine, axis, 0)
+        mean = ring[0::2].copy()
+        mean[: n // 2] += ring[1::2]
+        mean[: n // 2] *= mean.dtype.type(0.5)
+        fine = np.moveaxis(mean, 0, axis)
+    return np.ascontiguousarray(fine)
+
+
+def coarser_widths(widths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+    """Widths of the coarse voxels along each axis, as parts of the width of a whole one."""
+    coarse = []
+    for width in widths:
+        mean = coarsened(width)
+        if len(width) % 2 and len(width) > 1:
+            mean[-1] /= 2
+        coarse.append(mean)
+    return coarse
+
+
+def shortness(widths: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Factors for grids whose last voxel is shorter: it is stiffer across its width."""
+    z, y, x = widths
+    return 1 / (z[:, None, None] * y[:, None] * x)
+
+
+@inline_jit
+def _mean_of_rows(coarse: NDArray[Any], a: Any, b: Any, c: Any, d: Any, s: NDArray[Any], n: Any) -> None:
+    quarter = s.dtype.type(0.25)
+    for i in range(n):
+        s[i] = quarter * ((coarse[a + i] + coarse[b + i]) + (coarse[c + i] + coarse[d + i]))
+
+
+@inline_jit
+def _interpolate_row(s: NDArray[Any], out: NDArray[Any], at: Any, n: Any, coarse: Any) -> None:
+    half = s.dtype.type(0.5)
+    if n & _1 == _0:
+        s[coarse] = s[_0]
+        for i in range(coarse):
+            out[at + i + i] += s[i]
+            out[at + i + i + _1] += half * (s[i] + s[i + _1])
+        return
+    out[at] += s[coarse - _1]
+    at += _1
+    for i in range(coarse - _1):
+        out[at + i + i] += s[i]
+        out[at + i + i + _1] += half * (s[i] + s[i + _1])
+
+
+@jit
+def interpolate_plane(
+    coarse: NDArray[Any], z: Any, shapes: NDArray[np.int64], out: NDArray[Any], at: Any, comp: Any, s: NDArray[Any]
+) -> None:
+    """Add the interpolated coarse vector to one plane of a fine one.
+
+    Parameters
+    ----------
+    coarse : flat, of (components, nz, ny, nx)
+    z : uint64
+        The plane.
+    shapes, s
+        As `interpolate_add`.
+    out : flat
+        Receives the plane from `at` on, components `comp` apart.
+    """
+    nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])
+    mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
+    # places on the ring; twice the same coarse row where there is nothing to interpolate
+    z = (z + nz - (nz & _1)) % nz
+    z0, z1 = z >> _1, ((z + _1) >> _1) % mz
+    for c in range(np.uint64(len(coarse)) // (mx * my * mz)):
+        low, high = (c * mz + z0) * my, (c * mz + z1) * my
+        for line in range(ny):
+            y = (line + ny - (ny & _1)) % ny
+            y0, y1 = y >> _1, ((y + _1) >> _1) % my
+            _mean_of_rows(coarse, (low + y0) * mx, (low + y1) * mx, (high + y0) * mx, (high + y1) * mx, s, mx)
+            _interpolate_row(s, out, at + c * comp + line * nx, nx, mx)
+
+
+@jit
+def interpolate_add(coarse: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s: NDArray[Any]) -> None:
+    """Add the interpolated coarse vector to a fine one.
+
+    Parameters
+    ----------
+    coarse, out : flat, of (components, nz, ny, nx)
+    shapes : (6,) int64
+        nx, ny, nz of the fine and of the coarse grid.
+    s : (> nx of the coarse grid,)
+        Scratch.
+    """
+    layer = np.uint64(shapes[0]) * np.uint64(shapes[1])
+    planes = np.uint64(shapes[2])
+    for z in range(planes):
+        interpolate_plane(coarse, z, shapes, out, z * layer, planes * layer, s)
+
+
+@inline_jit
+def _ring_of_rows(
+    fine: NDArray[Any], low: Any, middle: Any, high: Any, before: Any, after: Any, s: NDArray[Any], n: Any
+) -> None:
+    """The sum of three rows, the outer ones weighted, as a ring, in ``s[1:]``."""
+    odd = n & _1
+    for i in range(n - odd):
+        k = odd + i
+        s[i + _1] = fine[middle + k] + (before * fine[low + k] + after * fine[high + k])
+    if odd != _0:
+        s[n] = fine[middle] + (before * fine[low] + after * fine[high])
+
+
+@inline_jit
+def _restrict_row(s: NDArray[Any], out: NDArray[Any], at: Any, factor: Any, coarse: Any) -> None:
+    half = s.dtype.type(0.5)
+    for i in range(coarse):
+        out[at + i] += factor * (s[i + i + _1] + half * (s[i + i] + s[i + i + _1 + _1]))
+
+
+@jit
+def restrict_plane(
+    fine: NDArray[Any], at: Any, comp: Any, z: Any, shapes: NDArray[np.int64], out: NDArray[Any], s: NDArray[Any]
+) -> None:
+    """Add the part of one plane to a restricted vector: the transpose of `interpolate_plane`.
+
+    Parameters
+    ----------
+    fine : flat
+        The plane begins at `at`, components `comp` apart.
+    z : uint64
+        The plane.
+    shapes, s
+        As `restrict`.
+    out : flat, of (components, nz, ny, nx)
+    """
+    nx, ny, nz = np.uint64(shapes[0]), np.uint64(shapes[1]), np.uint64(shapes[2])
+    mx, my, mz = np.uint64(shapes[3]), np.uint64(shapes[4]), np.uint64(shapes[5])
+    zero, half, one = s.dtype.type(0), s.dtype.type(0.5), s.dtype.type(1)
+    odd = ny & _1
+    z = (z + nz - (nz & _1)) % nz
+    z0, z1 = z >> _1, ((z + _1) >> _1) % mz
+    for c in range(np.uint64(len(out)) // (mx * my * mz)):
+        rows = at + c * comp
+        for y in range(my):
+            # the line before, the line itself, the line after, unless the ring is open there
+            low, middle, high = (y + y + ny - _1 + odd) % ny, (y + y + odd) % ny, (y + y + _1 + odd) % ny
+            before = zero if odd != _0 and y == _0 else half
+            after = zero if odd != _0 and y + _1 == my else half
+            _ring_of_rows(fine, rows + low * nx, rows + middle * nx, rows + high * nx, before, after, s, nx)
+            # an even number of nodes closes the ring between its last node and the first
+            s[_0] = s[nx] if nx & _1 == _0 else zero
+            s[nx + _1] = zero
+            to = ((c * mz + z0) * my + y) * mx
+            if z0 == z1:
+                _restrict_row(s, out, to, one, mx)
+            else:
+                _restrict_row(s, out, to, half, mx)
+                _restrict_row(s, out, ((c * mz + z1) * my + y) * mx, half, mx)
+
+
+@jit
+def restrict(fine: NDArray[Any], out: NDArray[Any], shapes: NDArray[np.int64], s: NDArray[Any]) -> None:
+    """The transpose of the interpolation; arguments as `interpolate_add`, `s` longer than nx + 1 of the fine grid."""
+    layer = np.uint64(shapes[0]) * np.uint64(shapes[1])
+    planes = np.uint64(shapes[2])
+    out[:] = 0
+    for z in range(planes):
+        restrict_plane(fine, z * layer, planes * layer, z, shapes, out, s)
+
+
+class NodalTransfer(NamedTuple):
+    """Between the nodes of two grids; see `hierarchy.Transfer`.
+
+    Attributes
+    ----------
+    shapes : (6,) int64
+        As `restrict` takes them.
+    """
+
+    shapes: NDArray[np.int64]
+
+    @classmethod
+    def between(cls, fine: tuple[int, int, int], coarse: tuple[int, int, int]) -> NodalTransfer:
+        """From the voxels (nz, ny, nx) of both grids."""
+        return cls(np.array([*fine[::-1], *coarse[::-1]], np.int64))
+
+    def restrict(self, fine: NDArray[Any], out: NDArray[Any], line: NDArray[Any]) -> None:
+        """See `restrict`."""
+        restrict(fine, out, self.shapes, line)
+
+    def interpolate_add(self, coarse: NDArray[Any], out: NDArray[Any], line: NDArray[Any]) -> None:
+        """See `interpolate_add`."""
+        interpolate_add(coarse, out, self.shapes, line)

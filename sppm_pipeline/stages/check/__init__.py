@@ -1,1 +1,0 @@
-"""Stages that measure an artifact, and may reject it."""

@@ -1,1 +1,0 @@
-"""Stages that join pores by tunnels."""

@@ -1,1 +1,0 @@
-"""Stages that compress a block between plates."""

@@ -1,1 +1,0 @@
-"""Stages that extract meshes and voxel images from fields."""

@@ -1,1 +1,0 @@
-"""Stages that make a scalar field of pores and tunnels."""

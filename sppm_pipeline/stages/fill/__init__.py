@@ -1,1 +1,0 @@
-"""Stages that intersect a microstructure with a part."""

@@ -1,1 +1,0 @@
-"""Stages that change a part so that it can be printed."""

@@ -1,1 +1,0 @@
-"""Stages that say how a parameter varies through a part."""

@@ -1,1 +1,0 @@
-"""Stages that compute effective properties of a periodic structure."""

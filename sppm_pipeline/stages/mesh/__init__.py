@@ -1,1 +1,0 @@
-"""Stages that make meshes of volumes, and surfaces of them."""

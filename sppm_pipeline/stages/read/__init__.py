@@ -1,1 +1,0 @@
-"""Stages that read files, and make primitives."""

@@ -1,1 +1,0 @@
-"""Stages that slice fields and meshes into layers."""

@@ -1,1 +1,0 @@
-"""Stages that lay cells into a part."""

@@ -1,1 +1,0 @@
-"""Stages that draw a recipe for many interiors and face colors."""

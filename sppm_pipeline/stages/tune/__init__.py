@@ -1,1 +1,0 @@
-"""Stages that repeat a recipe until it meets a target."""

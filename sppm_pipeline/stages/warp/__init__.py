@@ -1,1 +1,0 @@
-"""Stages that bend a tiling to another shape."""

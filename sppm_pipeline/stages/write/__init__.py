@@ -1,1 +1,0 @@
-"""Stages that write artifacts to files."""

@@ -1,0 +1,157 @@
+"""Pipelines as values, and runs: the same as the command line's, in memory until they are saved."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sppm_pipeline as sppm
+from sppm_pipeline.engine.cli.main import main
+
+YAML = """\
+sppm: 1
+name: small
+seed: 4
+params: {pores: 14}
+recipes:
+  cell:
+    - {stage: sample.dart_throwing, count: "${pores}", spacing: 0.2}
+    - {stage: connect.mbdst, mode: greedy}
+    - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.05}
+pipeline:
+  - {stage: tune.porosity, recipe: cell, target: 0.6, resolution: 24, tolerance: 0.02}
+  - {stage: check.porosity, id: measured, resolution: 24}
+  - {stage: tile.periodic, cell: 2 mm, cells: [2, 1, 1]}
+  - {stage: slice.field, resolution: 24}
+  - {stage: write.png, sheet: 0}
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return sppm.run(YAML, cache=tmp_path_factory.mktemp("cache"))
+
+
+def files(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_artifacts_and_numbers_are_in_memory(run):
+    cell = run["tune.porosity"]
+    assert isinstance(cell, sppm.Microstructure)
+    assert isinstance(run["slice.field"], sppm.SliceStack)
+    assert run.numbers["measured.porosity"] == pytest.approx(0.6, abs=0.03)
+    assert run.record["seed"] == 4
+    with pytest.raises(sppm.ConfigError, match=r"no stage 'tune.prosity'"):
+        run["tune.prosity"]
+
+
+def test_a_saved_run_is_that_of_the_command_line(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("small.yaml").write_text(YAML, encoding="utf-8")
+    assert main(["run", "small.yaml", "-o", "line", "-q", "--no-cache"]) == 0
+    run.save("python")
+    sppm.run("small.yaml", output="written", cache=False)
+    line, python, written = (files(Path(name)) for name in ("line", "python", "written"))
+    records = [json.loads(saved.pop("run.json")) for saved in (line, python, written)]
+    assert line == python == written
+    assert len(line) > 10
+    assert records[0]["stages"][1]["summary"] == records[1]["stages"][1]["summary"]
+    loaded = sppm.load("python", cache=False)
+    assert loaded.numbers == run.numbers
+
+
+def test_yaml_and_python_are_the_same_pipeline(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    from_text = sppm.Pipeline.from_yaml(YAML)
+    step = sppm.step
+    built = sppm.Pipeline(
+        [
+            step.tune.porosity(recipe="cell", target=0.6, resolution=24, tolerance=0.02),
+            step.check.porosity(id="measured", resolution=24),
+            step.tile.periodic(cell="2 mm", cells=(2, 1, 1)),
+            step.slice.field(resolution=np.int64(24)),
+            step.write.png(sheet=0),
+        ],
+        recipes={
+            "cell": [
+                step.sample.dart_throwing(count="${pores}", spacing=sppm.Length(0.2)),
+                step.connect.mbdst(mode="greedy"),
+                step.field.gaussian(pore_radius=0.14, tunnel_radius=0.05),
+            ]
+        },
+        params={"pores": 14},
+        name="small",
+        seed=4,
+    )
+    assert built.to_yaml() == from_text.to_yaml()
+    assert sppm.Pipeline.from_yaml(built.to_yaml()).to_yaml(defaults=True) == from_text.to_yaml(defaults=True)
+    assert "tolerance: 0.02" in built.to_yaml()
+    assert "degree" not in built.to_yaml()
+
+
+@pytest.mark.parametrize("file", sorted((Path(__file__).parents[3] / "configs").glob("*.yaml")), ids=lambda p: p.stem)
+def test_configurations_survive_the_way_through_yaml(file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pipeline = sppm.Pipeline.from_yaml(file)
+    again = sppm.Pipeline.from_yaml(pipeline.to_yaml())
+    assert again.to_yaml(defaults=True) == pipeline.to_yaml(defaults=True)
+
+
+def test_a_pipeline_is_a_value():
+    pipeline = sppm.Pipeline.from_yaml(YAML)
+    other = pipeline.with_(pores=20, seed=7, set={"measured.resolution": 32}).with_(pores=18)
+    assert "pores: 18" in other.to_yaml()
+    assert "seed: 7" in other.to_yaml()
+    assert "resolution: 32" in other.to_yaml()
+    assert pipeline.to_yaml() == sppm.Pipeline.from_yaml(YAML).to_yaml()
+    with pytest.raises(sppm.ConfigError, match="did you mean 'pores'"):
+        pipeline.with_(pore=3).check()
+
+
+def test_a_pipeline_of_a_file_is_that_file():
+    assert sppm.Pipeline("cell").to_yaml() == sppm.Pipeline.from_yaml("cell").to_yaml()
+    with pytest.raises(sppm.ConfigError, match="its own recipes"):
+        sppm.Pipeline("cell", seed=3)
+
+
+def test_mistakes_are_reported_together_with_their_places():
+    wrong = sppm.Pipeline([sppm.step.sample.dart_throwing(cont=1), "connect.mdst"])
+    with pytest.raises(sppm.ConfigErrors) as caught:
+        wrong.check()
+    assert "pipeline[0].cont" in str(caught.value)
+    assert "did you mean 'connect.mbdst'" in str(caught.value)
+    with pytest.raises(sppm.ConfigError, match=r"2:1.*unknown key 'pipelin'"):
+        sppm.check("sppm: 1\npipelin: []\npipeline: [sample.dart_throwing]\n")
+
+
+def test_a_sweep_has_a_table():
+    pipeline = sppm.Pipeline(
+        [sppm.step.sample.dart_throwing(id="pores", count="${n}", spacing=0.1)], params={"n": 3}, seed=1
+    )
+    run = pipeline.sweep(n=[2, 3], seed=range(2)).run(jobs=2, cache=False)
+    assert run.table.column("n") == (2, 2, 3, 3)
+    assert run.table.numbers("pores.pores").tolist() == [2, 2, 3, 3]
+    assert set(run.table.to_arrays()) >= {"n", "seed", "status"}
+    assert "<table>" in run._repr_html_()
+    with pytest.raises(sppm.ConfigError, match="no single result"):
+        run["pores"]
+
+
+def test_names_are_escaped_in_notebooks():
+    evil = "<script>alert(1)</script>"
+    shown = (
+        sppm.Table.from_arrays({evil: [evil, "b"]})._repr_html_()
+        + sppm.SurfaceMesh.from_arrays(np.eye(3), np.zeros((0, 3)), evil)._repr_html_()
+    )
+    assert "<script" not in shown
+    assert "&lt;script&gt;" in shown
+
+
+def test_cells_have_a_picture(run):
+    cell = run["tune.porosity"]
+    assert cell._repr_png_().startswith(b"\x89PNG")
+    assert '<iframe sandbox="allow-scripts" srcdoc="' in cell._repr_html_()
+    assert len(cell._repr_html_()) < 60_000
+    assert len(repr(cell)) < 1000

@@ -1,0 +1,378 @@
+"""Reports of runs of all kinds: what they say, how large they are, and that they are the same text every time."""
+
+import base64
+import contextlib
+import gzip
+import json
+import re
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.engine.cli.main import main
+from sppm_pipeline.engine.run.verification import verify_run
+from sppm_pipeline.engine.strict_json import json_text, sealed
+from sppm_pipeline.errors import InputError
+from sppm_pipeline.features.browser.live.data import MAGIC, encode_view, head_of
+from sppm_pipeline.features.browser.live.meshes import clustered
+from sppm_pipeline.features.browser.live_view import view_of
+from sppm_pipeline.features.browser.report.boxes import boxes, duration, porosities
+from sppm_pipeline.features.browser.report.build import read_record, report_html
+from sppm_pipeline.features.browser.report.charts import Curve, line_chart, modulus_chart, ticks
+from sppm_pipeline.features.browser.report.layers import layers_of, outputs_of
+from sppm_pipeline.features.browser.report.wiring import wiring_svg
+from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.services.elastic.directional import sphere_mesh
+
+
+def report(folder, **options):
+    return report_html(folder, read_record(folder), **options)
+
+
+def shown(html):
+    """The text of a page without its tags, scripts and styles."""
+    return re.sub(r"<[^>]*>", " ", re.sub(r"<(script|style).*?</\1>", "", html, flags=re.S))
+
+
+def changed(folder, **entries):
+    record = read_record(folder) | entries
+    (folder / "run.json").write_text(json_text(sealed(record)), encoding="utf-8")
+
+
+def test_the_command_writes_a_page_that_is_no_part_of_the_run(copied, capsys):
+    assert main(["report", str(copied), "--no-cache"]) == 0
+    first = (copied / "report.html").read_bytes()
+    assert f"{len(first) / 1e6:.2f} MB" in capsys.readouterr().out
+    assert b'id="data-view"' in first
+    assert verify_run(copied)[0] == []
+    assert main(["report", str(copied), "--no-cache"]) == 0
+    assert (copied / "report.html").read_bytes() == first
+    assert main(["report", str(copied), "-o", str(copied.parent / "bare.html"), "--no-view"]) == 0
+    assert b'id="data-view"' not in (copied.parent / "bare.html").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [(["--max-size", "1kB"], 2, "200 kB"), (["--max-size", "many"], 2, "expected a size"), ([], 3, "no run")],
+)
+def test_what_can_not_be_done_is_said(tmp_path, capsys, words, code, said):
+    assert main(["report", str(tmp_path), *words]) == code
+    assert said in capsys.readouterr().err
+
+
+def test_a_page_of_its_run_is_current(copied):
+    from sppm_pipeline.features.browser.live.command import is_current
+
+    page = copied / "report.html"
+    assert not is_current(copied, page)
+    page.write_text(report(copied), encoding="utf-8")
+    assert is_current(copied, page)
+    changed(copied, seed=6)
+    assert not is_current(copied, page)
+
+
+def test_the_page_is_served_to_this_machine_only(copied):
+    import http.client
+    import threading
+
+    from sppm_pipeline.features.browser.live.command import handler_of
+    from sppm_pipeline.features.browser.live.serving import LocalServer
+
+    (copied / "report.html").write_text("the page", encoding="utf-8")
+    with LocalServer(0, handler_of(copied / "report.html")) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+
+        def asked(path, host):
+            connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+            with contextlib.closing(connection):
+                connection.request("GET", path, headers={"Host": host})
+                answer = connection.getresponse()
+                return answer.status, answer.read()
+
+        assert asked(f"/{server.token}/", f"localhost:{server.server_port}") == (200, b"the page")
+        assert asked("/other/", "127.0.0.1")[0] == 403
+        assert asked(f"/{server.token}/", "evil.example")[0] == 403
+        assert asked(f"/{server.token}/other", "127.0.0.1")[0] == 404
+        server.shutdown()
+
+
+def test_a_changed_file_is_shown_in_red(copied):
+    assert 'class="verdict good"' in report(copied)
+    data = bytearray((copied / "part.stl").read_bytes())
+    data[200] ^= 1
+    (copied / "part.stl").write_bytes(data)
+    html = report(copied)
+    assert '<p class="verdict bad">' in html
+    assert '<li class="bad"><b>changed</b> <bdi>part.stl</bdi>' in html
+
+
+def test_runs_that_failed_have_a_report(copied):
+    record = read_record(copied)
+    error = {"kind": "DesignError", "message": "it does not fit", "hint": "make it smaller", "stage": "slice.field",
+             "where": "small.yaml:9:3", "exit_code": 3}  # fmt: skip
+    changed(copied, status="failed", error=error, stages=record["stages"][:8])
+    text = shown(report(copied))
+    for words in ("it does not fit", "make it smaller", "small.yaml:9:3", "exit code 3"):
+        assert words in text
+    html = report(copied)
+    assert html.count('<details class="stage failed">') == 1
+    assert html.count('<details class="stage missing">') == len(record["stages"]) - 9
+    changed(copied, status="interrupted", error=None)
+    assert "The run is interrupted" in shown(report(copied))
+
+
+def test_a_record_of_somebody_else_is_refused(copied):
+    record = read_record(copied)
+    record["stages"][2]["summary"] = "none"
+    with pytest.raises(InputError, match="not as this program writes them"):
+        report_html(copied, record)
+    (copied / "run.json").write_text("[]")
+    with pytest.raises(InputError, match="no record"):
+        read_record(copied)
+
+
+def test_files_outside_of_the_run_are_not_shown(copied):
+    (copied.parent / "secret.png").write_bytes((copied / "part.png").read_bytes())
+    outputs = [{"path": "../secret.png"}, {"path": str(copied.parent / "secret.png")}, {"path": "part.png"}]
+    assert outputs_of(copied, [{"outputs": outputs}]) == outputs[2:]
+
+
+def test_layers_are_thinned_to_their_room(small_run):
+    outputs = outputs_of(small_run, read_record(small_run)["stages"])
+    every = layers_of(small_run, outputs, 10**9)
+    files = sorted((small_run / "slices").glob("[0-9]*.png"))
+    assert every.files == [file.read_bytes() for file in files]
+    assert every.numbers == list(range(64))
+    written = next(s for s in read_record(small_run)["stages"] if s["id"] == "write.png")
+    assert every.solid_mm2.sum() * every.layer_mm == pytest.approx(written["summary"]["solid_volume_mm3"], rel=1e-9)
+    some = layers_of(small_run, outputs, sum(map(len, every.files)) // 3)
+    assert sum(map(len, some.files)) <= sum(map(len, every.files)) // 3
+    assert np.ptp(np.diff(some.numbers)) == 0
+    assert "layers are shown, evenly spread" in report(small_run, max_bytes=20_000)
+
+
+def test_differences_of_porosity(small_run):
+    record = read_record(small_run)
+    found = {what: value for what, value, _ in porosities(record["stages"], None)}
+    domain = record["stages"][4]["summary"]["volume_mm3"]
+    numbers = {stage["id"]: stage["summary"] for stage in record["stages"]}
+    assert found["layers"] == 1 - numbers["write.png"]["solid_volume_mm3"] / domain
+    assert found["mesh"] == 1 - numbers["extract.marching_cubes"]["volume_mm3"] / domain
+    view = head_of((small_run / "part.view").read_bytes())
+    found = {what: value for what, value, _ in porosities(record["stages"], view)}
+    assert found["field"] == pytest.approx(found["layers"], abs=0.003)
+    stages = [
+        {"id": "tune", "stage": "tune.porosity", "options": {"target": 0.5}, "summary": {"porosity": 0.5009}},
+        {"id": "fill", "stage": "fill.implicit", "made": "Part", "summary": {"domain": {"volume_mm3": 100.0}}},
+        {"id": "png", "stage": "write.png", "summary": {"solid_volume_mm3": 49.0, "layers": 3}},
+        {"id": "mesh", "stage": "extract.x", "made": "SurfaceMesh", "summary": {"volume_mm3": 49.8}},
+    ]
+    made = {box.label: box for box in boxes({"seconds": 61.0, "threads": 2}, stages, None)}
+    assert made["porosity: layers"].value == "51.00 %"
+    assert made["porosity: layers"].note.startswith("+1.00 to wanted, +0.91 to field, +0.80 to mesh")
+    assert made["porosity: layers"].bad
+    assert not made["porosity: wanted"].bad
+    assert made["time"].value == "1 min 1 s"
+    assert [duration(s) for s in (0.01234, 3599.7, 7300, None)] == ["0.0123 s", "1 h 0 min", "2 h 1 min", "–"]
+
+
+def test_a_chart_puts_values_where_they_belong():
+    svg = line_chart([Curve([0, 5, 10], [0, np.nan, 2.0])], "x", "y", id_="c")
+    assert 'd="M62.0 206.0M527.4 20.7"' not in svg  # NaN interrupts the curve
+    places = re.search(r'class="s0" d="M([\d.]+) ([\d.]+)M([\d.]+) ([\d.]+)"', svg)
+    x0, y0, x1, y1 = map(float, places.groups())
+    low, high = (float(re.search(f'data-x{i}="([^"]+)"', svg)[1]) for i in range(2))
+    assert x0 == pytest.approx(62 + (0 - low) / (high - low) * (546 - 62), abs=0.06)
+    assert x1 == pytest.approx(62 + (10 - low) / (high - low) * (546 - 62), abs=0.06)
+    assert y0 == 206.0 > y1 > 14
+    assert line_chart([Curve([1.0], [np.nan])], "x", "y") == ""
+    assert "<b>" not in line_chart([Curve([1, 2], [1, 2])], "<b>", "y")
+
+
+@pytest.mark.parametrize(("low", "high", "found"), [(0, 1, [0, 0.2, 0.4, 0.6, 0.8, 1]), (-3, 7, [-2, 0, 2, 4, 6])])
+def test_ticks_are_round(low, high, found):
+    assert ticks(low, high) == pytest.approx(found)
+
+
+def test_the_modulus_of_a_laminate_over_directions():
+    stiffness = np.linalg.inv(np.diag([1 / 3.0, 1 / 3.0, 1.0, 5.0, 5.0, 5.0]))
+    svg = modulus_chart(stiffness, "MPa")
+    xy, yz, _ = re.findall(r'class="s\d" d="(M[^"]+)"', svg)[:3]
+    radii = [np.hypot(*(np.array(p, float) - 160)) for p in re.findall(r"([\d.]+) ([\d.]+)", yz)]
+    assert radii[0] == pytest.approx(118, abs=0.1)
+    assert radii[45] == pytest.approx(118 / 3, abs=0.1)
+    xy_radii = [np.hypot(*(np.array(p, float) - 160)) for p in re.findall(r"([\d.]+) ([\d.]+)", xy)]
+    # along (1, 1, 0): 1 / E = (1/3 + 1/3 + 5) / 4
+    assert xy_radii[23] == pytest.approx(118 * (4 / (1 / 3 + 1 / 3 + 5)) / 3, rel=0.02)
+    assert modulus_chart(np.zeros((6, 6)), "") == ""
+
+
+def test_wiring_has_a_box_for_each_stage_and_a_line_for_each_input():
+    def stage(id_, *sources, **more):
+        inputs = {f"p{i}": source for i, source in enumerate(sources)}
+        return {"id": id_, "stage": id_, "state": "done", "inputs": inputs, "recipes": {}} | more
+
+    svg = wiring_svg([stage("a"), stage("b<i>"), stage("c", "a", "b<i>"), stage("d", "c", recipes={"recipe": "cell"})])
+    assert svg.count("<rect") == 4
+    assert svg.count('class="wire"') == 3
+    assert "<i>" not in svg
+    assert "recipe cell" in svg
+    rows = re.findall(r'<rect x="[^"]+" y="(\d+)"', svg)
+    a, b, c, d = map(int, rows)
+    assert a == b < c < d
+    assert wiring_svg([]) == ""
+
+
+def test_ten_thousand_rows_fit(tmp_path):
+    count = 10_000
+    rng = np.random.default_rng(1)
+    rows = [
+        {"run": f"{i:05}", "omega": 20 + i % 50, **{f"e.n{j}": v for j, v in enumerate(rng.random(12).tolist())}}
+        for i in range(count)
+    ]
+    runs = [{"run": f"{i:05}", "params": {"omega": 20 + i % 50}, "status": "done", "error": None} for i in range(count)]
+    runs[3] |= {"status": "failed", "error": {"message": "no draw was <accepted>"}}
+    record = {
+        "sppm_run": 1, "config": {"name": "rows"}, "name": "rows", "status": "failed", "seed": 0, "params": {},
+        "file": "rows.yaml", "started": "then", "seconds": 5.0, "threads": 2, "stages": [], "runs": runs,
+    }  # fmt: skip
+    (tmp_path / "run.json").write_text(json_text(sealed(record)), encoding="utf-8")
+    (tmp_path / "sweep.json").write_text(json.dumps(rows), encoding="utf-8")
+    (tmp_path / "runs" / "00000").mkdir(parents=True)
+    (tmp_path / "runs" / "00000" / "report.html").write_text("x")
+    html = report(tmp_path)
+    assert len(html.encode()) <= 5_000_000
+    assert html.count("<tr>") == 201
+    assert "no draw was &lt;accepted&gt;" in html
+    assert '<a href="runs/00000/report.html">' in html
+    assert html.count('<svg class="chart') == 6
+    packed = re.search(r'id="data-rows">([^<]+)<', html)[1]
+    assert len(json.loads(gzip.decompress(base64.b64decode(packed)))) == count
+
+
+def arrays_of(data):
+    """The arrays of a view file, flat, as the page's script unpacks them."""
+    place, found = data.find(b"\n", len(MAGIC)) + 1, {}
+    for blob in head_of(data)["blobs"]:
+        kind = {"u8": "u1", "u16": "<u2", "u32": "<u4", "f32": "<f4"}[blob["type"]]
+        flat = np.frombuffer(gzip.decompress(data[place : place + blob["bytes"]]), kind)
+        assert flat.size == blob["count"]
+        found[blob["name"]] = np.cumsum(flat, dtype=flat.dtype) if blob["delta"] else flat
+        place += blob["bytes"]
+    return found
+
+
+def test_a_view_file_holds_what_it_was_given():
+    arrays = {"a": np.arange(300).astype(np.uint8).reshape(3, 100), "b": np.array([1.5, -2.25], np.float32)}
+    data = encode_view({"kind": "x"}, arrays)
+    assert head_of(data)["kind"] == "x"
+    there = arrays_of(data)
+    assert (there["a"] == arrays["a"].ravel()).all()
+    assert (there["b"] == arrays["b"]).all()
+    assert encode_view({"kind": "x"}, arrays) == data
+    for broken in (data[:-1], b"x" + data, data[:20], b"sppmview 1\n[]\n"):
+        with pytest.raises(InputError, match="no view file"):
+            head_of(broken)
+
+
+def test_views_of_cells_tiles_and_fields(cell, wang, wang_tiling):
+    head = head_of(view_of(cell))
+    assert (head["kind"], head["pores"], head["tunnels"]) == ("kernels", [21], [40])
+    assert head["porosity"] == pytest.approx(1 - cell.solid(64).mean(), abs=1e-12)
+    tiles = head_of(view_of(wang))
+    assert len(tiles["pores"]) == 8
+    assert tiles["tile_porosity"] == list(wang.porosity)
+    view = view_of(wang_tiling, samples=60_000)
+    sampled, arrays = head_of(view), arrays_of(view)
+    assert sampled["explore"]["interiors"] == 8
+    assert (arrays["interior"] == wang_tiling.arrays.interior.ravel()).all()
+    assert head_of(view_of(cell))["explore"] is None
+    nx, ny, nz = sampled["shape"]
+    assert nx * ny * nz <= 60_000
+    assert nx / 4 == ny / 3 == nz / 3
+    n = nx // 4
+    sums = wang_tiling.sample(n) + wang_tiling.solid_below
+    wanted = np.rint(255 * np.clip(sums / (3 * wang_tiling.solid_below), 0, 1))
+    assert (wanted == arrays["field"].reshape(nz, ny, nx).T).all()
+
+
+def test_a_mesh_in_a_view_keeps_its_shape():
+    sphere, faces = sphere_mesh(4)
+    ball = SurfaceMesh(np.array([3.0, 2.0, 1.0]) * sphere, faces, name="egg")
+    head, arrays = head_of(view_of(ball)), arrays_of(view_of(ball))
+    assert (head["kind"], head["title"], head["unit"], head["shown"]) == ("mesh", "egg", "mm", len(faces))
+
+    def volume(points, triangles):
+        a, b, c = (points[triangles[:, i]] for i in range(3))
+        return np.einsum("ij,ij->", np.cross(a, b), c) / 6
+
+    points = head["origin"] + arrays["vertices"].reshape(3, -1).T * (max(head["size"]) / 65535)
+    triangles = arrays["faces"].reshape(3, -1).T.astype(int)
+    whole = volume(ball.vertices, ball.faces)
+    assert volume(points, triangles) == pytest.approx(whole, rel=1e-4)  # half a step is 5e-5 mm
+    for most in (2000, 300):
+        fewer, kept = clustered(ball.vertices, ball.faces, most)
+        assert most / 3 < len(kept) <= most
+        edges = np.sort(np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]], kept[:, [2, 0]]]), axis=1)
+        assert (np.unique(edges, axis=0, return_counts=True)[1] % 2 == 0).all()  # closed
+        assert volume(fewer, kept) == pytest.approx(whole, rel=30 / most)
+    assert view_of(ball) == view_of(ball)
+
+
+def test_a_stiffness_is_shown_by_its_modulus():
+    stiffness = np.diag([2.0, 2, 2, 0.5, 0.5, 0.5])  # no Poisson's ratio: E is 2 along the axes
+    view = view_of(StiffnessReport(stiffness, ((1.0, 2.0, 0.0),), "exact", unit="GPa"))
+    assert head_of(view)["unit"] == "GPa"
+    assert head_of(view)["size"] == pytest.approx([4, 4, 4], rel=0.01)
+
+
+def test_a_run_without_a_field_shows_its_mesh(tmp_path, capsys):
+    (tmp_path / "box.yaml").write_text(
+        "sppm: 1\npipeline:\n  - {stage: read.primitive, shape: ball, size: [4 mm, 4 mm, 4 mm]}\n"
+        "  - {stage: write.mesh, path: ball.stl}\n"
+    )
+    folder = str(tmp_path / "run")
+    assert main(["run", str(tmp_path / "box.yaml"), "-o", folder, "--no-cache", "--report"]) == 0
+    html = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    view = base64.b64decode(re.search(r'id="data-view">([^<]+)<', html)[1])
+    assert head_of(view)["kind"] == "mesh"
+    assert "triangles; coordinates have 16 bits" in html
+    assert 'id="live-level"' not in html
+
+
+def test_stiffness_and_permeability_stand_at_the_top():
+    def found(made, **summary):
+        stages = [{"id": "x", "stage": "homogenize.x", "made": made, "summary": summary, "options": {}}]
+        return {box.label: (box.value, box.note) for box in boxes({"seconds": 1.0}, stages, None)}
+
+    stiff = found("StiffnessReport", E=[293.74, 287.9, 213.6], unit="MPa", E_error=[23.7, 20.3, 20.2])
+    assert stiff["Young's modulus x, y, z"] == ("294, 288, 214 MPa", "± 24 MPa, x")
+    assert found("StiffnessReport", E=[0.25, 0.0, None]).keys() == {"time"}
+    assert found("StiffnessReport", E=[]).keys() == {"time"}
+    assert found("StiffnessReport", E=[0.25, 0.0, 0.1])["Young's modulus x, y, z"] == ("0.25, 0, 0.1", "x")
+    flow = found("PermeabilityReport", k_mean=7.54e-4, darcy_mean=19097.4, error_relative=0.25)
+    assert flow["permeability"] == ("1.91e+04 darcy", "± 25 %, x")
+    assert found("PermeabilityReport", k_mean=7.54e-4)["permeability"] == ("0.000754 cell²", "x")
+
+
+def test_pixels_that_are_square_have_one_size():
+    stages = [{"id": "s", "stage": "slice.field", "summary": {"pixel_mm": [0.05, 0.05]}, "options": {}}]
+    assert ("pixel", "0.05 mm") in [box[:2] for box in boxes({}, stages, None)]
+    stages[0]["summary"]["pixel_mm"] = [0.019, 0.024]
+    assert ("pixel", "0.019 x 0.024 mm") in [box[:2] for box in boxes({}, stages, None)]
+    stages[0]["summary"]["pixel_mm"] = [[0.05], [0.05]]  # of a plugin, which may call anything so
+    assert ("pixel", "[[0.05], [0.05]] mm") in [box[:2] for box in boxes({}, stages, None)]
+
+
+def test_columns_that_sweeps_are_run_for_come_first():
+    from sppm_pipeline.features.browser.report.sweeps import _rank
+
+    names = [
+        "tune.porosity.level",
+        "tune.porosity.porosity",
+        "elastic.E.1",
+        "tune.porosity.pores",
+        "h.voxel.E_relative",
+    ]
+    assert sorted(names, key=_rank)[:3] == ["tune.porosity.porosity", "h.voxel.E_relative", "elastic.E.1"]

@@ -1,0 +1,3 @@
+"""The tile sets of the tests of assemblies."""
+
+from tests.method.assembly.conftest import sets as sets

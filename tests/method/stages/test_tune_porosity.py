@@ -1,0 +1,136 @@
+"""Porosity on target, by level and by gap, and what is said when it cannot be."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from sppm_pipeline.errors import ConfigError, DesignError
+from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.stages.connect_mst import MinimumSpanningTree
+from sppm_pipeline.method.stages.field_gaussian import GaussianField
+from sppm_pipeline.method.stages.sample_dart_throwing import DartThrowing
+from sppm_pipeline.method.stages.sample_elimination import Elimination
+from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
+from sppm_pipeline.method.stages.tune_porosity import TunePorosity
+from sppm_pipeline.nouns.length import Length
+from sppm_pipeline.services.grid import Grid, cell_centers
+from sppm_pipeline.stage import Stage
+from sppm_pipeline.testing.plain_context import PlainContext, recipe_of
+
+KERNELS = GaussianField(pore_radius=Length(0.12), tunnel_radius=Length(0.04))
+
+
+def by_total(total, share=0.5):
+    return recipe_of(MirroredFaces(total=total, share=share), DartThrowing(total=total), MinimumSpanningTree(), KERNELS)
+
+
+def porosity(field, n=83):
+    """On a grid that the stage does not use."""
+    h = 1 / n
+    return float((field.sample(Grid((0.3 * h, 0.6 * h, 0.1 * h), (h,) * 3, (n,) * 3), 2) >= 0).mean())
+
+
+@pytest.mark.parametrize("target", [0.2, 0.35, 0.5, 0.65, 0.8])
+def test_the_level_meets_any_target(recipe, target):
+    context = PlainContext(3)
+    micro = TunePorosity(target=target).run(context, recipe())
+    assert porosity(micro) == pytest.approx(target, abs=0.001)
+    assert context.reported["porosity"] == pytest.approx(target, abs=0.001)
+    assert context.reported["porosity_error"] == pytest.approx(context.reported["porosity"] - target)
+
+
+def test_by_gap():
+    context = PlainContext(3)
+    recipe = recipe_of(
+        MirroredFaces(count=9, spacing=Length(0.32), edge=Length(2)),
+        DartThrowing(count=14, spacing=Length(0.32)),
+        MinimumSpanningTree(),
+        GaussianField(pore_radius=Length(0.24), tunnel_radius=Length(0.08)),
+    )
+    ends = []
+    for gap in (0.34, 0.48):
+        changed = {"sample.dart_throwing": {"gap": Length(gap)}}
+        ends.append(porosity(recipe.run(PlainContext(3), options=changed), 48))
+    target = sum(ends) / 2
+    micro = TunePorosity(target=target, by="gap", resolution=32, tolerance=0.003).run(context, recipe)
+    assert porosity(micro, 48) == pytest.approx(target, abs=0.006)
+    assert micro.level == 0.25
+    inside = micro.graph.pores.of_piece(0)
+    assert inside.min() >= context.reported["gap"] - 1e-12
+    with pytest.raises(DesignError, match="best is the gap"):
+        TunePorosity(target=0.95, by="gap", resolution=16).run(PlainContext(3), recipe)
+
+
+@pytest.mark.parametrize("target", [0.3, 0.6])
+def test_the_count_is_fitted(target):
+    context = PlainContext(3)
+    stage = TunePorosity(target=target, fit_count=True, trials=2, resolution=24, tolerance=0.005)
+    micro = stage.run(context, by_total(30))
+    n = context.reported["count"]
+    assert micro.graph.pores.summary()["pores_per_cell"] == n
+    # with that many pores the recipe's own level is near the target already
+    assert porosity(by_total(n).run(PlainContext(3)), 32) == pytest.approx(target, abs=0.1)
+    assert porosity(micro) == pytest.approx(target, abs=0.01)
+
+
+def test_a_target_out_of_reach_of_any_count():
+    with pytest.raises(DesignError, match="porosit"):
+        TunePorosity(target=0.005, fit_count=True, trials=1, resolution=16).run(PlainContext(3), by_total(30))
+
+
+def test_a_grid_that_is_too_coarse_is_said(recipe):
+    stage = TunePorosity(target=0.5, resolution=8, tolerance=1e-7)
+    with pytest.raises(DesignError, match="finer grid"):
+        stage.run(PlainContext(3), recipe())
+
+
+def test_recipes_that_cannot_be_tuned(recipe):
+    with pytest.raises(ConfigError, match="total"):
+        TunePorosity(target=0.5, fit_count=True).run(PlainContext(), recipe())
+    lone = recipe_of(Elimination(count=20), MinimumSpanningTree(), KERNELS)
+    with pytest.raises(ConfigError, match="gap"):
+        TunePorosity(target=0.5, by="gap").run(PlainContext(), lone)
+    unfaced = recipe_of(DartThrowing(count=20, spacing=Length(0.15)), MinimumSpanningTree(), KERNELS)
+    with pytest.raises(ConfigError, match="face pores"):
+        TunePorosity(target=0.5, by="gap").run(PlainContext(), unfaced)
+    with pytest.raises(ConfigError, match="PoreSet"):
+        TunePorosity(target=0.5).run(PlainContext(), recipe_of(Elimination(count=20)))
+
+
+class Ball(Stage):
+    """A field that is no sum of kernels: the distance from the middle of the cell."""
+
+    name = "field.ball"
+
+    def run(self, context) -> ScalarField:
+        return BallField()
+
+
+@dataclass(frozen=True, eq=False)
+class BallField(ScalarField):
+    cells: ClassVar = (1, 1, 1)
+    periodic: ClassVar = True
+
+    def sample_layers(self, grid, start, stop, threads=1):
+        grid = grid.layers(start, stop)
+        x, y, z = (np.mod(grid.axis(axis), 1.0) - 0.5 for axis in range(3))
+        return np.sqrt(x[:, None, None] ** 2 + y[:, None] ** 2 + z**2).astype(np.float32)
+
+
+def test_any_field_is_cut_where_the_target_lies():
+    context = PlainContext(0)
+    made = TunePorosity(target=0.8).run(context, recipe_of(Ball()))
+    assert porosity(made) == pytest.approx(0.8, abs=0.001)
+    assert made.summary()["cut"] == pytest.approx((3 * 0.2 / 4 / np.pi) ** (1 / 3), rel=0.005)
+    assert made.cut_at(0.1).summary()["cut"] == pytest.approx(made.summary()["cut"] + 0.1)
+    grid = cell_centers(9)
+    assert (made.sample_layers(grid, 2, 5) == made.sample(grid)[:, :, 2:5]).all()
+    assert made.periodic
+    assert made.edge_mm is None
+
+
+def test_only_pores_have_a_gap():
+    with pytest.raises(ConfigError, match="needs a sampler with the option `gap`"):
+        TunePorosity(target=0.8, by="gap").run(PlainContext(0), recipe_of(Ball()))
