@@ -99,10 +99,9 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.method.families.tileset_maker import TileSetMaker
     from sppm_pipeline.method.fields.formula import CellCache, CellIndex, CellwiseField, FormulaField, PlacedField
     from sppm_pipeline.method.fields.microstructure import Microstructure, PeriodicTile
-    from sppm_pipeline.method.fields.scalar_field import ScalarField
+    from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
     from sppm_pipeline.method.fields.tileset import TileSet
     from sppm_pipeline.method.fields.tiling import Tiling
-    from sppm_pipeline.method.fields.wrapped import WrappedField
     from sppm_pipeline.method.kernels.kernels import Kernels
     from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES, omega_from_radius
     from sppm_pipeline.method.nouns.mesh import RepeatedMesh, SurfaceMesh
@@ -120,11 +119,13 @@ if TYPE_CHECKING:  # the same names as in `_PLACES`, which a test compares
     from sppm_pipeline.method.tiling.corners import tile_corners
     from sppm_pipeline.method.tiling.hashed import tile_hashed
     from sppm_pipeline.method.tiling.lattice import Laid, hash_places
-    from sppm_pipeline.nouns.artifact import Artifact, frozen
+    from sppm_pipeline.nouns.artifact import Artifact, Surface, Viewable, frozen
     from sppm_pipeline.nouns.length import Cell, Length
     from sppm_pipeline.nouns.palette import Blocks, KeptPores, Palette
+    from sppm_pipeline.nouns.report import Box, Chart, Curve, Number, Report, ReportSection, number, reports
     from sppm_pipeline.nouns.size import CellDesign, Geometry, RecipeSize, Size
     from sppm_pipeline.nouns.table import RunFile, Table
+    from sppm_pipeline.nouns.viewers import Viewer
     from sppm_pipeline.services.elastic.bounds import Bounds, Interval
     from sppm_pipeline.services.grid import Grid, cell_centers, cell_nodes
     from sppm_pipeline.services.jit.compiled import inline_jit, jit
@@ -171,10 +172,9 @@ _PLACES = {
     "method.families.tileset_maker": "TileSetMaker",
     "method.fields.formula": "CellCache CellIndex CellwiseField FormulaField PlacedField",
     "method.fields.microstructure": "Microstructure PeriodicTile",
-    "method.fields.scalar_field": "ScalarField",
+    "method.fields.scalar_field": "ScalarField WrappedField",
     "method.fields.tileset": "TileSet",
     "method.fields.tiling": "Tiling",
-    "method.fields.wrapped": "WrappedField",
     "method.kernels.kernels": "Kernels",
     "method.kernels.profiles": "TUNNEL_PROFILES omega_from_radius",
     "method.nouns.mesh": "RepeatedMesh SurfaceMesh",
@@ -192,11 +192,13 @@ _PLACES = {
     "method.tiling.corners": "tile_corners",
     "method.tiling.hashed": "tile_hashed",
     "method.tiling.lattice": "Laid hash_places",
-    "nouns.artifact": "Artifact frozen",
+    "nouns.artifact": "Artifact Surface Viewable frozen",
     "nouns.length": "Cell Length",
     "nouns.palette": "Blocks KeptPores Palette",
+    "nouns.report": "Box Chart Curve Number Report ReportSection number reports",
     "nouns.size": "CellDesign Geometry RecipeSize Size",
     "nouns.table": "RunFile Table",
+    "nouns.viewers": "Viewer",
     "services.elastic.bounds": "Bounds Interval",
     "services.grid": "Grid cell_centers cell_nodes",
     "services.jit.compiled": "inline_jit jit",
@@ -220,6 +222,7 @@ __all__ = [
     "Artifact",
     "Blocks",
     "Bounds",
+    "Box",
     "Catalog",
     "Cell",
     "CellCache",
@@ -227,6 +230,7 @@ __all__ = [
     "CellFrame",
     "CellIndex",
     "CellwiseField",
+    "Chart",
     "Cloud",
     "Command",
     "CompressionCurve",
@@ -236,6 +240,7 @@ __all__ = [
     "Connector",
     "Context",
     "CrushedBody",
+    "Curve",
     "DesignError",
     "EdgeCounts",
     "EncodedLayers",
@@ -264,6 +269,7 @@ __all__ = [
     "Motion",
     "NativeCrash",
     "NativeResult",
+    "Number",
     "Observed",
     "Palette",
     "Part",
@@ -286,6 +292,8 @@ __all__ = [
     "RecipeSize",
     "Rejected",
     "RepeatedMesh",
+    "Report",
+    "ReportSection",
     "ResourceError",
     "Run",
     "RunFile",
@@ -304,6 +312,7 @@ __all__ = [
     "StageFunction",
     "StiffnessReport",
     "Stop",
+    "Surface",
     "SurfaceMeasures",
     "SurfaceMesh",
     "Surrounding",
@@ -314,6 +323,8 @@ __all__ = [
     "Tiling",
     "TilingArrays",
     "TunnelGraph",
+    "Viewable",
+    "Viewer",
     "VolumeMesh",
     "VoxelCell",
     "Voxels",
@@ -345,10 +356,12 @@ __all__ = [
     "mesh_measures",
     "mesh_volume",
     "notify",
+    "number",
     "omega_from_radius",
     "option",
     "options",
     "read",
+    "reports",
     "run",
     "run_native",
     "sample",

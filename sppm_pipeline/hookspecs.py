@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import pluggy
 
+from sppm_pipeline.nouns.viewers import Viewer as Viewer
+
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
     from concurrent.futures import Executor
+    from pathlib import Path
 
+    from sppm_pipeline.nouns.report import ReportSection
     from sppm_pipeline.stage import Stage, StageAlias
 
 PROJECT = "sppm"
@@ -67,11 +71,14 @@ class Command:
         Adds the verb's arguments.
     execute : function of `argparse.Namespace` that returns the exit code, or "module:function"
         Does the work; prints results on stdout, and raises `SppmError` for what the user can cure.
+    after_run : function of the run directory and the `argparse.Namespace` of ``sppm run``, or "module:function"
+        What ``sppm run --report`` calls of the verb `report` once the run has ended; prints nothing.
     """
 
     help: str
     configure: Callable[[ArgumentParser], None] | str
     execute: Callable[[Namespace], int] | str
+    after_run: Callable[[Path, Namespace], None] | str = ""
 
 
 @hookspec
@@ -191,4 +198,36 @@ def sppm_executors() -> Mapping[str, Callable[..., Executor]]:  # type: ignore[e
         @hookimpl
         def sppm_executors():
             return {"cluster": lambda workers: ClusterExecutor(max_workers=workers)}
+    """
+
+
+@hookspec
+def sppm_live_views() -> Mapping[str, Viewer]:  # type: ignore[empty-body]
+    """Supply what shows artifacts of other types than the plugin's own.
+
+    Called once, together with `sppm_stages`. Returns a mapping from a type, as ``"module:Class"``, to the `Viewer` of
+    it and of the types that derive from it; its functions may be given as ``"module:function"``. ``write.view``,
+    reports and notebooks use it. A type of the plugin's own needs none: an artifact that derives from `Viewable` says
+    which triangles stand for it, and `Artifact.picture` what notebooks show. An empty mapping means: no viewers.
+    Example::
+
+        @hookimpl
+        def sppm_live_views():
+            return {"sppm_fcc.lattice:Lattice": Viewer("sppm_fcc.view:view_file", "sppm_fcc.view:png")}
+    """
+
+
+@hookspec
+def sppm_report_sections(record: Mapping[str, Any]) -> Sequence[ReportSection]:  # type: ignore[empty-body]
+    """Supply sections of the report of a run.
+
+    Called by ``sppm report``, ``sppm view`` and ``sppm run --report`` with the record of the run, as ``run.json`` holds
+    it, whether the run ended well or not. Returns the sections, which stand behind charts and pictures. An empty
+    sequence means: nothing to add. What a plugin raises is shown in the place of its sections. A box at the top, and
+    charts of one result, need no hook; see `Artifact.report_boxes` and `Artifact.report_charts`. Example::
+
+        @hookimpl
+        def sppm_report_sections(record):
+            found = [stage["summary"] for stage in record["stages"] if stage["stage"] == "check.crystal"]
+            return [ReportSection("Crystal", rows=tuple(one.items())) for one in found]
     """

@@ -19,6 +19,7 @@ from typing import Any, ClassVar, NamedTuple
 from sppm_pipeline.context import Context as Context
 from sppm_pipeline.errors import ConfigError, DesignError, Position
 from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.report import Headline as Headline
 from sppm_pipeline.nouns.size import Size
 
 FAMILIES: Mapping[str, str] = {
@@ -272,28 +273,6 @@ class Recipe(ABC):
         raise NotImplementedError
 
 
-class Headline(NamedTuple):
-    """A number that a stage is run for; the terminal shows it after the run.
-
-    Attributes
-    ----------
-    number : str
-        Place in the stage's summary, as columns of sweeps are named: ``"porosity"``, ``"C.1.1"`` (counted from 1). A
-        list of numbers is shown as a whole.
-    label : str
-        How it is called; `number` if empty.
-    unit : str
-        Its unit; ``"{unit}"`` stands for the entry `unit` of the summary.
-    error : str
-        Place of the half length of its error bar; empty if it has none. The largest is shown for a list.
-    """
-
-    number: str
-    label: str = ""
-    unit: str = ""
-    error: str = ""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Stage(ABC):
     """Base of all stages; see the module's docstring for how one is written.
@@ -308,7 +287,8 @@ class Stage(ABC):
         False for a stage whose result depends on more than its options, input files, inputs and random numbers, for
         instance on a clock or a network; it then runs every time, and so does what depends on it.
     headline : tuple of Headline
-        The numbers of its summary that the terminal shows after a run; the first five if empty.
+        The numbers of its summary that the terminal shows after a run; if empty, those of the `Report` that it makes,
+        else the first five.
     reported : tuple of str or None
         Places of the numbers that it may `Context.report`, so that a column of a sweep's table which no run makes is
         refused before the sweep; None to have none refused. See `Artifact.reported` for how they are written.

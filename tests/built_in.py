@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from sppm_pipeline.engine.plan.built_in import BUILTINS
+from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.plan.plugins import load_plugins
 
 _PLUGINS = load_plugins(BUILTINS, distributions=False)

@@ -52,7 +52,7 @@ import sys
 from pathlib import Path
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
-from sppm_pipeline.engine.plan.built_in import BUILTINS as built_in
+from sppm_pipeline.built_in import BUILTINS as built_in
 session = open_session(RunRequest(sys.argv[1], built_in, (), False))
 run_plan(session.plan(), Path(sys.argv[2]), threads=2)
 """

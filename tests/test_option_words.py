@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.config.options import options_of
-from sppm_pipeline.engine.plan.built_in import BUILTINS
 from sppm_pipeline.engine.plan.plugins import load_plugins
 from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.method.families import options

@@ -37,7 +37,6 @@ STAGES = {
     "slice.mesh": "SliceMesh",
     "write.png": "WritePng",
     "write.graph": "WriteGraph",
-    "write.picture": "WritePicture",
 }
 """Stage name -> class; the module is `stages`, with an underscore for the dot."""
 

@@ -7,14 +7,19 @@ import hashlib
 import html
 import importlib
 import io
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ResourceError
+from sppm_pipeline.nouns.viewers import viewer_of
+
+if TYPE_CHECKING:
+    from sppm_pipeline.nouns.report import Box, Chart
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -141,12 +146,33 @@ class Artifact:
         parts = [f"{name}={_brief(getattr(self, name))}" for name in names]
         return f"{type(self).__name__}({', '.join(parts)})"
 
+    def picture(self) -> NDArray[np.uint8] | None:
+        """What notebooks show of it, (height, width, 3) uint8; None for what has no picture of its own."""
+        return None
+
+    @classmethod
+    def report_boxes(cls, summary: Mapping[str, Any], stage: str) -> Sequence[Box]:
+        """Numbers at the top of a report, from a recorded summary; `stage` is the id of the stage that made it."""
+        return ()
+
+    @classmethod
+    def report_charts(cls, summary: Mapping[str, Any]) -> Sequence[Chart]:
+        """Charts of a report, from a recorded summary."""
+        return ()
+
     def _repr_png_(self) -> bytes | None:
         """A picture, as notebooks show it; None for what has none."""
-        return None
+        viewer = viewer_of(type(self))
+        if viewer is not None and viewer.picture:
+            return cast("bytes | None", viewer.maker("picture")(self))
+        picture = self.picture()
+        return None if picture is None else png_of(picture)
 
     def _picture_html(self) -> str:
         """The picture, or what moves in its place, for notebooks; empty for what has none."""
+        viewer = viewer_of(type(self))
+        if viewer is not None and viewer.frame and (frame := viewer.maker("frame")(self)):
+            return str(frame)
         png = self._repr_png_()
         return f'<img src="data:image/png;base64,{base64.b64encode(png).decode()}">' if png else ""
 
@@ -154,6 +180,36 @@ class Artifact:
         """Picture and summary, as notebooks show them."""
         table = f"<table><caption>{escaped(type(self).__name__)}</caption>{_rows(self.summary())}</table>"
         return self._picture_html() + table
+
+
+class Surface(NamedTuple):
+    """Triangles that stand for an artifact in a live view.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float
+    faces : (m, 3) int
+    title : str
+        What they are.
+    unit : str
+        Of the coordinates, such as "mm".
+    """
+
+    vertices: NDArray[np.floating[Any]]
+    faces: NDArray[np.integer[Any]]
+    title: str
+    unit: str
+
+
+class Viewable(Artifact, ABC):
+    """Base of artifacts that a live view shows as a surface: ``write.view`` and reports take them.
+
+    What can't be shown as triangles has a viewer of its own, see `sppm_live_views`.
+    """
+
+    @abstractmethod
+    def live_view(self) -> Surface:
+        """The triangles that stand for it."""
 
 
 def _brief(value: Any) -> str:

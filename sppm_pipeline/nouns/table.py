@@ -136,3 +136,11 @@ class Table(Artifact):
     def summary(self) -> dict[str, Any]:
         """Rows and names of the columns."""
         return {"rows": self.rows, "columns": list(self.columns)}
+
+
+def check_columns(columns: tuple[str, ...], headings: tuple[str, ...]) -> None:
+    """Raise `ConfigError` if no column is named or headings and columns do not belong together."""
+    if not columns:
+        raise ConfigError("`columns` names no column", hint="write for instance columns: [elastic.E.1, elastic.nu.xy]")
+    if headings and len(headings) != len(columns):
+        raise ConfigError(f"there are {len(headings)} headings for {len(columns)} columns", hint="give one for each")

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.method.slicing.slice_stack import SliceStack
 from sppm_pipeline.services.grid import Grid
@@ -117,7 +116,7 @@ class HomogenizerContract(StageContract):
         """Symmetric, without negative energies, between Voigt and Reuss."""
         for stage in self.stages():
             report, _ = self._run(stage)
-            assert isinstance(report, StiffnessReport)
+            assert report.stiffness.shape == (6, 6)
             report.check()
             assert report.bounds.within
 

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
+from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.config.options import options_of
-from sppm_pipeline.engine.plan.built_in import BUILTINS
 from sppm_pipeline.engine.plan.describe import (
     explain_plan,
     purpose_in_source,

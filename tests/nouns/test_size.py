@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sppm_pipeline.features.surface.field_surface import FieldSurface, node_grid
+from sppm_pipeline.features.surface.field_surface import FieldSurface
+from sppm_pipeline.method.part.part import node_grid
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Geometry, Size
 from sppm_pipeline.services.grid import cell_centers

@@ -13,8 +13,8 @@ from sppm_structures.graphs import LATTICES
 from sppm_structures.struts import Struts
 from sppm_structures.tpms import Tpms
 
+from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.cli.main import main
-from sppm_pipeline.engine.plan.built_in import BUILTINS
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.errors import ConfigErrors
 from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel

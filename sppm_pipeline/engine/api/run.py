@@ -21,10 +21,9 @@ from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.engine.run.sweep import run_sweep
 from sppm_pipeline.engine.run.sweep_table import columns_of, numbers_of
 from sppm_pipeline.errors import ConfigError, SppmError
-from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.nouns.artifact import escaped, shown
 from sppm_pipeline.nouns.table import Table
+from sppm_pipeline.nouns.viewers import viewer_of
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.api.pipeline import Pipeline
@@ -171,11 +170,10 @@ class Run:
 
     def _live(self) -> str:
         """The live view of the last field that the browser can sum itself; empty if there is none."""
-        from sppm_pipeline.features.browser.live_view import live_frame
-
         for step in reversed(self._plan.until(self._until)):
-            if any(issubclass(made, (Microstructure, TileSet)) for made in step.makes):
-                return live_frame(self[step.id])
+            viewer = next((viewer for made in step.makes if (viewer := viewer_of(made)) and viewer.frame), None)
+            if viewer is not None:
+                return str(viewer.maker("frame")(self[step.id]))
         return ""
 
 

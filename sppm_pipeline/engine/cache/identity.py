@@ -22,8 +22,8 @@ from sppm_pipeline.stage import Stage
 
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "networkx", "pillow")
 _PACKAGE = "sppm_pipeline"
-_WITHOUT_RESULTS = {"cli", "report", "studio", "testing"}
-"""Subpackages that no result comes from."""
+_WITHOUT_RESULTS = ("engine/cli", "features/browser/report", "features/browser/studio", "testing")
+"""Folders that no result comes from."""
 
 _SETTINGS = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE")
 """Environment variables by which the same code computes other last digits."""
@@ -54,8 +54,9 @@ def _source_of(module: str) -> str:
     top = module.partition(".")[0]
     if top == _PACKAGE:
         own = getattr(sys.modules.get(module), "__file__", None) or ""
-        package = module.split(".")[1:2]
-        return program_digest() + (_file_digest(Path(own)) if package and package[0] in _WITHOUT_RESULTS else "")
+        place = module.partition(".")[2].replace(".", "/") + "/"
+        apart = any(place.startswith(f"{folder}/") for folder in _WITHOUT_RESULTS)
+        return program_digest() + (_file_digest(Path(own)) if apart else "")
     if top in sys.stdlib_module_names:
         return ""
     found = sys.modules.get(top)
@@ -70,7 +71,8 @@ def _tree_digest(root: Path, skip: Iterable[str] = ()) -> str:
     """Digest of all Python files below a folder."""
     total = hashlib.sha256()
     for folder, folders, files in os.walk(root):
-        folders[:] = sorted(f for f in folders if f != "__pycache__" and (Path(folder) != root or f not in skip))
+        below = Path(folder).relative_to(root)
+        folders[:] = sorted(f for f in folders if f != "__pycache__" and (below / f).as_posix() not in skip)
         for name in sorted(files):
             if name.endswith(".py"):
                 path = Path(folder, name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-from sppm_pipeline.engine.plan.built_in import FEATURES
+from sppm_pipeline.built_in import FEATURES
 from sppm_pipeline.hookspecs import Command, hookimpl
 
 VERBS = {

@@ -34,7 +34,7 @@ def execute(args: Namespace) -> int:
 
 def _described(args: Namespace) -> Iterator[dict[str, Any]]:
     """What is known without running any code of a plugin."""
-    from sppm_pipeline.engine.plan.built_in import BUILTINS
+    from sppm_pipeline.built_in import BUILTINS
     from sppm_pipeline.engine.plan.plugins import Plugin, installed_plugins
 
     plugins = [Plugin(module, builtin=True) for module in BUILTINS]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sppm_pipeline.engine.cli.kernels import Waiting
     from sppm_pipeline.engine.plan.planning import Plan
     from sppm_pipeline.engine.plan.session import Session
+    from sppm_pipeline.engine.plan.wiring import Step
     from sppm_pipeline.engine.run.crew import Crew
     from sppm_pipeline.stage import Headline
 
@@ -147,7 +148,7 @@ def _execute(args: Namespace) -> int:
     if args.json:
         _print_json(record)
     else:
-        _print_summary(record, path, {step.address: step.stage.headline for step in (*plan.steps, *plan.after)})
+        _print_summary(record, path, {step.address: headlines_of(step) for step in (*plan.steps, *plan.after)})
     failed = [run for run in record.get("runs", ()) if run["status"] != "done"]
     if failed and not args.keep_going:
         codes = {run["error"]["exit_code"] for run in failed}
@@ -210,10 +211,11 @@ def _crew(
 
 def _write_report(args: Namespace, path: Path) -> None:
     """The report of the run that has just ended, with the plugins and the cache that it had."""
-    from sppm_pipeline.engine.config.names import REPORT
-    from sppm_pipeline.features.browser.report.command import of_run
+    from sppm_pipeline.engine.cli import commands
+    from sppm_pipeline.engine.plan.plugins import Plugin, imported
 
-    of_run(path, path / REPORT, args)
+    after_run = commands.built_in_commands()["report"].after_run
+    imported(Plugin(commands.__name__, builtin=True), "the report", after_run)(path, args)
 
 
 def _print_json(record: Mapping[str, Any]) -> None:
@@ -263,6 +265,14 @@ def _wrapped(texts: Sequence[str], indent: int) -> str:
         else:
             lines.append(text)
     return f",\n{' ' * indent}".join(lines)
+
+
+def headlines_of(step: Step) -> Sequence[Headline]:
+    """The numbers that the terminal shows of a stage: those that it states, else those of the report that it makes."""
+    from sppm_pipeline.nouns.report import Report
+
+    made = (kind.headlines() for kind in step.makes if issubclass(kind, Report))
+    return step.stage.headline or next(made, ())
 
 
 def headline_text(headline: Headline, summary: Mapping[str, Any]) -> str:

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 import pluggy
 
 from sppm_pipeline import hookspecs
+from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.config.problems import did_you_mean, listed, shown
 from sppm_pipeline.engine.plan import installed
-from sppm_pipeline.engine.plan.built_in import BUILTINS
 from sppm_pipeline.engine.plan.installed import normal
 from sppm_pipeline.engine.plan.plugin_files import first_line, import_file, missing_module, stage_classes
 from sppm_pipeline.engine.process.containment import guarded
 from sppm_pipeline.errors import ConfigError, PluginError, SppmError
+from sppm_pipeline.nouns.viewers import Viewer, add_viewers
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -62,6 +63,7 @@ class Plugin:
     executors : dict of name to function of the number of workers, and of the place where they are
     commands : dict of verb to Command
     presets : dict of name to Preset
+    viewers : dict of "module:Class" of what is shown to Viewer
     """
 
     name: str
@@ -76,6 +78,7 @@ class Plugin:
     executors: dict[str, Callable[..., Executor]] = field(default_factory=dict)
     commands: dict[str, hookspecs.Command] = field(default_factory=dict)
     presets: dict[str, hookspecs.Preset] = field(default_factory=dict)
+    viewers: dict[str, Viewer] = field(default_factory=dict)
 
     def __str__(self) -> str:
         if self.builtin:
@@ -177,6 +180,9 @@ def load_plugins(
             result.append(plugin)
             _attempt(manager, plugin, lambda path=path: import_file(path))  # type: ignore[misc]
     _refuse_duplicates(result)
+    for plugin in result:
+        if plugin.viewers:
+            add_viewers(plugin.viewers)
     return Plugins(result, disabled=not distributions)
 
 
@@ -263,6 +269,7 @@ _SUPPLIED: tuple[tuple[str, str, Callable[[Any], bool], str], ...] = (
     ("sppm_executors", "executors", callable, "functions"),
     ("sppm_commands", "commands", lambda value: isinstance(value, hookspecs.Command), "a Command"),
     ("sppm_presets", "presets", lambda value: isinstance(value, hookspecs.Preset), "a Preset"),
+    ("sppm_live_views", "viewers", lambda value: isinstance(value, Viewer), "a Viewer"),
 )
 """Hooks that return a map of names: where the map goes in `Plugin`, what its values may be, and that in words."""
 

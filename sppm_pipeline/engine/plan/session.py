@@ -9,11 +9,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from sppm_pipeline.built_in import BUILTINS
 from sppm_pipeline.engine.config.configuration import Configuration, parse_configuration, read_configuration
 from sppm_pipeline.engine.config.document import Entry, compose, parse_yaml, yaml_text
 from sppm_pipeline.engine.config.parameters import Overrides, sweep_rows, without_fixed_axes
 from sppm_pipeline.engine.config.problems import Problems, did_you_mean
-from sppm_pipeline.engine.plan.built_in import BUILTINS
 from sppm_pipeline.engine.plan.estimate import PlanEstimate, estimate_plan, refuse_what_cannot_fit
 from sppm_pipeline.engine.plan.inputs import Columns, missing_inputs
 from sppm_pipeline.engine.plan.planning import Plan, make_plan

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from sppm_pipeline.hookspecs import Command, hookimpl
+from sppm_pipeline.nouns.viewers import Viewer
 
 STAGES = {
+    "write.picture": "WritePicture",
     "write.view": "WriteView",
     "write.chart": "WriteChart",
     "write.bars": "WriteBars",
@@ -28,6 +30,7 @@ def sppm_commands() -> dict[str, Command]:
             "write one HTML file that shows a run directory, to be mailed",
             f"{__name__}.report.command:configure",
             f"{__name__}.report.command:execute",
+            f"{__name__}.report.command:after_run",
         ),
         "view": Command(
             "show a run directory in the browser",
@@ -39,4 +42,16 @@ def sppm_commands() -> dict[str, Command]:
             f"{__name__}.studio.command:configure",
             f"{__name__}.studio.command:execute",
         ),
+    }
+
+
+@hookimpl
+def sppm_live_views() -> dict[str, Viewer]:
+    """Viewers of fields and tile sets; those that a browser can sum itself move in notebooks."""
+    view, picture = f"{__name__}.live.structures:structure_view", f"{__name__}.live.pictures:notebook_png"
+    moving = Viewer(view, picture, f"{__name__}.live.structures:live_frame")
+    return {
+        "sppm_pipeline.method.fields.scalar_field:ScalarField": Viewer(view, picture),
+        "sppm_pipeline.method.fields.microstructure:Microstructure": moving,
+        "sppm_pipeline.method.fields.tileset:TileSet": moving,
     }

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.nouns.artifact import Artifact, frozen
+from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.nouns.report import TEXT, Number, Report, number, reports
 
 
 @dataclass(frozen=True, eq=False)
-class CompressionCurve(Artifact):
+class CompressionCurve(Report):
     """Nominal stress over nominal strain of a specimen compressed between plates; both positive in compression.
 
     Attributes
@@ -47,11 +48,6 @@ class CompressionCurve(Artifact):
         Why a simulation ended before the strain that it was to reach; empty if it did not.
     """
 
-    reported: ClassVar[tuple[str, ...] | None] = (
-        "name", "origin", "points", "strain_max", "stress_max", "unit", "area_mm2", "height_mm", "density_g_cm3",
-        "numbers.*", "energies.*", "ended",
-    )  # fmt: skip
-
     strain: NDArray[np.float64]
     stress: NDArray[np.float64]
     unit: str
@@ -62,9 +58,21 @@ class CompressionCurve(Artifact):
     density: float | None = None
     energies: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     plates: NDArray[np.float64] | None = None
-    numbers: Mapping[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    ended: str = ""
+
+    @reports(
+        Number("name", column=False), Number("origin", column=False), "points", "strain_max", "stress_max",
+        Number("unit", column=False), "area_mm2", "height_mm", "density_g_cm3", "energies.*",
+    )  # fmt: skip
+    def _extent(self) -> tuple[Any, ...]:
+        """Where the curve is from, how far it goes, the specimen, and the energies at its end."""
+        ends = float(self.strain.max()), float(self.stress.max())
+        energies = {name: float(values[-1]) for name, values in self.energies.items()}
+        specimen = self.area, self.height, self.density
+        return self.name, self.origin, len(self.strain), *ends, self.unit, *specimen, energies
+
+    numbers: Mapping[str, Any] = field(default_factory=dict, metadata=number("*"))
+    notes: tuple[str, ...] = field(default=(), metadata=TEXT)
+    ended: str = field(default="", metadata=TEXT)
 
     def __post_init__(self) -> None:
         for name in ("strain", "stress", "plates"):
@@ -104,24 +112,6 @@ class CompressionCurve(Artifact):
         factor = {"MPa": 1.0, "GPa": 1000.0}.get(self.unit)
         return None if self.area is None or factor is None else factor * self.area * self.stress
 
-    def summary(self) -> dict[str, Any]:
-        """Where the curve is from, how far it goes, and the energies at its end."""
-        return {
-            "name": self.name,
-            "origin": self.origin,
-            "points": len(self.strain),
-            "strain_max": float(self.strain.max()),
-            "stress_max": float(self.stress.max()),
-            "unit": self.unit,
-            "area_mm2": self.area,
-            "height_mm": self.height,
-            "density_g_cm3": self.density,
-            "energies": {name: float(values[-1]) for name, values in self.energies.items()},
-            "numbers": dict(self.numbers),
-            "notes": list(self.notes),
-            "ended": self.ended,
-        }
-
 
 @dataclass(frozen=True, eq=False)
 class CrushedBody(CompressionCurve):
@@ -150,20 +140,20 @@ class CrushedBody(CompressionCurve):
         Accumulated plastic strain of each voxel in each frame; 0 for an elastic solid.
     """
 
-    reported: ClassVar[tuple[str, ...] | None] = (
-        *(CompressionCurve.reported or ()), "grid.#3", "axis", "voxels", "nodes", "frames", "plastic_strain_max",
-    )  # fmt: skip
-
-    grid: tuple[int, int, int] = (0, 0, 0)
+    grid: tuple[int, int, int] = field(default=(0, 0, 0), metadata=number("#3"))
     spacing: float = 0.0
     physical: bool = True
-    axis: str = "z"
+    axis: str = field(default="z", metadata=TEXT)
     voxels: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 3), np.int32))
     phases: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
     elements: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 8), np.int32))
     frame_strains: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     frame_nodes: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
     frame_alpha: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+
+    @reports("voxels", "nodes", Number("frames", column=False), "plastic_strain_max")
+    def _sizes(self) -> tuple[Any, ...]:
+        return len(self.voxels), self.nodes, self.frame_strains.tolist(), float(self.frame_alpha.max())
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -198,18 +188,6 @@ class CrushedBody(CompressionCurve):
     def nodes(self) -> int:
         """Number of nodes."""
         return int(self.frame_nodes.shape[1]) if self.frame_nodes.ndim == 3 else 0
-
-    def summary(self) -> dict[str, Any]:
-        """That of the curve, and the sizes of the body."""
-        return {
-            **super().summary(),
-            "grid": list(self.grid),
-            "axis": self.axis,
-            "voxels": len(self.voxels),
-            "nodes": self.nodes,
-            "frames": [float(strain) for strain in self.frame_strains],
-            "plastic_strain_max": float(self.frame_alpha.max()),
-        }
 
 
 _BODY: Mapping[str, Any] = {

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.nouns.artifact import Artifact
+from sppm_pipeline.nouns.report import TEXT, Number, Report, number, reports
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.flow.numerics.acoustics import PoreParameters
 
 
 @dataclass(frozen=True, eq=False)
-class AcousticReport(Artifact):
+class AcousticReport(Report):
     """Parameters of the pores after Johnson, Champoux, Allard, Pride and Lafarge along one axis, and of a layer.
 
     Attributes
@@ -45,26 +45,61 @@ class AcousticReport(Artifact):
     warnings : tuple of str
     """
 
-    reported: ClassVar[tuple[str, ...]] = (
-        "porosity", "resistivity", "permeability", "thermal_permeability", "tortuosity", "viscous_tortuosity",
-        "thermal_tortuosity", "viscous_length", "thermal_length", "shape", "nrc", "layer", "temperature", "edge_mm",
-        "absorption.#19", "absorption_at.*", "peak", "peak_frequency", "grid.#3",
+    headline: ClassVar[tuple[str, ...]] = (
+        "nrc", "peak", "peak_frequency", "resistivity", "tortuosity", "porosity",
     )  # fmt: skip
 
-    axis: str
-    porosity: float
-    permeability: float
-    thermal_permeability: float
-    tortuosity: float
-    viscous_tortuosity: float
-    thermal_tortuosity: float
-    viscous_length: float
-    thermal_length: float
-    layer: float
-    temperature: float
-    edge_mm: float
-    grid: tuple[int, int, int]
-    warnings: tuple[str, ...] = ()
+    axis: str = field(metadata=TEXT)
+    porosity: float = field(metadata=number())
+
+    @property
+    @reports(unit="Pa s/m^2")
+    def resistivity(self) -> float:
+        """Static flow resistivity, Pa s / m^2."""
+        from sppm_pipeline.features.flow.numerics.acoustics import air
+
+        return air(self.temperature).viscosity / self.permeability
+
+    permeability: float = field(metadata=number())
+    thermal_permeability: float = field(metadata=number())
+    tortuosity: float = field(metadata=number())
+    viscous_tortuosity: float = field(metadata=number())
+    thermal_tortuosity: float = field(metadata=number())
+    viscous_length: float = field(metadata=number())
+    thermal_length: float = field(metadata=number())
+
+    @property
+    @reports()
+    def shape(self) -> float:
+        """Pore shape factor: near 1, exactly for straight cylindrical pores."""
+        return 8 * self.tortuosity * self.permeability / (self.porosity * (1e-3 * self.viscous_length) ** 2)
+
+    layer: float = field(metadata=number())
+    temperature: float = field(metadata=number())
+
+    @property
+    @reports(label="NRC")
+    def nrc(self) -> float:
+        """Noise reduction coefficient, of normal incidence, in steps of 0.05."""
+        from sppm_pipeline.features.flow.numerics.acoustics import NRC_BANDS
+
+        bands = self.bands()
+        return round(round(float(np.mean([bands[band] for band in NRC_BANDS])) / 0.05) * 0.05, 2)
+
+    @reports(Number("peak", label="largest absorption"), Number("peak_frequency", label="at", unit="Hz"))
+    def _peak(self) -> tuple[float, float]:
+        frequency = np.geomspace(50, 6300, 400)
+        curve = self.absorption(frequency)[0]
+        return float(curve.max()), float(frequency[curve.argmax()])
+
+    @reports("absorption.#19", "absorption_at.*")
+    def _by_third_octaves(self) -> tuple[list[float], dict[str, float]]:
+        bands = self.bands()
+        return list(bands.values()), {str(band): value for band, value in bands.items()}
+
+    edge_mm: float = field(metadata=number())
+    grid: tuple[int, int, int] = field(metadata=number("#3"))
+    warnings: tuple[str, ...] = field(default=(), metadata=TEXT)
 
     def check(self) -> None:
         """Positive numbers, within the bounds that hold for any pores."""
@@ -99,47 +134,3 @@ class AcousticReport(Artifact):
         from sppm_pipeline.features.flow.numerics.acoustics import THIRD_OCTAVES, third_octave
 
         return {band: float(self.absorption(third_octave(band))[0].mean()) for band in THIRD_OCTAVES}
-
-    @property
-    def nrc(self) -> float:
-        """Noise reduction coefficient, of normal incidence, in steps of 0.05."""
-        from sppm_pipeline.features.flow.numerics.acoustics import NRC_BANDS
-
-        bands = self.bands()
-        return round(round(float(np.mean([bands[band] for band in NRC_BANDS])) / 0.05) * 0.05, 2)
-
-    @property
-    def resistivity(self) -> float:
-        """Static flow resistivity, Pa s / m^2."""
-        from sppm_pipeline.features.flow.numerics.acoustics import air
-
-        return air(self.temperature).viscosity / self.permeability
-
-    def summary(self) -> dict[str, Any]:
-        """All parameters, and the absorption by third octaves from 100 Hz on."""
-        frequency = np.geomspace(50, 6300, 400)
-        curve = self.absorption(frequency)[0]
-        return {
-            "axis": self.axis,
-            "porosity": self.porosity,
-            "resistivity": self.resistivity,
-            "permeability": self.permeability,
-            "thermal_permeability": self.thermal_permeability,
-            "tortuosity": self.tortuosity,
-            "viscous_tortuosity": self.viscous_tortuosity,
-            "thermal_tortuosity": self.thermal_tortuosity,
-            "viscous_length": self.viscous_length,
-            "thermal_length": self.thermal_length,
-            # near 1, exactly for straight cylindrical pores
-            "shape": 8 * self.tortuosity * self.permeability / (self.porosity * (1e-3 * self.viscous_length) ** 2),
-            "layer": self.layer,
-            "temperature": self.temperature,
-            "nrc": self.nrc,
-            "peak": float(curve.max()),
-            "peak_frequency": float(frequency[curve.argmax()]),
-            "absorption": list(self.bands().values()),
-            "absorption_at": {str(band): value for band, value in self.bands().items()},
-            "edge_mm": self.edge_mm,
-            "grid": list(self.grid),
-            "warnings": list(self.warnings),
-        }

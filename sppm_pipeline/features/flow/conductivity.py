@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.nouns.artifact import Artifact, frozen
+from sppm_pipeline.nouns.artifact import frozen
+from sppm_pipeline.nouns.report import TEXT, Report, number
 
 
 def check_transport(k: NDArray[np.float64], porosity: float, name: str, slack: float) -> None:
@@ -28,7 +29,7 @@ def check_transport(k: NDArray[np.float64], porosity: float, name: str, slack: f
 
 
 @dataclass(frozen=True, eq=False)
-class ConductivityReport(Artifact):
+class ConductivityReport(Report):
     """Effective conductivity, or diffusivity, of a periodic cell, and how it was computed.
 
     Attributes
@@ -59,26 +60,23 @@ class ConductivityReport(Artifact):
     warnings : tuple of str
     """
 
-    reported: ClassVar[tuple[str, ...]] = (
-        "k.#3.#3", "tortuosity.#3", "bulk.#6", "fluid", "porosity", "grid.#3", "fractions", "iterations.#3",
-        "residuals.#3", "errors.#3", "converged", "wraps.#3",
-    )  # fmt: skip
+    headline: ClassVar[tuple[str, ...]] = ("k.1.1", "k.2.2", "k.3.3", "tortuosity", "porosity")
 
-    k: NDArray[np.float64]
-    of: str
-    bulk: tuple[float, ...]
-    porosity: float
-    tortuosity: tuple[float | None, ...]
-    grid: tuple[int, int, int]
-    fractions: bool
-    precision: str
-    iterations: tuple[int, ...]
-    residuals: tuple[float, ...]
-    errors: tuple[float, ...]
-    converged: bool
-    wraps: tuple[bool, bool, bool]
-    warnings: tuple[str, ...] = ()
-    fluid: float | None = None
+    k: NDArray[np.float64] = field(metadata=number("#3.#3"))
+    tortuosity: tuple[float | None, ...] = field(metadata=number("#3"))
+    of: str = field(metadata=TEXT)
+    bulk: tuple[float, ...] = field(metadata=number("#6"))
+    fluid: float | None = field(default=None, metadata=number(optional=True), kw_only=True)
+    porosity: float = field(metadata=number())
+    grid: tuple[int, int, int] = field(metadata=number("#3"))
+    fractions: bool = field(metadata=number())
+    precision: str = field(metadata=TEXT)
+    iterations: tuple[int, ...] = field(metadata=number("#3"))
+    residuals: tuple[float, ...] = field(metadata=number("#3"))
+    errors: tuple[float, ...] = field(metadata=number("#3"))
+    converged: bool = field(metadata=number())
+    wraps: tuple[bool, bool, bool] = field(metadata=number("#3"))
+    warnings: tuple[str, ...] = field(default=(), metadata=TEXT)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", frozen(np.asarray(self.k, np.float64)))
@@ -86,23 +84,3 @@ class ConductivityReport(Artifact):
     def check(self) -> None:
         """A finite, symmetric matrix that is not negative, and a porosity between 0 and 1."""
         check_transport(self.k, self.porosity, "conductivity", 1e-4)
-
-    def summary(self) -> dict[str, Any]:
-        """The tensor, tortuosity, porosity, and how the solver did."""
-        return {
-            "k": [[float(value) for value in row] for row in self.k],
-            "tortuosity": list(self.tortuosity),
-            "of": self.of,
-            "bulk": list(self.bulk),
-            **({} if self.fluid is None else {"fluid": self.fluid}),
-            "porosity": self.porosity,
-            "grid": list(self.grid),
-            "fractions": self.fractions,
-            "precision": self.precision,
-            "iterations": list(self.iterations),
-            "residuals": list(self.residuals),
-            "errors": list(self.errors),
-            "converged": self.converged,
-            "wraps": list(self.wraps),
-            "warnings": list(self.warnings),
-        }

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.features.flow.conductivity import check_transport
-from sppm_pipeline.nouns.artifact import NOTEBOOK_SIZE, Artifact, frozen, png_of
+from sppm_pipeline.nouns.artifact import NOTEBOOK_SIZE, frozen
+from sppm_pipeline.nouns.report import TEXT, Box, Report, is_number, number, reports
 
 DARCY = 9.869233e-13
 """Square meters."""
 
 
 @dataclass(frozen=True, eq=False)
-class PermeabilityReport(Artifact):
+class PermeabilityReport(Report):
     """Permeability of the pores of a periodic cell, and how it was computed.
 
     Attributes
@@ -55,31 +57,70 @@ class PermeabilityReport(Artifact):
     warnings : tuple of str
     """
 
-    reported: ClassVar[tuple[str, ...]] = (
-        "k.#3.#3", "k_m2.#3.#3", "darcy.#3.#3", "error.#3.#3", "k_mean", "darcy_mean", "error_relative", "edge_mm",
-        "porosity", "pocket_share", "thermal", "viscous_tortuosity.#3", "thermal_tortuosity", "hydraulic_tortuosity.#3",
-        "surface", "kozeny", "grid.#3", "iterations.#3", "residuals.#3", "errors.#3", "converged", "wraps.#3",
-    )  # fmt: skip
+    headline: ClassVar[tuple[str, ...]] = ("k.1.1", "k.2.2", "k.3.3", "darcy_mean", "porosity")
 
-    k: NDArray[np.float64]
-    edge_mm: float | None
-    porosity: float
-    pocket_share: float
-    thermal: float
-    viscous_tortuosity: tuple[float | None, ...]
-    thermal_tortuosity: float | None
-    hydraulic_tortuosity: tuple[float | None, ...]
-    surface: float | None
+    k: NDArray[np.float64] = field(metadata=number("#3.#3", unit="cell^2", error="error"))
+
+    @property
+    @reports("k_m2.#3.#3", optional=True)
+    def m2(self) -> NDArray[np.float64] | None:
+        """The tensor in square meters; None if the cell has no physical size."""
+        return None if self.edge_mm is None else self.k * (1e-3 * self.edge_mm) ** 2
+
+    @property
+    @reports("#3.#3", optional=True)
+    def darcy(self) -> NDArray[np.float64] | None:
+        """The tensor in darcy; None if the cell has no physical size."""
+        return None if self.m2 is None else self.m2 / DARCY
+
+    @property
+    @reports()
+    def k_mean(self) -> float:
+        """Mean along x, y, z, cell edges squared."""
+        return float(np.trace(self.k)) / 3
+
+    @property
+    @reports(label="k", unit="darcy", optional=True)
+    def darcy_mean(self) -> float | None:
+        """Mean along x, y, z in darcy; None if the cell has no physical size."""
+        return None if self.m2 is None else float(np.trace(self.m2)) / 3 / DARCY
+
+    edge_mm: float | None = field(metadata=number(optional=True))
+    error: NDArray[np.float64] | None = field(default=None, metadata=number("#3.#3", optional=True), kw_only=True)
+
+    @property
+    @reports(optional=True)
+    def error_relative(self) -> float | None:
+        """Largest error bar over the largest entry of `k`; None without error bars."""
+        largest = float(np.abs(self.k).max())
+        if self.error is None:
+            return None
+        return float(np.abs(self.error).max()) / largest if largest > 0 else 0.0
+
+    porosity: float = field(metadata=number())
+    pocket_share: float = field(metadata=number())
+    thermal: float = field(metadata=number())
+    viscous_tortuosity: tuple[float | None, ...] = field(metadata=number("#3"))
+    thermal_tortuosity: float | None = field(metadata=number())
+    hydraulic_tortuosity: tuple[float | None, ...] = field(metadata=number("#3"))
+    surface: float | None = field(metadata=number())
+
+    @property
+    @reports()
+    def kozeny(self) -> float | None:
+        """The constant c of Kozeny and Carman, ``k = porosity^3 / (c surface^2)`` with the mean k along x, y, z."""
+        mean = self.k_mean
+        return self.porosity**3 / (mean * self.surface**2) if self.surface and mean > 0 else None
+
     slices: tuple[NDArray[np.float32], ...]
-    grid: tuple[int, int, int]
-    precision: str
-    iterations: tuple[int, ...]
-    residuals: tuple[float, ...]
-    errors: tuple[float, ...]
-    converged: bool
-    wraps: tuple[bool, bool, bool]
-    error: NDArray[np.float64] | None = None
-    warnings: tuple[str, ...] = ()
+    grid: tuple[int, int, int] = field(metadata=number("#3"))
+    precision: str = field(metadata=TEXT)
+    iterations: tuple[int, ...] = field(metadata=number("#3"))
+    residuals: tuple[float, ...] = field(metadata=number("#3"))
+    errors: tuple[float, ...] = field(metadata=number("#3"))
+    converged: bool = field(metadata=number())
+    wraps: tuple[bool, bool, bool] = field(metadata=number("#3"))
+    warnings: tuple[str, ...] = field(default=(), metadata=TEXT)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", frozen(np.asarray(self.k, np.float64)))
@@ -91,52 +132,19 @@ class PermeabilityReport(Artifact):
         """A finite, symmetric tensor that is not negative, if the solver got so far, and a porosity between 0 and 1."""
         check_transport(self.k, self.porosity, "permeability", 1e-3 if self.converged else math.inf)
 
-    @property
-    def m2(self) -> NDArray[np.float64] | None:
-        """The tensor in square meters; None if the cell has no physical size."""
-        return None if self.edge_mm is None else self.k * (1e-3 * self.edge_mm) ** 2
+    @classmethod
+    def report_boxes(cls, summary: Mapping[str, Any], stage: str) -> list[Box]:
+        """The mean, in darcy where the cell has a size, with its relative error."""
+        share = summary.get("error_relative")
+        note = f"± {100 * share:.2g} %, {stage}" if is_number(share) else stage
+        for name, unit in (("darcy_mean", "darcy"), ("k_mean", "cell²")):
+            if is_number(summary.get(name)):
+                return [Box("permeability", f"{summary[name]:.3g} {unit}", note)]
+        return []
 
-    @property
-    def kozeny(self) -> float | None:
-        """The constant c of Kozeny and Carman, ``k = porosity^3 / (c surface^2)`` with the mean k along x, y, z."""
-        mean = float(np.trace(self.k)) / 3
-        return self.porosity**3 / (mean * self.surface**2) if self.surface and mean > 0 else None
-
-    def summary(self) -> dict[str, Any]:
-        """The tensor in all units, what follows from it, and how the solver did."""
-        mean, m2 = float(np.trace(self.k)) / 3, self.m2
-        largest = float(np.abs(self.k).max())
-        return {
-            "k": self.k.tolist(),
-            **({} if m2 is None else {"k_m2": m2.tolist(), "darcy": (m2 / DARCY).tolist()}),
-            "k_mean": mean,
-            **({} if m2 is None else {"darcy_mean": float(np.trace(m2)) / 3 / DARCY, "edge_mm": self.edge_mm}),
-            **self._error_bar(largest),
-            "porosity": self.porosity,
-            "pocket_share": self.pocket_share,
-            "thermal": self.thermal,
-            "viscous_tortuosity": list(self.viscous_tortuosity),
-            "thermal_tortuosity": self.thermal_tortuosity,
-            "hydraulic_tortuosity": list(self.hydraulic_tortuosity),
-            "surface": self.surface,
-            "kozeny": self.kozeny,
-            "grid": list(self.grid),
-            "precision": self.precision,
-            "iterations": list(self.iterations),
-            "residuals": list(self.residuals),
-            "errors": list(self.errors),
-            "converged": self.converged,
-            "wraps": list(self.wraps),
-            "warnings": list(self.warnings),
-        }
-
-    def _error_bar(self, largest: float) -> dict[str, Any]:
-        if self.error is None:
-            return {}
-        relative = float(np.abs(self.error).max()) / largest if largest > 0 else 0.0
-        return {"error": self.error.tolist(), "error_relative": relative}
-
-    def picture(self, axis: int, size: tuple[int, int]) -> NDArray[np.uint8]:
+    def picture(
+        self, axis: int = 0, size: tuple[int, int] = (NOTEBOOK_SIZE[0] + 140, NOTEBOOK_SIZE[1])
+    ) -> NDArray[np.uint8]:
         """The speed of the flow along an axis in a middle plane, (height, width, 3); the flow goes to the right."""
         from PIL import Image
 
@@ -158,6 +166,3 @@ class PermeabilityReport(Artifact):
         top, left = (height - scaled[1]) // 2, (width - scaled[0]) // 2
         canvas[top : top + scaled[1], left : left + scaled[0]] = picture
         return with_scale(canvas, 0, high, "speed / mean", bar)
-
-    def _repr_png_(self) -> bytes:
-        return png_of(self.picture(0, (NOTEBOOK_SIZE[0] + 140, NOTEBOOK_SIZE[1])))

@@ -17,8 +17,7 @@ from sppm_pipeline.features.grading.warped import WarpedTiling
 from sppm_pipeline.features.grading.warped_field import WarpedField
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
 from sppm_pipeline.method.fields.level_field import LevelField
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.wrapped import WrappedField
+from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.grid import Grid
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.numerics.local_level import RUN, CellCodes, Sampled, runs_along_x, void_and_slope
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
-from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
 from sppm_pipeline.method.fields.tiling import Tiling
-from sppm_pipeline.method.fields.wrapped import WrappedField
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.grid import Grid, cell_centers
 from sppm_pipeline.services.threads import ordered_map

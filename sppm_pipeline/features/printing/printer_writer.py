@@ -1,4 +1,4 @@
-"""Base of stages that write one printer's file, and what slicers need of a printer."""
+"""Base of stages that write one printer's file."""
 
 from __future__ import annotations
 
@@ -16,53 +16,10 @@ from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.layer_writer import EncodedLayers, LayerWriter
 from sppm_pipeline.method.nouns.printer import Printer, Resin, cards
 from sppm_pipeline.method.slicing.slice_stack import SliceStack
-from sppm_pipeline.nouns.length import Length, Pixel, voxel_mm
 from sppm_pipeline.stage import Context, Headline, option
 
 PREVIEW_SAMPLES = 128
 """Samples along the longest side of the part for its picture in the file: a choice, some pixels of a thumbnail each."""
-
-
-def cut_for(
-    name: str | None, own: Path | None, pixel: Pixel | None, layer: Length | None
-) -> tuple[Printer | None, tuple[float, float, float]]:
-    """The printer of a slicer's options, and pixel pitch along x and y and layer height (mm).
-
-    Raises
-    ------
-    ConfigError
-        If the printer is unknown, or pixel pitch or layer height are not its own.
-    """
-    if name is None:
-        if own is not None:
-            raise ConfigError("`cards` holds printers, and `printer` names none of them")
-        if pixel is None:
-            raise ConfigError("give `printer` or `pixel`")
-        return None, voxel_mm(pixel, layer)
-    printer = cards(own).printer(name)
-    if layer is None:
-        low, high = printer.layer_mm
-        raise ConfigError(
-            f"`printer: {name}` needs a `layer`", hint=f"give a height of {low:g} to {high:g} mm, as `layer: 0.05 mm`"
-        )
-    printer.require_layer(layer.mm())
-    if pixel is not None:
-        printer.require_pixel(voxel_mm(pixel, layer)[:2])
-    return printer, (*printer.pixel_mm, layer.mm())
-
-
-def require_room(stack: SliceStack, own: Path | None = None) -> SliceStack:
-    """The stack, unless it was cut for a printer that is smaller than the part.
-
-    Raises
-    ------
-    DesignError
-        With the smallest printer that holds the part.
-    """
-    if stack.printer is not None:
-        (nx, ny, nz), (hx, hy) = stack.shape, stack.pixel_mm
-        stack.printer.require_room((nx * hx, ny * hy, nz * stack.layer_mm), cards(own).printers.values())
-    return stack
 
 
 class Place(NamedTuple):
@@ -266,7 +223,7 @@ class PrinterWriter(LayerWriter):
             )
         printer.require_pixel(stack.pixel_mm)
         printer.require_layer(stack.layer_mm)
-        require_room(stack)
+        stack.require_room()
         if printer.convert_to:
             context.warn(f"{printer.name} reads {printer.convert_to} files: convert {self.path} by UVtools")
         super().run(context, stack)

@@ -73,22 +73,6 @@ def on_torus(field: ScalarField) -> bool:
     return field.periodic and field.cells == (1, 1, 1) and not isinstance(field, Part)
 
 
-def node_grid(field: ScalarField, per_cell: int) -> Grid:
-    """The nodes, `per_cell` to a cell edge, on which the surface of a field is found; in cell sizes.
-
-    They fill the box of a cell or tiling with both of its ends, and reach one node beyond the domain of a part.
-    """
-    h = 1.0 / per_cell
-    low, high = np.zeros(3, np.int64), np.array(field.cells) * per_cell
-    if isinstance(field, Part):
-        edge = field.physical_edge()
-        low = np.floor((field.domain.lower - field.origin_mm) / edge * per_cell).astype(np.int64) - 1
-        high = np.ceil((field.domain.upper - field.origin_mm) / edge * per_cell).astype(np.int64) + 1
-    nx, ny, nz = (int(v) for v in high - low + 1)
-    x, y, z = (float(v) * h for v in low)
-    return Grid((x, y, z), (h, h, h), (nx, ny, nz))
-
-
 class SampledSlab(NamedTuple):
     """Consecutive planes of samples.
 
@@ -381,7 +365,7 @@ class FieldSurface:
 
     def _smooth(self, slab: SampledSlab) -> SampledSlab:
         """Logarithms in place of sums of kernels, as less happens between their samples; in place."""
-        from sppm_pipeline.features.surface.numerics.placing import log_of_sums
+        from sppm_pipeline.method.kernels.profiles import log_of_sums
 
         level = self.source.base.sum_level if isinstance(self.source, Part) else self.source.sum_level
         if level is not None:

@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sppm_pipeline.nouns.artifact import Artifact, frozen, optional_module
+from sppm_pipeline.nouns.artifact import Surface, Viewable, frozen, optional_module
 
 
 @dataclass(frozen=True, eq=False)
-class VolumeMesh(Artifact):
+class VolumeMesh(Viewable):
     """A mesh of tetrahedra with positive volume, straight (4 nodes) or quadratic (10 nodes).
 
     Attributes
@@ -108,6 +108,13 @@ class VolumeMesh(Artifact):
     def around(self) -> NDArray[np.float64]:
         """The box, or else the bounding box of the nodes, (2, 3) mm."""
         return self.box if self.box is not None else np.array([self.nodes.min(axis=0), self.nodes.max(axis=0)])
+
+    def live_view(self) -> Surface:
+        """The triangles of its boundary."""
+        from sppm_pipeline.services.mesh.faces import boundary_triangles, face_neighbors
+
+        faces = boundary_triangles(self.cells, face_neighbors(self.cells))
+        return Surface(self.nodes, faces, f"surface of the {self.name}", "mm")
 
     def summary(self) -> dict[str, Any]:
         """Nodes, cells, volume, and for a periodic cell its porosity."""

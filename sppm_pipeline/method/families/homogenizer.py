@@ -17,23 +17,12 @@ from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.grid import cell_centers
-from sppm_pipeline.stage import Context, Headline, Stage, option
+from sppm_pipeline.stage import Context, Stage, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.services.elastic.convergence import Limit
     from sppm_pipeline.services.multigrid.solver import Solved
 
-
-ELASTIC_HEADLINE = (
-    Headline("E", unit="{unit}", error="E_error"),
-    Headline("G", unit="{unit}", error="G_error"),
-    Headline("nu"),
-    Headline("C.1.1", "C11", "{unit}", "error.1.1"),
-    Headline("C.1.2", "C12", "{unit}", "error.1.2"),
-    Headline("C.4.4", "C44", "{unit}", "error.4.4"),
-    Headline("porosity"),
-)
-"""What is shown of an effective stiffness: E along x, y, z, G for yz, xz, xy, nu by pair of axes."""
 
 LOCKING = 0.49
 """Poisson's ratio above which bricks and straight tetrahedra are warned of. On a gyroid C11 falls by 3 % from 12 to 24

@@ -19,6 +19,9 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.nouns.length import UNITS_IN_MM
 from sppm_pipeline.stage import option
 
+CHARTS = (".png", ".pdf", ".svg")
+"""Files that charts are written to."""
+
 
 def _shared(sentence: str, **declared: Any) -> Callable[..., Any]:
     """A declaration: what `option` takes, with a note in place of the help."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
-from sppm_pipeline.method.fields.wrapped import WrappedField
+from sppm_pipeline.method.fields.scalar_field import WrappedField
 from sppm_pipeline.method.kernels.level_spline import LayerSpline
 from sppm_pipeline.nouns.artifact import frozen
 from sppm_pipeline.services.grid import Grid

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.method.assembly.contents import Pieces, TilingArrays, connector_code, lone_periodic_cell
 from sppm_pipeline.method.fields.kernel_sum import KernelSum
-from sppm_pipeline.method.fields.wrapped import WrappedField
+from sppm_pipeline.method.fields.scalar_field import WrappedField
 from sppm_pipeline.method.kernels.kernels import Kernels, kernel_reaches, steepest
 from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 from sppm_pipeline.method.nouns.pores import PoreSet

@@ -1,10 +1,11 @@
-"""The scalar field whose negative part is solid."""
+"""The scalar field whose negative part is solid, and fields that are made from another one."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,8 +149,6 @@ class ScalarField(Artifact, ABC):
 
         A class that has a name for it (a level, a radius, a thickness) makes one of its own with that changed.
         """
-        from sppm_pipeline.method.fields.wrapped import CutField
-
         return CutField(self, value)
 
     @property
@@ -191,16 +190,6 @@ class ScalarField(Artifact, ABC):
             f"{wanted} or more{edge} show them"
         )
 
-    def _picture_html(self) -> str:
-        from sppm_pipeline.features.browser.live_view import live_frame
-
-        return live_frame(self) or super()._picture_html()
-
-    def _repr_png_(self) -> bytes | None:
-        from sppm_pipeline.method.pictures.field_picture import notebook_png
-
-        return notebook_png(self)
-
     def physical_edge(self) -> float:
         """`edge_mm`, or an error for those who need a size.
 
@@ -215,3 +204,100 @@ class ScalarField(Artifact, ABC):
                 hint="give the first sampling stage `edge: 7.5 mm`, or lay the cell with a `tile` stage and its `cell`",
             )
         return self.edge_mm
+
+
+@dataclass(frozen=True, eq=False)
+class WrappedField(ScalarField):
+    """Base of fields made from another field; size, place and finest detail are those of the other one.
+
+    Attributes
+    ----------
+    base : ScalarField
+    """
+
+    base: ScalarField
+
+    def check(self) -> None:
+        """The field it was made from is in order; what is evaluated anew is not sampled for this."""
+        self.base.check()
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        return self.base.cells
+
+    @property
+    def periodic(self) -> bool:
+        return self.base.periodic
+
+    @property
+    def sum_level(self) -> float | None:
+        return self.base.sum_level
+
+    @property
+    def finest_radius(self) -> float | None:
+        return self.base.finest_radius
+
+    @property
+    def thinnest_wall(self) -> float | None:
+        return self.base.thinnest_wall
+
+    @property
+    def edge_mm(self) -> float | None:
+        return self.base.edge_mm
+
+    @property
+    def origin_mm(self) -> tuple[float, float, float]:
+        return self.base.origin_mm
+
+    def exactly(self) -> Self:
+        return replace(self, base=self.base.exactly())
+
+    def summary(self) -> dict[str, Any]:
+        """The summary of the field it was made from."""
+        return self.base.summary()
+
+
+@dataclass(frozen=True, eq=False)
+class CutField(WrappedField):
+    """A field less a constant: solid where the field is smaller than `value`.
+
+    What `ScalarField.cut_at` makes of a field that knows no better name for it, such as a radius or a level.
+
+    Attributes
+    ----------
+    base : ScalarField
+    value : float
+        In the unit of the field.
+    """
+
+    value: float
+
+    @property
+    def sum_level(self) -> float | None:
+        level = self.base.sum_level
+        return level + self.value if level is not None and level + self.value > 0 else None
+
+    @property
+    def finest_radius(self) -> float | None:
+        return None
+
+    @property
+    def thinnest_wall(self) -> float | None:
+        return None
+
+    def check(self) -> None:
+        """The value is a number."""
+        super().check()
+        if not np.isfinite(self.value):
+            raise ValueError(f"a field is cut at a finite value, got {self.value}")
+
+    def cut_at(self, value: float) -> CutField:
+        return replace(self, value=self.value + value)
+
+    def sample_layers(self, grid: Grid, start: int, stop: int, threads: int = 1) -> NDArray[np.float32]:
+        # a new array: what a field hands out may be its own
+        return self.base.sample_layers(grid, start, stop, threads) - np.float32(self.value)
+
+    def summary(self) -> dict[str, Any]:
+        """The summary of the field, and the value it is cut at."""
+        return {**self.base.summary(), "cut": self.value}

@@ -62,16 +62,6 @@ class TileSet(Artifact):
         x, y, z = (k if n else np.full_like(k, -1) for k, n in zip(own, there, strict=True))
         return np.stack([tile, x, x, y, y, z, z], 1).astype(np.int32)
 
-    def _picture_html(self) -> str:
-        from sppm_pipeline.features.browser.live_view import live_frame
-
-        return live_frame(self) or super()._picture_html()
-
-    def _repr_png_(self) -> bytes | None:
-        from sppm_pipeline.method.pictures.field_picture import notebook_png
-
-        return notebook_png(self)
-
     def summary(self) -> dict[str, Any]:
         """Sizes, level and the spread of porosity over the tiles."""
         spread: dict[str, Any] = {}

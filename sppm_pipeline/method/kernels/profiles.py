@@ -168,3 +168,14 @@ def _positive(value: float, name: str, unit: str) -> float:
     if not (value > 0.0 and math.isfinite(value)):
         raise DesignError(f"the {name} is {value!r}, but a positive, finite number is needed", hint=f"unit: {unit}")
     return float(value)
+
+
+LEAST_SUM = 1e-5
+"""Sums below this are the cut-off of the kernels, not data."""
+
+
+def log_of_sums(values: NDArray[np.float32], level: float) -> NDArray[np.float32]:
+    """``ln(G / C)`` of samples of ``G - C``, with the same signs; in place."""
+    values *= np.float32(1 / level)
+    np.maximum(values, np.float32(LEAST_SUM / level - 1), out=values)
+    return np.log1p(values, out=values)

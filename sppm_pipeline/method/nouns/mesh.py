@@ -13,10 +13,11 @@ from sppm_pipeline.errors import DesignError
 from sppm_pipeline.nouns.artifact import (
     NOTEBOOK_SIZE,
     Artifact,
+    Surface,
+    Viewable,
     frozen,
     in_rows,
     optional_module,
-    png_of,
     whole_numbers,
 )
 from sppm_pipeline.services.paging import blocks
@@ -25,7 +26,7 @@ _MOST_VERTICES = 2**31 - 1
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceMesh(Artifact):
+class SurfaceMesh(Viewable):
     """An indexed triangle mesh; faces are oriented so that their normals point out of the solid.
 
     Attributes
@@ -163,12 +164,17 @@ class SurfaceMesh(Artifact):
         """High corner of the bounding box of the triangles, (3,) mm."""
         return self._measured[1]
 
-    def _repr_png_(self) -> bytes | None:
+    def live_view(self) -> Surface:
+        """Its triangles."""
+        return Surface(self.vertices, self.faces, self.name, "mm")
+
+    def picture(self) -> NDArray[np.uint8] | None:
+        """Its triangles, seen from the front; None if it has none."""
         if not len(self.faces):
             return None
         from sppm_pipeline.services.pictures.mesh_view import render_mesh
 
-        return png_of(render_mesh(self.vertices, self.faces, size=NOTEBOOK_SIZE))
+        return render_mesh(self.vertices, self.faces, size=NOTEBOOK_SIZE)
 
     def summary(self) -> dict[str, Any]:
         """Counts, box and signed volume."""

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
+from sppm_pipeline.nouns.length import Length, Pixel, voxel_mm
 
 FORMATS = ("sl1", "goo", "nanodlp")
 """Printer files that this program writes: ``write.sl1`` and so on."""
@@ -307,6 +308,34 @@ def cards(own: Path | None = None) -> Cards:
     except OSError as error:
         raise ConfigError(f"`cards` is {own}, which can't be read: {error.strerror}") from error
     return Cards({**built_in.printers, **found.printers}, {**built_in.resins, **found.resins})
+
+
+def cut_for(
+    name: str | None, own: Path | None, pixel: Pixel | None, layer: Length | None
+) -> tuple[Printer | None, tuple[float, float, float]]:
+    """The printer of a slicer's options, and pixel pitch along x and y and layer height (mm).
+
+    Raises
+    ------
+    ConfigError
+        If the printer is unknown, or pixel pitch or layer height are not its own.
+    """
+    if name is None:
+        if own is not None:
+            raise ConfigError("`cards` holds printers, and `printer` names none of them")
+        if pixel is None:
+            raise ConfigError("give `printer` or `pixel`")
+        return None, voxel_mm(pixel, layer)
+    printer = cards(own).printer(name)
+    if layer is None:
+        low, high = printer.layer_mm
+        raise ConfigError(
+            f"`printer: {name}` needs a `layer`", hint=f"give a height of {low:g} to {high:g} mm, as `layer: 0.05 mm`"
+        )
+    printer.require_layer(layer.mm())
+    if pixel is not None:
+        printer.require_pixel(voxel_mm(pixel, layer)[:2])
+    return printer, (*printer.pixel_mm, layer.mm())
 
 
 @lru_cache(maxsize=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.nouns.artifact import Artifact, frozen
+from sppm_pipeline.nouns.artifact import Surface, Viewable, frozen
+from sppm_pipeline.nouns.report import TEXT, Chart, Curve, Number, Report, reports
 
 if TYPE_CHECKING:
     from sppm_pipeline.services.elastic.bounds import Bounds
@@ -17,9 +19,12 @@ if TYPE_CHECKING:
 ROUNDING = 1e-8
 """What is nothing beside the modulus of the stiffest phase."""
 
+_PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+"""Axes of Poisson's ratios: along which a bar is pulled, and along which it contracts."""
+
 
 @dataclass(frozen=True, eq=False)
-class StiffnessReport(Artifact):
+class StiffnessReport(Report, Viewable):
     """The stiffness C^H of a cell that repeats for ever, in Voigt order xx, yy, zz, yz, xz, xy, engineering shear.
 
     Attributes
@@ -41,20 +46,12 @@ class StiffnessReport(Artifact):
         Residuals, iterations and what else the method has to say, JSON-ready.
     """
 
-    reported: ClassVar[tuple[str, ...]] = (
-        "porosity", "C.#6.#6", "E.#3", "G.#3", "nu.xy", "nu.xz", "nu.yx", "nu.yz", "nu.zx", "nu.zy", "E_relative",
-        "isotropic.E", "isotropic.nu", "xi", "xi_relative", "deviation_invariant", "bulk.voigt", "bulk.reuss",
-        "shear.voigt", "shear.reuss", "zener", "distance_from_cubic", "universal_anisotropy",
-        "log_euclidean_anisotropy", "E_min.value", "E_min.direction.#3", "E_max.value", "E_max.direction.#3",
-        "bounds.within_voigt_and_reuss", "bounds.hashin_shtrikman_bulk.#2", "bounds.hashin_shtrikman_shear.#2",
-        "bounds.hashin_shtrikman_young.#2", "bounds.bulk_within", "bounds.shear_within", "compliance.#6.#6", "solver.*",
-        "error.#6.#6", "error_relative", "E_error.#3", "G_error.#3", "expansion.#6",
-    )  # fmt: skip
+    headline: ClassVar[tuple[str, ...]] = ("E", "G", "nu", "C.1.1", "C.1.2", "C.4.4", "porosity")
 
     stiffness: NDArray[np.float64]
     phases: tuple[tuple[float, float, float], ...]
-    method: str
-    unit: str | None = None
+    method: str = field(metadata=TEXT)
+    unit: str | None = field(default=None, metadata=TEXT)
     error: NDArray[np.float64] | None = None
     expansion: NDArray[np.float64] | None = None
     solver: dict[str, Any] = field(default_factory=dict)
@@ -84,14 +81,20 @@ class StiffnessReport(Artifact):
             raise ValueError(f"the fractions of the phases sum to 1, got {self.phases}")
 
     @property
-    def C(self) -> NDArray[np.float64]:
-        """`stiffness`, (6, 6) float64."""
-        return self.stiffness
-
-    @property
+    @reports()
     def porosity(self) -> float:
         """Fraction of the void."""
         return sum(fraction for fraction, young, _ in self.phases if young == 0)
+
+    @reports("phases", column=False)
+    def _materials(self) -> list[dict[str, float]]:
+        return [{"share": f, "young": e, "poisson": nu} for f, e, nu in self.phases]
+
+    @property
+    @reports("#6.#6", unit="{unit}", error="error")
+    def C(self) -> NDArray[np.float64]:
+        """`stiffness`, (6, 6) float64."""
+        return self.stiffness
 
     @property
     def base(self) -> float:
@@ -105,61 +108,89 @@ class StiffnessReport(Artifact):
 
         return bounds(self.stiffness, list(self.phases))
 
-    def summary(self) -> dict[str, Any]:
-        """Engineering constants, isotropy, bounds; what is not defined is None."""
+    @reports(
+        Number("E.#3", unit="{unit}", error="E_error", box="Young's modulus x, y, z"),
+        Number("G.#3", unit="{unit}", error="G_error"),
+        *(Number(f"nu.{'xyz'[i]}{'xyz'[j]}") for i, j in _PAIRS),
+        Number("E_relative"),
+    )
+    def _engineering_constants(self) -> tuple[Any, ...]:
+        from sppm_pipeline.services.elastic.voigt import engineering_constants
+
+        found = engineering_constants(self.stiffness)
+        relative = found["E"][0] / self.base if self.base else None
+        return found["E"], found["G"], *(found["nu"][pair] for pair in _PAIRS), relative
+
+    @reports(
+        "isotropic.E", "isotropic.nu", "xi", "xi_relative", "deviation_invariant", "bulk.voigt", "bulk.reuss",
+        "shear.voigt", "shear.reuss", "zener", "distance_from_cubic", "universal_anisotropy",
+        "log_euclidean_anisotropy", "E_min.value", "E_min.direction.#3", "E_max.value", "E_max.direction.#3",
+    )  # fmt: skip
+    def _isotropy(self) -> tuple[Any, ...]:
         from sppm_pipeline.services.elastic import isotropy
         from sppm_pipeline.services.elastic.directional import extremes
-        from sppm_pipeline.services.elastic.voigt import compliance, engineering_constants
 
         c = self.stiffness
-        constants, mean = engineering_constants(c), isotropy.averages(c)
-        fit, invariant = isotropy.nearest_isotropic(c), isotropy.nearest_isotropic(c, "tensor")
-        ratio, from_cubic = isotropy.zener(c)
-        ends, bound = extremes(c), self.bounds
-        summary: dict[str, Any] = {
-            "method": self.method,
-            "unit": self.unit,
-            "porosity": self.porosity,
-            "phases": [{"share": f, "young": e, "poisson": nu} for f, e, nu in self.phases],
-            "C": c,
-            "E": constants["E"],
-            "G": constants["G"],
-            "nu": {
-                name: constants["nu"]["xyz".index(name[0]), "xyz".index(name[1])]
-                for name in ("xy", "xz", "yx", "yz", "zx", "zy")
-            },
-            "E_relative": constants["E"][0] / self.base if self.base else None,
-            "isotropic": {"E": fit.young, "nu": fit.poisson},
-            "xi": fit.deviation,
-            "xi_relative": fit.relative,
-            "deviation_invariant": invariant.relative,
-            "bulk": {"voigt": mean.bulk_voigt, "reuss": mean.bulk_reuss},
-            "shear": {"voigt": mean.shear_voigt, "reuss": mean.shear_reuss},
-            "zener": ratio,
-            "distance_from_cubic": from_cubic,
-            "universal_anisotropy": isotropy.universal_anisotropy(c),
-            "log_euclidean_anisotropy": isotropy.log_euclidean(c),
-            "E_min": {"value": ends["min"][0], "direction": ends["min"][1]},
-            "E_max": {"value": ends["max"][0], "direction": ends["max"][1]},
-            "bounds": {
-                "within_voigt_and_reuss": bound.within,
-                "hashin_shtrikman_bulk": list(bound.bulk),
-                "hashin_shtrikman_shear": list(bound.shear),
-                "hashin_shtrikman_young": list(bound.young),
-                "bulk_within": bound.bulk_holds,
-                "shear_within": bound.shear_holds,
-            },
-            "compliance": compliance(c),
-            "solver": self.solver,
-        }
-        if self.expansion is not None:
-            summary["expansion"] = [float(value) if np.isfinite(value) else None for value in self.expansion]
-        if self.error is not None:
-            summary["error"] = self.error
-            size = float(np.linalg.norm(c))
-            summary["error_relative"] = float(np.linalg.norm(self.error)) / size if size else 0.0
-            # as if all entries erred to one side, as those of voxels do: too stiff
-            softer = engineering_constants(c - self.error)
-            for name in ("E", "G"):
-                summary[f"{name}_error"] = np.abs(constants[name] - softer[name])
-        return summary
+        anisotropies = isotropy.universal_anisotropy(c), isotropy.log_euclidean(c)
+        invariant, ends = isotropy.nearest_isotropic(c, "tensor").relative, extremes(c)
+        return (
+            *isotropy.nearest_isotropic(c), invariant, *isotropy.averages(c), *isotropy.zener(c), *anisotropies,
+            *ends["min"], *ends["max"],
+        )  # fmt: skip
+
+    @reports(
+        "bounds.within_voigt_and_reuss", "bounds.hashin_shtrikman_bulk.#2", "bounds.hashin_shtrikman_shear.#2",
+        "bounds.hashin_shtrikman_young.#2", "bounds.bulk_within", "bounds.shear_within",
+    )  # fmt: skip
+    def _kept_bounds(self) -> tuple[Any, ...]:
+        found = self.bounds
+        return found.within, found.bulk, found.shear, found.young, found.bulk_holds, found.shear_holds
+
+    @reports("compliance.#6.#6", "solver.*")
+    def _compliance(self) -> tuple[Any, ...]:
+        from sppm_pipeline.services.elastic.voigt import compliance
+
+        return compliance(self.stiffness), self.solver
+
+    @reports("expansion.#6", optional=True)
+    def _expansion(self) -> list[float | None] | None:
+        if self.expansion is None:
+            return None
+        return [float(value) if np.isfinite(value) else None for value in self.expansion]
+
+    @reports("error.#6.#6", "error_relative", "E_error.#3", "G_error.#3", optional=True)
+    def _error_bars(self) -> tuple[Any, ...] | None:
+        """Those of the moduli as if all entries erred to one side, as those of voxels do: too stiff."""
+        from sppm_pipeline.services.elastic.voigt import engineering_constants
+
+        if self.error is None:
+            return None
+        size = float(np.linalg.norm(self.stiffness))
+        found, softer = engineering_constants(self.stiffness), engineering_constants(self.stiffness - self.error)
+        bars = (np.abs(found[name] - softer[name]) for name in ("E", "G"))
+        return self.error, float(np.linalg.norm(self.error)) / size if size else 0.0, *bars
+
+    def live_view(self) -> Surface:
+        """The surface whose distance from the middle is Young's modulus in that direction."""
+        from sppm_pipeline.services.elastic.directional import sphere_mesh, young_along
+
+        sphere, faces = sphere_mesh(5)
+        vertices = sphere * young_along(self.stiffness, sphere)[:, None]
+        return Surface(vertices, faces, "Young's modulus by direction", self.unit or "of the solid's")
+
+    @classmethod
+    def report_charts(cls, summary: Mapping[str, Any]) -> list[Chart]:
+        """Young's modulus over the directions of the planes xy, yz and zx; nothing of a singular stiffness."""
+        c = np.asarray(summary.get("C"), np.float64)
+        if c.shape != (6, 6) or not np.isfinite(c).all() or np.linalg.cond(c) > 1e12:
+            return []
+        s = np.linalg.inv(c)
+        turn = np.linspace(0, 2 * np.pi, 181)
+        curves = []
+        for label, (a, b) in (("xy plane", (0, 1)), ("yz plane", (1, 2)), ("zx plane", (2, 0))):
+            n = np.zeros((3, len(turn)))
+            n[a], n[b] = np.cos(turn), np.sin(turn)
+            v = np.stack([n[0] ** 2, n[1] ** 2, n[2] ** 2, n[1] * n[2], n[0] * n[2], n[0] * n[1]])
+            curves.append(Curve(turn, 1 / np.einsum("ik,ij,jk->k", v, s, v), label))
+        unit = str(summary.get("unit") or "")
+        return [Chart(curves, "Young's modulus over direction" + (f", {unit}" if unit else ""), polar=True)]

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.fields.wrapped import WrappedField
+from sppm_pipeline.method.fields.scalar_field import ScalarField, WrappedField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.part.capsules import depths_in_capsules
 from sppm_pipeline.method.part.domain_sampler import DomainSampler
@@ -298,6 +298,22 @@ class Part(WrappedField):
             "inside": self.method,
             "cells": list(self.cells),
         }
+
+
+def node_grid(field: ScalarField, per_cell: int) -> Grid:
+    """The nodes, `per_cell` to a cell edge, on which the surface of a field is found; in cell sizes.
+
+    They fill the box of a cell or tiling with both of its ends, and reach one node beyond the domain of a part.
+    """
+    h = 1.0 / per_cell
+    low, high = np.zeros(3, np.int64), np.array(field.cells) * per_cell
+    if isinstance(field, Part):
+        edge = field.physical_edge()
+        low = np.floor((field.domain.lower - field.origin_mm) / edge * per_cell).astype(np.int64) - 1
+        high = np.ceil((field.domain.upper - field.origin_mm) / edge * per_cell).astype(np.int64) + 1
+    nx, ny, nz = (int(v) for v in high - low + 1)
+    x, y, z = (float(v) * h for v in low)
+    return Grid((x, y, z), (h, h, h), (nx, ny, nz))
 
 
 def coarse_size(part: Size, pitch: Length | None = None) -> Size:

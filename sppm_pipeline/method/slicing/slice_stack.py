@@ -6,13 +6,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sppm_pipeline.errors import SppmError
-from sppm_pipeline.method.nouns.printer import Printer
+from sppm_pipeline.method.nouns.printer import Printer, cards
 from sppm_pipeline.method.slicing.spool import IN_MEMORY
 from sppm_pipeline.nouns.artifact import Artifact, frozen
 from sppm_pipeline.nouns.size import Geometry, Size
@@ -204,6 +205,24 @@ class SliceStack(Artifact, ABC):
             raise ValueError(f"`pixel_mm` of a stack is its pitch along x and y, not {pitch!r}")
         if not all(0 < length < math.inf for length in (*pitch, self.layer_mm)):
             raise ValueError(f"pixels of {pitch[0]} x {pitch[1]} mm and layers of {self.layer_mm} mm can't be printed")
+
+    def require_room(self, own: Path | None = None) -> Self:
+        """The stack, unless it was cut for a printer that is smaller than the part.
+
+        Parameters
+        ----------
+        own : Path, optional
+            File of further printers, among which one that holds the part is looked for.
+
+        Raises
+        ------
+        DesignError
+            With the smallest printer that holds the part.
+        """
+        if self.printer is not None:
+            (nx, ny, nz), (hx, hy) = self.shape, self.pixel_mm
+            self.printer.require_room((nx * hx, ny * hy, nz * self.layer_mm), cards(own).printers.values())
+        return self
 
     def summary(self) -> dict[str, Any]:
         """Size and pitch."""

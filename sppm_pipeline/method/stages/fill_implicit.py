@@ -191,7 +191,8 @@ def listed_triangles(path: Path, count: int) -> NDArray[np.int64]:
 
 def sealed_void(part: Part, threads: int) -> float:
     """Volume of the void of a part that opens nowhere, mm3, on a coarse grid."""
-    from sppm_pipeline.features.printing.numerics.routes import find_traps
+    from sppm_pipeline.method.connectivity.components import find_components
 
     solid, grid = part.coarse_solid(threads)
-    return float(find_traps(solid).sizes.sum()) * math.prod(grid.spacing)
+    voids = find_components(solid, (False, False, False), 6, zeros=True)
+    return float(voids.sizes[~voids.faces.any(1)].sum()) * math.prod(grid.spacing)

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.printing.printer_writer import cut_for, require_room
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.nouns.printer import Printer
+from sppm_pipeline.method.nouns.printer import Printer, cut_for
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.slicing.sampled_slices import FieldSlices
 from sppm_pipeline.method.slicing.slice_stack import SliceStack, stack_size
@@ -90,4 +89,4 @@ class SliceField(Stage):
             sublayers=self.gray_layers,
             machine=printer,
         )
-        return require_room(stack, self.cards)
+        return stack.require_room(self.cards)

@@ -9,11 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.features.printing.printer_writer import cut_for, require_room
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.inside_test import outward_mesh
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.nouns.printer import Printer
+from sppm_pipeline.method.nouns.printer import Printer, cut_for
 from sppm_pipeline.method.slicing.sampled_slices import MeshSlices
 from sppm_pipeline.method.slicing.slice_stack import SliceStack, stack_size
 from sppm_pipeline.nouns.length import Length, Pixel
@@ -88,4 +87,4 @@ class SliceMesh(Stage):
             method=method,
             machine=printer,
         )
-        return require_room(stack, self.cards)
+        return stack.require_room(self.cards)

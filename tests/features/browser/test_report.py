@@ -14,15 +14,16 @@ from sppm_pipeline.engine.run.verification import verify_run
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.features.browser.live.data import MAGIC, encode_view, head_of
-from sppm_pipeline.features.browser.live.meshes import clustered
-from sppm_pipeline.features.browser.live_view import view_of
+from sppm_pipeline.features.browser.live.views import clustered, view_of
 from sppm_pipeline.features.browser.report.boxes import boxes, duration, porosities
 from sppm_pipeline.features.browser.report.build import read_record, report_html
-from sppm_pipeline.features.browser.report.charts import Curve, line_chart, modulus_chart, ticks
+from sppm_pipeline.features.browser.report.charts import chart_svg, line_chart, ticks
 from sppm_pipeline.features.browser.report.layers import layers_of, outputs_of
 from sppm_pipeline.features.browser.report.wiring import wiring_svg
+from sppm_pipeline.features.flow.permeability import PermeabilityReport
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.nouns.report import Curve
 from sppm_pipeline.services.elastic.directional import sphere_mesh
 
 
@@ -168,7 +169,7 @@ def test_differences_of_porosity(small_run):
         {"id": "png", "stage": "write.png", "summary": {"solid_volume_mm3": 49.0, "layers": 3}},
         {"id": "mesh", "stage": "extract.x", "made": "SurfaceMesh", "summary": {"volume_mm3": 49.8}},
     ]
-    made = {box.label: box for box in boxes({"seconds": 61.0, "threads": 2}, stages, None)}
+    made = {box.label: box for box in boxes({"seconds": 61.0, "threads": 2}, stages, None, {})}
     assert made["porosity: layers"].value == "51.00 %"
     assert made["porosity: layers"].note.startswith("+1.00 to wanted, +0.91 to field, +0.80 to mesh")
     assert made["porosity: layers"].bad
@@ -197,7 +198,9 @@ def test_ticks_are_round(low, high, found):
 
 def test_the_modulus_of_a_laminate_over_directions():
     stiffness = np.linalg.inv(np.diag([1 / 3.0, 1 / 3.0, 1.0, 5.0, 5.0, 5.0]))
-    svg = modulus_chart(stiffness, "MPa")
+    (chart,) = StiffnessReport.report_charts({"C": stiffness.tolist(), "unit": "MPa"})
+    svg = chart_svg(chart)
+    assert "Young&#x27;s modulus over direction, MPa</text>" in svg
     xy, yz, _ = re.findall(r'class="s\d" d="(M[^"]+)"', svg)[:3]
     radii = [np.hypot(*(np.array(p, float) - 160)) for p in re.findall(r"([\d.]+) ([\d.]+)", yz)]
     assert radii[0] == pytest.approx(118, abs=0.1)
@@ -205,7 +208,8 @@ def test_the_modulus_of_a_laminate_over_directions():
     xy_radii = [np.hypot(*(np.array(p, float) - 160)) for p in re.findall(r"([\d.]+) ([\d.]+)", xy)]
     # along (1, 1, 0): 1 / E = (1/3 + 1/3 + 5) / 4
     assert xy_radii[23] == pytest.approx(118 * (4 / (1 / 3 + 1 / 3 + 5)) / 3, rel=0.02)
-    assert modulus_chart(np.zeros((6, 6)), "") == ""
+    assert StiffnessReport.report_charts({"C": np.zeros((6, 6)).tolist()}) == []
+    assert StiffnessReport.report_charts({}) == []
 
 
 def test_wiring_has_a_box_for_each_stage_and_a_line_for_each_input():
@@ -343,26 +347,26 @@ def test_a_run_without_a_field_shows_its_mesh(tmp_path, capsys):
 
 def test_stiffness_and_permeability_stand_at_the_top():
     def found(made, **summary):
-        stages = [{"id": "x", "stage": "homogenize.x", "made": made, "summary": summary, "options": {}}]
-        return {box.label: (box.value, box.note) for box in boxes({"seconds": 1.0}, stages, None)}
+        stages = [{"id": "x", "stage": "homogenize.x", "made": made.__name__, "summary": summary, "options": {}}]
+        return {box.label: (box.value, box.note) for box in boxes({"seconds": 1.0}, stages, None, {"x": made})}
 
-    stiff = found("StiffnessReport", E=[293.74, 287.9, 213.6], unit="MPa", E_error=[23.7, 20.3, 20.2])
+    stiff = found(StiffnessReport, E=[293.74, 287.9, 213.6], unit="MPa", E_error=[23.7, 20.3, 20.2])
     assert stiff["Young's modulus x, y, z"] == ("294, 288, 214 MPa", "± 24 MPa, x")
-    assert found("StiffnessReport", E=[0.25, 0.0, None]).keys() == {"time"}
-    assert found("StiffnessReport", E=[]).keys() == {"time"}
-    assert found("StiffnessReport", E=[0.25, 0.0, 0.1])["Young's modulus x, y, z"] == ("0.25, 0, 0.1", "x")
-    flow = found("PermeabilityReport", k_mean=7.54e-4, darcy_mean=19097.4, error_relative=0.25)
+    assert found(StiffnessReport, E=[0.25, 0.0, None]).keys() == {"time"}
+    assert found(StiffnessReport, E=[]).keys() == {"time"}
+    assert found(StiffnessReport, E=[0.25, 0.0, 0.1])["Young's modulus x, y, z"] == ("0.25, 0, 0.1", "x")
+    flow = found(PermeabilityReport, k_mean=7.54e-4, darcy_mean=19097.4, error_relative=0.25)
     assert flow["permeability"] == ("1.91e+04 darcy", "± 25 %, x")
-    assert found("PermeabilityReport", k_mean=7.54e-4)["permeability"] == ("0.000754 cell²", "x")
+    assert found(PermeabilityReport, k_mean=7.54e-4)["permeability"] == ("0.000754 cell²", "x")
 
 
 def test_pixels_that_are_square_have_one_size():
     stages = [{"id": "s", "stage": "slice.field", "summary": {"pixel_mm": [0.05, 0.05]}, "options": {}}]
-    assert ("pixel", "0.05 mm") in [box[:2] for box in boxes({}, stages, None)]
+    assert ("pixel", "0.05 mm") in [box[:2] for box in boxes({}, stages, None, {})]
     stages[0]["summary"]["pixel_mm"] = [0.019, 0.024]
-    assert ("pixel", "0.019 x 0.024 mm") in [box[:2] for box in boxes({}, stages, None)]
+    assert ("pixel", "0.019 x 0.024 mm") in [box[:2] for box in boxes({}, stages, None, {})]
     stages[0]["summary"]["pixel_mm"] = [[0.05], [0.05]]  # of a plugin, which may call anything so
-    assert ("pixel", "[[0.05], [0.05]] mm") in [box[:2] for box in boxes({}, stages, None)]
+    assert ("pixel", "[[0.05], [0.05]] mm") in [box[:2] for box in boxes({}, stages, None, {})]
 
 
 def test_columns_that_sweeps_are_run_for_come_first():

@@ -15,7 +15,7 @@ from PIL import Image
 from sppm_pipeline.engine.strict_json import json_text, sealed
 from sppm_pipeline.features.browser.live.data import head_of
 from sppm_pipeline.features.browser.live.page import ASSETS, live_page
-from sppm_pipeline.features.browser.live_view import view_of
+from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.features.browser.report.build import read_record, report_html
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.services.elastic.directional import sphere_mesh

@@ -21,7 +21,7 @@ from sppm_pipeline.engine.process import interruption
 from sppm_pipeline.engine.run.context import RunContext, StageLog
 from sppm_pipeline.engine.run.events import Monitor
 from sppm_pipeline.errors import ConfigError, InputError, SppmError
-from sppm_pipeline.features.browser.live_view import view_of
+from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.features.browser.studio.controls import _number, _slider
 from sppm_pipeline.features.browser.studio.design import START, Design, Superseded
 from sppm_pipeline.features.browser.studio.server import server_of

@@ -7,12 +7,12 @@ import pytest
 
 from sppm_pipeline.engine.process import budget
 from sppm_pipeline.errors import ConfigError, DesignError, InputError, ResourceError
-from sppm_pipeline.features.surface.field_surface import FieldSurface, node_grid
+from sppm_pipeline.features.surface.field_surface import FieldSurface
 from sppm_pipeline.features.surface.numerics.meshcheck.bodies import find_shells
 from sppm_pipeline.features.surface.stages.extract_marching_cubes import MarchingCubes
 from sppm_pipeline.features.surface.stages.fill_boolean import BooleanFill
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.method.part.part import Part, node_grid
 from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh, torus_mesh
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.services.grid import Grid, cell_centers

@@ -15,11 +15,12 @@ from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import SppmError
 from sppm_pipeline.features.files.stages.write_mesh import ENCODERS, IN_PIECES, WriteMesh
-from sppm_pipeline.features.surface.field_surface import FieldSurface, node_grid
+from sppm_pipeline.features.surface.field_surface import FieldSurface
 from sppm_pipeline.features.surface.mesh_stream import Foreseen, PieceWindow
 from sppm_pipeline.features.surface.piece_file import PieceFile
 from sppm_pipeline.features.surface.stages import extract_marching_cubes as marching_cubes
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.part.part import node_grid
 from sppm_pipeline.services.mesh.marching_cubes import marching_cubes_slabs
 from sppm_pipeline.testing.plain_context import PlainContext
 

@@ -12,9 +12,9 @@ from sppm_pipeline.features.surface.numerics.placing import (
     SKIN,
     Samples,
     _cubic_zeros,
-    log_of_sums,
     place_vertices,
 )
+from sppm_pipeline.method.kernels.profiles import log_of_sums
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.mesh.closing import capped_marching_cubes
 from sppm_pipeline.services.mesh.measures import edge_counts, volume

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from sppm_pipeline.features.surface.field_surface import FieldSurface, node_grid
+from sppm_pipeline.features.surface.field_surface import FieldSurface
 from sppm_pipeline.features.surface.numerics.meshcheck.self_intersections import self_intersections
 from sppm_pipeline.features.surface.numerics.placing import DOMAIN, FIELD
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.method.part.part import Part, node_grid
 from sppm_pipeline.method.part.primitive_meshes import ball_mesh, box_mesh
 from sppm_pipeline.services.grid import cell_nodes
 from sppm_pipeline.services.mesh.box_tree import box_tree

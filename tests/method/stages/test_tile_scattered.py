@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.browser.live_view import _tiles
+from sppm_pipeline.features.browser.live.structures import _tiles
 from sppm_pipeline.features.grading.grading import FormulaLaw, Grading, TableLaw
 from sppm_pipeline.features.grading.local_porosity import LatticeCells
 from sppm_pipeline.features.grading.stages.tile_graded import GradedTiling

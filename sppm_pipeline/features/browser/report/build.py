@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from sppm_pipeline.engine.config.document import RECORD_KEY
+from sppm_pipeline.engine.plan.plugins import Plugins, load_plugins
+from sppm_pipeline.engine.plan.registry import Registry
 from sppm_pipeline.engine.run.outputs import RECORD
 from sppm_pipeline.engine.run.verification import differences, verify_run
 from sppm_pipeline.errors import InputError
@@ -23,11 +25,13 @@ from sppm_pipeline.features.browser.live.page import (
     policy,
 )
 from sppm_pipeline.features.browser.report.boxes import boxes, duration
-from sppm_pipeline.features.browser.report.charts import Curve, line_chart, modulus_chart
+from sppm_pipeline.features.browser.report.charts import chart_svg, line_chart
 from sppm_pipeline.features.browser.report.layers import Layers, layers_of, outputs_of, pictures_of
+from sppm_pipeline.features.browser.report.results import kinds_of, sections_of
 from sppm_pipeline.features.browser.report.sweeps import sweep_context
 from sppm_pipeline.features.browser.report.wiring import wiring_svg
 from sppm_pipeline.nouns.artifact import shown
+from sppm_pipeline.nouns.report import Curve, ReportSection
 
 HERE = Path(__file__).parent
 
@@ -70,6 +74,7 @@ def report_html(
     note: str = "",
     max_bytes: int = 5_000_000,
     threads: int = 1,
+    plugins: Plugins | None = None,
 ) -> str:
     """The report of a run, the same text for the same directory.
 
@@ -86,6 +91,8 @@ def report_html(
     max_bytes : int
         What the file should not exceed: the view, layers and pictures get fixed shares.
     threads : int
+    plugins : Plugins, optional
+        Whose stages' results and sections are shown; the built-in ones if omitted.
 
     Raises
     ------
@@ -100,7 +107,7 @@ def report_html(
         )
         view = None
     try:
-        context = _context(path, record, view, raw, threads)
+        context = _context(path, record, view, raw, threads, plugins or load_plugins(distributions=False))
     except (KeyError, TypeError, AttributeError, ValueError, IndexError) as error:
         raise InputError(
             f"the record in {str(path)!r} is not as this program writes them: {type(error).__name__}: {error}",
@@ -109,7 +116,9 @@ def report_html(
     return _rendered(context | {"note": note, "seal": str(record.get("sha256", ""))})
 
 
-def _context(path: Path, record: Mapping[str, Any], view: bytes | None, raw: int, threads: int) -> dict[str, Any]:
+def _context(
+    path: Path, record: Mapping[str, Any], view: bytes | None, raw: int, threads: int, plugins: Plugins
+) -> dict[str, Any]:
     stages: list[Mapping[str, Any]] = list(record["stages"])
     outputs = outputs_of(path, stages)
     view_head = head_of(view) if view is not None else None
@@ -120,7 +129,14 @@ def _context(path: Path, record: Mapping[str, Any], view: bytes | None, raw: int
         pictures.remove(still)
     shown_stages = _stages(record, stages)
     found, files = verify_run(path, threads)
-    charts = [chart for stage in stages if (c := stage["summary"].get("C")) and (chart := _modulus(c, stage))]
+    kinds = kinds_of(stages, Registry(plugins))
+    described = (
+        chart
+        for stage in stages
+        if (kind := kinds.get(str(stage["id"]))) is not None
+        for chart in kind.report_charts(stage["summary"])
+    )
+    charts = [drawn for chart in described if (drawn := chart_svg(chart))]
     data: dict[str, str] = {}
     if layers is not None:
         data["layers"] = base64.b64encode(b"".join(layers.files)).decode()
@@ -134,13 +150,14 @@ def _context(path: Path, record: Mapping[str, Any], view: bytes | None, raw: int
         "status": str(record["status"]),
         "error": record.get("error"),
         "facts": _facts(record),
-        "boxes": boxes(record, stages, view_head) if sweep is None else sweep["boxes"],
+        "boxes": boxes(record, stages, view_head, kinds) if sweep is None else sweep["boxes"],
         "warnings": _warnings(record, stages),
         "view": view_head,
         "still": still,
         "layers": None if layers is None else _layers(layers, view_head),
         "layers_head": None if layers is None else json_block(layers.head()),
         "charts": charts,
+        "sections": [_section(section) for section in sections_of(record, plugins)],
         "pictures": pictures,
         "wiring": wiring_svg(shown_stages),
         "stages": shown_stages,
@@ -255,8 +272,12 @@ def _written_by(name: str, stages: Sequence[Mapping[str, Any]]) -> str:
     return ""
 
 
-def _modulus(c: Any, stage: Mapping[str, Any]) -> str:
-    return modulus_chart(c, str(stage["summary"].get("unit") or ""))
+def _section(section: ReportSection) -> dict[str, Any]:
+    """A section as the template shows it."""
+    return {
+        "title": section.title, "text": section.text, "rows": _pairs(dict(section.rows)),
+        "charts": [drawn for chart in section.charts if (drawn := chart_svg(chart))],
+    }  # fmt: skip
 
 
 def _layers(layers: Layers, view: Mapping[str, Any] | None) -> dict[str, Any]:

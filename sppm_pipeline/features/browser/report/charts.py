@@ -1,4 +1,4 @@
-"""Small charts as SVG, drawn by the page's own colors: curves over a number, and moduli over directions.
+"""Small charts as SVG, drawn by the page's own colors: curves over a number, or over directions.
 
 `render.charts` draws the charts of results with matplotlib; those of a report need no more than axes, ticks and
 polylines, follow the dark scheme, and must not make a report depend on an optional library.
@@ -9,30 +9,15 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+
+from sppm_pipeline.nouns.report import Chart, Curve
 
 WIDTH, HEIGHT = 560, 250
 LEFT, RIGHT, TOP, BOTTOM = 62, 14, 14, 44
-
-
-class Curve(NamedTuple):
-    """A curve or, if `points`, a cloud; the page's style gives series 0, 1, 2 their colors and dashes.
-
-    Attributes
-    ----------
-    x, y : (n,) float
-        What is not finite interrupts a curve.
-    label : str
-    points : bool
-    """
-
-    x: ArrayLike
-    y: ArrayLike
-    label: str = ""
-    points: bool = False
 
 
 def ticks(low: float, high: float, about: int = 5) -> list[float]:
@@ -121,28 +106,25 @@ def _legend(labels: Sequence[str], x: float, y: float) -> list[str]:
     return parts
 
 
-def modulus_chart(stiffness: ArrayLike, unit: str) -> str:
-    """Young's modulus over the directions of the planes xy, yz and zx, as a polar ``<svg>``; empty if it has none.
+def chart_svg(chart: Chart) -> str:
+    """A chart that a report noun or a plugin describes, as an ``<svg>``; empty if there is nothing to draw."""
+    if chart.polar:
+        return polar_chart(chart.curves, chart.x_label)
+    return line_chart(chart.curves, chart.x_label, chart.y_label)
+
+
+def polar_chart(curves: Sequence[Curve], label: str) -> str:
+    """Curves over the directions of a plane as an ``<svg>``; empty if there is nothing to draw.
 
     Parameters
     ----------
-    stiffness : (6, 6) float
-        In Voigt's notation, order xx, yy, zz, yz, xz, xy.
-    unit : str
-        Unit of the stiffness; "relative" for that of the solid.
+    curves : sequence of Curve
+        `x` are angles from the right (radians), `y` distances from the middle, finite and not all zero.
+    label : str
+        What the distances are, below the circles.
     """
-    c = np.asarray(stiffness, np.float64)
-    if c.shape != (6, 6) or not np.isfinite(c).all() or np.linalg.cond(c) > 1e12:
-        return ""
-    s = np.linalg.inv(c)
-    turn = np.linspace(0, 2 * np.pi, 181)
-    curves = []
-    for label, (a, b) in (("xy plane", (0, 1)), ("yz plane", (1, 2)), ("zx plane", (2, 0))):
-        n = np.zeros((3, len(turn)))
-        n[a], n[b] = np.cos(turn), np.sin(turn)
-        v = np.stack([n[0] ** 2, n[1] ** 2, n[2] ** 2, n[1] * n[2], n[0] * n[2], n[0] * n[1]])
-        curves.append((label, 1 / np.einsum("ik,ij,jk->k", v, s, v)))
-    largest = max(float(e.max()) for _, e in curves)
+    data = [(np.asarray(c.x, np.float64), np.asarray(c.y, np.float64)) for c in curves]
+    largest = max((float(radius.max()) for _, radius in data), default=0.0)
     if not 0 < largest < math.inf:
         return ""
     size, middle, radius = 320, 160.0, 118.0
@@ -154,13 +136,12 @@ def modulus_chart(stiffness: ArrayLike, unit: str) -> str:
     parts.append(
         f'<path class="grid" d="M{middle - radius} {middle}h{2 * radius}M{middle} {middle - radius}v{2 * radius}"/>'
     )
-    for number, (_, e) in enumerate(curves):
-        r = radius * e / largest
-        parts.append(f'<path class="s{number}" d="{_path(middle + r * np.cos(turn), middle - r * np.sin(turn))}"/>')
-    parts += _legend([label for label, _ in curves], 8, 12)
-    words = "Young's modulus over direction" + (f", {unit}" if unit else "")
-    parts.append(f'<text x="{middle}" y="{size - 8}" text-anchor="middle">{html.escape(words)}</text>')
+    for number, (turn, distance) in enumerate(data):
+        r = radius * distance / largest
+        parts.append(f'<path class="s{number % 4}" d="{_path(middle + r * np.cos(turn), middle - r * np.sin(turn))}"/>')
+    parts += _legend([curve.label for curve in curves], 8, 12)
+    parts.append(f'<text x="{middle}" y="{size - 8}" text-anchor="middle">{html.escape(label)}</text>')
     return (
-        f'<svg class="chart polar" viewBox="0 0 {size} {size}" role="img" aria-label="{html.escape(words)}">'
+        f'<svg class="chart polar" viewBox="0 0 {size} {size}" role="img" aria-label="{html.escape(label)}">'
         f"{''.join(parts)}</svg>"
     )

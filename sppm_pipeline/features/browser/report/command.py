@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sppm_pipeline.engine.config.names import REPORT
+
+if TYPE_CHECKING:
+    from sppm_pipeline.engine.plan.plugins import Plugins
+    from sppm_pipeline.engine.plan.session import RunRequest
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -47,8 +53,13 @@ def make_report(args: Namespace, target: Path) -> None:
         raise ConfigError(f"--max-size: {error}") from error
     if most < LEAST:
         raise ConfigError(f"--max-size is {args.max_size}; the page itself takes {LEAST // 1000} kB", hint="allow more")
-    # plugins are loaded only to run something again: a report must not run what came with somebody's run
+    # what the configuration names is loaded only to run something again: a report runs nothing that came with a run
     of_run(args.directory, target, args, most=most, view=not args.no_view, remake=args.remake, plugins=args.remake)
+
+
+def after_run(path: Path, args: Namespace) -> None:
+    """Write the report of a run that has just ended, with the plugins and the cache that it had."""
+    of_run(path, path / REPORT, args)
 
 
 def of_run(
@@ -74,8 +85,11 @@ def of_run(
     view, remake : bool
         Whether there is a live view, and whether stages are run again for it.
     plugins : bool
-        Whether plugins are loaded.
+        Whether plugins are loaded to run stages again; what shows results in a report is loaded from those that are
+        installed or named in `args`, and not from those that the configuration names, unless this is True.
     """
+    from dataclasses import replace
+
     from sppm_pipeline.engine.cache.housekeeping import open_store
     from sppm_pipeline.engine.cli.arguments import allowed_from, cache_of
     from sppm_pipeline.engine.files import write_whole
@@ -87,20 +101,37 @@ def of_run(
     from sppm_pipeline.features.browser.report.views import live_view
 
     threads, record = available_threads(), read_record(path)
+    request = RunRequest(
+        str(path / RECORD),
+        plugins=tuple(args.plugin),
+        distributions=not args.no_plugins,
+        allowed=allowed_from(args),
+    )
     found: tuple[bytes | None, str] = (None, "")
     if view:
         cache = cache_of(args)
-        request = RunRequest(
-            str(path / RECORD),
-            plugins=tuple(args.plugin) if plugins else (),
-            distributions=plugins and not args.no_plugins,
-            allowed=allowed_from(args),
-        )
         store = open_store(cache) if cache is not None else None
         outputs = outputs_of(path, record.get("stages", ()))
-        found = live_view(path, record, outputs, request, store=store, threads=threads, remake=remake)
-    text = report_html(path, record, view=found[0], note=found[1], max_bytes=most, threads=threads)
+        again = request if plugins else replace(request, plugins=(), distributions=False)
+        found = live_view(path, record, outputs, again, store=store, threads=threads, remake=remake)
+    known = _plugins_of(request, plugins)
+    text = report_html(path, record, view=found[0], note=found[1], max_bytes=most, threads=threads, plugins=known)
     write_whole(target, text, durable=False)
+
+
+def _plugins_of(request: RunRequest, own: bool) -> Plugins:
+    """The plugins whose results and sections a report shows; with those that the configuration names if `own`."""
+    from sppm_pipeline.engine.plan.plugins import load_plugins
+    from sppm_pipeline.engine.plan.session import open_session
+    from sppm_pipeline.errors import SppmError
+
+    if own:
+        with contextlib.suppress(SppmError):  # of a configuration that can't be read any more the rest is shown
+            return open_session(request).plugins
+    names = None if request.allowed is None else [name for name in request.allowed if not name.endswith(".py")]
+    known = load_plugins(files=map(Path, request.plugins), distributions=request.distributions, allowed=names)
+    known.raise_broken()
+    return known
 
 
 def open_in_browser(target: Path) -> None:

@@ -11,10 +11,11 @@ from typing import Any
 
 from sppm_pipeline.engine.run.outputs import SWEEP_RUNS
 from sppm_pipeline.features.browser.live.page import json_block
-from sppm_pipeline.features.browser.report.boxes import Box, duration
-from sppm_pipeline.features.browser.report.charts import Curve, line_chart
+from sppm_pipeline.features.browser.report.boxes import duration
+from sppm_pipeline.features.browser.report.charts import line_chart
 from sppm_pipeline.features.browser.report.layers import outputs_of, pictures_of
 from sppm_pipeline.nouns.artifact import shown
+from sppm_pipeline.nouns.report import Box, Curve
 from sppm_pipeline.stage import FAMILIES
 
 STATIC_ROWS = 200

@@ -13,12 +13,10 @@ from sppm_pipeline.engine.plan.wiring import Step
 from sppm_pipeline.engine.run.memory import run_in_memory
 from sppm_pipeline.errors import SppmError
 from sppm_pipeline.features.browser.live.data import SUFFIX, head_of
-from sppm_pipeline.features.browser.live_view import SAMPLES, view_of
-from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
-from sppm_pipeline.method.fields.scalar_field import ScalarField
-from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.features.browser.live.views import SAMPLES, view_of
+from sppm_pipeline.nouns.artifact import Viewable
+from sppm_pipeline.nouns.report import Report
+from sppm_pipeline.nouns.viewers import viewer_of
 
 if TYPE_CHECKING:
     from sppm_pipeline.engine.cache.store import Store
@@ -83,12 +81,16 @@ def live_view(
 
 
 def _last_shown(plan: Plan, ran: set[str]) -> Step | None:
-    """The last step that makes a field or a tile set, and has run; if there is none, of a mesh, or of a stiffness."""
-    for kinds in ((ScalarField, TileSet), (SurfaceMesh, VolumeMesh), (StiffnessReport,)):
-        for step in reversed(plan.steps):
-            if step.id in ran and any(issubclass(made, kinds) for made in step.makes):
-                return step
-    return None
+    """The last step that has run and makes a structure; if there is none, another surface, then one of a report."""
+
+    def rank(kind: type) -> int:
+        surface = issubclass(kind, Viewable) + (issubclass(kind, Viewable) and not issubclass(kind, Report))
+        return surface if viewer_of(kind) is None else 3
+
+    ran_steps = [step for step in plan.steps if step.id in ran]
+    ranks = [max(map(rank, step.makes), default=0) for step in ran_steps]
+    best, number = max(zip(ranks, range(len(ranks)), strict=True), default=(0, 0))
+    return ran_steps[number] if best else None
 
 
 def _lacking(plan: Plan, last: Step, record: Mapping[str, Any], store: Store | None) -> str:

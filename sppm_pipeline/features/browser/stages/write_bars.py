@@ -9,10 +9,8 @@ from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.families import options
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.nouns.table import Table
+from sppm_pipeline.nouns.table import Table, check_columns
 from sppm_pipeline.stage import Context, Stage, option
-
-CHARTS = (".png", ".pdf", ".svg")
 
 MAX_ROWS = 200
 """Maximum number of rows of a chart of readable size."""
@@ -29,7 +27,7 @@ class WriteBars(Stage):
 
     name: ClassVar[str] = "write.bars"
 
-    path: str = options.write_path("bars.png", suffixes=CHARTS)
+    path: str = options.write_path("bars.png", suffixes=options.CHARTS)
     label: str = options.label("run")
     columns: tuple[str, ...] = options.columns(note="that are drawn")
     headings: tuple[str, ...] = options.headings(())
@@ -65,11 +63,3 @@ class WriteBars(Stage):
         marked = [place for place, row in enumerate(rows) if names[row] in self.mark]
         data = bars([names[row] for row in rows], panels, self.path, title=self.title, marked=marked)
         context.output(self.path).write_bytes(data)
-
-
-def check_columns(columns: tuple[str, ...], headings: tuple[str, ...]) -> None:
-    """Raise `ConfigError` if no column is named or headings and columns do not belong together."""
-    if not columns:
-        raise ConfigError("`columns` names no column", hint="write for instance columns: [elastic.E.1, elastic.nu.xy]")
-    if headings and len(headings) != len(columns):
-        raise ConfigError(f"there are {len(headings)} headings for {len(columns)} columns", hint="give one for each")

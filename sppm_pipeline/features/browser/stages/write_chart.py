@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from sppm_pipeline.errors import ConfigError
-from sppm_pipeline.features.browser.stages.write_bars import CHARTS
 from sppm_pipeline.method.families import options
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
@@ -33,7 +32,7 @@ class WriteChart(Stage):
 
     name: ClassVar[str] = "write.chart"
 
-    path: str = options.write_path("chart.png", suffixes=CHARTS)
+    path: str = options.write_path("chart.png", suffixes=options.CHARTS)
     x: str = option(help="column along the horizontal axis", column=True)
     y: str | tuple[str, ...] = option(help="column along the vertical axis; or several, side by side", column=True)
     kind: str = option(

@@ -7,12 +7,11 @@ import io
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from sppm_pipeline.features.browser.stages.write_bars import check_columns
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.file_writer import extension_of
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.nouns.table import Table
+from sppm_pipeline.nouns.table import Table, check_columns
 from sppm_pipeline.stage import Context, Stage, option
 
 

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sppm_pipeline.features.browser.live.data import head_of
-from sppm_pipeline.features.browser.live_view import SAMPLES, view_of
-from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
+from sppm_pipeline.features.browser.live.views import SAMPLES, view_of
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.fields.tileset import TileSet
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.nouns.stiffness import StiffnessReport
+from sppm_pipeline.nouns.artifact import Viewable
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.stage import Context, Stage, option
@@ -23,7 +21,8 @@ class WriteView(Stage):
     """Write the live view that ``sppm report`` shows: a cell or tile set by its kernels, other fields by samples.
 
     Of a mesh its triangles are shown, of more than 80,000 fewer with merged vertices; of a volume mesh its boundary, of
-    a stiffness the surface of Young's modulus by direction. Give `from` to choose among what earlier stages make.
+    a stiffness the surface of Young's modulus by direction, of any other result the surface that stands for it. Give
+    `from` to choose among what earlier stages make.
 
     Without this stage a report takes the last field of the run from the cache, if it is still there.
     """
@@ -42,7 +41,7 @@ class WriteView(Stage):
         share = self.grid_samples / max(1.0, field.body.samples(1.0))
         return field.grid(max(1.0, share ** (1 / 3)), voxels=float(self.grid_samples))
 
-    def run(self, context: Context, field: ScalarField | TileSet | SurfaceMesh | VolumeMesh | StiffnessReport) -> None:
+    def run(self, context: Context, field: ScalarField | TileSet | Viewable) -> None:
         """Write the file."""
         data = view_of(field, samples=self.grid_samples, threads=context.threads)
         context.output(self.path).write_bytes(data)

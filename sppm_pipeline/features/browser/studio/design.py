@@ -23,7 +23,7 @@ from sppm_pipeline.engine.run.memory import run_in_memory
 from sppm_pipeline.engine.strict_json import jsonable
 from sppm_pipeline.errors import ConfigError, ConfigErrors, InputError, SppmError
 from sppm_pipeline.features.browser.live.data import head_of
-from sppm_pipeline.features.browser.live_view import view_of
+from sppm_pipeline.features.browser.live.views import view_of
 from sppm_pipeline.features.browser.studio.controls import Control, controls_of
 from sppm_pipeline.features.browser.studio.text import places, with_values
 from sppm_pipeline.method.fields.microstructure import Microstructure

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.features.browser.stages.write_bars import CHARTS
 from sppm_pipeline.features.crushing.compression import CompressionCurve
 from sppm_pipeline.features.crushing.numerics.compression import efficiency, loading, mean_and_spread
 from sppm_pipeline.features.crushing.numerics.curve_measures import Specimen, percent
@@ -40,7 +39,7 @@ class WriteCurves(Stage):
 
     name: ClassVar[str] = "write.curves"
 
-    path: str = options.write_path("curves.png", suffixes=CHARTS)
+    path: str = options.write_path("curves.png", suffixes=options.CHARTS)
     table: str | None = option(
         "curves.csv", help="CSV file of the numbers; none if null", output=True, suffixes=(".csv",)
     )

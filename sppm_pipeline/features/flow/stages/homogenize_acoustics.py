@@ -15,7 +15,7 @@ from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Headline, option
+from sppm_pipeline.stage import Context, option
 
 SHIFT = 0.5
 """By how many voxels walls are moved either way to find the viscous length; a choice. The error is of second order."""
@@ -41,10 +41,6 @@ class HomogenizeAcoustics(FlowHomogenizer):
     name: ClassVar[str] = "homogenize.acoustics"
     version: ClassVar[int] = 4
     reported: ClassVar[tuple[str, ...]] = ()
-    headline: ClassVar[tuple[Headline, ...]] = (
-        Headline("nrc", "NRC"), Headline("peak", "largest absorption"), Headline("peak_frequency", "at", "Hz"),
-        Headline("resistivity", unit="Pa s/m^2"), Headline("tortuosity"), Headline("porosity"),
-    )  # fmt: skip
 
     depth: Length = option(Length(50.0), help="thickness of the layer on a rigid wall", unit="mm", above=0, maximum=1e5)
     axis: str = options.axis("z")

@@ -17,7 +17,7 @@ from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Headline, option
+from sppm_pipeline.stage import Context, option
 
 WALL = 3
 """Voxels across a wall from which on no partly filled voxel lets anything through, as measured on flat walls along
@@ -42,10 +42,6 @@ class HomogenizeConductivity(Homogenizer):
     name: ClassVar[str] = "homogenize.conductivity"
     version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = ()
-    headline: ClassVar[tuple[Headline, ...]] = (
-        Headline("k.1.1", "k11"), Headline("k.2.2", "k22"), Headline("k.3.3", "k33"),
-        Headline("tortuosity"), Headline("porosity"),
-    )  # fmt: skip
     of: str = option("solid", help="which phase conducts", choices=("solid", "void", "both"))
     bulk: float | tuple[float, ...] = option(
         1.0, help=f"conductivity of the solid, {options.EACH_PHASE}; with `of: void` that of the void", above=0,

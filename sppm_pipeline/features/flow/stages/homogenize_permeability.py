@@ -19,7 +19,7 @@ from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.services.grid import cell_centers
-from sppm_pipeline.stage import Context, Headline, option
+from sppm_pipeline.stage import Context, option
 
 ORDER = 1.5
 """Order of convergence that is taken for two grids, a cautious choice: on a cell of the paper 2.5 to 2.8 are measured
@@ -144,10 +144,6 @@ class HomogenizePermeability(FlowHomogenizer):
     name: ClassVar[str] = "homogenize.permeability"
     version: ClassVar[int] = 4
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
-    headline: ClassVar[tuple[Headline, ...]] = (
-        Headline("k.1.1", "k11", "cell^2", "error.1.1"), Headline("k.2.2", "k22", "cell^2", "error.2.2"),
-        Headline("k.3.3", "k33", "cell^2", "error.3.3"), Headline("darcy_mean", "k", "darcy"), Headline("porosity"),
-    )  # fmt: skip
 
     grids: int = option(
         1, help="grids over which the error is estimated, for fields; 1 for no estimate", minimum=1, maximum=3

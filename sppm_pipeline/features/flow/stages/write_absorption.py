@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from sppm_pipeline.features.browser.stages.write_bars import CHARTS
 from sppm_pipeline.features.flow.acoustics import AcousticReport
 from sppm_pipeline.method.families import options
 from sppm_pipeline.nouns.palette import Palette
@@ -31,7 +30,7 @@ class WriteAbsorption(Stage):
 
     name: ClassVar[str] = "write.absorption"
 
-    path: str = options.write_path("absorption.png", suffixes=CHARTS)
+    path: str = options.write_path("absorption.png", suffixes=options.CHARTS)
     title: str = options.title("", note="above the chart")
 
     def check_options(self) -> None:

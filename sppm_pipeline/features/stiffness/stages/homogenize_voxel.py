@@ -10,21 +10,13 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError
 from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.homogenizer import (
-    ELASTIC_HEADLINE,
-    LOCKING,
-    Homogenizer,
-    VoxelCell,
-    grids_below,
-    per_phase,
-    refined,
-)
+from sppm_pipeline.method.families.homogenizer import LOCKING, Homogenizer, VoxelCell, grids_below, per_phase, refined
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.nouns.voxels import Voxels
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Headline, option
+from sppm_pipeline.stage import Context, option
 
 if TYPE_CHECKING:
     from sppm_pipeline.features.stiffness.numerics.elasticity import ElasticBody
@@ -199,7 +191,6 @@ class HomogenizeVoxel(ElasticHomogenizer):
     name: ClassVar[str] = "homogenize.voxel"
     version: ClassVar[int] = 2
     reported: ClassVar[tuple[str, ...]] = ("convergence.*",)
-    headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
 
     grids: int = option(
         1, help="grids over which the error is estimated, for fields; 1 for no estimate", minimum=1, maximum=3

@@ -31,9 +31,6 @@ _AT_ONCE = 64
 _NOWHERE, _EVERYWHERE = -1, -2
 """Solid on a grid edge that takes no cubic to know: not even at the end that is solid, or at both ends."""
 
-LEAST_SUM = 1e-5
-"""Sums below this are the cut-off of the kernels, not data."""
-
 
 class Samples(NamedTuple):
     """Consecutive planes of the fields that make a surface.
@@ -78,13 +75,6 @@ class Placed(NamedTuple):
     edge: NDArray[np.int64]
     on: NDArray[np.uint8]
     triangle: NDArray[np.int32]
-
-
-def log_of_sums(values: NDArray[np.float32], level: float) -> NDArray[np.float32]:
-    """``ln(G / C)`` of samples of ``G - C``, with the same signs; in place."""
-    values *= np.float32(1 / level)
-    np.maximum(values, np.float32(LEAST_SUM / level - 1), out=values)
-    return np.log1p(values, out=values)
 
 
 def place_vertices(vertices: NDArray[np.float64], samples: Samples) -> Placed:

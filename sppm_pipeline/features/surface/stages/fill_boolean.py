@@ -14,14 +14,13 @@ from sppm_pipeline.features.surface.field_surface import (
     MIN_VOXELS,
     FieldSurface,
     expected_voxels,
-    node_grid,
     voxels_along_edge,
 )
 from sppm_pipeline.features.surface.solids import ManifoldLimits, manifold_combine
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.method.part.part import Part, node_grid
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size

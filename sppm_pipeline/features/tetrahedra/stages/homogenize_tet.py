@@ -10,11 +10,11 @@ import numpy as np
 from sppm_pipeline.errors import ConfigError, DesignError, InputError
 from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
 from sppm_pipeline.method.families import options
-from sppm_pipeline.method.families.homogenizer import ELASTIC_HEADLINE, LOCKING
+from sppm_pipeline.method.families.homogenizer import LOCKING
 from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Headline, Stage, option
+from sppm_pipeline.stage import Context, Stage, option
 
 MATCHED_TOLERANCE = 1e-6
 
@@ -37,7 +37,6 @@ class HomogenizeTet(Stage):
     name: ClassVar[str] = "homogenize.tet"
     version: ClassVar[int] = 3
     reported: ClassVar[tuple[str, ...]] = ()
-    headline: ClassVar[tuple[Headline, ...]] = ELASTIC_HEADLINE
     advice: ClassVar[str] = "mesh with a lower `resolution`, or with `order: 1`"
 
     young: float | tuple[float, ...] = options.young(1.0, note="or of each material of the mesh")

@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.surface.field_surface import node_grid
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.nouns.voxels import Voxels
-from sppm_pipeline.method.part.part import Part
+from sppm_pipeline.method.part.part import Part, node_grid
 from sppm_pipeline.nouns.artifact import NOTEBOOK_SIZE, png_of
 from sppm_pipeline.services.grid import Grid
 
 if TYPE_CHECKING:
-    from sppm_pipeline.method.pictures.solid_view import Colors, Solid
+    from sppm_pipeline.features.browser.live.solid_view import Colors, Solid
     from sppm_pipeline.services.pictures.camera import Camera, Frame
     from sppm_pipeline.services.pictures.shading import Background
 
@@ -93,7 +92,7 @@ class Scene:
         background : Background
         threads : int
         """
-        from sppm_pipeline.method.pictures.solid_view import render_solid
+        from sppm_pipeline.features.browser.live.solid_view import render_solid
         from sppm_pipeline.services.pictures.sheets import annotated
 
         frame, plane = self.frame(size, camera), None
@@ -127,7 +126,7 @@ def scene_of(
         Samples along a cell edge; fewer if there were more than `max_samples`. A mesh needs none.
     threads, max_samples : int
     """
-    from sppm_pipeline.method.pictures.solid_view import COLORS, Solid
+    from sppm_pipeline.features.browser.live.solid_view import COLORS, Solid
 
     if isinstance(what, SurfaceMesh):
         grid = Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (2, 2, 2))
@@ -152,14 +151,14 @@ def _box(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
 
 def _smooth(field: ScalarField, values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Logarithms in place of sums of kernels, as less happens between their samples; in place."""
-    from sppm_pipeline.features.surface.numerics.placing import log_of_sums
+    from sppm_pipeline.method.kernels.profiles import log_of_sums
 
     return values if field.sum_level is None else log_of_sums(values, field.sum_level)
 
 
 def _part_solid(part: Part, grid: Grid, threads: int) -> tuple[Solid, float]:
     """What is solid of a part, without islands if it has none, and the share of these."""
-    from sppm_pipeline.method.pictures.solid_view import Solid
+    from sppm_pipeline.features.browser.live.solid_view import Solid
 
     nx, ny, nz = grid.shape
     closed = part.method == "scanline"
@@ -258,7 +257,7 @@ def voxel_picture(
 
     Only every second or third voxel of larger images than `MAX_SAMPLES` is looked at; no pixel would show the rest.
     """
-    from sppm_pipeline.features.crushing.voxel_view import phase_surface
+    from sppm_pipeline.services.pictures.voxel_view import phase_surface
 
     phases = image.solid().view(np.uint8) if image.fractions else np.asarray(image.values, np.uint8)
     step = math.ceil((phases.size / MAX_SAMPLES) ** (1 / 3))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sppm_pipeline.method.pictures.solid_view import Colors, Solid, render_solid
+from sppm_pipeline.features.browser.live.solid_view import Colors, Solid, render_solid
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.pictures.camera import Camera, framed, projected
 from sppm_pipeline.services.pictures.mesh_view import render_mesh

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.features.browser.live.pictures import scene_of
+from sppm_pipeline.features.browser.stages.write_picture import WritePicture
 from sppm_pipeline.method.connectivity.islands import grown, keep_largest
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.part.primitive_meshes import box_mesh
-from sppm_pipeline.method.pictures.field_picture import scene_of
-from sppm_pipeline.method.stages.write_picture import WritePicture
 from sppm_pipeline.services.grid import Grid
 from sppm_pipeline.services.pictures.camera import Camera
 from sppm_pipeline.testing.plain_context import PlainContext

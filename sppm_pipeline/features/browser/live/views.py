@@ -1,4 +1,4 @@
-"""Triangle meshes as view files: coordinates of 16 bits, and of large meshes fewer triangles, which turn quickly."""
+"""View files of all that can be shown live; surfaces with coordinates of 16 bits, and of large ones fewer triangles."""
 
 from __future__ import annotations
 
@@ -7,13 +7,46 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.browser.live.data import encode_view
+from sppm_pipeline.nouns.artifact import Artifact, Viewable
+from sppm_pipeline.nouns.viewers import viewer_of
+
+SAMPLES = 3_500_000
+"""Samples of a field that is not summed in the browser; packed they take one to two megabytes."""
 
 TRIANGLES = 80_000
 """Most triangles that are handed to the browser; a choice."""
 
 STEPS = 65535
 """Steps of a coordinate along the longest edge of the box."""
+
+
+def view_of(what: Artifact, *, samples: int = SAMPLES, threads: int = 1) -> bytes:
+    """The view file of an artifact: by the viewer of its type, else of the surface that stands for it.
+
+    Parameters
+    ----------
+    what : Artifact
+        A `Viewable`, or of a type for which there is a `Viewer`.
+    samples : int
+        At most so many samples of a field, as far as it fills its box.
+    threads : int
+
+    Raises
+    ------
+    DesignError
+        If nothing is there to be shown.
+    """
+    viewer = viewer_of(type(what))
+    if viewer is not None:
+        return bytes(viewer.maker("view")(what, samples, threads))
+    if not isinstance(what, Viewable):
+        raise DesignError(f"a {type(what).__name__} has no live view")
+    vertices, faces, title, unit = what.live_view()
+    if not len(faces):
+        raise DesignError(f"the {title} has no triangles, so that there is nothing to be shown")
+    return mesh_view(vertices, faces, title=title, unit=unit)
 
 
 def mesh_view(

@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.errors import DesignError
 from sppm_pipeline.features.browser.live.data import encode_view
-from sppm_pipeline.features.browser.live.meshes import mesh_view
 from sppm_pipeline.features.browser.live.page import live_page
-from sppm_pipeline.features.tetrahedra.volume_mesh import VolumeMesh
 from sppm_pipeline.method.assembly.contents import lone_periodic_cell, site_pieces, sites_between
 from sppm_pipeline.method.fields.microstructure import CUTOFF, Microstructure
 from sppm_pipeline.method.fields.scalar_field import ScalarField
@@ -21,13 +18,8 @@ from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.kernels.kernels import Kernels, concatenated
 from sppm_pipeline.method.kernels.profiles import TUNNEL_PROFILES
-from sppm_pipeline.method.nouns.mesh import SurfaceMesh
-from sppm_pipeline.method.nouns.stiffness import StiffnessReport
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.services.grid import Grid, cell_centers
-
-SAMPLES = 3_500_000
-"""Samples of a field that is not summed in the browser; packed they take one to two megabytes."""
 
 DEPTH = 3.0
 """Sums are kept up to so many levels C: beyond, a byte would be too coarse a step."""
@@ -51,49 +43,16 @@ MAX_KERNELS = 40_000
 """Kernels of a tile set that are handed to the browser."""
 
 
-Viewed = ScalarField | TileSet | SurfaceMesh | VolumeMesh | StiffnessReport
-"""What has a live view."""
-
-
-def view_of(what: Viewed, *, samples: int = SAMPLES, threads: int = 1) -> bytes:
-    """The view file of a field, tile set, mesh or stiffness.
+def structure_view(what: ScalarField | TileSet, samples: int, threads: int) -> bytes:
+    """The view file of a field or tile set.
 
     A periodic cell, and the tiles of a set, are handed over as kernels: pore and tunnel radii can then be changed in
-    the browser. Any other field is sampled. Of a volume mesh the boundary is shown, of a stiffness the surface whose
-    distance from the middle is Young's modulus in that direction.
-
-    Parameters
-    ----------
-    what : ScalarField, TileSet, SurfaceMesh, VolumeMesh or StiffnessReport
-    samples : int
-        At most so many samples, as far as the field fills its box.
-    threads : int
+    the browser. Any other field is sampled, at no more than so many samples as far as it fills its box.
     """
-    if isinstance(what, (SurfaceMesh, VolumeMesh, StiffnessReport)):
-        return _mesh_view(what)
     tiles = _tiles(what)
     if tiles and sum(len(tile.omega) + len(tile.mu) for tile in tiles) <= MAX_KERNELS:
         return _kernel_view(what, tiles, threads)
     return _sampled_view(what.micro.alone(0, (0, 0, 0)) if isinstance(what, TileSet) else what, samples, threads)
-
-
-def _mesh_view(what: SurfaceMesh | VolumeMesh | StiffnessReport) -> bytes:
-    if isinstance(what, SurfaceMesh):
-        vertices, faces, title, unit = what.vertices, what.faces, what.name, "mm"
-    elif isinstance(what, VolumeMesh):
-        from sppm_pipeline.services.mesh.faces import boundary_triangles, face_neighbors
-
-        faces = boundary_triangles(what.cells, face_neighbors(what.cells))
-        vertices, title, unit = what.nodes, f"surface of the {what.name}", "mm"
-    else:
-        from sppm_pipeline.services.elastic.directional import sphere_mesh, young_along
-
-        sphere, faces = sphere_mesh(5)
-        vertices = sphere * young_along(what.stiffness, sphere)[:, None]
-        title, unit = "Young's modulus by direction", what.unit or "of the solid's"
-    if not len(faces):
-        raise DesignError(f"the {title} has no triangles, so that there is nothing to be shown")
-    return mesh_view(vertices, faces, title=title, unit=unit)
 
 
 def live_frame(what: ScalarField | TileSet) -> str:
