@@ -48,7 +48,7 @@ def main() -> None:
     rows.append(["  the obvious numpy way, 64^3", wall * 1e3, cpu * 1e3, cpu / 64**3 * 1e9])
     for n in (150, 500):
         points = np.random.default_rng(n).random((n, 3))
-        for mode in ("greedy", "lp_fix", "exact"):
+        for mode in ("greedy", "exact"):
             wall, cpu = repeat_in_process(lambda: spanning_subgraph(points, (3, 5), mode=mode), 3)  # noqa: B023
             rows.append([f"degree-bounded subgraph, n = {n}, {mode}", wall * 1e3, cpu * 1e3, ""])
     table("inside one process", ["what", "wall ms", "CPU ms", "CPU ns/voxel"], rows)

@@ -35,7 +35,7 @@ PIPELINES: dict[str, tuple[str, dict[str, tuple[Any, ...]]]] = {
             "pipeline:" + CELL,
             {"n": (42, 30, 66, 110), "omega": (20, 20, 30, 30), "mode": (mode,) * 4},
         )
-        for mode in ("greedy", "lp_fix", "exact")
+        for mode in ("greedy", "exact")
     },
     "neighbors": (
         """pipeline:

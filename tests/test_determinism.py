@@ -14,7 +14,7 @@ recipes:
   cell:
     - {stage: sample.mirrored_faces, total: 30, share: 0.45}
     - {stage: sample.dart_throwing, total: 30}
-    - {stage: connect.mbdst, degree: [2, 5], mode: lp_fix}
+    - {stage: connect.mbdst, degree: [2, 5]}
     - {stage: field.gaussian, pore_radius: 0.13, tunnel_radius: 0.04, pore_spread: 0.1, tunnel_spread: 0.1}
   cloud:
     - {stage: sample.dart_throwing, total: 30}
@@ -96,7 +96,7 @@ recipes:
   cell:
     - {stage: sample.mirrored_faces, total: 24, share: 0.45}
     - {stage: sample.dart_throwing, total: 24}
-    - {stage: connect.mbdst, degree: [2, 4], mode: lp_fix}
+    - {stage: connect.mbdst, degree: [2, 4]}
     - {stage: field.gaussian, pore_radius: 0.14, tunnel_radius: 0.05, pore_spread: 0.1}
 pipeline:
   - {stage: tileset.wang_3color, colors: 2, recipe: cell, porosity: "${porosity}", resolution: 12, tolerance: 0.05}

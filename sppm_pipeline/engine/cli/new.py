@@ -24,7 +24,7 @@ class Kind(NamedTuple):
     Attributes
     ----------
     family : str
-        Of the stage; empty if it is none.
+        Of the stage.
     place : str
         Module and class of the stage.
     purpose : str
@@ -38,20 +38,24 @@ class Kind(NamedTuple):
 
 KINDS = {
     "sampler": Kind("sample", "jittered_grid:JitteredGrid", "pores on a jittered grid"),
-    "connector": Kind("connect", "within_reach:WithinReach", "tunnels between pores within reach of each other"),
     "field": Kind("field", "gyroid_sheet:GyroidSheet", "a wall along the gyroid"),
-    "tiler": Kind("tile", "checkerboard:Checkerboard", "a tile rule by which neighbors differ"),
     "writer": Kind("write", "openscad:WriteOpenScad", "meshes as OpenSCAD source"),
     "homogenizer": Kind("homogenize", "density_law:DensityLaw", "stiffness from the density alone"),
-    "executor": Kind("", "commands:", "runs of sweeps as commands of their own"),
 }
+FORMER_KINDS = ("connector", "tiler", "executor")
+PLUGINS_PAGE = "docs/explanation/architecture.md#plugins-without-a-template"
 
 
 def configure(parser: ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("what", choices=("pipeline", "plugin"), help="what to write")
     parser.add_argument("name", metavar="NAME", help="name of the design or of the distribution")
-    parser.add_argument("--kind", choices=tuple(KINDS), help="what the plugin is; sampler if omitted")
+    parser.add_argument(
+        "--kind",
+        choices=(*KINDS, *FORMER_KINDS),
+        metavar="KIND",
+        help=f"what the plugin is: {', '.join(KINDS)}; sampler if omitted",
+    )
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", default=Path(), help="folder to write into; here")
 
 
@@ -59,6 +63,10 @@ def execute(args: Namespace) -> int:
     """Write it."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", args.name):
         raise ConfigError(f"a name consists of letters, digits, _ and - and starts with a letter, got {args.name!r}")
+    if args.kind in FORMER_KINDS:
+        raise ConfigError(
+            f"there is no template of a plugin with a {args.kind}", hint=f"{PLUGINS_PAGE} says how to write one"
+        )
     if args.what == "plugin":
         return _plugin(args.name, args.kind or "sampler", args.output)
     if args.kind:
@@ -106,8 +114,7 @@ def _plugin(name: str, kind: str, folder: Path) -> int:
     for file, template in _files(kind).items():
         filled = pattern.sub(lambda found: names[found[0]], template.read_text(encoding="utf-8"))
         _write(root / file.replace("my_plugin", package), filled)
-    look = f"sppm stages {family}.{word}" if family else "sppm plugins"
-    print(f"{root}\nnext: pip install -e '{root}[test]', then {look}, and pytest {root}")
+    print(f"{root}\nnext: pip install -e '{root}[test]', then sppm stages {family}.{word}, and pytest {root}")
     return 0
 
 

@@ -10,7 +10,7 @@ from sppm_pipeline.method.connecting.degrees import feasible_degrees
 from sppm_pipeline.method.connecting.greedy import greedy_subgraph
 from sppm_pipeline.method.connecting.trees import Periodic, as_points, images_per_pair, periods
 
-MODES = ("exact", "lp_fix", "greedy")
+MODES = ("exact", "greedy")
 
 
 def spanning_subgraph(
@@ -36,10 +36,11 @@ def spanning_subgraph(
         Pore centers; the unit is the cell size if an axis is periodic.
     degree : (int, int)
         Bounds A and B. See `feasible_degrees`, and `clamped_degrees` for faces with few pores.
-    mode : {"exact", "lp_fix", "greedy"}
+    mode : {"exact", "greedy"}
         ``exact``: no shorter graph exists among the candidate edges (an integer program, solved to its end: by linear
-        programs and branching, or by HiGHS where that takes too long).
-        ``lp_fix``: what the linear relaxation leaves undecided is solved exactly; typically within 0.15 % of exact.
+        programs and branching, or by HiGHS where that takes too long). Beyond `exact.PROVEN` pores this is not proven
+        where branching does not end: edges that the linear relaxation decides then stay, and the graph is up to 0.4 %
+        longer.
         ``greedy``: a tree filled up and improved by exchange, a few percent longer, in milliseconds, without scipy.
     periodic : bool, or 3 whole numbers
         Whether the axes repeat with period 1, or after how many cells each does, 0 for never. Two pores may then
@@ -98,6 +99,5 @@ def spanning_subgraph(
         k=k,
         loops=two_edge_connected,
         clearance=clearance,
-        fix=mode == "lp_fix",
         metric=metric,
     )

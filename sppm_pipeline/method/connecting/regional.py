@@ -33,7 +33,7 @@ from sppm_pipeline.method.connecting.trees import component_labels, edge_lengths
 from sppm_pipeline.services.threads import ordered_map
 
 WHOLE = 2000
-"""Most pores that are joined by one search, and that a region of the exact modes holds: the time of an integer program
+"""Most pores that are joined by one search, and that a region of the exact mode holds: the time of an integer program
 grows steeply beyond."""
 
 GREEDY_REGION = 6000
@@ -173,9 +173,9 @@ def regional_subgraph(
         Bounds A and B.
     spacing : float
         Mean distance of pores, which sizes regions and searches.
-    mode : {"exact", "lp_fix", "greedy"}
-        How a region is made shorter: see `numerics.connecting.bounded.spanning_subgraph`. The exact modes start from
-        what greedy has found.
+    mode : {"exact", "greedy"}
+        How a region is made shorter: see `numerics.connecting.bounded.spanning_subgraph`. The exact mode starts
+        from what greedy has found.
     k : int
         Candidate neighbors of each pore.
     threads : int
@@ -307,7 +307,7 @@ def _pass(
         ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
             """Edges of the network that a region replaces, and those that take their place."""
             own = pores.own(r)
-            # exact modes know of no way around
+            # the exact mode knows of no way around
             known = np.concatenate([own, pores.near(r, margin)]) if how == "greedy" else own
             which, local = _edges_among(known, before.edges, ends)
             free = (local < len(own)).all(axis=1) & pores.is_within(before.edges[which], before.turns[which])
@@ -324,7 +324,7 @@ def _pass(
                 from sppm_pipeline.method.connecting.exact import exactly_improved
 
                 inner = np.sort(local[free], axis=1)
-                made = exactly_improved(points, inner, low, high, degree[0] <= 1, k, how == "lp_fix", metrics)
+                made = exactly_improved(points, inner, low, high, degree[0] <= 1, k, metrics)
             return which[free], own[made]
 
         kept = np.ones(len(before.edges), np.bool_)

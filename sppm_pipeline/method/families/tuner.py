@@ -102,29 +102,6 @@ def varied_option(recipe: Recipe, vary: str) -> Varied:
     raise ConfigError(f"the recipe {recipe.name!r} has no option {vary!r}", hint=f"there are {there}")
 
 
-class Met(NamedTuple):
-    """What a search has found.
-
-    Attributes
-    ----------
-    varied : str
-        Stage and option, as id.option.
-    value : float
-        Of the option.
-    number : float
-        What was tuned, at that value.
-    made : ScalarField
-    curve : list of [value, number]
-        All trials, by value.
-    """
-
-    varied: str
-    value: float
-    number: float
-    made: ScalarField
-    curve: list[list[float]]
-
-
 @dataclass(frozen=True, kw_only=True)
 class Tuner(Stage):
     """Options of a search by few and costly evaluations, and the search."""
@@ -142,9 +119,10 @@ class Tuner(Stage):
 
     def met(
         self, context: Context, recipe: Recipe, target: float, accuracy: float,
-        number_of: Callable[[ScalarField], float], words: tuple[str, str],
-    ) -> Met:  # fmt: skip
-        """Try values of the varied option until the number is met; see `numerics.target_search`.
+        number_of: Callable[[ScalarField], float], *, what: tuple[str, str],
+        counted: tuple[str, str], more: Callable[[float, ScalarField], Mapping[str, Any]] = lambda number, made: {},
+    ) -> ScalarField:  # fmt: skip
+        """Try values of the varied option until the number is met, and report; see `numerics.target_search`.
 
         Parameters
         ----------
@@ -154,7 +132,10 @@ class Tuner(Stage):
             The number, and its largest relative error.
         number_of : callable
             From what the recipe makes to the number; positive, or 0 where there is none.
-        words : (what is tuned, what an evaluation is)
+        what, counted : (name in the summary, words)
+            Of the number, and of the evaluations.
+        more : callable
+            From the number and the field that were found to what else is reported.
 
         Raises
         ------
@@ -171,7 +152,7 @@ class Tuner(Stage):
                 raise ConfigError(f"the recipe {recipe.name!r} makes a {type(made).__name__}, no field")
             fields[at[0]] = made
             number = number_of(made)
-            context.progress(len(fields), self.evaluations, words[1])
+            context.progress(len(fields), self.evaluations, counted[1])
             return (number,)
 
         found = search(
@@ -179,12 +160,20 @@ class Tuner(Stage):
             whole=[varied.whole],
         )  # fmt: skip
         if not found.met:
-            raise missed(found, [f"the {words[0]}"], [target], [varied.name], [low], [high], words[1])
+            raise missed(found, [f"the {what[1]}"], [target], [varied.name], [low], [high], counted[1])
         curve = sorted([trial.at[0], trial.numbers[0]] for trial in found.trials if trial.numbers is not None)
         (value,), numbers = found.best
         assert numbers is not None
-        name = ".".join(varied.places[0]) if len(varied.places) == 1 else varied.name
-        return Met(name, value, numbers[0], fields[value], curve)
+        name, number, made = what[0], numbers[0], fields[value]
+        context.report(
+            varied=".".join(varied.places[0]) if len(varied.places) == 1 else varied.name,
+            value=value,
+            **{name: number, f"{name}_error": number / target - 1},
+            **more(number, made),
+            **{counted[0]: len(curve)},
+            curve=curve,
+        )
+        return made
 
 
 def _porosity_of(recipe: Recipe) -> Varied:

@@ -18,10 +18,9 @@ from sppm_pipeline.method.nouns.tunnels import TunnelGraph
 from sppm_pipeline.nouns.length import Cell, Length
 from sppm_pipeline.stage import Context, option
 
-MOST = (("exact", 500, "lp_fix"), ("lp_fix", 3000, "greedy"))
-"""Modes, the pores of a piece up to which each is used, and which comes after it: a choice. The time of a proof grows
-with a power of their number above two, and takes a minute and a half for 1000; that of the relaxation is a second for
-2000 and a quarter of a minute for 4000."""
+MOST = 3000
+"""Pores of a piece up to which `exact` is used: a choice. The relaxation takes a second for 2000 and a quarter of a
+minute for 4000."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,14 +34,15 @@ class BoundedDegreeSubgraph(Connector):
     """
 
     name: ClassVar[str] = "connect.mbdst"
+    version: ClassVar[int] = 2
     follows_metric: ClassVar[bool] = True
 
     degree: tuple[int, int] = options.degree((3, 5))
     mode: str = option(
-        "lp_fix",
-        help="exact: proven optimum, for up to 500 pores in one piece, then lp_fix; lp_fix: within about 0.15 % of it, "
-        "for up to 3000 pores, then greedy; greedy: within about 5 %, in milliseconds",
-        choices=("exact", "lp_fix", "greedy"),
+        "exact",
+        help="exact: proven optimum for up to 100 pores in one piece, within about 0.4 % of it for up to 3000, then "
+        "greedy; greedy: within about 5 %, in milliseconds; lp_fix: former name of exact",
+        choices=("exact", "greedy", "lp_fix"),
     )
     neighbors: int = option(
         10, help="nearest neighbors a pore may be joined to", minimum=2, maximum=100, formerly="neighbours"
@@ -67,15 +67,11 @@ class BoundedDegreeSubgraph(Connector):
 
     @property
     def rated_as(self) -> str:
-        return f"{self.name}.{self.mode}"
+        return f"{self.name}.{self.mode_for(1)}"
 
     def mode_for(self, pores: int) -> str:
         """The mode by which so many pores are joined; where a clearance has to be proved impossible, always `mode`."""
-        mode = self.mode
-        for asked, most, then in MOST if self.clearance is None else ():
-            if mode == asked and pores > most:
-                mode = then
-        return mode
+        return "greedy" if self.mode == "greedy" or (pores > MOST and self.clearance is None) else "exact"
 
     def join(self, rng: np.random.Generator, piece: Piece) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         from sppm_pipeline.method.connecting.bounded import spanning_subgraph
@@ -123,7 +119,7 @@ class BoundedDegreeSubgraph(Connector):
             cloud.period,
             self.degree,
             spacing=cloud.spacing,
-            mode=self.mode,
+            mode=self.mode_for(1),
             k=self.neighbors,
             metric=cloud.metric,
             threads=context.threads,
@@ -189,15 +185,15 @@ class BoundedDegreeSubgraph(Connector):
         return graph
 
     def _tell_mode(self, context: Context, largest: int) -> None:
-        """Warn if so many pores in one piece are joined by another mode than the one asked for."""
-        mode = self.mode_for(largest)
-        if mode == self.mode:
+        """Warn of a former name, and if pieces of so many pores are joined by another mode than the one asked for."""
+        if self.mode == "lp_fix":
+            context.warn("option 'mode': `lp_fix` is now `exact`; the old name works in this version")
+        if self.mode_for(largest) == self.mode_for(1):
             return
         from sppm_pipeline.method.connecting.regional import WHOLE
 
         # the regions of a larger cloud are joined by the mode that was asked for
         if context.palette.blocks is None or largest <= WHOLE:
             context.warn(
-                f"option 'mode': a piece of {largest} pores is joined by `mode: {mode}`, as `{self.mode}` would take "
-                "too long"
+                f"option 'mode': a piece of {largest} pores is joined by `mode: greedy`, as `exact` would take too long"
             )

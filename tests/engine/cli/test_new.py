@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -13,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 
 from sppm_pipeline.engine.cli.main import main
-from sppm_pipeline.engine.cli.new import KINDS, TEMPLATES
+from sppm_pipeline.engine.cli.new import FORMER_KINDS, KINDS, PLUGINS_PAGE, TEMPLATES
 
 
 def test_a_new_pipeline_is_a_valid_one(tmp_path, monkeypatch, capsys):
@@ -76,7 +75,7 @@ def test_a_new_plugin_is_found_and_passes_its_own_tests(kind, made, outcomes, mo
     monkeypatch.syspath_prepend(root)
     assert main(["check", str(root / "example.yaml"), "--allow-plugins", root.name]) == 0, capsys.readouterr().err
     family = KINDS[kind].family
-    assert f"{family}.my_{kind}" in (root / "example.yaml").read_text() or not family
+    assert f"{family}.my_{kind}" in (root / "example.yaml").read_text()
     assert f"sppm.{kind}" not in (root / "README.md").read_text()
     for path in root.rglob("*.*"):
         assert path.is_dir() or not any(word in path.read_text() for word in ("my_word", "my_plugin", "my_module"))
@@ -93,18 +92,16 @@ def test_the_tests_of_a_new_plugin_run_before_it_is_installed(made):
     assert "1 passed" in done.stdout
 
 
-def test_a_sweep_goes_through_a_new_executor(made, tmp_path):
-    file = tmp_path / "two.yaml"
-    file.write_text(
-        "sppm: 1\nname: two\npipeline:\n  - {stage: sample.dart_throwing, total: 9}\nsweep: {seed: [1, 2]}\n"
+@pytest.mark.parametrize("kind", FORMER_KINDS)
+def test_a_kind_without_a_template_is_explained(kind, tmp_path, capsys):
+    assert main(["new", "plugin", "mine", "--kind", kind, "-o", str(tmp_path)]) == 2
+    path, _, anchor = PLUGINS_PAGE.partition("#")
+    assert PLUGINS_PAGE in capsys.readouterr().err
+    section = (
+        (Path(__file__).parents[3] / path).read_text().partition(f"### {anchor.replace('-', ' ').capitalize()}\n")[2]
     )
-    command = [sys.executable, "-m", "sppm_pipeline", "run", str(file), "-q", "--json", "-o", str(tmp_path / "out")]
-    done = subprocess.run(
-        [*command, "-j", "2", "--executor", "my_executor", "--allow-plugins", "sppm-my-executor"],
-        env=environment(made), cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert [run["status"] for run in json.loads(done.stdout)["runs"]] == ["done", "done"]
+    assert f"A **{'tile rule' if kind == 'tiler' else kind}** is" in section.replace("An", "A")
+    assert not list(tmp_path.iterdir())
 
 
 def test_names_that_would_not_do(made, capsys):
@@ -115,7 +112,7 @@ def test_names_that_would_not_do(made, capsys):
 
 def test_each_kind_has_a_stage_that_is_short():
     assert {path.name for path in TEMPLATES.iterdir() if path.is_dir()} == {*KINDS, "plugin"}
-    for kind, (family, place, _) in KINDS.items():
+    for kind, (_, place, _) in KINDS.items():
         module, _, name = place.partition(":")
         text = (TEMPLATES / kind / "my_plugin" / f"{module}.py").read_text()
-        assert not family or 10 <= len(text.partition(f"class {name}(")[2].splitlines()) <= 30
+        assert 10 <= len(text.partition(f"class {name}(")[2].splitlines()) <= 30

@@ -90,7 +90,7 @@ def test_controls_are_the_declarations(started):
     pores = found["params.pores"]
     assert (pores.label, pores.kind, pores.value, pores.slider) == ("pores", "integer", 95, (24, 380, 1))
     assert found["pipeline.2.degree"].value == [3, 5]
-    assert found["pipeline.2.mode"].choices == ("exact", "lp_fix", "greedy")
+    assert found["pipeline.2.mode"].choices == ("exact", "greedy", "lp_fix")
     assert found["pipeline.3.pore_radius"].unit == "cell size"
     assert (
         found["pipeline.3.pore_radius"].help

@@ -39,7 +39,7 @@ def checked(cloud, edges, shifts, degree):
         *(("greedy", (3, 5), periodic) for periodic in PERIODIC),
         ("greedy", (2, 3), PERIODIC[1]),
         ("greedy", (1, 3), PERIODIC[1]),
-        ("lp_fix", (3, 5), PERIODIC[2]),
+        ("exact", (3, 5), PERIODIC[2]),
     ],
 )
 def test_regions_are_about_as_good_as_the_whole(monkeypatch, random_cloud, mode, degree, periodic):
@@ -87,7 +87,7 @@ def test_threads_change_nothing(monkeypatch, random_cloud):
     for stage in (
         BoundedDegreeSubgraph(mode="greedy"),
         BoundedDegreeSubgraph(mode="greedy", degree=(2, 3)),
-        BoundedDegreeSubgraph(mode="lp_fix"),
+        BoundedDegreeSubgraph(mode="exact"),
         RelativeNeighbors(),
     ):
         first, second = (stage.join_cloud(PlainContext(1, threads=threads), cloud) for threads in (1, 3))
@@ -95,7 +95,7 @@ def test_threads_change_nothing(monkeypatch, random_cloud):
         assert np.array_equal(first[1], second[1])
 
 
-@pytest.mark.parametrize("mode", ["greedy", "lp_fix"])
+@pytest.mark.parametrize("mode", ["greedy", "exact"])
 def test_a_small_cloud_is_joined_as_one_piece(random_cloud, mode):
     cloud = random_cloud((3, 2, 1), 300, (True, False, True), seed=5)
     edges, shifts = BoundedDegreeSubgraph(mode=mode).join_cloud(PlainContext(1), cloud)

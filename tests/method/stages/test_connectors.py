@@ -38,7 +38,7 @@ def joined(graph, piece):
     return found
 
 
-@pytest.mark.parametrize("mode", ["exact", "lp_fix", "greedy"])
+@pytest.mark.parametrize("mode", ["exact", "greedy"])
 @pytest.mark.parametrize("degree", [(1, 4), (3, 5)])
 def test_degrees_and_pieces(pores, mode, degree):
     context = PlainContext(1, palette=PALETTE)
@@ -83,9 +83,7 @@ def test_modes_cost_what_they_promise(pores):
         start, end = graph.segments()
         return np.linalg.norm(end - start, axis=1).sum()
 
-    exact, fixed, greedy = (length(mode) for mode in ("exact", "lp_fix", "greedy"))
-    assert exact <= fixed + 1e-9
-    assert fixed <= 1.005 * exact
+    exact, greedy = (length(mode) for mode in ("exact", "greedy"))
     assert exact <= greedy + 1e-9
     assert greedy <= 1.1 * exact
 
@@ -132,9 +130,9 @@ def test_a_lone_cell_without_faces_is_joined_across_its_borders(torus):
 
 
 def test_two_edge_connected(torus):
-    graph = BoundedDegreeSubgraph(degree=(1, 5), mode="lp_fix", two_edge_connected=True).run(PlainContext(1), torus)
+    graph = BoundedDegreeSubgraph(degree=(1, 5), two_edge_connected=True).run(PlainContext(1), torus)
     assert not networkx.has_bridges(networkx.Graph(graph.edges.tolist()))
-    tree = BoundedDegreeSubgraph(degree=(1, 5), mode="lp_fix").run(PlainContext(1), torus)
+    tree = BoundedDegreeSubgraph(degree=(1, 5)).run(PlainContext(1), torus)
     assert networkx.has_bridges(networkx.Graph(tree.edges.tolist()))
 
 
@@ -146,8 +144,7 @@ def test_degrees_in_the_wrong_order():
 @pytest.mark.parametrize(
     ("mode", "pores", "used"),
     [
-        ("exact", 500, "exact"), ("exact", 501, "lp_fix"), ("exact", 3001, "greedy"), ("lp_fix", 3000, "lp_fix"),
-        ("lp_fix", 3001, "greedy"), ("greedy", 10**6, "greedy"),
+        ("exact", 3000, "exact"), ("exact", 3001, "greedy"), ("greedy", 10**6, "greedy"),
     ],
 )  # fmt: skip
 def test_modes_give_way_where_they_would_take_too_long(mode, pores, used):
@@ -155,8 +152,15 @@ def test_modes_give_way_where_they_would_take_too_long(mode, pores, used):
     assert BoundedDegreeSubgraph(mode=mode, clearance=Length(0.01)).mode_for(pores) == mode
 
 
+def test_the_former_name_of_a_mode_makes_the_same_graph_and_warns(torus):
+    graph = BoundedDegreeSubgraph().run(PlainContext(1), torus)
+    context = PlainContext(1)
+    assert BoundedDegreeSubgraph(mode="lp_fix").run(context, torus).digest() == graph.digest()
+    assert context.warnings == ["option 'mode': `lp_fix` is now `exact`; the old name works in this version"]
+
+
 def test_another_mode_is_told(monkeypatch):
-    monkeypatch.setattr("sppm_pipeline.method.stages.connect_mbdst.MOST", (("exact", 11, "greedy"),))
+    monkeypatch.setattr("sppm_pipeline.method.stages.connect_mbdst.MOST", 11)
     pores = PoreSet.from_array(np.random.default_rng(3).random((12, 3)))
     context = PlainContext(1)
     made = BoundedDegreeSubgraph(mode="exact").run(context, pores)

@@ -56,15 +56,8 @@ class TunePlateau(Crusher, Tuner):
             works[numbers["plateau"]] = numbers["work"]
             return max(0.0, float(numbers["plateau"]))
 
-        found = self.met(context, recipe, self.target, self.accuracy, plateau, ("plateau stress", "blocks"))
-        context.report(
-            varied=found.varied,
-            value=found.value,
-            plateau=found.number,
-            plateau_error=found.number / self.target - 1,
-            work=works[found.number],
-            crushed=len(found.curve),
-            unit=self.stress_unit,
-            curve=found.curve,
-        )
-        return found.made
+        return self.met(
+            context, recipe, self.target, self.accuracy, plateau,
+            what=("plateau", "plateau stress"), counted=("crushed", "blocks"),
+            more=lambda number, made: {"work": works[number], "unit": self.stress_unit},
+        )  # fmt: skip

@@ -1,18 +1,20 @@
-"""Formulas as text: a small language of arithmetic, parsed here and nowhere else, evaluated on arrays.
+"""Formulas as text: arithmetic in Python's grammar, evaluated on arrays; Python parses the text, and never runs it.
 
-What it means is what Python means by the same text, with three differences: every number is a float64, so that nothing
+A formula means what Python means by the same text, with three differences: every number is a float64, so that nothing
 can grow beyond it; truth is 1 and falsehood 0, also of ``and`` and ``or``; and both branches of a condition are
-evaluated. The parser knows numbers, names, operators and calls of the functions below, and there is nothing else that a
-text could reach. Text and result are bounded in length, depth and number of operations before anything is computed.
+evaluated. Numbers, known names, operators and calls of the functions below are taken from the syntax tree, and whatever
+else it holds is refused. Length, depth and number of operations are bounded before anything is computed.
 """
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
-from functools import reduce
-from typing import Any, NamedTuple
+from functools import partial, reduce
+from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import ConfigError
 
 LONGEST, DEEPEST, MOST = 1000, 40, 200
-"""Characters, depth, and operations of a formula."""
+"""Characters, depth of brackets, and numbers, names and operations of a formula."""
 
 BLOCK = 1 << 14
 """Points that are evaluated together, so that what is computed on the way stays in the processor's cache."""
@@ -64,85 +66,32 @@ def _truth(value: Values) -> Values:
     return np.where(value, 1.0, 0.0)
 
 
-_COMPARISONS: Mapping[str, Callable[[Values, Values], Values]] = {
-    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
+def _chain(makes: list[Callable[[Values, Values], Values]], *v: Values) -> Values:
+    """A comparison of several values in a row, each with the next."""
+    return _truth(reduce(np.logical_and, (make(v[i], v[i + 1]) for i, make in enumerate(makes))))
+
+
+_OPERATORS: Mapping[type[ast.AST], Callable[..., Values]] = {
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Mod: np.mod,
+    ast.Pow: np.power, ast.USub: np.negative, ast.UAdd: np.positive, ast.Not: lambda a: _truth(a == 0),
+    ast.And: lambda *v: _truth(reduce(np.logical_and, [a != 0 for a in v])),
+    ast.Or: lambda *v: _truth(reduce(np.logical_or, [a != 0 for a in v])),
+    ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal, ast.Eq: np.equal,
+    ast.NotEq: np.not_equal,
 }  # fmt: skip
-_BINARY: Mapping[str, tuple[int, Callable[[Values, Values], Values]]] = {
-    "+": (1, np.add), "-": (1, np.subtract), "*": (2, np.multiply), "/": (2, np.divide), "%": (2, np.mod),
-}  # fmt: skip
-"""Operator -> how tightly it binds, and what it does."""
 
-_TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_]\w*)|(?P<sign>\*\*|[<>=!]=|[-+*/%<>(),]))",
-    re.ASCII,
-)
-
-
-class Token(NamedTuple):
-    """A word of a formula.
-
-    Attributes
-    ----------
-    kind : str
-        "number", "name", "sign" or "end".
-    text : str
-    at : int
-        Its first character, from 0.
-    """
-
-    kind: str
-    text: str
-    at: int
-
-
-class Operation(NamedTuple):
-    """One step of a compiled formula, on a stack of values.
-
-    Attributes
-    ----------
-    takes : int
-        How many values it takes from the stack.
-    make : function, float64, or str
-        What computes the new value of them; a number or the name of a variable if it takes none.
-    """
-
-    takes: int
-    make: Any
-
-
-def tokens_of(text: str) -> list[Token]:
-    """The words of a formula.
-
-    Raises
-    ------
-    ConfigError
-        With the position of what is no word.
-    """
-    if len(text) > LONGEST:
-        raise ConfigError(
-            f"the formula has {len(text)} characters; the limit is {LONGEST}", hint="write it as several maps"
-        )
-    found, at, end = [], 0, len(text.rstrip())
-    while at < end:
-        match = _TOKEN.match(text, at)
-        if match is None:
-            place = at + len(text[at:]) - len(text[at:].lstrip())
-            raise fault(text, place, f"{text[place]!r} has no meaning in a formula", _HINTS.get(text[place]))
-        kind = match.lastgroup or ""
-        found.append(Token(kind, match[kind], match.start(kind)))
-        at = match.end()
-    return [*found, Token("end", "", end)]
-
-
+_NUMBER = re.compile(r"(?<![\w.])\.?\d(?:[eE][-+]|[\w.])*", re.ASCII)  # and what looks like one
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*", re.ASCII)
+_MEANINGLESS = re.compile(r"[^\w\s+\-*/%<>=!().,]|(?<![<>=!])=(?!=)|!(?!=)|//|(?<!\d)\.(?!\d)", re.ASCII)
 _HINTS = {
-    "=": "compare by ==",
-    "^": "powers are written **",
-    "&": "write `and`",
-    "|": "write `or`",
-    "!": "write `not`",
-    "[": "there are no lists",
-    ".": "names have no dots",
-}
+    "=": "compare by ==", "^": "powers are written **", "&": "write `and`", "|": "write `or`", "!": "write `not`",
+    "[": "there are no lists", ".": "names have no dots", "//": "write floor(a / b)",
+}  # fmt: skip
+
+
+def names_in(text: str) -> set[str]:
+    """The names that a text holds, of variables, functions, and ``and``, ``or``, ..."""
+    return set(_NAME.findall(text[:LONGEST]))
 
 
 def fault(text: str, at: int, what: str, hint: str | None = None) -> ConfigError:
@@ -157,170 +106,49 @@ def brief(word: str) -> str:
     return repr(word) if len(word) <= 40 else f"{word[:37]!r}..."
 
 
-class _Parser:
-    """Precedence climbing; what has been read is compiled to operations in the order in which they are computed."""
-
-    def __init__(self, text: str, names: Iterable[str]) -> None:
-        self.text, self.names = text, frozenset(names)
-        self.tokens, self.next = tokens_of(text), 0
-        self.made: list[Operation] = []
-        self.depth = 0
-        self.used: dict[str, int] = {}
-
-    @property
-    def token(self) -> Token:
-        return self.tokens[self.next]
-
-    def fault(self, what: str, token: Token | None = None, hint: str | None = None) -> ConfigError:
-        return fault(self.text, (token or self.token).at, what, hint)
-
-    def took(self, *texts: str) -> bool:
-        """Whether the next word is one of these; it is then passed."""
-        if self.token.kind in ("sign", "name") and self.token.text in texts:
-            self.next += 1
-            return True
-        return False
-
-    def need(self, text: str) -> None:
-        if not self.took(text):
-            found = brief(self.token.text) if self.token.kind != "end" else "nothing"
-            raise self.fault(f"expected {text!r}, got {found}")
-
-    def add(self, count: int, make: Any) -> None:
-        if len(self.made) >= MOST:
-            raise self.fault(f"the formula has more than {MOST} operations", hint="write it as several maps")
-        self.made.append(Operation(count, make))
-
-    def deeper(self, read: Callable[[], None]) -> None:
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise self.fault(f"the formula is nested more than {DEEPEST} deep", hint="write it as several maps")
-        read()
-        self.depth -= 1
-
-    def formula(self) -> None:
-        self.condition()
-        if self.token.kind != "end":
-            raise self.fault(f"expected an operator, got {brief(self.token.text)}", hint=_HINTS.get(self.token.text))
-
-    def condition(self) -> None:
-        self.either()
-        if self.took("if"):
-            self.either()
-            self.need("else")
-            self.deeper(self.condition)
-            self.add(3, lambda yes, test, no: np.where(test != 0, yes, no))
-
-    def either(self) -> None:
-        self.both()
-        while self.took("or"):
-            self.both()
-            self.add(2, lambda a, b: _truth((a != 0) | (b != 0)))
-
-    def both(self) -> None:
-        self.negation()
-        while self.took("and"):
-            self.negation()
-            self.add(2, lambda a, b: _truth((a != 0) & (b != 0)))
-
-    def negation(self) -> None:
-        if self.took("not"):
-            self.deeper(self.negation)
-            self.add(1, lambda a: _truth(a == 0))
-        else:
-            self.comparison()
-
-    def comparison(self) -> None:
-        self.sum(1)
-        signs = []
-        while self.token.kind == "sign" and self.token.text in _COMPARISONS:
-            signs.append(self.token.text)
-            self.next += 1
-            self.sum(1)
-        if signs:
-            self.add(len(signs) + 1, _chain([_COMPARISONS[sign] for sign in signs]))
-
-    def sum(self, tightest: int) -> None:
-        self.signed()
-        while self.token.kind == "sign" and self.token.text in _BINARY and _BINARY[self.token.text][0] >= tightest:
-            binds, make = _BINARY[self.token.text]
-            self.next += 1
-            if self.token.text == "/" and make is np.divide:
-                raise self.fault("// is not allowed", hint="write floor(a / b)")
-            self.sum(binds + 1)
-            self.add(2, make)
-
-    def signed(self) -> None:
-        if self.took("-"):
-            self.deeper(self.signed)
-            self.add(1, np.negative)
-        elif self.took("+"):
-            self.deeper(self.signed)
-        else:
-            self.atom()
-            if self.took("**"):
-                self.deeper(self.signed)
-                self.add(2, np.power)
-
-    def atom(self) -> None:
-        token = self.token
-        self.next += 1
-        if token.kind == "number":
-            if self.token.kind == "name" and self.token.at == token.at + len(token.text):
-                raise self.fault(f"{brief(token.text + self.token.text)} is no number", token)
-            self.add(0, np.float64(token.text))
-        elif token.kind == "sign" and token.text == "(":
-            self.deeper(self.condition)
-            self.need(")")
-        elif token.kind == "name" and token.text not in WORDS:
-            self.name(token)
-        else:
-            self.next -= 1
-            found = brief(token.text) if token.kind != "end" else "nothing"
-            raise self.fault(f"expected a number, a name or a bracket, got {found}", token)
-
-    def name(self, token: Token) -> None:
-        called = self.token.kind == "sign" and self.token.text == "("
-        if token.text in FUNCTIONS:
-            if not called:
-                raise self.fault(f"{brief(token.text)} is a function", token, f"write {token.text}(...)")
-            self.call(token)
-        elif called:
-            raise self.fault(f"there is no function {brief(token.text)}", token, nearest(token.text, FUNCTIONS))
-        elif token.text in CONSTANTS:
-            self.add(0, CONSTANTS[token.text])
-        elif token.text in self.names:
-            self.used.setdefault(token.text, token.at)
-            self.add(0, token.text)
-        else:
-            raise self.fault(
-                f"there is no name {brief(token.text)}", token, nearest(token.text, [*self.names, *CONSTANTS])
-            )
-
-    def call(self, token: Token) -> None:
-        make, wanted, what = FUNCTIONS[token.text]
-        self.need("(")
-        count = 0
-        while not self.took(")"):
-            if count:
-                self.need(",")
-            self.deeper(self.condition)
-            count += 1
-        if count != wanted if wanted > 0 else count < -wanted:
-            raise self.fault(f"{token.text} takes {what}; got {count} value(s)", token)
-        self.add(count, make)
-
-
-def _chain(makes: list[Callable[[Values, Values], Values]]) -> Callable[..., Values]:
-    """A comparison of several values in a row, each with the next."""
-    return lambda *v: _truth(reduce(np.logical_and, (make(v[i], v[i + 1]) for i, make in enumerate(makes))))
-
-
 def nearest(word: str, known: Iterable[str]) -> str:
     """What a name may have been meant to be."""
     known = sorted(known)
     close = [name for name in known if name.lower() == word.lower()] or get_close_matches(word, known, 1)
     return f"did you mean {close[0]!r}?" if close else "known are " + ", ".join(known)
+
+
+def _parsed(text: str) -> ast.expr:
+    """The syntax tree of a formula; columns are those of the text without white space in front."""
+    if len(text) > LONGEST:
+        raise ConfigError(
+            f"the formula has {len(text)} characters; the limit is {LONGEST}", hint="write it as several maps"
+        )
+    if match := _MEANINGLESS.search(text):
+        raise fault(text, match.start(), f"{match[0]!r} has no meaning in a formula", _HINTS.get(match[0]))
+    source = re.sub(r"\s", " ", text)
+    for match in _NUMBER.finditer(text):
+        number = match[0]
+        if not re.fullmatch(r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", number, re.ASCII):
+            raise fault(text, match.start(), f"{brief(number)} is no number")
+        if np.isinf(float(number)):
+            raise fault(text, match.start(), f"{brief(number)} is beyond the largest number, 1.8e308")
+        if number.isdigit():  # Python reads no zeros in front
+            source = source[: match.start()] + (number.lstrip("0") or "0").ljust(len(number)) + source[match.end() :]
+    for at, depth in enumerate(accumulate((c == "(") - (c == ")") for c in text)):
+        if depth > DEEPEST:
+            raise fault(text, at, f"the formula is nested more than {DEEPEST} deep", "write it as several maps")
+    try:
+        return ast.parse(source.lstrip(), mode="eval").body
+    except SyntaxError as error:
+        at = error.offset - 1 + len(source) - len(source.lstrip()) if error.offset else len(text)
+        found = re.match(r"\w+|\*\*|.|$", source[at:])
+        what = error.msg
+        if what == "invalid syntax":
+            before = re.search(r"(\w+|\S)\s*$", source[:at])
+            complete = before is not None and before[1] not in WORDS and (before[1] == ")" or before[1][0].isalnum())
+            wanted = "an operator" if complete else "a number, a name or a bracket"
+            what = f"expected {wanted}, got {brief(found[0]) if found and found[0] else 'nothing'}"
+        elif what.startswith("invalid syntax"):
+            what = "an operator or a comma is missing"
+        raise fault(text, at, what) from None
+    except (RecursionError, MemoryError):
+        raise fault(text, 0, "the formula is nested too deep", "write it as several maps") from None
 
 
 class Expression:
@@ -345,11 +173,58 @@ class Expression:
     """
 
     def __init__(self, text: str, names: Iterable[str]) -> None:
-        parser = _Parser(text, names)
-        parser.formula()
         self.text = text
-        self.used: Mapping[str, int] = parser.used
-        self._program = tuple(parser.made)
+        self.used: dict[str, int] = {}
+        # how many values each operation takes from the stack, and what computes the new one of them, or is it
+        self._program: list[tuple[int, Any]] = []
+        self._left = MOST
+        self._compile(_parsed(text), frozenset(names))
+
+    def _compile(self, node: ast.expr, names: frozenset[str]) -> None:
+        """Append the operations of a node, in the order in which they are computed."""
+        make: Any = None
+        of: list[ast.expr] = []
+        at = node.col_offset + len(self.text) - len(self.text.lstrip())
+        wrong = partial(fault, self.text, at)
+        self._left -= 1
+        if self._left < 0:
+            raise wrong(f"the formula has more than {MOST} operations", "write it as several maps")
+        match node:
+            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+                make = np.float64(value)
+            case ast.Name(id=name) if name in FUNCTIONS:
+                raise wrong(f"{brief(name)} is a function", f"write {name}(...)")
+            case ast.Name(id=name) if name in CONSTANTS:
+                make = CONSTANTS[name]
+            case ast.Name(id=name) if name in names:
+                self.used.setdefault(name, at)
+                make = name
+            case ast.Name(id=name):
+                raise wrong(f"there is no name {brief(name)}", nearest(name, [*names, *CONSTANTS]))
+            case ast.UnaryOp(op=op, operand=value):
+                make, of = _OPERATORS.get(type(op)), [value]
+            case ast.BinOp(left=left, op=op, right=right):
+                make, of = _OPERATORS.get(type(op)), [left, right]
+            case ast.BoolOp(op=op, values=of):
+                make = _OPERATORS.get(type(op))
+            case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _OPERATORS for op in ops):
+                make, of = partial(_chain, [_OPERATORS[type(op)] for op in ops]), [left, *others]
+            case ast.IfExp(body=yes, test=test, orelse=no):
+                make, of = lambda yes, test, no: np.where(test != 0, yes, no), [yes, test, no]
+            case ast.Call(func=ast.Name(id=name), args=of, keywords=[]) if name in FUNCTIONS:
+                make, wanted, what = FUNCTIONS[name]
+                if len(of) != wanted if wanted > 0 else len(of) < -wanted:
+                    raise wrong(f"{name} takes {what}; got {len(of)} value(s)")
+            case ast.Call(func=ast.Name(id=name)):
+                raise wrong(f"there is no function {brief(name)}", nearest(name, FUNCTIONS))
+        if make is None:
+            what = (ast.get_source_segment(self.text.strip(), node) or "").strip()
+            raise wrong(
+                f"{brief(what)} has no meaning in a formula", "it knows numbers, names, operators and functions"
+            )
+        for operand in of:
+            self._compile(operand, names)
+        self._program.append((len(of), make))
 
     def evaluate(self, values: Mapping[str, NDArray[np.float64]], count: int) -> NDArray[np.float64]:
         """Its value at `count` points.

@@ -19,7 +19,7 @@ from sppm_pipeline.features.grading.grading import (
     Grading,
 )
 from sppm_pipeline.features.grading.grading_data import DistanceLaw
-from sppm_pipeline.features.grading.numerics.expression import Expression, tokens_of
+from sppm_pipeline.features.grading.numerics.expression import Expression, names_in
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
@@ -57,8 +57,7 @@ class GradeFormula(Grader):
             if not name.isidentifier() or not name.isascii() or name in RESERVED or names.count(name) > 1:
                 raise ConfigError(f"`constants`: {name[:40]!r} is no name that is free", hint="use letters, digits, _")
         # what names there are shows later; all others that the text holds are taken to be maps
-        words = {token.text for token in tokens_of(self.formula) if token.kind == "name"}
-        Expression(self.formula, {*words - RESERVED, *PLACES})
+        Expression(self.formula, {*names_in(self.formula) - RESERVED, *PLACES})
 
     def law(self, context: Context, before: Grading, part: SurfaceMesh | None) -> FormulaLaw:
         """The compiled formula."""
@@ -67,7 +66,7 @@ class GradeFormula(Grader):
         if clash:
             raise ConfigError(f"`constants`: {clash[0]!r} is a map, too", hint="give another name")
         surface = None
-        if part is not None and any(token.text == DISTANCE for token in tokens_of(self.formula)):
+        if part is not None and DISTANCE in names_in(self.formula):
             from sppm_pipeline.features.grading.stages.grade_distance import surface_of
 
             surface = DistanceLaw(DISTANCE, "mm", *surface_of(part))

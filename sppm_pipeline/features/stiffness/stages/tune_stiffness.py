@@ -28,6 +28,7 @@ class TuneStiffness(ElasticHomogenizer, Tuner):
 
     The target is met on the grid of `resolution`; a last homogenization on a grid coarser by a third tells how far that
     is from the limit of fine grids: `modulus_grid_error` in the summary, with a warning if it exceeds `accuracy`.
+    `tune.property` searches in the same way for any number that a stage of its recipe reports.
     """
 
     name: ClassVar[str] = "tune.stiffness"
@@ -62,20 +63,12 @@ class TuneStiffness(ElasticHomogenizer, Tuner):
 
     def run(self, context: Context, recipe: Recipe) -> Any:
         """Sample, propose, correct."""
-        found = self.met(
+        return self.met(
             context, recipe, self.target, self.accuracy,
-            lambda made: self._modulus(context, made, self.resolution), ("modulus", "homogenizations"),
+            lambda made: self._modulus(context, made, self.resolution),
+            what=("modulus", "modulus"), counted=("homogenizations", "homogenizations"),
+            more=lambda modulus, made: self._grid_error(context, modulus, made),
         )  # fmt: skip
-        context.report(
-            varied=found.varied,
-            value=found.value,
-            modulus=found.number,
-            modulus_error=found.number / self.target - 1,
-            **self._grid_error(context, found.number, found.made),
-            homogenizations=len(found.curve),
-            curve=found.curve,
-        )
-        return found.made
 
     def _modulus(self, context: Context, made: ScalarField, resolution: int) -> float:
         """The modulus that is tuned, of a field on a grid."""
