@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
 import signal
@@ -144,30 +145,40 @@ def ball() -> SurfaceMesh:
 
 
 @pytest.fixture
-def run_yaml(tmp_path):
+def run_yaml(tmp_path, run_in):
     """Run a configuration, given as text or as a file, through the engine; returns the record and the run directory."""
+    return functools.partial(run_in, tmp_path)
+
+
+@pytest.fixture(scope="session")
+def run_in():
+    """`run_yaml` with the folder to run in as its first argument."""
+    return _run_in
+
+
+def _run_in(
+    scratch, source, *, p=(), s=(), seed=None, threads=1, workers=1, executor=None, to="out", plugins=False,
+    declared=True,
+):  # fmt: skip
     from sppm_pipeline.engine.config.parameters import Overrides
     from sppm_pipeline.engine.plan.session import RunRequest, open_session
     from sppm_pipeline.engine.run.runner import run_plan
     from sppm_pipeline.engine.run.sweep import run_sweep
 
-    def run(source, *, p=(), s=(), seed=None, threads=1, workers=1, executor=None, to="out"):
-        if isinstance(source, str):
-            path = tmp_path / "config.yaml"
-            path.write_text(source if source.startswith("sppm:") else f"sppm: 1\n{source}", encoding="utf-8")
-        else:
-            path = Path(source)
-        session = open_session(
-            RunRequest(str(path), distributions=False, overrides=Overrides(tuple(p), tuple(s), seed))
-        )
-        plan, folder = session.plan(), tmp_path / to
-        if session.configuration.sweep is None:
-            record = run_plan(plan, folder, threads=threads)
+    if isinstance(source, str):
+        path = scratch / "config.yaml"
+        path.write_text(source if source.startswith("sppm:") else f"sppm: 1\n{source}", encoding="utf-8")
+    else:
+        path = Path(source)
+    overrides = Overrides(tuple(p), tuple(s), seed)
+    session = open_session(RunRequest(str(path), distributions=plugins, overrides=overrides))
+    plan, folder = session.plan(), scratch / to
+    if session.configuration.sweep is None:
+        record = run_plan(plan, folder, threads=threads)
+        if declared:
             _numbers_are_declared(plan, record)
-            return record, folder
-        return run_sweep(session, plan, folder, workers=workers, executor=executor, threads=threads), folder
-
-    return run
+        return record, folder
+    return run_sweep(session, plan, folder, workers=workers, executor=executor, threads=threads), folder
 
 
 def _numbers_are_declared(plan, record):

@@ -1,0 +1,504 @@
+"""Digests of what every configuration and example makes at a low resolution: whatever changes a result is noticed.
+
+Usage: python -m benchmarks.digests [--write] [NAME...]
+
+Runs all configurations and examples, or those named, prints which outputs differ from the list in
+``benchmarks/digests.json``, and ends with exit code 1 if any does; ``--write`` writes the list anew. The same runs are
+compared with it by ``tests/test_configs.py``.
+
+A digest is the first 16 hexadecimal digits of a SHA-256 of what a file says, not of its bytes: other compression,
+another order of keys or another spacing changes nothing. Layers of a stack, and files of the same name in the runs of a
+sweep, share one digest. Results are the same on any number of threads, but compiled kernels and BLAS round differently
+on other processors, and therefore
+
+* layers, pictures and animations count pixel by pixel: no pixel is known to lie so close to a threshold;
+* vertices and nodes are rounded to 1e-6 of the largest coordinate, faces and cells count as they are;
+* numbers of the run record, of tables and of text are rounded to 6 significant digits, but not finer than 1e-12; those
+  of a list (a tensor, a column, ``C.1.1`` to ``C.6.6``) to as many decimals as its largest, so that an entry that
+  vanishes by symmetry counts as 0, whatever a solver leaves there;
+* charts count pixel by pixel where they are drawn by the release of matplotlib that drew those of the list; by any
+  other they are not compared, as it decides on fonts and ticks;
+* a printer's file counts byte by byte: no library has a part in it.
+
+Of the run record, summaries of stages count; times, memory, versions, paths, options and the words of warnings do not.
+``sweep.csv`` is left out, whose numbers are those of ``sweep.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import hashlib
+import io
+import json
+import math
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).resolve().parents[1]
+LIST = Path(__file__).with_suffix(".json")
+
+
+class Small(NamedTuple):
+    """With what a configuration is run at a low resolution.
+
+    Attributes
+    ----------
+    params, options : tuple of str
+        As after ``-p`` and ``-s`` of ``sppm run``; ``{folder}`` stands for the folder of the run.
+    sweep : str
+        Replaces the sweep of the configuration; empty if it has none, or keeps it.
+    plugins : bool
+        Whether it needs plugins: sppm-structures, or a file of its own.
+    """
+
+    params: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+    sweep: str = ""
+    plugins: bool = False
+
+
+def _small(params: str = "", options: str = "", sweep: str = "", plugins: bool = False) -> Small:
+    """`Small` of words between semicolons."""
+    split = [tuple(word.strip() for word in text.split(";") if word.strip()) for text in (params, options)]
+    return Small(*split, sweep, plugins)
+
+
+_PART = """slice.field.pixel=0.5 mm; part_picture.resolution=8; part_picture.size=[200, 150];
+    extract.marching_cubes.resolution=12"""
+_PICTURE = "write.picture.resolution=8; write.picture.image_size=[200, 150]"
+_VIEW = "write.picture.resolution=10"
+_WALLS = "".join(f"  - {{voxels: {2 * n}, lattice: {n}, order: 1, porosity: 0.5}}\n" for n in (10, 15))
+
+CONFIGS: Mapping[str, Small] = {
+    "bunny": _small("mesh={folder}/body.ply; height=12 mm; voxels=10", "tile.scattered.resolution=16"),
+    "cell": _small(
+        "pores=40",
+        """tune.porosity.resolution=32; tune.porosity.trials=1; tune.porosity.tolerance=0.005;
+        check.connectivity.resolution=24; write.picture.resolution=16; write.picture.image_size=[200, 150];
+        extract.marching_cubes.resolution=24; connect.mbdst.mode=greedy""",
+    ),
+    "compare_structures": _small(
+        "resolution=16; pixels=[90, 80]",
+        "write.picture.resolution=12; tuned.resolution=24; tuned.tolerance=0.02",
+        plugins=True,
+    ),
+    "composite": _small(
+        "resolution=12",
+        "solid.resolution=24; solid.trials=1; solid.tolerance=0.02",
+        "{filling: [0.1, 0.001], porosity: [0.5]}",
+    ),
+    "crush_animation": _small(
+        options="""tune.porosity.resolution=24; tile.periodic.cells=[1, 1, 1]; crush.resolution=10; crush.rate=0.05;
+        write.frames.image_size=[60, 50]"""
+    ),
+    "crush_density": _small(
+        "resolution=10; rate=0.05",
+        "tune.porosity.resolution=24; tile.periodic.cells=[1, 1, 1]",
+        "{porosity: [0.5, 0.8], pores: [20]}",
+    ),
+    "crush_structures": _small(
+        "resolution=10; cells=[1, 1, 1]; rate=0.04",
+        "tune.porosity.resolution=24; write.frames.image_size=[160, 120]",
+        "{structure: [tpms_p, sppm_1]}",
+        plugins=True,
+    ),
+    "graded_bar": _small(
+        options=f"""tile.graded.trials=1; tile.graded.rounds=1; tile.graded.resolution=32;
+        tune.local_porosity.resolution=32; check.local_porosity.resolution=40; check.connectivity.resolution=24;
+        {_PICTURE}"""
+    ),
+    "how_random": _small(
+        "cells=[3, 3, 3]; voxels=8",
+        ";".join(
+            f"{name}.resolution=12" for name in ("paper_set", "wang_set", "free_set", "corner_set", "fresh_cells")
+        ),
+        "{seed: [1]}",
+    ),
+    "periodic_vs_stochastic": _small(
+        "",
+        """tiles.resolution=12; tiles.tolerance=0.05; connect.mbdst.mode=greedy; repeated_picture.resolution=6;
+        stochastic_picture.resolution=6; repeated_picture.size=[120, 90]; stochastic_picture.size=[120, 90];
+        check.connectivity.resolution=10""",
+        "{cells: [[3, 3, 3], [4, 3, 3]]}",
+    ),
+    "porosity_map": _small("", "check.porosity.resolution=16", "{pores: [20, 60, 100], seed: {from: 1, to: 3}}"),
+    "printer": _small("", "read.primitive.size=[12 mm, 12 mm, 0.5 mm]; tile.scattered.resolution=16"),
+    "property_map": _small(
+        "resolution=16", "", "{structure: [wide_16, wide_64, gyroid_1], porosity: [0.7]}", plugins=True
+    ),
+    "published_curves": _small(
+        "resolution=16",
+        "tuned.resolution=24; tuned.tolerance=0.02",
+        "{structure: [octet, kelvin, simple_cubic, schwarz_p, gyroid]}",
+        plugins=True,
+    ),
+    "quickstart": _small("cell=8 mm", f"tile.scattered.resolution=16; {_PART}"),
+    "representative_volume": _small(
+        "samples=2; assemblies=[1, 2]",
+        """homogenize.realizations.resolution=8; tileset.wang_3color.colors=1; tileset.wang_3color.resolution=12;
+        tileset.wang_3color.tolerance=0.05""",
+    ),
+    "scattered": _small(
+        "",
+        f"""tile.scattered.cells=[2, 2, 1]; tile.scattered.resolution=12; check.connectivity.resolution=20;
+        slice.field.pixel=0.5 mm; extract.marching_cubes.resolution=10; {_PICTURE}""",
+    ),
+    "scattered_part": _small(
+        "cell=10 mm",
+        f"""tile.scattered.resolution=12; slice.field.pixel=[0.6 mm, 0.8 mm]; slice.field.layer=0.5 mm; {_PICTURE}""",
+    ),
+    "stiffest": _small(
+        "resolution=20",
+        "tuned.resolution=32; tuned.tolerance=0.01",
+        "{structure: [walls_hyper_mbdst_20, tunnels_hyper_mbdst_20]}",
+        plugins=True,
+    ),
+    "stiffest_grid": _small(
+        "",
+        "tuned.resolution=32; tuned.tolerance=0.01",
+        "{structure: [walls, tunnels], resolution: [20], seed: [1]}",
+        plugins=True,
+    ),
+    "stiffness_map": _small(
+        "",
+        "homogenize.voxel.resolution=12; check.connectivity.resolution=12",
+        "{omega: [30], pores: [24, 140], seed: [1]}",
+    ),
+    "table_mesh_free": _small(
+        "",
+        "slice.field.resolution=8; tileset.wang_3color.resolution=12; tileset.wang_3color.tolerance=0.05",
+        "{cells: [[1, 2, 3]]}",
+    ),
+    "tileset_27": _small(
+        "",
+        """tileset.wang_3color.resolution=16; tileset.wang_3color.tolerance=0.02; connect.mbdst.mode=greedy;
+        write.picture.resolution=8; tile.wang_3color.cells=[3, 3, 3]; assembly.resolution=8;
+        assembly.size=[200, 150]""",
+    ),
+    "walls": _small(
+        "pores=40",
+        """walls.resolution=32; walls.tolerance=0.005; phases.resolution=40; check.sizes.resolution=24;
+        elastic.resolution=20; write.picture.resolution=16; write.picture.image_size=[200, 150];
+        extract.marching_cubes.resolution=32""",
+    ),
+    "walls_stiffness": _small(
+        "",
+        "tuned.resolution=40; tuned.tolerance=0.01",
+        "{structure: [paper, stiff, gyroid], resolution: [32], seed: [1]}",
+        plugins=True,
+    ),
+    "walls_tetrahedra": _small(
+        "pores=4; tunnel_radius=0.08", "walls.resolution=40; tetrahedra.residual=1e-4", f"\n{_WALLS}"
+    ),
+    "wang_part": _small(
+        "cell=8 mm",
+        f"""tileset.wang_3color.colors=2; tileset.wang_3color.resolution=16; tileset.wang_3color.tolerance=0.02;
+        tiles_picture.resolution=8; connect.mbdst.mode=greedy; {_PART}""",
+    ),
+}
+"""Those in ``configs/`` by name."""
+
+EXAMPLES: Mapping[str, Small] = {
+    "blend": _small("", f"sponge.resolution=12; {_VIEW}", plugins=True),
+    "crush": _small("", "tune.porosity.resolution=24; crush.voxel.resolution=10; crush.voxel.rate=0.05"),
+    "elbow": _small("", f"tune.local_porosity.resolution=20; {_VIEW}"),
+    "finer_pores": _small("", f"tile.scattered.resolution=10; {_VIEW}"),
+    "flow": _small("", "homogenize.permeability.resolution=16"),
+    "foam_ball": _small("", _VIEW, plugins=True),
+    "folded": _small("", "tileset.wang_3color.resolution=12; check.residual_periodicity.resolution=8"),
+    "graded_stem": _small("", _VIEW),
+    "knot": _small("", f"tile.scattered.resolution=16; {_VIEW}"),
+    "lattice_puck": _small("", f"tune.porosity.resolution=24; tune.porosity.tolerance=0.01; {_VIEW}", plugins=True),
+    "layers": _small("", "tile.scattered.resolution=16; slice.field.pixel=0.2 mm"),
+    "modulus": _small("", "tune.porosity.resolution=24; homogenize.voxel.resolution=16"),
+    "plate_with_holes": _small("", "tile.scattered.resolution=16; porous.resolution=8"),
+    "single_file_plugin": _small(
+        "", "check.connectivity.resolution=12; extract.marching_cubes.resolution=12", plugins=True
+    ),
+    "skin": _small("", f"tile.scattered.resolution=16; {_VIEW}"),
+    "spinodoid": _small("", f"tune.porosity.resolution=24; tune.porosity.tolerance=0.01; {_VIEW}", plugins=True),
+    "stiffness_over_porosity": _small(
+        "",
+        "tune.porosity.resolution=24; elastic.resolution=12",
+        "{pores: [20, 50], porosity: [0.5, 0.7], seed: [1]}",
+    ),
+    "tetrahedra": _small("", "tune.porosity.resolution=24; mesh.isosurface_stuffing.resolution=12"),
+    "trapped_resin": _small("", "tile.scattered.resolution=16; slice.field.pixel=0.3 mm"),
+    "tube": _small("", f"tile.fresh.resolution=12; {_VIEW}"),
+    "two_sets": _small("", f"coarse.resolution=16; fine.resolution=16; tile.joined.resolution=12; {_VIEW}"),
+    "walls_cell": _small("", f"tune.porosity.resolution=24; homogenize.voxel.resolution=16; {_VIEW}"),
+    "wang_tiles": _small("", f"tileset.wang_3color.resolution=16; tileset.wang_3color.tolerance=0.02; {_VIEW}"),
+}
+"""Those in ``examples/`` by name."""
+
+SMALL = {**CONFIGS, **EXAMPLES}
+
+
+def small(name: str, folder: Path) -> tuple[Path, Small]:
+    """The file of a configuration with its shorter sweep, and with what it is run, ready to be run in `folder`."""
+    wanted = SMALL[name]
+    path = ROOT / ("configs" if name in CONFIGS else "examples") / f"{name}.yaml"
+    if wanted.sweep:
+        head, _, rest = path.read_text(encoding="utf-8").partition("\nsweep:")
+        _, after, last = rest.partition("\nafter:")
+        path = folder / f"{name}.yaml"
+        path.write_text(f"{head}\nsweep: {wanted.sweep}{after}{last}", encoding="utf-8")
+    if name == "bunny":
+        from sppm_pipeline.method.part import primitive_meshes
+        from sppm_pipeline.services.formats import ply
+
+        vertices, faces = primitive_meshes.torus_mesh((3.0, 4.0, 5.0), 2.0, 1.0, 24, 12)
+        (folder / "body.ply").write_bytes(b"".join(ply.encode(vertices, faces)))
+    return path, wanted._replace(params=tuple(word.replace("{folder}", str(folder)) for word in wanted.params))
+
+
+def command(name: str, folder: Path) -> list[str]:
+    """The words after ``sppm`` that run a configuration at a low resolution; the results are in ``folder/run``."""
+    path, wanted = small(name, folder)
+    words = ["run", str(path), "-o", str(folder / "run"), "-q", "--no-cache"]
+    for flag, values in (("-p", wanted.params), ("-s", wanted.options)):
+        words += [word for value in values for word in (flag, value)]
+    return words
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """Digests of the outputs of a run, by path; numbers of four digits and more are asterisks.
+
+    Raises
+    ------
+    ValueError
+        If a file is of a kind that is not known.
+    """
+    found: dict[str, Any] = {}
+    charts = set()
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_dir() or name == "sweep.csv" or path.name == "SHA256SUMS":
+            continue
+        decode = DECODERS.get(path.suffix)
+        if decode is None:
+            raise ValueError(f"{name}: no decoder for {path.suffix or 'files without extension'}")
+        key = re.sub(r"\d{4,}", "*", name)
+        digest = found.setdefault(key, hashlib.sha256())
+        digest.update(name.encode())
+        for piece in decode(path):
+            if piece == CHART:
+                charts.add(key)
+            digest.update(piece)
+    return {key: digest.hexdigest()[:16] + _drawn_with(key in charts) for key, digest in found.items()}
+
+
+def changes(name: str, folder: Path) -> list[str]:
+    """What differs between the results of a configuration in `folder` and the list, a line for each output."""
+    listed, found = json.loads(LIST.read_text(encoding="utf-8")).get(name, {}), digests(folder)
+    lines = [f"{name}: {output} is new" for output in found.keys() - listed.keys()]
+    lines += [f"{name}: {output} is missing" for output in listed.keys() - found.keys()]
+    for output in found.keys() & listed.keys():
+        (old, *drawn), (new, *drawing) = listed[output].split(" ", 1), found[output].split(" ", 1)
+        if old != new and drawn == drawing:
+            lines.append(f"{name}: {output} has changed")
+    return sorted(lines)
+
+
+def check(name: str, folder: Path) -> None:
+    """Raise an `AssertionError` that says which outputs of a configuration have changed, and what to do."""
+    found = changes(name, folder)
+    hint = f"if that is wanted: python -m benchmarks.digests --write {name}"
+    assert not found, "\n".join([*found, hint])
+
+
+CHART = b"chart"
+"""Marks the pixels of a chart."""
+
+_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?")
+
+
+def _drawn_with(chart: bool) -> str:
+    from importlib.metadata import version
+
+    return f" matplotlib {version('matplotlib')}" if chart else ""
+
+
+def rounded(values: Iterable[float]) -> list[float]:
+    """Rounded to 6 significant digits of the largest, but not finer than 1e-12."""
+    numbers = list(values)
+    finite = [abs(value) for value in numbers if math.isfinite(value)]
+    if not any(finite):
+        return [value + 0.0 for value in numbers]
+    digits = min(5 - math.floor(math.log10(max(finite))), 12)
+    return [round(value, digits) + 0.0 for value in numbers]  # no -0.0
+
+
+def steady(value: Any) -> Any:
+    """A JSON document whose numbers are rounded: those of a list, and of keys that differ in numbers, together."""
+    if isinstance(value, dict):
+        groups: dict[str, dict[str, float]] = {}
+        made = {}
+        for key, entry in value.items():
+            if isinstance(entry, float):
+                groups.setdefault(re.sub(r"\.\d+", "", key), {})[key] = entry
+            else:
+                made[key] = steady(entry)
+        for group in groups.values():
+            made |= dict(zip(group, rounded(group.values()), strict=True))
+        return made
+    if isinstance(value, list):
+        leaves = list(_leaves(value))
+        if leaves and all(isinstance(leaf, (int, float)) for leaf in leaves) and any(map(_is_float, leaves)):
+            numbers = iter(rounded(map(float, leaves)))
+            return _filled(value, numbers)
+        return [steady(entry) for entry in value]
+    return rounded([value])[0] if isinstance(value, float) else value
+
+
+def _is_float(value: Any) -> bool:
+    return isinstance(value, float)
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    if isinstance(value, list):
+        for entry in value:
+            yield from _leaves(entry)
+    else:
+        yield value
+
+
+def _filled(value: Any, numbers: Iterator[float]) -> Any:
+    return [_filled(entry, numbers) for entry in value] if isinstance(value, list) else next(numbers)
+
+
+def _canonical(value: Any) -> bytes:
+    return json.dumps(steady(value), sort_keys=True).encode()
+
+
+def _json(path: Path) -> Iterator[bytes]:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    yield _canonical(_of_record(content) if path.name == "run.json" else content)
+
+
+def _of_record(record: Mapping[str, Any]) -> dict[str, Any]:
+    """What counts of a run record."""
+
+    def of_stage(stage: Mapping[str, Any]) -> dict[str, Any]:
+        kept = {key: stage[key] for key in ("id", "stage", "runs", "summary") if key in stage}
+        return kept | {"inner": [of_stage(inner) for inner in stage.get("inner", ())]}
+
+    rows = [{key: row[key] for key in ("run", "params", "status")} for row in record.get("runs", ())]
+    stages = [of_stage(stage) for stage in record.get("stages", ())]
+    return {"status": record["status"], "runs": rows, "stages": stages}
+
+
+def _csv(path: Path) -> Iterator[bytes]:
+    """Column by column."""
+    rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
+    yield f"{len(rows)}".encode()
+    for column in zip(*rows, strict=True):
+        words: list[Any] = list(column)
+        places = [n for n, word in enumerate(words) if _NUMBER.fullmatch(word)]
+        for n, number in zip(places, rounded(float(words[n]) for n in places), strict=True):
+            words[n] = number
+        yield json.dumps(words).encode()
+
+
+def _text(path: Path) -> Iterator[bytes]:
+    text = path.read_text(encoding="utf-8")
+    yield _NUMBER.sub(lambda match: repr(rounded([float(match[0])])[0]), text).encode()
+
+
+def _png(path: Path) -> Iterator[bytes]:
+    """Frame by frame; matplotlib's charts are the only pictures in four channels that have a physical size."""
+    from PIL import Image, ImageSequence
+
+    with Image.open(path) as image:
+        if image.mode == "RGBA" and "dpi" in image.info:
+            yield CHART
+        yield f"{image.mode} {image.info.get('duration')}".encode()
+        for frame in ImageSequence.Iterator(image):
+            yield f"{frame.size}".encode()
+            yield frame.tobytes()
+
+
+def _arrays(*arrays: NDArray[Any]) -> Iterator[bytes]:
+    """Integers as they are; others rounded to 1e-6 of the largest."""
+    for array in arrays:
+        yield f"{array.shape}".encode()
+        if array.dtype.kind == "f":
+            largest = float(np.abs(array).max(initial=0.0)) or 1.0
+            array = np.rint(array.astype(float) * (1e6 / largest))
+            yield f"{rounded([largest])[0]}".encode()
+        yield array.astype("<i8").tobytes()
+
+
+def _mesh(path: Path) -> Iterator[bytes]:
+    from sppm_pipeline.features.files.formats.detect import decode_mesh
+
+    return _arrays(*decode_mesh(path.read_bytes(), path.name))
+
+
+def _vtk(path: Path) -> Iterator[bytes]:
+    """Arrays of a VTK file of XML, raw and uncompressed behind it: 8 bytes for the size in front of each."""
+    head, _, data = path.read_bytes().partition(b'<AppendedData encoding="raw">')
+    data = data[data.index(b"_") + 1 :]
+    yield _NUMBER.sub(lambda match: repr(rounded([float(match[0])])[0]), head.decode()).encode()
+    for kind, place in re.findall(r'<DataArray type="(\w+)".*? offset="(\d+)"', head.decode()):
+        start = int(place) + 8
+        size = int.from_bytes(data[int(place) : start], "little")
+        yield from _arrays(np.frombuffer(data[start : start + size], np.dtype(kind.lower()).newbyteorder("<")))
+
+
+def _bytes(path: Path) -> Iterator[bytes]:
+    yield path.read_bytes()
+
+
+DECODERS: Mapping[str, Callable[[Path], Iterator[bytes]]] = {
+    ".json": _json, ".csv": _csv, ".md": _text, ".graphml": _text, ".inp": _text, ".png": _png, ".stl": _mesh,
+    ".ply": _mesh, ".vti": _vtk, ".vtu": _vtk, ".goo": _bytes,
+}  # fmt: skip
+"""What a file says, by its extension."""
+
+
+def main() -> int:
+    """Run, compare, print; see the docstring of this module."""
+    parser = argparse.ArgumentParser(description="Compare the results of configurations and examples with the list.")
+    parser.add_argument("--write", action="store_true", help="write the list anew")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="of these; else of all")
+    arguments = parser.parse_args()
+    if unknown := set(arguments.names) - set(SMALL):
+        parser.error(f"there is no configuration {sorted(unknown)[0]!r}")
+    os.environ["SPPM_COMPILE_AHEAD"] = "off"
+    from sppm_pipeline.engine.cli.main import main as sppm
+
+    found, lines = {}, []
+    for name in arguments.names or sorted(SMALL):
+        with tempfile.TemporaryDirectory() as scratch:
+            said = io.StringIO()
+            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+                code = sppm(command(name, Path(scratch)))
+            if code:
+                print(said.getvalue(), file=sys.stderr)
+                return 2
+            if arguments.write:
+                found[name] = digests(Path(scratch, "run"))
+            else:
+                lines += changes(name, Path(scratch, "run"))
+    if arguments.write:
+        old = json.loads(LIST.read_text(encoding="utf-8")) if arguments.names else {}
+        LIST.write_text(json.dumps(old | found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        print(f"written: {LIST}")
+    else:
+        print("\n".join(lines) or f"{len(arguments.names or SMALL)} configurations, nothing differs")
+    return 1 if lines else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
