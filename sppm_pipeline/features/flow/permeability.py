@@ -65,7 +65,7 @@ class PermeabilityReport(Report):
     @reports("k_m2.#3.#3", optional=True)
     def m2(self) -> NDArray[np.float64] | None:
         """The tensor in square meters; None if the cell has no physical size."""
-        return None if self.edge_mm is None else self.k * (1e-3 * self.edge_mm) ** 2
+        return None if self.edge_mm is None else np.asarray(self.k * (1e-3 * self.edge_mm) ** 2)
 
     @property
     @reports("#3.#3", optional=True)
@@ -109,8 +109,8 @@ class PermeabilityReport(Report):
     @reports()
     def kozeny(self) -> float | None:
         """The constant c of Kozeny and Carman, ``k = porosity^3 / (c surface^2)`` with the mean k along x, y, z."""
-        mean = self.k_mean
-        return self.porosity**3 / (mean * self.surface**2) if self.surface and mean > 0 else None
+        mean, surface = self.k_mean, self.surface
+        return self.porosity**3 / (mean * surface**2) if surface and mean > 0 else None
 
     slices: tuple[NDArray[np.float32], ...]
     grid: tuple[int, int, int] = field(metadata=number("#3"))

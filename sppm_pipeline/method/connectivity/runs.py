@@ -8,7 +8,7 @@ end.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,7 +156,7 @@ def _find_runs(
 
 
 @jit
-def find_root(parent: NDArray[np.int32], i: int) -> int:
+def find_root(parent: NDArray[np.signedinteger[Any]], i: int) -> int:
     """Root of `i` in a union-find forest whose parents never have a larger index; halves the path on its way."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -165,7 +165,7 @@ def find_root(parent: NDArray[np.int32], i: int) -> int:
 
 
 @jit
-def unite(parent: NDArray[np.int32], i: int, j: int) -> None:
+def unite(parent: NDArray[np.signedinteger[Any]], i: int, j: int) -> None:
     """Unite the components of two members of such a forest; the smaller root stays."""
     root_i = find_root(parent, i)
     root_j = find_root(parent, j)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.method.connectivity.runs import find_root, unite
 from sppm_pipeline.services.jit.compiled import jit
 
 BOUNDARY = -1
@@ -122,24 +123,6 @@ def _opposite(keys: NDArray[np.int64], order: NDArray[np.int64], faces: NDArray[
 
 
 @jit
-def _root(parent: NDArray[np.int64], a: int) -> int:
-    while parent[a] != a:
-        parent[a] = parent[parent[a]]
-        a = parent[a]
-    return a
-
-
-@jit
-def _join(parent: NDArray[np.int64], a: int, b: int) -> None:
-    """The smaller root wins, so that the numbering does not depend on how it went."""
-    a, b = _root(parent, a), _root(parent, b)
-    if a < b:
-        parent[b] = a
-    else:
-        parent[a] = b
-
-
-@jit
 def _number(parent: NDArray[np.int64]) -> int:
     """Replace each parent by the number of its set; a root is the smallest member, so it is met first."""
     count = 0
@@ -161,13 +144,13 @@ def _fans(faces: NDArray[np.int64], opposite: NDArray[np.int64], n: int) -> tupl
             continue
         h_next, g_next = h - h % 3 + (h + 1) % 3, g - g % 3 + (g + 1) % 3
         if faces[h // 3, h % 3] == faces[g // 3, g % 3]:
-            _join(parent, h, g)
-            _join(parent, h_next, g_next)
+            unite(parent, h, g)
+            unite(parent, h_next, g_next)
         else:
-            _join(parent, h, g_next)
-            _join(parent, h_next, g)
+            unite(parent, h, g_next)
+            unite(parent, h_next, g)
     for i in range(parent.size):
-        parent[i] = _root(parent, i)
+        parent[i] = find_root(parent, i)
     count = _number(parent)
     first = np.full(n, -1, np.int64)
     split = np.zeros(n, np.bool_)
@@ -185,9 +168,9 @@ def _surfaces(opposite: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
     parent = np.arange(opposite.size // 3)
     for h in range(opposite.size):
         if opposite[h] > h:
-            _join(parent, h // 3, opposite[h] // 3)
+            unite(parent, h // 3, opposite[h] // 3)
     for i in range(parent.size):
-        parent[i] = _root(parent, i)
+        parent[i] = find_root(parent, i)
     return parent, _number(parent)
 
 
@@ -203,8 +186,8 @@ def _boundary_loops(
         for corner in (h, h - h % 3 + (h + 1) % 3):
             fan = fans[corner]
             if last[fan] >= 0:
-                _join(parent, i, last[fan])
+                unite(parent, i, last[fan])
             last[fan] = i
     for i in range(parent.size):
-        parent[i] = _root(parent, i)
+        parent[i] = find_root(parent, i)
     return parent, _number(parent)

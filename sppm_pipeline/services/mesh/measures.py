@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.method.connectivity.runs import find_root, unite
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.paging import blocks
 
@@ -332,27 +333,13 @@ def _components(faces: NDArray[np.int32], n: int) -> tuple[int, NDArray[np.int32
     """Union-find over the vertices; the smaller root wins, so that the labels do not depend on how it went."""
     parent = np.arange(n)
     for i in range(faces.shape[0]):
-        a = faces[i, 0]
         for c in range(1, 3):
-            b = faces[i, c]
-            while parent[a] != a:
-                parent[a] = parent[parent[a]]
-                a = parent[a]
-            while parent[b] != b:
-                parent[b] = parent[parent[b]]
-                b = parent[b]
-            if a < b:
-                parent[b] = a
-            else:
-                parent[a] = b
-                a = b
+            unite(parent, faces[i, 0], faces[i, c])
     names = np.full(n, -1, np.int32)
     labels = np.empty(faces.shape[0], np.int32)
     count = 0
     for i in range(faces.shape[0]):
-        a = faces[i, 0]
-        while parent[a] != a:
-            a = parent[a]
+        a = find_root(parent, faces[i, 0])
         if names[a] < 0:
             names[a] = count
             count += 1

@@ -28,7 +28,7 @@ def _chunk_dot(a: NDArray[Any], b: NDArray[Any], start: Any, stop: Any) -> float
 
 @jit
 def dot(a: NDArray[Any], b: NDArray[Any]) -> float:
-    """Scalar product of two flat vectors."""
+    """Scalar product of two flat vectors; with one that `pack` has rounded it is in steps of that."""
     total = 0.0
     for start in range(0, len(a), _CHUNK):
         total += _chunk_dot(a, b, np.uint64(start), np.uint64(min(start + _CHUNK, len(a))))
@@ -117,20 +117,3 @@ def pack(a: NDArray[Any], out: NDArray[np.int16]) -> float:
         return 0.0
     _pack(a, a.dtype.type(_STEPS / largest), out, np.uint64(len(a)))
     return np.float64(largest) / _STEPS
-
-
-@inline_jit
-def _packed_chunk(a: NDArray[np.int16], b: NDArray[Any], start: Any, stop: Any) -> float:
-    total = 0.0
-    for i in range(start, stop):
-        total += np.float64(a[i]) * np.float64(b[i])
-    return total
-
-
-@jit
-def packed_dot(a: NDArray[np.int16], b: NDArray[Any]) -> float:
-    """Scalar product of a packed and another flat vector, in steps of the first."""
-    total = 0.0
-    for start in range(0, len(a), _CHUNK):
-        total += _packed_chunk(a, b, np.uint64(start), np.uint64(min(start + _CHUNK, len(a))))
-    return total

@@ -5,11 +5,11 @@ import pytest
 
 from sppm_pipeline.features.stiffness.numerics.elastic_level import ElasticLevel, Moduli, safe_eigenvalue
 from sppm_pipeline.features.stiffness.numerics.elastic_operator import SCRATCH_ROWS
-from sppm_pipeline.features.stiffness.numerics.mutual_energy import MutualEnergies
+from sppm_pipeline.features.stiffness.numerics.elasticity import MutualEnergies
 from sppm_pipeline.services.multigrid.hierarchy import Hierarchy, Workspace
 from sppm_pipeline.services.multigrid.rows import APPLY, BLOCK, RESIDUAL, SMOOTH
 from sppm_pipeline.services.multigrid.transfer import NodalTransfer
-from sppm_pipeline.services.multigrid.vectors import pack, packed_dot
+from sppm_pipeline.services.multigrid.vectors import dot, pack
 
 SHAPES = [(4, 3, 5), (2, 2, 2), (1, 1, 1), (3, 1, 2), (1, 4, 1), (2, 3, 9), (1, 2, BLOCK), (2, 1, BLOCK + 1)]
 
@@ -127,7 +127,7 @@ def test_packed_vectors_are_within_half_a_step():
     step = pack(a, packed)
     assert step == pytest.approx(np.abs(a).max() / 32767)
     assert np.abs(step * packed - a).max() <= 0.51 * step
-    assert step * packed_dot(packed, b) == pytest.approx(step * (packed.astype(float) @ b.astype(float)), rel=1e-12)
+    assert step * dot(packed, b) == pytest.approx(step * (packed.astype(float) @ b.astype(float)), rel=1e-12)
     assert pack(np.zeros(10_000, np.float32), packed) == 0
     assert not packed.any()
 

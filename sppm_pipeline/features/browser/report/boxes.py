@@ -63,9 +63,9 @@ def boxes(
         gaps = ", ".join(f"{100 * gap:+.2f} to {name}".replace("-0.00", "+0.00") for name, gap in others)
         note = f"{gaps} ({stage})" if gaps else stage
         made.append(Box(f"porosity: {what}", f"{100 * value:.2f} %", note, far and what != "wanted"))
-    for stage in stages:
-        if (kind := kinds.get(str(stage["id"]))) is not None:
-            made += kind.report_boxes(stage.get("summary", {}), str(stage["id"]))
+    for maker in stages:
+        if (kind := kinds.get(str(maker.get("id")))) is not None:
+            made += kind.report_boxes(maker.get("summary", {}), str(maker["id"]))
     numbers = {
         "solid volume": ("solid_volume_mm3", "mm³"), "layers": ("layers", ""), "pixel": ("pixel_mm", "mm"),
         "layer": ("layer_mm", "mm"), "islands removed": ("removed_share", "%"),

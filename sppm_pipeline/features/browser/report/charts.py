@@ -136,9 +136,9 @@ def polar_chart(curves: Sequence[Curve], label: str) -> str:
     parts.append(
         f'<path class="grid" d="M{middle - radius} {middle}h{2 * radius}M{middle} {middle - radius}v{2 * radius}"/>'
     )
-    for number, (turn, distance) in enumerate(data):
-        r = radius * distance / largest
-        parts.append(f'<path class="s{number % 4}" d="{_path(middle + r * np.cos(turn), middle - r * np.sin(turn))}"/>')
+    for number, (turn, distances) in enumerate(data):
+        x, y = (radius * distances / largest * turned(turn) for turned in (np.cos, np.sin))
+        parts.append(f'<path class="s{number % 4}" d="{_path(middle + x, middle - y)}"/>')
     parts += _legend([curve.label for curve in curves], 8, 12)
     parts.append(f'<text x="{middle}" y="{size - 8}" text-anchor="middle">{html.escape(label)}</text>')
     return (

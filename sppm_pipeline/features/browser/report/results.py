@@ -56,7 +56,8 @@ def sections_of(record: Mapping[str, Any], plugins: Plugins) -> list[ReportSecti
         plugin = owners[implementation.plugin_name]
         try:
             with nullcontext() if plugin.builtin else contained(PluginError):
-                own = list(implementation.function(*((record,) * len(implementation.argnames))))
+                arguments = (record,) * len(implementation.argnames)
+                own: list[ReportSection] = [*implementation.function(*arguments)]  # type: ignore[misc]
                 if not all(isinstance(section, ReportSection) for section in own):
                     raise TypeError("it must return instances of ReportSection")
         except Exception as error:

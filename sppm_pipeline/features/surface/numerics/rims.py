@@ -84,17 +84,6 @@ class _Polygon(NamedTuple):
     halves: NDArray[np.uint8]
 
 
-class _Out(NamedTuple):
-    """Where triangles, what they lie on, rim points, their keys, and lost volumes with their vertices are written."""
-
-    faces: NDArray[np.int32]
-    on: NDArray[np.uint8]
-    points: NDArray[np.float64]
-    keys: NDArray[np.int64]
-    losers: NDArray[np.int32]
-    lost: NDArray[np.float64]
-
-
 def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Samples) -> Split:
     """Cut triangles where they pass from one surface to another.
 
@@ -113,7 +102,7 @@ def split_rims(faces: NDArray[np.int32], first: int, placed: Placed, samples: Sa
     mixed = np.zeros(len(faces), np.bool_)
     n_mixed = _mixed(faces, first, placed.on, placed.triangle, crossings.normals, mixed)
     room = len(faces) + 12 * n_mixed
-    out = _Out(
+    out = Split(
         np.empty((room, 3), np.int32),
         np.empty(room, np.uint8),
         np.empty((6 * n_mixed, 3)),
@@ -198,7 +187,7 @@ def _cube(
 
 @jit
 def _copied(
-    faces: NDArray[np.int32], start: int, stop: int, first: int, on: NDArray[np.uint8], out: _Out, m: int
+    faces: NDArray[np.int32], start: int, stop: int, first: int, on: NDArray[np.uint8], out: Split, m: int
 ) -> int:
     """Write triangles as they are from place m on; those with a corner on the domain belong to it."""
     for t in range(start, stop):
@@ -320,7 +309,7 @@ def _split(
     placed: Placed,
     surfaces: Surfaces,
     polygon: _Polygon,
-    out: _Out,
+    out: Split,
 ) -> tuple[int, int, int]:
     """Write the triangles, rim points and losses, and return their numbers."""
     edge, on = placed.edge, placed.on
