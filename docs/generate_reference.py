@@ -167,7 +167,8 @@ def data_page(cls: type, types: Mapping[str, type], registry: Registry) -> str:
         # a stage that passes on what it was given makes nothing
         made = linked(registry, lambda found: not found.as_port and any(issubclass(one, cls) for one in found.makes))
         lines += [f"Made by: {made}.", ""]
-        taken = linked(registry, lambda found: any({cls, *bases} & set(port.types) for port in found.ports))
+        own = set(cls.__mro__) - {Artifact, object}  # bases that have no page of their own among them
+        taken = linked(registry, lambda found: any(own & set(port.types) for port in found.ports))
         lines += [f"Taken by: {taken}.", ""]
         lines += ["Every artifact has `summary()`, `digest()` and `check()`; arrays are read-only.", ""]
     return "\n".join(lines).rstrip() + "\n\n[All data types](../README.md#data)\n"

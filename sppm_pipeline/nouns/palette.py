@@ -1,13 +1,30 @@
-"""The number of interiors and face colors that a recipe draws together."""
+"""The number of interiors and face colors that a recipe draws together, and what scattered pores may follow."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.grading.curved_cells import HexahedralCells
+from sppm_pipeline.nouns.artifact import Artifact
+
+
+class Maps(Artifact):
+    """Base of artifacts by which scattered pores vary from place to place.
+
+    `tile.scattered` takes them and knows no more of them, so that it needs nothing of whoever supplies them.
+
+    Attributes
+    ----------
+    scattered_by : str
+        ``module:function`` that scatters pores as the maps say, imported when it is needed: a function of the context,
+        the maps and a `families.tiler.Scattering`. It returns the tiling, or None if no map changes what is
+        scattered.
+    """
+
+    scattered_by: ClassVar[str]
 
 
 class KeptPores:
@@ -89,32 +106,6 @@ class StretchedBlocks(Blocks):
     """
 
     metric: NDArray[np.float64] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class HexahedralBlocks(Blocks):
-    """Blocks over a mesh of hexahedra, into whose cells pores are thrown by quota.
-
-    `kept` are centers and blocks of pores as in `Blocks`; `added` are pores by cell of the mesh.
-
-    Attributes
-    ----------
-    curved : HexahedralCells
-    edge : float
-        Of a block, mm.
-    origin : tuple of 3 floats
-        Low corner of the first block, mm.
-    quotas : (cells,) float64 or None
-        Pores of each cell of the mesh, which need not be whole; None for what the recipe's samplers state.
-    fixed : float or None
-        Edge of the cell, mm, in which lengths of the recipe hold everywhere; None if they follow the mesh.
-    """
-
-    curved: HexahedralCells = field(kw_only=True)
-    edge: float = field(kw_only=True)
-    origin: tuple[float, float, float] = field(kw_only=True)
-    quotas: NDArray[np.float64] | None = None
-    fixed: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

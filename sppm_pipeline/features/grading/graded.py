@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.grading import Grading
+from sppm_pipeline.features.grading.local_porosity import error_summary
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve, porosity_curve
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families.interiors import FEWEST
+from sppm_pipeline.method.families.tiler import ROOM, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.fields.tiling import Tiling
+from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.nouns.artifact import frozen
-from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.palette import Blocks, KeptPores, Palette
 from sppm_pipeline.stage import Context, Recipe
+
+Wanted = TypeVar("Wanted")
+Made = TypeVar("Made")
+Cells = TypeVar("Cells", bound=Blocks)
 
 STEP = 1.35
 """Factor between the numbers of pores of a curve: a choice, five of them from a porosity of .2 to one of .5."""
@@ -188,6 +196,99 @@ def of_periodic_cells(context: Context, recipe: Recipe, resolution: int) -> Call
     def porosity(n: int, attempt: int) -> float:
         cell = trial(context, recipe, n, attempt)
         return float((cell.sample(resolution, context.threads) >= 0).mean())
+
+    return porosity
+
+
+def in_rounds(
+    first: Wanted,
+    draw: Callable[[Wanted], Made],
+    errors: Callable[[int, Made], NDArray[np.float64]],
+    again: Callable[[int, Made, NDArray[np.float64]], Wanted | None],
+) -> tuple[Made, dict[str, object]]:
+    """Draw cells, measure them, and draw them again with more or fewer pores, in rounds.
+
+    Parameters
+    ----------
+    first : object
+        What is to be drawn: numbers of pores, blocks.
+    draw : callable
+    errors : callable of the number of the round and what was drawn in it
+        Porosity less its target of each cell; NaN of those that are not measured.
+    again : callable of the number of the round, what was drawn in it, and errors
+        What is to be drawn next; None to let it be.
+
+    Returns
+    -------
+    made : object
+        What was drawn last.
+    report : dict
+        Summary of the last errors, and the rms of all rounds; empty if no cell was measured.
+    """
+    rms: list[float] = []
+    report: dict[str, object] = {}
+    number, made = 0, draw(first)
+    while True:
+        found = errors(number, made)
+        if (known := np.isfinite(found)).any():
+            summary = error_summary(found[known])
+            rms.append(summary["error_rms"])
+            report = {**summary, "error_rms_of_rounds": rms}
+        wanted = again(number, made, found)
+        if wanted is None:
+            return made, report
+        del made  # there may be millions of pores, which are not held twice
+        number, made = number + 1, draw(wanted)
+
+
+def corrected(
+    context: Context,
+    number: int,
+    blocks: Cells,
+    pores: PoreSet,
+    cell: NDArray[np.integer],
+    excess: NDArray[np.float64],
+) -> Cells:
+    """Scattered blocks whose pores are kept, but for some at random in cells of too many, and added to in others.
+
+    Parameters
+    ----------
+    context : Context
+    number : int
+        Of the round.
+    blocks : Blocks
+        As they were drawn first.
+    pores : PoreSet
+        What is in them.
+    cell : (n,) int
+        The cell of each pore, -1 for none: a block, or whatever has a quota.
+    excess : (m,) float64
+        How many pores each cell has too many; NaN where that is not known. No cell falls below `FEWEST`.
+    """
+    change = -np.rint(np.nan_to_num(excess)).astype(np.int64)
+    order = np.argsort(cell, kind="stable")
+    first = np.searchsorted(cell[order], np.arange(len(change) + 1))
+    keep = np.ones(len(cell), bool)
+    for own in np.flatnonzero(change < 0).tolist():
+        begin, end = int(first[own]), int(first[own + 1])
+        fewer = min(-int(change[own]), max(0, end - begin - FEWEST))
+        keep[order[begin + context.rng(number, own).permutation(end - begin)[:fewer]]] = False
+    kept = KeptPores(pores.centers[keep], pores.piece[keep])
+    return replace(blocks, kept=kept, added=np.maximum(change, 0))
+
+
+def scattered(context: Context, recipe: Recipe, total: int | None, attempt: int, blocks: Blocks) -> Microstructure:
+    """A `trial` in blocks without faces."""
+    return trial(context, recipe, total, attempt, Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks))
+
+
+def of_scattered_boxes(context: Context, recipe: Recipe, resolution: int) -> Callable[[int, int], float]:
+    """For `curve_of`: the porosity of a box of scattered blocks that repeats."""
+    blocks = Blocks(np.ones((ROOM,) * 3, bool), True)
+
+    def porosity(n: int, attempt: int) -> float:
+        tiling = without_faces(scattered(context, recipe, n, attempt, blocks), blocks, 0, None, (0.0, 0.0, 0.0))
+        return float((tiling.solid(resolution, context.threads) == 0).mean())
 
     return porosity
 

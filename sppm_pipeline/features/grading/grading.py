@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.numerics.expression import CONSTANTS, FUNCTIONS, WORDS, Expression, nearest
 from sppm_pipeline.nouns.artifact import Artifact, frozen, in_rows
+from sppm_pipeline.nouns.palette import Maps
 
 Points = NDArray[np.float64]
 
@@ -321,7 +322,7 @@ class Map:
 
 
 @dataclass(frozen=True, eq=False)
-class Grading(Artifact):
+class Grading(Maps):
     """Maps by name, in the order in which they were made; ``grading["porosity"].at(points)``.
 
     Attributes
@@ -333,6 +334,7 @@ class Grading(Artifact):
     """
 
     reported: ClassVar[tuple[str, ...]] = ("maps.*",)
+    scattered_by: ClassVar[str] = "sppm_pipeline.features.grading.graded_cloud:scattered_by_maps"
 
     laws: tuple[Law, ...] = ()
     frame: CellFrame | None = None

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +12,20 @@ from numpy.typing import NDArray
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.features.grading.curved_cells import HexahedralCells
 from sppm_pipeline.features.grading.curved_porosity import CurvedSamples, curved_targets
-from sppm_pipeline.features.grading.graded import curve_of, recipe_total, trial
-from sppm_pipeline.features.grading.graded_cloud import ROOM, without_faces
+from sppm_pipeline.features.grading.graded import (
+    corrected,
+    curve_of,
+    in_rounds,
+    of_scattered_boxes,
+    recipe_total,
+    scattered,
+)
 from sppm_pipeline.features.grading.grading import Grading
-from sppm_pipeline.features.grading.local_porosity import error_summary
-from sppm_pipeline.features.grading.numerics.curve import PorosityCurve
 from sppm_pipeline.features.grading.warped import LaidGraph, WarpedTiling, cloud, laid_graph
-from sppm_pipeline.method.families.interiors import FEWEST
-from sppm_pipeline.method.families.tiler import HALO
+from sppm_pipeline.method.families.scattered import FilledBlocks
+from sppm_pipeline.method.families.tiler import HALO, without_faces
 from sppm_pipeline.method.fields.microstructure import Microstructure
-from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.nouns.pores import PoreSet
-from sppm_pipeline.nouns.palette import Blocks, HexahedralBlocks, KeptPores, Palette
 from sppm_pipeline.stage import Context, Recipe
 
 RIM = 0.75
@@ -87,65 +89,93 @@ class Surroundings:
         return size
 
 
-def with_darts_in_cells(
-    context: Context, base: PoreSet, blocks: HexahedralBlocks, mean: float, spacing: float
-) -> PoreSet:
-    """`scattered.with_darts` where blocks cover a mesh of hexahedra.
+@dataclass(frozen=True, eq=False)
+class HexahedralBlocks(FilledBlocks):
+    """Blocks over a mesh of hexahedra, into whose cells pores are thrown by quota.
 
-    Raises
-    ------
-    DesignError
-        If the pores of a cell do not fit.
+    `kept` are centers and blocks of pores as in `Blocks`; `added` are pores by cell of the mesh.
+
+    Attributes
+    ----------
+    curved : HexahedralCells
+    edge : float
+        Of a block, mm.
+    origin : tuple of 3 floats
+        Low corner of the first block, mm.
+    quotas : (cells,) float64 or None
+        Pores of each cell of the mesh, which need not be whole; None for what the recipe's samplers state.
+    fixed : float or None
+        Edge of the cell, mm, in which lengths of the recipe hold everywhere; None if they follow the mesh.
     """
-    from sppm_pipeline.features.grading.numerics.curved_darts import GrowingCloud
 
-    if len(base.centers):
-        raise ConfigError(
-            "cells of a mesh are filled by one sampler",
-            hint="give `sample.mirrored_faces` a `total` instead of `count`",
-        )
-    curved, around = blocks.curved, Surroundings(blocks.curved, blocks.fixed)
-    by_volume = blocks.fixed is not None
-    usual = mean * curved.volumes / blocks.fixed**3 if blocks.fixed is not None else np.full(curved.count, mean)
-    wanted = usual if blocks.quotas is None else blocks.quotas
-    # a cell with more pores than usual has them closer
-    closer = spacing * np.cbrt(usual / np.maximum(wanted, 1e-9))
-    rng, origin = context.rng(), np.array(blocks.origin)
-    seed = int(rng.integers(0, 2**64, dtype=np.uint64))
-    quotas = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(wanted)]) + 0.5)).astype(np.int64)
-    box = np.array([origin, origin + blocks.edge * np.array(blocks.shape)])
-    in_mm = closer * around.edges
-    longest = float((closer * around.largest_edges).max())
-    if blocks.kept is not None and blocks.added is not None:
-        centers, piece = blocks.kept.handed_over()
-        old = (centers + blocks.sites[piece]) * blocks.edge + origin
-        made = GrowingCloud(len(old) + int(blocks.added.sum()), longest, box)
-        cell = curved.places(old).cell
-        cell = np.where(cell >= 0, cell, around.nearest(old)[1])
-        made.add(old, closer[cell] * around.size_at(old))
-        scale = in_mm if by_volume else closer
-        made.throw(seed, curved.corners, blocks.added, CLOSER * scale, by_volume)
-    else:
-        outside = _around_the_mesh(rng, around, blocks, wanted, in_mm)
-        made = GrowingCloud(int(quotas.sum() + outside.quotas.sum()), longest, box)
-        missing = made.throw(seed, curved.corners, quotas, in_mm if by_volume else closer, by_volume)
-        if missing.any():
-            worst = int(missing.argmax())
-            name = dict(zip(curved.columns, curved.names[worst].tolist(), strict=True))
-            raise DesignError(
-                f"only {quotas[worst] - missing[worst]} of {quotas[worst]} pores fit into cell {name} with the spacing "
-                f"there; {np.count_nonzero(missing)} of {curved.count} cells are too full",
-                hint="ask for a smaller `share` or `spacing` in the recipe",
+    content: ClassVar[str] = "a mesh of hexahedra"
+
+    curved: HexahedralCells = field(kw_only=True)
+    edge: float = field(kw_only=True)
+    origin: tuple[float, float, float] = field(kw_only=True)
+    quotas: NDArray[np.float64] | None = None
+    fixed: float | None = None
+
+    def in_mm(self, centers: NDArray[np.float64], piece: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Places of pores by their centers and blocks, (n, 3) mm."""
+        return np.asarray((centers + self.sites[piece]) * self.edge + np.array(self.origin))
+
+    def with_darts(self, context: Context, base: PoreSet, mean: float, spacing: float) -> PoreSet:
+        """Pores of each cell of the mesh, and around it.
+
+        Raises
+        ------
+        DesignError
+            If the pores of a cell do not fit.
+        """
+        from sppm_pipeline.features.grading.numerics.curved_darts import GrowingCloud
+
+        if len(base.centers):
+            raise ConfigError(
+                "cells of a mesh are filled by one sampler",
+                hint="give `sample.mirrored_faces` a `total` instead of `count`",
             )
-        made.take(outside.points, outside.spacings, outside.group, outside.quotas)
-    place = (made.points - origin) / blocks.edge
-    site = np.clip(np.floor(place).astype(np.int64), 0, np.array(blocks.shape) - 1)
-    flat = np.ravel_multi_index(tuple(site.T), blocks.shape)
-    order = np.argsort(flat, kind="stable")
-    return replace(
-        base, centers=np.clip(place - site, 0.0, 1.0)[order], piece=flat[order].astype(np.int32),
-        spacing=float(in_mm.min()) / blocks.edge, colors=(0, 0, 0), blocks=blocks,
-    )  # fmt: skip
+        curved, around = self.curved, Surroundings(self.curved, self.fixed)
+        by_volume = self.fixed is not None
+        usual = mean * curved.volumes / self.fixed**3 if self.fixed is not None else np.full(curved.count, mean)
+        wanted = usual if self.quotas is None else self.quotas
+        # a cell with more pores than usual has them closer
+        closer = spacing * np.cbrt(usual / np.maximum(wanted, 1e-9))
+        rng, origin = context.rng(), np.array(self.origin)
+        seed = int(rng.integers(0, 2**64, dtype=np.uint64))
+        quotas = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(wanted)]) + 0.5)).astype(np.int64)
+        box = np.array([origin, origin + self.edge * np.array(self.shape)])
+        in_mm = closer * around.edges
+        longest = float((closer * around.largest_edges).max())
+        if self.kept is not None and self.added is not None:
+            old = self.in_mm(*self.kept.handed_over())
+            made = GrowingCloud(len(old) + int(self.added.sum()), longest, box)
+            cell = curved.places(old).cell
+            cell = np.where(cell >= 0, cell, around.nearest(old)[1])
+            made.add(old, closer[cell] * around.size_at(old))
+            scale = in_mm if by_volume else closer
+            made.throw(seed, curved.corners, self.added, CLOSER * scale, by_volume)
+        else:
+            outside = _around_the_mesh(rng, around, self, wanted, in_mm)
+            made = GrowingCloud(int(quotas.sum() + outside.quotas.sum()), longest, box)
+            missing = made.throw(seed, curved.corners, quotas, in_mm if by_volume else closer, by_volume)
+            if missing.any():
+                worst = int(missing.argmax())
+                name = dict(zip(curved.columns, curved.names[worst].tolist(), strict=True))
+                raise DesignError(
+                    f"only {quotas[worst] - missing[worst]} of {quotas[worst]} pores fit into cell {name} with the "
+                    f"spacing there; {np.count_nonzero(missing)} of {curved.count} cells are too full",
+                    hint="ask for a smaller `share` or `spacing` in the recipe",
+                )
+            made.take(outside.points, outside.spacings, outside.group, outside.quotas)
+        place = (made.points - origin) / self.edge
+        site = np.clip(np.floor(place).astype(np.int64), 0, np.array(self.shape) - 1)
+        flat = np.ravel_multi_index(tuple(site.T), self.shape)
+        order = np.argsort(flat, kind="stable")
+        return replace(
+            base, centers=np.clip(place - site, 0.0, 1.0)[order], piece=flat[order].astype(np.int32),
+            spacing=float(in_mm.min()) / self.edge, colors=(0, 0, 0), blocks=self,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -220,76 +250,62 @@ class HexahedralCloud:
     def _around(self) -> Surroundings:
         return Surroundings(self.curved, self.fixed)
 
-    @cached_property
-    def _of_cells(self) -> NDArray[np.float64]:
-        """How many cells of the recipe each cell of the mesh holds, (m,)."""
-        return np.ones(self.curved.count) if self.fixed is None else self.curved.volumes / self.fixed**3
-
     def laid(self, context: Context, rounds: int) -> WarpedTiling:
         """Scatter, measure, and add and take away pores."""
-        targets, curve, quotas = self._targets(), None, None
-        if targets is not None:
-            curve = self._curve(context, targets)
-            quotas = curve.pores(targets) * self._of_cells
-        blocks = self._blocks(quotas)
-        micro = self._drawn(context, blocks)
-        made = self._scaled(micro, blocks)
-        if curve is None or targets is None:
-            return made
-        rms = []
-        for number in range(rounds + 1):
-            errors = CurvedSamples(made, self.curved, self.resolution, context.threads).shares().porosity - targets
-            summary = error_summary(errors)
-            rms.append(summary["error_rms"])
+        blocks, targets = self._blocks(), self._targets()
+
+        def drawn(blocks: HexahedralBlocks) -> tuple[PoreSet, WarpedTiling]:
+            micro = scattered(context, self.recipe, None, 0, blocks)
+            return micro.graph.pores, self._scaled(micro, blocks)
+
+        if targets is None:
+            return drawn(blocks)[1]
+        trials = of_scattered_boxes(context, self.recipe, max(24, self.resolution))
+        curve = curve_of(context, trials, recipe_total(self.recipe), targets, self.trials)
+        usual = curve.pores(targets)
+        # how many cells of the recipe each cell of the mesh holds
+        room = np.ones(self.curved.count) if self.fixed is None else self.curved.volumes / self.fixed**3
+        blocks = replace(blocks, quotas=usual * room)
+
+        def errors(number: int, made: tuple[PoreSet, WarpedTiling]) -> NDArray[np.float64]:
+            return CurvedSamples(made[1], self.curved, self.resolution, context.threads).shares().porosity - targets
+
+        def again(
+            number: int, made: tuple[PoreSet, WarpedTiling], errors: NDArray[np.float64]
+        ) -> HexahedralBlocks | None:
             if number == rounds:
-                break
-            change = -np.rint(errors / curve.slope(curve.pores(targets)) * self._of_cells).astype(np.int64)
-            micro = self._changed(context, number, micro, blocks, change)
-            made = self._scaled(micro, blocks)
-        context.report(**summary, error_rms_of_rounds=rms, cell_deviation=curve.deviation)
-        return made
+                return None
+            pores = made[0]
+            cell = self.curved.places(blocks.in_mm(pores.centers, pores.piece)).cell
+            return corrected(context, number, blocks, pores, cell, errors * room / curve.slope(usual))
+
+        made, report = in_rounds(blocks, drawn, errors, again)
+        context.report(**report, cell_deviation=curve.deviation)
+        return made[1]
 
     def _targets(self) -> NDArray[np.float64] | None:
         if self.grading is not None and "porosity" in self.grading:
             return curved_targets(self.grading, "porosity", self.curved)
         return None if self.porosity is None else np.full(self.curved.count, self.porosity)
 
-    def _curve(self, context: Context, targets: NDArray[np.float64]) -> PorosityCurve:
-        """The curve of boxes of scattered blocks that repeat."""
-        blocks = Blocks(np.ones((ROOM,) * 3, bool), True)
-
-        def porosity(n: int, attempt: int) -> float:
-            micro = trial(context, self.recipe, n, attempt, Palette(ROOM**3, (0, 0, 0), blocks=blocks))
-            tiling = without_faces(micro, blocks, 0, None, (0.0, 0.0, 0.0))
-            return float((tiling.solid(max(24, self.resolution), context.threads) == 0).mean())
-
-        return curve_of(context, porosity, recipe_total(self.recipe), targets, self.trials)
-
-    def _blocks(self, quotas: NDArray[np.float64] | None) -> HexahedralBlocks:
+    def _blocks(self) -> HexahedralBlocks:
         """Blocks of about the size of a cell over the mesh and what is around it."""
         edge = float(self._around.edges.mean())
         margin = RIM * float(self._around.edges.max())
         low, high = self.curved.box + np.array([[-margin], [margin]])
         count = np.maximum(np.ceil((high - low) / edge - 1e-9), 1).astype(int)
         x, y, z = ((low + high - count * edge) / 2).tolist()
-        return HexahedralBlocks(
-            np.ones(tuple(count), bool), False, curved=self.curved, edge=edge, origin=(x, y, z), quotas=quotas,
-            fixed=self.fixed,
-        )  # fmt: skip
-
-    def _drawn(self, context: Context, blocks: HexahedralBlocks) -> Microstructure:
-        palette = Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks)
-        micro = trial(context, self.recipe, None, 0, palette)
-        if not micro.additive:
-            raise ConfigError("walls can't fill a mesh of hexahedra", hint="end the recipe with `field.gaussian`")
-        return micro
+        mask = np.ones(tuple(count), bool)
+        return HexahedralBlocks(mask, False, curved=self.curved, edge=edge, origin=(x, y, z), fixed=self.fixed)
 
     def _scaled(self, micro: Microstructure, blocks: HexahedralBlocks) -> WarpedTiling:
         """The graph with kernels of the sizes of the cells around them, laid in blocks."""
         from sppm_pipeline.method.kernels.profiles import PORE_PROFILE, TUNNEL_PROFILES
 
-        tiling: Tiling = without_faces(micro, blocks, 0, blocks.edge, blocks.origin)
-        graph = laid_graph(tiling, (False, False, False))
+        if not micro.additive:
+            raise ConfigError("walls can't fill a mesh of hexahedra", hint="end the recipe with `field.gaussian`")
+        plain = without_faces(micro, blocks, 0, blocks.edge, blocks.origin)
+        graph = laid_graph(plain, (False, False, False))
         points = graph.points * blocks.edge + np.array(blocks.origin)
         middles = points[graph.edges].mean(axis=1)
         at_pores, at_tunnels = self._around.size_at(points), self._around.size_at(middles)
@@ -305,20 +321,3 @@ class HexahedralCloud:
         made = cloud(scaled, edge, self.curved.box, profile, micro.level, curved=self.curved)
         assert isinstance(made, WarpedTiling)
         return made
-
-    def _changed(
-        self, context: Context, number: int, micro: Microstructure, blocks: HexahedralBlocks, change: NDArray[np.int64]
-    ) -> Microstructure:
-        """Take away pores where there are too many, at random, and add some where there are too few."""
-        pores = micro.graph.pores
-        points = (pores.centers + blocks.sites[pores.piece]) * blocks.edge + np.array(blocks.origin)
-        cell = self.curved.places(points).cell
-        order = np.argsort(cell, kind="stable")
-        first = np.searchsorted(cell[order], np.arange(self.curved.count + 1))
-        keep = np.ones(len(cell), bool)
-        for own in np.flatnonzero(change < 0).tolist():
-            begin, end = int(first[own]), int(first[own + 1])
-            fewer = min(-int(change[own]), max(0, end - begin - FEWEST))
-            keep[order[begin + context.rng(number, own).permutation(end - begin)[:fewer]]] = False
-        kept = KeptPores(pores.centers[keep], pores.piece[keep])
-        return self._drawn(context, replace(blocks, kept=kept, added=np.maximum(change, 0)))

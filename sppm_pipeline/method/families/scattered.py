@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,29 @@ from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families.cloud import Cloud
 from sppm_pipeline.method.nouns.pores import PoreSet
 from sppm_pipeline.method.nouns.tunnels import TunnelGraph
-from sppm_pipeline.nouns.palette import Blocks, HexahedralBlocks
+from sppm_pipeline.nouns.palette import Blocks
 from sppm_pipeline.stage import Context
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.families.connector import Connector
     from sppm_pipeline.method.families.sampler import Sampler
+
+
+@dataclass(frozen=True, eq=False)
+class FilledBlocks(Blocks, ABC):
+    """Blocks over cells of another shape, which say themselves where darts fall: implement `with_darts`.
+
+    Attributes
+    ----------
+    content : str
+        What they cover, for messages.
+    """
+
+    content: ClassVar[str]
+
+    @abstractmethod
+    def with_darts(self, context: Context, base: PoreSet, mean: float, spacing: float) -> PoreSet:
+        """Throw darts, `mean` pores and `spacing` in a cell of the recipe; see the function `with_darts`."""
 
 
 def with_darts(
@@ -32,6 +50,7 @@ def with_darts(
     base : PoreSet
         Pores thrown before.
     blocks : Blocks
+        With a density, pores are so many times as many; with pores that are kept, the missing ones are added to these.
     mean : float
         Pores of a block; fractions are carried from block to block.
     spacing : float
@@ -39,44 +58,22 @@ def with_darts(
     obstacles : bool
         Whether to keep the spacing from the pores thrown before, too.
     """
-    from sppm_pipeline.method.sampling.blocks import block_quotas, check_block_spacing, throw_blocks
+    from sppm_pipeline.method.sampling.blocks import check_block_spacing, throw_blocks
 
-    if isinstance(blocks, HexahedralBlocks):
-        from sppm_pipeline.features.grading.hexahedral_cloud import with_darts_in_cells
-
-        return with_darts_in_cells(context, base, blocks, mean, spacing)
-    if blocks.density is not None:
-        return _with_graded_darts(context, base, blocks, mean, spacing)
-    check_block_spacing(mean, spacing)
+    if isinstance(blocks, FilledBlocks):
+        return blocks.with_darts(context, base, mean, spacing)
+    if blocks.density is None:
+        check_block_spacing(mean, spacing)
+    base, more = _kept_and_more(base, blocks, mean)
+    quotas = np.zeros(blocks.shape, np.int64)
+    quotas[blocks.mask] = more
     before = (base.centers, _first_of_blocks(base.piece, blocks)) if obstacles and len(base.centers) else None
-    quotas = block_quotas(blocks.mask, mean)
     seed = int(context.rng().integers(0, 2**64, dtype=np.uint64))
     centers, first = throw_blocks(
-        seed, quotas, spacing, periodic=blocks.periodic, before=before, threads=context.threads
-    )
-    return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], spacing)
-
-
-def _with_graded_darts(context: Context, base: PoreSet, blocks: Blocks, mean: float, spacing: float) -> PoreSet:
-    """`with_darts` where density and spacing vary, or more pores beside those that are kept."""
-    from sppm_pipeline.method.sampling.graded_blocks import graded_quotas, throw_graded_blocks
-
-    assert blocks.density is not None
-    _refuse_another_sampler(base)
-    before = None
-    if blocks.kept is not None:
-        assert blocks.added is not None
-        base = base.extended(*blocks.kept.handed_over())
-        before = base.centers, _first_of_blocks(base.piece, blocks)
-        quotas = np.zeros(blocks.shape, np.int64)
-        quotas[blocks.mask] = blocks.added
-    else:
-        quotas = graded_quotas(blocks.mask, mean, blocks.density)
-    seed = int(context.rng().integers(0, 2**64, dtype=np.uint64))
-    centers, first = throw_graded_blocks(
-        seed, quotas, spacing, blocks.density, metric=blocks.metric, before=before, threads=context.threads
-    )
-    least = spacing * float(blocks.density.max()) ** (-1 / 3)
+        seed, quotas, spacing, periodic=blocks.periodic, density=blocks.density, metric=blocks.metric, before=before,
+        threads=context.threads,
+    )  # fmt: skip
+    least = spacing if blocks.density is None else spacing * float(blocks.density.max()) ** (-1 / 3)
     return _extended(base, blocks, centers, np.diff(first)[blocks.mask.ravel()], least)
 
 
@@ -90,6 +87,7 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
     """
     from sppm_pipeline.method.families.interiors import InteriorBox
     from sppm_pipeline.method.sampling.blocks import block_colors
+    from sppm_pipeline.method.sampling.graded_blocks import density_means
 
     alone = blocks.periodic and blocks.shape == (1, 1, 1)
     if blocks.periodic and min(blocks.shape) == 1 and not alone:
@@ -98,9 +96,9 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
             "that are their own neighbors",
             hint="give at least 2 cells along each axis",
         )
-    if isinstance(blocks, HexahedralBlocks):
+    if isinstance(blocks, FilledBlocks):
         raise ConfigError(
-            f"{sampler.name} throws into cubes, and can't fill a mesh of hexahedra", hint="use `sample.dart_throwing`"
+            f"{sampler.name} throws into cubes, and can't fill {blocks.content}", hint="use `sample.dart_throwing`"
         )
     if blocks.metric is not None:
         raise ConfigError(
@@ -109,7 +107,9 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
         )
     quotas = factors = None
     if blocks.density is not None:
-        base, quotas, factors = _graded_by_block(sampler, base, blocks)
+        total = getattr(sampler, "total", None) or sampler.expected_count(0.0)
+        base, quotas = _kept_and_more(base, blocks, float(total))
+        factors = density_means(blocks.density)[blocks.mask] ** (-1 / 3)
     spacing = sampler.requested_spacing(base.cell) or base.spacing
     sites, numbers = blocks.sites, blocks.numbers
     thrown = [base.of_piece(t) for t in range(base.interiors)]
@@ -139,28 +139,25 @@ def block_by_block(context: Context, sampler: Sampler, base: PoreSet, blocks: Bl
     return _extended(base, blocks, np.concatenate(new), counts, sampler.kept_spacing(base.cell, base))
 
 
-def _refuse_another_sampler(base: PoreSet) -> None:
-    if len(base.centers):
+def _kept_and_more(base: PoreSet, blocks: Blocks, mean: float) -> tuple[PoreSet, NDArray[np.int64]]:
+    """Pores thrown before, those that are kept among them, and how many more each interior gets.
+
+    Raises
+    ------
+    ConfigError
+        If graded blocks have pores of another sampler.
+    """
+    from sppm_pipeline.method.sampling.blocks import block_quotas
+
+    if blocks.density is not None and len(base.centers):
         raise ConfigError(
             "graded cells are scattered by one sampler",
             hint="give `sample.mirrored_faces` a `total` instead of `count`",
         )
-
-
-def _graded_by_block(
-    sampler: Sampler, base: PoreSet, blocks: Blocks
-) -> tuple[PoreSet, NDArray[np.int64], NDArray[np.float64]]:
-    """The pores that are kept, and for each block how many more and the factor of their spacing."""
-    from sppm_pipeline.method.sampling.graded_blocks import density_means, graded_quotas
-
-    assert blocks.density is not None
-    _refuse_another_sampler(base)
-    factors = density_means(blocks.density)[blocks.mask] ** (-1 / 3)
     if blocks.kept is not None:
         assert blocks.added is not None
-        return base.extended(*blocks.kept.handed_over()), blocks.added, factors
-    total = getattr(sampler, "total", None) or sampler.expected_count(0.0)
-    return base, graded_quotas(blocks.mask, float(total), blocks.density)[blocks.mask], factors
+        return base.extended(*blocks.kept.handed_over()), blocks.added
+    return base, block_quotas(blocks.mask, mean, blocks.density)[blocks.mask]
 
 
 def _extended(

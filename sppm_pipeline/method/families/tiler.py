@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -12,14 +13,15 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
 from sppm_pipeline.method.families import options
+from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.fields.tileset import TileSet
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.artifact import whole_numbers
 from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Palette
+from sppm_pipeline.nouns.palette import Blocks, Maps, Palette
 from sppm_pipeline.nouns.size import Size
-from sppm_pipeline.stage import Context, Stage
+from sppm_pipeline.stage import Context, Recipe, Stage
 
 if TYPE_CHECKING:
     from sppm_pipeline.method.tiling.lattice import Laid
@@ -110,6 +112,61 @@ def laid_cells(made: Size, periodic: bool) -> float:
         return made.cells
     x, y, z = (n + 2.0 * HALO for n in made.body.box)
     return min(x * y * z, made.cells + HALO * made.body.envelope)
+
+
+ROOM = 2
+"""Blocks along an edge of boxes that repeat, by which the porosity of scattered pores is known before they are laid."""
+
+TOLD = 64
+"""Cells, spread over the part, by which the errors that the last round leaves are told."""
+
+
+class Scattering(NamedTuple):
+    """What is to be scattered, as options and inputs of `tile.scattered` say.
+
+    Attributes
+    ----------
+    recipe : Recipe
+    lattice : Lattice
+        Blocks that are needed.
+    mask : (nx, ny, nz) bool
+        Those that are laid, which include `HALO` around the needed ones unless the lattice repeats.
+    cover : SurfaceMesh or None
+        The part.
+    periodic : bool
+    porosity : float or None
+    resolution, rounds, trials : int
+    """
+
+    recipe: Recipe
+    lattice: Lattice
+    mask: NDArray[np.bool_]
+    cover: SurfaceMesh | None
+    periodic: bool
+    porosity: float | None
+    resolution: int
+    rounds: int
+    trials: int
+
+
+def scattered_by_maps(context: Context, maps: Maps | None, wanted: Scattering) -> Tiling | None:
+    """Pores that follow maps; None if there are none, or no map changes what is scattered."""
+    if maps is None:
+        return None
+    module, _, function = maps.scattered_by.partition(":")
+    made: Tiling | None = getattr(import_module(module), function)(context, maps, wanted)
+    return made
+
+
+def without_faces(
+    micro: Microstructure, blocks: Blocks, halo: int, edge: float | None, origin: tuple[float, float, float]
+) -> Tiling:
+    """The tiling of scattered blocks."""
+    from sppm_pipeline.method.assembly.contents import TilingArrays
+
+    none = [np.full(tuple(n + (a == axis) for a, n in enumerate(blocks.shape)), -1, np.int32) for axis in range(3)]
+    arrays = TilingArrays(blocks.numbers, (none[0], none[1], none[2]), blocks.periodic, halo)
+    return Tiling(TileSet(micro, "scattered", 0), arrays, edge, origin)
 
 
 @dataclass(frozen=True, kw_only=True)

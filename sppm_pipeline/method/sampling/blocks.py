@@ -7,6 +7,12 @@ enter the result. A block then depends only on neighbors of earlier colors: with
 blocks along x, y and z (`needed_blocks` tells which), whatever the size of the lattice.
 
 Rules are those of `darts.throw`: plain darts up to 75 % of the capacity, then darts into active voxels.
+
+Density and spacing may vary from place to place (`graded_blocks`). A dart is then kept with a probability proportional
+to the density at its place, and two pores at p and q keep the mean of the spacings there, ``(l(p) + l(q)) / 2``. Where
+pores are stretched, their distance is measured in the mean of the metrics at p and q, and the spacing is that of as
+many pores in the metric: the same as if round pores had been thrown and then been stretched. Active voxels know one
+spacing alone: graded blocks are thrown by plain darts only, and anew if these find no room.
 """
 
 from __future__ import annotations
@@ -18,18 +24,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.method.sampling.active_voxels import fill_active_voxels, throw_darts
+from sppm_pipeline.method.sampling.active_voxels import fill_active_voxels
 from sppm_pipeline.method.sampling.capacity import box_capacity, check_capacity, largest_spacing
-from sppm_pipeline.method.sampling.cell_list import CellList, add_point, empty_cell_list
+from sppm_pipeline.method.sampling.cell_list import CellList, add_point, empty_cell_list, next_uniform
 from sppm_pipeline.method.sampling.darts import NAIVE_BUDGET, NAIVE_SHARE
+from sppm_pipeline.method.sampling.graded_blocks import NODES, density_means, is_free, metric_at, value_at
 from sppm_pipeline.method.tiling.lattice import INTERIOR, dilated, hash_places
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.metric import determinants, semi_axes
 from sppm_pipeline.services.threads import ordered_map
 
 # Parities of x, y, z in the order of their colors: a Gray code, so that a chain of dependent blocks, whose parities
 # differ by one step along the axes where they change, changes x at most 4, y 2 and z 1 times.
 _GRAY = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1))
 ATTEMPTS = 20
+DARTS = 400
+"""Darts for each pore that is wanted before a graded block is thrown anew: a choice, as at 60 % of the packing limit
+some 30 are needed."""
 _BLOCK_PORE = 0
 
 
@@ -63,13 +74,26 @@ def needed_blocks(wanted: NDArray[np.bool_], periodic: bool = False) -> NDArray[
     return needed
 
 
-def block_quotas(mask: NDArray[np.bool_], mean: float) -> NDArray[np.int64]:
+def block_quotas(mask: NDArray[np.bool_], mean: float, density: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
     """Numbers of pores of the blocks, (nx, ny, nz): whole, `mean` on average, the rest carried on in the order z, y, x.
 
-    The carry belongs to the place in the lattice alone, so that the quota of a block does not depend on the mask.
+    Without a density the carry belongs to the place in the lattice alone, so that the quota of a block does not depend
+    on the mask.
+
+    Parameters
+    ----------
+    mask : (nx, ny, nz) bool
+    mean : float
+        Pores of a block, or of one where the density is 1.
+    density : (NODES nx + 1, NODES ny + 1, NODES nz + 1) float64, optional
+        At the nodes; a block gets its integral.
     """
-    place = np.arange(mask.size + 1, dtype=np.float64)
-    quotas = np.diff(np.floor(place * mean + 0.5)).astype(np.int64).reshape(mask.shape[::-1]).transpose(2, 1, 0)
+    if density is None:
+        ends = mean * np.arange(mask.size + 1, dtype=np.float64)
+    else:
+        wanted = np.where(mask, mean * density_means(density), 0.0)
+        ends = np.concatenate([[0.0], np.cumsum(wanted.transpose(2, 1, 0).ravel())])
+    quotas = np.diff(np.floor(ends + 0.5)).astype(np.int64).reshape(mask.shape[::-1]).transpose(2, 1, 0)
     return np.where(mask, quotas, 0)
 
 
@@ -100,6 +124,8 @@ def throw_blocks(
     spacing: float,
     *,
     periodic: bool = False,
+    density: NDArray[np.float64] | None = None,
+    metric: NDArray[np.float64] | None = None,
     before: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None,
     threads: int = 1,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -112,9 +138,14 @@ def throw_blocks(
     quotas : (nx, ny, nz) int64
         Pores of each block.
     spacing : float
-        Smallest distance of two pores, block edges; at most 1.
+        Smallest distance of two pores, block edges; at most 1. With a density that where it is 1; elsewhere it goes
+        with density^(-1/3).
     periodic : bool
-        Whether the lattice repeats.
+        Whether the lattice repeats; only without a density.
+    density : (NODES nx + 1, NODES ny + 1, NODES nz + 1) float64, optional
+        At the nodes (`graded_blocks`); positive.
+    metric : (NODES nx + 1, ..., 6) float64, optional
+        At the nodes, see `numerics.metric`; only with a density.
     before : ((k, 3) float64, (blocks + 1,) int64), optional
         Pores that are there already, in the form of the result.
     threads : int
@@ -130,11 +161,29 @@ def throw_blocks(
     Raises
     ------
     DesignError
-        If a block holds fewer pores than its quota.
+        If the spacing is longer than a block somewhere, or a block holds fewer pores than its quota.
     """
     quotas = np.ascontiguousarray(quotas, np.int64)
-    shape = quotas.shape
-    check_block_spacing(float(quotas.max(initial=0)), spacing)
+    shape, graded = quotas.shape, density is not None
+    widest = closest = spacing
+    # darts follow the first of these and spacings the second, both powers -1/3 of densities
+    of_darts = of_spacings = of_metrics = None
+    if density is not None:
+        if periodic:
+            raise ValueError("a lattice that repeats takes no density")
+        of_darts = of_spacings = np.ascontiguousarray(density, np.float64) ** (-1 / 3)
+        widest, closest = spacing * float(of_darts.max()), spacing * float(of_darts.min())
+        if metric is not None:
+            of_metrics = np.ascontiguousarray(metric, np.float64)
+            of_spacings = (density / np.sqrt(determinants(metric))) ** (-1 / 3)
+            widest = spacing * float((of_spacings.ravel() * semi_axes(metric.reshape(-1, 6))[:, 0]).max())
+        if not 0 < widest <= 1:
+            raise DesignError(
+                f"the pore spacing reaches {widest:.4g} cell sizes where pores are fewest; at most 1 is possible",
+                hint="give a larger cell: pores of a block look at the neighboring blocks only",
+            )
+    else:
+        check_block_spacing(float(quotas.max(initial=0)), spacing)
     first = np.concatenate([[0], np.cumsum(quotas.ravel())])
     centers = np.empty((int(first[-1]), 3))
     old = before if before is not None else (np.zeros((0, 3)), np.zeros(quotas.size + 1, np.int64))
@@ -142,17 +191,16 @@ def throw_blocks(
     colors = block_colors(shape, periodic).ravel()
     # an axis along which the only block is its own neighbor repeats inside the cell list
     wraps = np.array([periodic and n == 1 for n in shape])
-    most = int(quotas.max(initial=0)) + int(np.diff(old[1]).max(initial=0))
-    # what lies within the spacing around a block: no packing of balls is denser than pi / sqrt(18)
-    rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * spacing) ** 3 / spacing**3 + 27)) + most
-    naive = NAIVE_SHARE * box_capacity(1.0, spacing, True)
+    most = int((quotas.ravel() + np.diff(old[1])).max(initial=0))
+    # no packing of balls is denser than pi / sqrt(18); those around a block lie within the widest spacing
+    rows = int(min(27 * most, math.sqrt(2.0) * (1 + 3 * widest) ** 3 / closest**3 + 27)) + most
+    naive = math.inf if graded else NAIVE_SHARE * box_capacity(1.0, spacing, True)
     missing = np.zeros(quotas.size, np.int64)
 
     def throw(blocks: NDArray[np.int64]) -> None:
-        cells = empty_cell_list(rows, spacing, np.zeros(3), np.ones(3), wraps.tolist())
-        _throw_in_turn(
-            cells, blocks, np.array(shape), periodic, wraps, streams, first, centers, *old, naive, ATTEMPTS, missing
-        )
+        cells = empty_cell_list(rows, widest, np.zeros(3), np.ones(3), wraps.tolist())
+        lattice = (blocks, np.array(shape), periodic, wraps, streams, first, centers, *old)
+        _throw_in_turn(cells, *lattice, of_darts, of_spacings, of_metrics, spacing, naive, missing)
 
     for color in range(int(colors.max()) + 1):
         blocks = np.flatnonzero((colors == color) & (quotas.ravel() > 0))
@@ -166,10 +214,17 @@ def throw_blocks(
         place = tuple(int(i) for i in np.unravel_index(worst, shape))
         near = spacing * (1 - missing[worst] / wanted) ** (1 / 3)
         raise DesignError(
-            f"only {wanted - missing[worst]} of {wanted} pores fit into the block {place} with a spacing of "
-            f"{spacing:.6g} ({wanted / box_capacity(1.0, spacing, True):.0%} of the capacity, {ATTEMPTS} throws); "
-            f"{np.count_nonzero(missing)} of {np.count_nonzero(quotas)} blocks are too full",
-            hint=f"ask for fewer pores, or for a spacing of about {0.95 * near:.4g} (cell sizes)",
+            f"only {wanted - missing[worst]} of {wanted} pores fit into the block {place} with "
+            + (
+                "the spacing there; "
+                if graded
+                else f"a spacing of {spacing:.6g} "
+                f"({wanted / box_capacity(1.0, spacing, True):.0%} of the capacity, {ATTEMPTS} throws); "
+            )
+            + f"{np.count_nonzero(missing)} of {np.count_nonzero(quotas)} blocks are too full",
+            hint="ask for a smaller `share` or `spacing` in the recipe"
+            if graded
+            else f"ask for fewer pores, or for a spacing of about {0.95 * near:.4g} (cell sizes)",
         )
     return centers, first
 
@@ -186,24 +241,65 @@ def _throw_in_turn(
     centers: NDArray[np.float64],
     old_centers: NDArray[np.float64],
     old_first: NDArray[np.int64],
+    nodes: NDArray[np.float64] | None,
+    packing: NDArray[np.float64] | None,
+    metric_nodes: NDArray[np.float64] | None,
+    spacing: float,
     naive: float,
-    attempts: int,
     missing: NDArray[np.int64],
 ) -> None:
     """Throw the pores of blocks that are not neighbors; what can't be placed is noted in `missing`.
 
-    Blocks that are not thrown yet are empty to their neighbors: `streams` of a thrown block is 0.
+    Both `nodes` and `packing` are powers -1/3 of densities: darts follow the one, spacings the other. What is None is
+    not compiled. Blocks that are not thrown yet are empty to their neighbors: `streams` of a thrown block is 0.
     """
+    own = cells.reach
+    spacings = np.full(cells.points.shape[0], own)
+    metrics = None if metric_nodes is None else np.empty((cells.points.shape[0], 6))
+    own_metric, place = np.zeros(6), np.zeros(3)
     low, side = np.zeros(3), np.ones(3)
     for block in blocks:
         stream = streams[block : block + 1].copy()
         wanted = first[block + 1] - first[block]
         most = np.int64(min(wanted, naive))
-        for _ in range(attempts):
+        budget = (NAIVE_BUDGET if nodes is None else DARTS) * most + 1000
+        x0, y0, z0 = block // (shape[1] * shape[2]), block // shape[2] % shape[1], block % shape[2]
+        least = np.inf
+        if nodes is not None:
+            for i in range(NODES + 1):
+                for j in range(NODES + 1):
+                    for k in range(NODES + 1):
+                        least = min(least, nodes[x0 * NODES + i, y0 * NODES + j, z0 * NODES + k])
+        for _ in range(ATTEMPTS):
             list_neighbors(cells, block, shape, periodic, wraps, streams, first, centers, old_centers, old_first)
             start = cells.used[0]
-            placed = throw_darts(cells, stream, low, side, most, NAIVE_BUDGET * most + 1000, _BLOCK_PORE, 0)
-            if placed < wanted:
+            if packing is not None:
+                for row in range(start):
+                    p = cells.points[row]
+                    spacings[row] = spacing * value_at(packing, x0 + p[0], y0 + p[1], z0 + p[2])
+                    if metric_nodes is not None:
+                        metric_at(metric_nodes, x0 + p[0], y0 + p[1], z0 + p[2], metrics[row])  # type: ignore[index]
+            placed, darts = 0, 0
+            while placed < most and darts < budget:
+                x, y, z = next_uniform(stream), next_uniform(stream), next_uniform(stream)
+                if nodes is not None:
+                    here = value_at(nodes, x0 + x, y0 + y, z0 + z)
+                    if next_uniform(stream) * here * here * here > least * least * least:
+                        continue
+                    if metric_nodes is not None:
+                        here = value_at(packing, x0 + x, y0 + y, z0 + z)  # type: ignore[arg-type]
+                        metric_at(metric_nodes, x0 + x, y0 + y, z0 + z, own_metric)
+                    own = spacing * here
+                darts += 1
+                place[0], place[1], place[2] = x, y, z
+                if is_free(cells, spacings, metrics, place, own, own_metric):
+                    row = cells.used[0]
+                    spacings[row] = own
+                    if metrics is not None:
+                        metrics[row] = own_metric
+                    add_point(cells, x, y, z, _BLOCK_PORE, 0)
+                    placed += 1
+            if placed < wanted and nodes is None:
                 placed += fill_active_voxels(cells, stream, low, side, wanted - placed, _BLOCK_PORE, 0)
             if placed == wanted:
                 break

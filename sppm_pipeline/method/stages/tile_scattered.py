@@ -5,34 +5,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.grading.graded import DIRECTION, trial
-from sppm_pipeline.features.grading.graded_cloud import ROOM, TOLD, GradedCloud, without_faces
-from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.families.tiler import (
     HALO,
-    Lattice,
+    ROOM,
+    TOLD,
+    Scattering,
     at_porosity,
     check_repeats,
     laid_cells,
     lattice_for,
     measured_voxels,
+    scattered_by_maps,
     tiling_size,
+    without_faces,
 )
 from sppm_pipeline.method.fields.microstructure import Microstructure
 from sppm_pipeline.method.fields.tiling import Tiling
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Blocks, Palette
+from sppm_pipeline.nouns.palette import Blocks, Maps, Palette
 from sppm_pipeline.nouns.size import RecipeSize, Size
 from sppm_pipeline.stage import Context, Recipe, Stage
-
-FOLLOWED = ("porosity", "spacing", "scale", "pore_radius", "tunnel_radius", "stretch", *DIRECTION)
-"""Maps that change what is scattered."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,17 +72,20 @@ class ScatteredTiling(Stage):
     def check_options(self) -> None:
         check_repeats(self.periodic, self.cells)
 
-    def run(
-        self, context: Context, recipe: Recipe, cover: SurfaceMesh | None, grading: Grading | None = None
-    ) -> Tiling:
+    def run(self, context: Context, recipe: Recipe, cover: SurfaceMesh | None, grading: Maps | None = None) -> Tiling:
         """Throw and join the pores of all blocks of the part, and of those around it."""
         from sppm_pipeline.method.tiling.lattice import with_halo
 
         lattice = lattice_for(self.cell, self.cells, cover, None)
         halo = 0 if self.periodic else HALO
         blocks = Blocks(with_halo(lattice.mask, halo), self.periodic)
-        if grading is not None and any(name in grading for name in FOLLOWED):
-            return self._graded(context, recipe, grading, cover, lattice, blocks.mask)
+        wanted = Scattering(
+            recipe, lattice, blocks.mask, cover, self.periodic, self.porosity, self.resolution, self.rounds, self.trials
+        )
+        followed = scattered_by_maps(context, grading, wanted)
+        if followed is not None:
+            check_reach(followed.tileset.micro)
+            return followed
         micro = recipe.run(context, palette=Palette(int(blocks.mask.sum()), (0, 0, 0), blocks=blocks))
         if not isinstance(micro, Microstructure):
             raise ConfigError(
@@ -98,26 +96,6 @@ class ScatteredTiling(Stage):
         edge = lattice.edge if lattice.edge is not None else micro.edge_mm
         tiling = without_faces(micro, blocks, halo, edge, lattice.origin)
         return tiling if self.porosity is None else at_porosity(context, tiling, cover, self.porosity, self.resolution)
-
-    def _graded(
-        self,
-        context: Context,
-        recipe: Recipe,
-        grading: Grading,
-        cover: SurfaceMesh | None,
-        lattice: Lattice,
-        mask: NDArray[np.bool_],
-    ) -> Tiling:
-        if self.periodic:
-            raise ConfigError("graded cells do not repeat", hint="leave out `periodic`")
-        if self.porosity is not None and "porosity" in grading:
-            raise ConfigError("the porosity is given twice, by a map and by the option", hint="leave out `porosity`")
-        edge = lattice.edge if lattice.edge is not None else trial(context, recipe, None, 1).physical_edge()
-        blocks = np.pad(lattice.mask, HALO), mask, HALO, edge, lattice.origin
-        cloud = GradedCloud(recipe, grading, cover, *blocks, self.porosity, self.trials, self.resolution)
-        tiling = cloud.laid(context, self.rounds)
-        check_reach(tiling.tileset.micro)
-        return tiling
 
 
 def check_reach(micro: Microstructure) -> None:

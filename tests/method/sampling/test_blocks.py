@@ -182,3 +182,13 @@ def test_what_does_not_fit_is_refused():
     # all of it within the capacity of an infinite packing, but not in every single block
     with pytest.raises(DesignError, match=r"fit into the block \(.*blocks are too full"):
         throw_blocks(0, block_quotas(np.ones((4, 4, 4), bool), 60), spacing_at_share(60, 1.0), periodic=True)
+    with pytest.raises(ValueError, match="takes no density"):
+        throw_blocks(0, quotas, 0.2, periodic=True, density=np.ones((9, 9, 9)))
+
+
+def test_the_same_density_everywhere_throws_pores_of_the_same_quotas_and_spacing():
+    quotas = block_quotas(np.ones((3, 4, 2), bool), 20.3, np.full((13, 17, 9), 1.0))
+    assert (quotas == block_quotas(np.ones((3, 4, 2), bool), 20.3)).all()
+    centers, first = throw_blocks(5, quotas, 0.22, density=np.full((13, 17, 9), 0.8))
+    assert (np.diff(first) == quotas.ravel()).all()
+    assert smallest_distance(placed(centers, first, quotas.shape), quotas.shape, False) >= 0.22 * 0.8 ** (-1 / 3)

@@ -23,8 +23,7 @@ from sppm_pipeline.method.families.sampler import Sampler, start_of
 from sppm_pipeline.method.families.tiler import MEASURED_CLOSELY, boxes_of, measured_per_edge
 from sppm_pipeline.method.kernels.kernels import concatenated
 from sppm_pipeline.method.part.part import Part
-from sppm_pipeline.method.sampling.blocks import spacing_at_share
-from sppm_pipeline.method.sampling.graded_blocks import graded_quotas
+from sppm_pipeline.method.sampling.blocks import block_quotas, spacing_at_share
 from sppm_pipeline.method.stages.check_residual_periodicity import CheckResidualPeriodicity
 from sppm_pipeline.method.stages.check_tiling import CheckTiling
 from sppm_pipeline.method.stages.connect_mbdst import BoundedDegreeSubgraph
@@ -36,7 +35,7 @@ from sppm_pipeline.method.stages.sample_elimination import Elimination
 from sppm_pipeline.method.stages.sample_mirrored_faces import MirroredFaces
 from sppm_pipeline.method.stages.tile_scattered import ScatteredTiling
 from sppm_pipeline.nouns.length import Length
-from sppm_pipeline.nouns.palette import Blocks, Palette
+from sppm_pipeline.nouns.palette import Blocks, Maps, Palette
 from sppm_pipeline.services.grid import Grid, cell_centers
 from sppm_pipeline.services.metric import matrices
 from sppm_pipeline.stage import option
@@ -588,7 +587,7 @@ def test_quotas_are_the_integral_of_a_density_whose_sizes_are_linear():
     size = 1 - np.arange(9) / 12  # two blocks, from 1 to 1/3
     nodes = np.broadcast_to((size**-3.0)[:, None, None], (9, 5, 5))
     exact = 3000 * (size[[4, 8]] ** -2.0 - size[[0, 4]] ** -2.0) / 2 / (1 / 3)
-    assert graded_quotas(np.ones((2, 1, 1), bool), 3000.0, nodes)[:, 0, 0] == pytest.approx(exact, abs=2)
+    assert block_quotas(np.ones((2, 1, 1), bool), 3000.0, nodes)[:, 0, 0] == pytest.approx(exact, abs=2)
 
 
 def test_cells_are_measured_as_far_as_they_lie_in_the_part_and_with_a_map_are_put_right_there(ball):
@@ -604,3 +603,22 @@ def test_cells_are_measured_as_far_as_they_lie_in_the_part_and_with_a_map_are_pu
     assert cells.porosities(cells.cells[::2], lambda done: None) == pytest.approx(measured[::2], abs=1e-4)
     assert context.reported["error_rms"] < 0.03
     assert tiling.tileset.micro.graph.pores.blocks.kept is None
+
+
+class Elsewhere(Maps):
+    """Maps of somebody else, who says how pores follow them."""
+
+    scattered_by: ClassVar[str] = f"{__name__}:lone_pores"
+
+
+def lone_pores(context, maps, wanted):
+    assert (wanted.lattice.mask.shape, wanted.mask.shape) == ((2, 1, 1), (4, 3, 3))
+    return scattered(DartThrowing(total=4), TREE, FIELD, cells=wanted.lattice.mask.shape) if wanted.rounds else None
+
+
+def test_anybody_s_maps_are_followed_unless_they_change_nothing():
+    recipe = recipe_of(DartThrowing(total=20), TREE, FIELD)
+    for rounds, pores in ((0, 20), (1, 4)):
+        stage = ScatteredTiling(cells=(2, 1, 1), rounds=rounds)
+        tiling = stage.run(PlainContext(1), recipe, None, Elsewhere())
+        assert (np.bincount(tiling.tileset.micro.graph.pores.piece) == pores).all()

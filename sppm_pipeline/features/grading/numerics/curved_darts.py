@@ -1,6 +1,6 @@
 """Dart throwing in hexahedra of any shape, by quota, with spacings that follow their size or stay.
 
-Two pores at p and q keep the mean of the spacings there, as in `graded_blocks`, measured straight. Hexahedra are thrown
+Two pores at p and q keep the mean of the spacings there, as in `blocks`, measured straight. Hexahedra are thrown
 one after the other, all into one list, so that spacings hold across their faces whatever the mesh looks like.
 """
 
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.features.grading.numerics.hexahedral_places import point_and_volume
-from sppm_pipeline.method.sampling.blocks import ATTEMPTS
+from sppm_pipeline.method.sampling.blocks import ATTEMPTS, DARTS
 from sppm_pipeline.method.sampling.cell_list import CellList, add_point, bucket_of, empty_cell_list, next_uniform
-from sppm_pipeline.method.sampling.graded_blocks import DARTS, is_free
+from sppm_pipeline.method.sampling.graded_blocks import is_free
 from sppm_pipeline.services.jit.compiled import jit
 
 _ABOVE = 1.3  # the determinant is looked at in 27 places, and may be so much larger in between
@@ -112,7 +112,7 @@ def _throw(
     missing: NDArray[np.int64],
 ) -> None:
     p, d = np.empty(3), np.empty((3, 3))
-    no_metrics, metric = np.empty((0, 6)), np.empty(0)
+    metric = np.empty(0)
     for e in range(len(quotas)):
         most = 0.0
         if by_volume:
@@ -130,7 +130,7 @@ def _throw(
                     continue
                 darts += 1
                 own = spacings[e] if by_volume else spacings[e] * max(det, 0.0) ** (1.0 / 3.0)
-                if is_free(cells, kept, no_metrics, p, own, metric):
+                if is_free(cells, kept, None, p, own, metric):
                     kept[cells.used[0]] = own
                     add_point(cells, p[0], p[1], p[2], 0, 0)
                     placed += 1
@@ -150,10 +150,10 @@ def _take(
     group: NDArray[np.int64],
     left: NDArray[np.int64],
 ) -> None:
-    no_metrics, metric = np.empty((0, 6)), np.empty(0)
+    metric = np.empty(0)
     for n in range(len(candidates)):
         p = candidates[n]
-        if left[group[n]] > 0 and is_free(cells, kept, no_metrics, p, spacings[n], metric):
+        if left[group[n]] > 0 and is_free(cells, kept, None, p, spacings[n], metric):
             kept[cells.used[0]] = spacings[n]
             add_point(cells, p[0], p[1], p[2], 0, 0)
             left[group[n]] -= 1

@@ -13,13 +13,14 @@ from sppm_pipeline.features.grading.graded import (
     check_round,
     curve_of,
     graded_radii,
+    in_rounds,
     of_periodic_cells,
     recipe_total,
     sites_of,
     trial,
 )
 from sppm_pipeline.features.grading.grading import Grading
-from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means, error_summary
+from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.features.grading.numerics.curve import PorosityCurve
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families import options
@@ -116,41 +117,21 @@ class GradedTiling(Stage):
             face_totals=self._face_totals(grading, curve, arrays, lattice) if self.faces == "graded" else None,
         )
         assert palette.totals is not None
-        best = _Nearest(palette)
-        rms, last = [], False
-        while True:
-            made = self._laid(context, recipe, grading, palette, arrays, lattice)
-            cells = LatticeCells(made, self.resolution, context.threads)
+        redraws = _Redraws(palette, targets, curve, self.rounds)
+
+        def errors(number: int, made: Tiling) -> NDArray[np.float64]:
+            cells, found = LatticeCells(made, self.resolution, context.threads), np.full(len(targets), np.nan)
             own = arrays.box[tuple(np.array(cells.cells).T)]
-            errors = np.array([cells.porosity(cell) for cell in cells.cells]) - targets[own]
-            summary = error_summary(errors)
-            rms.append(summary["error_rms"])
-            size = best.take(palette, own, errors)
-            if last or not self.rounds:
-                break
-            assert palette.totals is not None
-            slope = curve.slope(palette.totals[own].astype(np.float64))
-            reach = FAR * _level_reach(targets, made.solid_below)
-            left = len(rms) - self.rounds
-            if left <= 0:
-                totals, wanted = palette.totals.copy(), np.rint(errors / slope).astype(np.int64)
-                totals[own] = np.maximum(totals[own] - wanted, FEWEST)
-                stay = np.zeros(len(targets), bool)
-                stay[own] = (wanted == 0) & (np.abs(errors) > reach[own])
-                palette = best.again(replace(palette, totals=totals), stay)
-            elif left * len(targets) <= SPARE and (best.size[own] > reach[own]).any():
-                palette = best.again(best.palette, np.isfinite(best.size) & (best.size > reach))
-            elif (size[own] <= best.size[own] + WORTH * slope).all():
-                break
-            else:
-                palette, last = best.palette, True
-        assert palette.totals is not None
+            found[own] = np.array([cells.porosity(cell) for cell in cells.cells]) - targets[own]
+            return found
+
+        def laid(palette: Palette) -> Tiling:
+            return self._laid(context, recipe, grading, palette, arrays, lattice)
+
+        made, report = in_rounds(palette, laid, errors, redraws.again)
+        totals = redraws.totals
         context.report(
-            **summary,
-            error_rms_of_rounds=rms,
-            cell_deviation=curve.deviation,
-            pores_min=int(palette.totals.min()),
-            pores_max=int(palette.totals.max()),
+            **report, cell_deviation=curve.deviation, pores_min=int(totals.min()), pores_max=int(totals.max())
         )
         return made
 
@@ -207,46 +188,65 @@ class GradedTiling(Stage):
         return graded_radii(tiling, grading, faces_differ=self.faces != "same")
 
 
-class _Nearest:
-    """The rounds in which cells came nearest to their targets.
+class _Redraws:
+    """What each round draws: in the first ones pores are added and taken away, then what came nearest is taken.
 
     An interior is drawn from its place, its number of pores and the number of its draw, so that an earlier one can be
     had again.
 
-    Attributes
+    Parameters
     ----------
     palette : Palette
-        Every cell as in the round in which it came nearest.
-    size : (m,) float64
-        How far each was from its target then; infinite if it has not been measured.
+        That of the first round.
+    targets : (m,) float64
+        Porosity that each interior is to have.
+    curve : PorosityCurve
+    rounds : int
+
+    Attributes
+    ----------
+    totals : (m,) int64
+        Pores of each cell in the last round.
     """
 
-    def __init__(self, palette: Palette) -> None:
-        self.palette = palette
-        self._totals, self._draws = self._state(palette)
-        self._drawn = self._draws
-        self.size = np.full(len(self._totals), np.inf)
-
-    @staticmethod
-    def _state(palette: Palette) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def __init__(self, palette: Palette, targets: NDArray[np.float64], curve: PorosityCurve, rounds: int) -> None:
         assert palette.totals is not None
-        return palette.totals, np.zeros_like(palette.totals) if palette.draws is None else palette.draws
+        self._palette, self._targets, self._curve, self._rounds, self._last = palette, targets, curve, rounds, False
+        # the round in which each cell came nearest to its target, and how far it was from it then
+        self.totals = self._best_totals = palette.totals
+        self._draws = self._best_draws = self._drawn = np.zeros_like(palette.totals)
+        self._nearest = np.full(len(targets), np.inf)
 
-    def take(self, palette: Palette, own: NDArray[np.integer], errors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Take note of the errors of a round in some cells; how far all are from their targets, (m,)."""
-        totals, draws = self._state(palette)
-        size = np.full(len(self.size), np.inf)
-        size[own] = np.abs(errors)
-        nearer = size < self.size
-        self._totals, self._draws = np.where(nearer, totals, self._totals), np.where(nearer, draws, self._draws)
-        self.palette = replace(palette, totals=self._totals, draws=self._draws)
-        self.size = np.minimum(size, self.size)
-        return size
+    def again(self, number: int, made: Tiling, errors: NDArray[np.float64]) -> Palette | None:
+        """The palette of the next round by the errors of this one, NaN where there are none; None if it is good."""
+        measured = np.isfinite(errors)
+        size = np.where(measured, np.abs(errors), np.inf)
+        nearer = size < self._nearest
+        self._best_totals = np.where(nearer, self.totals, self._best_totals)
+        self._best_draws = np.where(nearer, self._draws, self._best_draws)
+        self._nearest = np.minimum(size, self._nearest)
+        if self._last or not self._rounds:
+            return None
+        slope = self._curve.slope(self.totals.astype(np.float64))
+        reach = FAR * _level_reach(self._targets, made.solid_below)
+        further = number + 1 - self._rounds
+        far = measured & (self._nearest > reach)
+        if further <= 0:
+            more = np.rint(np.where(measured, errors, 0.0) / slope).astype(np.int64)
+            totals = np.where(measured, np.maximum(self.totals - more, FEWEST), self.totals)
+            return self._with(totals, self._draws, measured & (more == 0) & (size > reach))
+        if further * len(self._targets) <= SPARE and far.any():
+            return self._with(self._best_totals, self._best_draws, far)
+        if (size <= self._nearest + WORTH * slope)[measured].all():
+            return None
+        self._last = True
+        return self._with(self._best_totals, self._best_draws, np.zeros(len(size), bool))
 
-    def again(self, palette: Palette, which: NDArray[np.bool_]) -> Palette:
-        """A palette for another round, in which some cells, (m,) bool, are drawn as they have never been."""
-        self._drawn = self._drawn + which
-        return replace(palette, draws=np.where(which, self._drawn, self._state(palette)[1]))
+    def _with(self, totals: NDArray[np.int64], draws: NDArray[np.int64], anew: NDArray[np.bool_]) -> Palette:
+        """The palette of so many pores and of these draws, but of cells `anew` such as have never been drawn."""
+        self._drawn = self._drawn + anew
+        self.totals, self._draws = totals, np.where(anew, self._drawn, draws)
+        return replace(self._palette, totals=self.totals, draws=self._draws)
 
 
 def _level_reach(targets: NDArray[np.float64], level: float) -> NDArray[np.float64]:

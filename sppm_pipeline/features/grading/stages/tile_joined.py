@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import ConfigError, DesignError
-from sppm_pipeline.features.grading.graded import check_round
+from sppm_pipeline.features.grading.graded import check_round, in_rounds
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.joined import JoinedSets, Transition, Union
 from sppm_pipeline.features.grading.joined_sizes import Laid, TwoSizes, beside, faces_without, refined
-from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means, error_summary
+from sppm_pipeline.features.grading.local_porosity import LatticeCells, cell_means
 from sppm_pipeline.method.assembly.contents import TilingArrays
 from sppm_pipeline.method.families import options
+from sppm_pipeline.method.families.interiors import FEWEST
 from sppm_pipeline.method.families.tiler import HALO, Tiler, lattice_for, tiling_size
 from sppm_pipeline.method.fields.level_field import LevelField
 from sppm_pipeline.method.fields.tileset import TileSet
@@ -26,9 +27,6 @@ from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.palette import Palette
 from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.stage import Context, Stage, option
-
-FEWEST = 4
-"""Pores of an interior, at the least."""
 
 TIGHTER = 0.93
 """Factor of the spacing where the pores of a transition cell found no room: a choice."""
@@ -119,29 +117,46 @@ class JoinedTiling(Stage):
         control = self._levels(sets, own, between, share)
         counts = (1 - share) * usual[0].pores + share * usual[1].pores
         inside = np.pad(lattice.mask, HALO)[tuple(between.T)]
-        made: Tiling | LevelField | None = None
-        for turn in range(self.rounds + 1):
+
+        def laid(wanted: tuple[int, NDArray[np.float64]]) -> Tiling | LevelField:
+            turn, counts = wanted
             cells = [
                 self._drawn(context, layout, number, (turn, number), counts[number], share[number], usual)
                 for number in range(len(between))
             ]
             tiling = layout.tiling(cells)
-            made = tiling if control is None else LevelField(tiling, control)
-            errors = self._errors(context, made, between, inside, targets)
+            return tiling if control is None else LevelField(tiling, control)
+
+        def errors(turn: int, made: Tiling | LevelField) -> NDArray[np.float64]:
+            found = np.full(len(between), np.nan)
+            if not inside.any():
+                return found
+            wanted = [tuple(place) for place in (between[inside] - HALO).tolist()]
+            cells = LatticeCells(made, self.resolution, context.threads, only=wanted)
+            found[inside] = [cells.porosity(cell) for cell in wanted]
+            return found - targets
+
+        def again(
+            turn: int, made: Tiling | LevelField, errors: NDArray[np.float64]
+        ) -> tuple[int, NDArray[np.float64]] | None:
+            nonlocal counts
             # a pore takes the same share of what is solid anywhere, as in the Boolean model
             slope = -(1 - targets) * np.log1p(-targets) / np.maximum(counts, 1)
-            step = np.rint(errors / slope)
+            step = np.rint(np.nan_to_num(errors) / slope)
             context.progress(turn + 1, self.rounds + 1, "rounds")
-            if not step.any():
-                break
+            if turn == self.rounds or not step.any():
+                return None
             counts = np.maximum(counts - step, FEWEST)
-        assert made is not None
+            return turn + 1, counts
+
+        made, report = in_rounds((0, counts), laid, errors, again)
+        report.pop("error_rms_of_rounds", None)
         box = own[HALO:-HALO, HALO:-HALO, HALO:-HALO][lattice.mask]
         context.report(
             cells_first=int((box == 0).sum()) * sets.per_edge[0] ** 3,
             cells_second=int((box == 1).sum()) * sets.per_edge[1] ** 3,
             transition_cells=int((box == 2).sum()),
-            **(error_summary(errors[inside]) if inside.any() else {}),
+            **report,
         )
         return made
 
@@ -220,26 +235,6 @@ class JoinedTiling(Stage):
         edges, _ = spanning_subgraph(centers, (low, high), mode="greedy", periodic=False, k=10)
         omega, mu = (float(x ** (1 - share) * y**share) for x, y in ((a.omega, b.omega), (a.mu, b.mu)))
         return Transition(centers, edges, around, omega, mu)
-
-    def _errors(
-        self,
-        context: Context,
-        field: Tiling | LevelField,
-        between: NDArray[np.int64],
-        inside: NDArray[np.bool_],
-        targets: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Porosity less its target of each transition cell in the part; 0 for those around it."""
-        errors = np.zeros(len(between))
-        if not inside.any():
-            return errors
-        wanted = [tuple(place) for place in (between[inside] - HALO).tolist()]
-        number = dict(zip(wanted, np.flatnonzero(inside).tolist(), strict=True))
-        cells = LatticeCells(field, self.resolution, context.threads, only=wanted)
-        for cell in cells.cells:
-            m = number[cell]
-            errors[m] = cells.porosity(cell) - targets[m]
-        return errors
 
 
 class OneSize:
