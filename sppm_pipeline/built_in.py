@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from importlib import import_module
+from typing import Any
 
 import sppm_pipeline
 
@@ -22,3 +24,18 @@ BUILTINS = (
     "sppm_pipeline.engine.cli.commands",
 )
 """Modules whose hook implementations are always there."""
+
+
+def stage_class(name: str) -> Any:
+    """The class of a stage of the method or of a feature, by its name, as a configuration would ask for it.
+
+    Raises
+    ------
+    LookupError
+        If none of them has it.
+    """
+    for module in ("sppm_pipeline.method", *FEATURES):
+        if place := import_module(module).sppm_stages().get(name):
+            found, _, cls = place.partition(":")
+            return getattr(import_module(found), cls)
+    raise LookupError(f"no built-in stage is called {name!r}")

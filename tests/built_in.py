@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 from sppm_pipeline.built_in import BUILTINS
+from sppm_pipeline.built_in import stage_class as stage_class
 from sppm_pipeline.engine.plan.plugins import load_plugins
 
 _PLUGINS = load_plugins(BUILTINS, distributions=False)
@@ -16,11 +15,3 @@ PLACES = {name: str(place) for plugin in _PLUGINS.plugins for name, place in plu
 BUILT_IN = tuple(PLACES)
 
 STAGE_ALIASES = {former: alias for plugin in _PLUGINS.plugins for former, alias in plugin.aliases.items()}
-
-
-def stage_class(name: str) -> type:
-    """The class of a built-in stage."""
-    module, _, cls = PLACES[name].partition(":")
-    found = getattr(import_module(module), cls)
-    assert isinstance(found, type)
-    return found

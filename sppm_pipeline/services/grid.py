@@ -8,6 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+VOXEL_FACES = (
+    ((-1, 0, 0), (0, 4, 6, 2)),
+    ((1, 0, 0), (1, 3, 7, 5)),
+    ((0, -1, 0), (0, 1, 5, 4)),
+    ((0, 1, 0), (2, 6, 7, 3)),
+    ((0, 0, -1), (0, 2, 3, 1)),
+    ((0, 0, 1), (4, 5, 7, 6)),
+)
+"""Neighbor beyond each face of a voxel, and its corners counterclockwise from outside, numbered i + 2 j + 4 k."""
+
 
 class Grid(NamedTuple):
     """Sample points ``origin + (i, j, k) * spacing`` for 0 <= (i, j, k) < shape.

@@ -7,18 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.services.grid import VOXEL_FACES
 from sppm_pipeline.services.pictures.camera import Camera
 from sppm_pipeline.services.pictures.mesh_view import render_mesh
-
-FACES = (
-    ((-1, 0, 0), (0, 4, 6, 2)),
-    ((1, 0, 0), (1, 3, 7, 5)),
-    ((0, -1, 0), (0, 1, 5, 4)),
-    ((0, 1, 0), (2, 6, 7, 3)),
-    ((0, 0, -1), (0, 2, 3, 1)),
-    ((0, 0, 1), (4, 5, 7, 6)),
-)
-"""Neighbor beyond each face of a voxel, and its corners counterclockwise from outside, numbered i + 2 j + 4 k."""
 
 UPRIGHT = {"z": (0, 1, 2), "x": (1, 2, 0), "y": (2, 0, 1)}
 """Axes in the order that puts the axis of compression on top."""
@@ -35,7 +26,7 @@ def exposed_triangles(
         Places in the grid.
     grid : (nx, ny, nz)
     elements : (m, 8) int32
-        Nodes at the corners, in the order of `FACES`.
+        Nodes at the corners, in the order of `VOXEL_FACES`.
 
     Returns
     -------
@@ -47,7 +38,7 @@ def exposed_triangles(
     places = voxels.astype(np.int64) + 1
     solid[tuple(places.T)] = True
     triangles, owners = [], []
-    for beyond, corners in FACES:
+    for beyond, corners in VOXEL_FACES:
         bare = np.flatnonzero(~solid[tuple((places + beyond).T)])
         quads = elements[bare][:, corners].astype(np.int64)
         triangles += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.errors import DesignError
-from sppm_pipeline.features.surface.mesh_stream import Foreseen, MeshPiece, MeshStream, RimPoints
+from sppm_pipeline.features.surface.mesh_stream import MeshPiece, MeshStream, RimPoints
 from sppm_pipeline.method.fields.scalar_field import ScalarField
+from sppm_pipeline.method.nouns.mesh_pieces import ExpectedSize
 from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.services.grid import Grid
@@ -130,7 +131,7 @@ class SampledSlabs:
     slabs: Iterator[SampledSlab]
     findings: dict[str, Any] = field(default_factory=dict)
     expected: tuple[int, int] = (0, 0)
-    foresee: Callable[[], Foreseen] | None = None
+    foresee: Callable[[], ExpectedSize] | None = None
 
     def __iter__(self) -> Iterator[SampledSlab]:
         return self.slabs
@@ -310,7 +311,7 @@ class FieldSurface:
         rows, bounds = solid_runs.rows, solid_runs.bounds
         del found
 
-        def foresee() -> Foreseen:
+        def foresee() -> ExpectedSize:
             from sppm_pipeline.features.surface.numerics.run_counts import count_mesh
 
             return self._foreseen(*count_mesh(solid_runs, stays, self.caps, threads))
@@ -326,14 +327,14 @@ class FieldSurface:
         findings = {"removed_share": (total - largest) / max(1, total)}
         return SampledSlabs(cleaned(), findings, (vertices, 2 * vertices), certain)
 
-    def _foreseen(self, vertices: int, faces: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> Foreseen:
+    def _foreseen(self, vertices: int, faces: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> ExpectedSize:
         """Of a mesh whose solid nodes lie in this box: it ends within a voxel, or where it is capped."""
         origin, spacing, last = np.array(self.grid.origin), np.array(self.grid.spacing), np.array(self.grid.shape) - 1
         least = origin + np.array([low, high]) * spacing
         beyond = np.array([low - 1, high + 1])
         if self.caps:
             beyond = np.clip(beyond, 0, last)
-        return Foreseen(vertices, faces, least, origin + beyond * spacing)
+        return ExpectedSize(vertices, faces, least, origin + beyond * spacing)
 
     def _sampled(self, threads: int) -> Iterator[SampledSlab]:
         nx, ny, nz = self.grid.shape

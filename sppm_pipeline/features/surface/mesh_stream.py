@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.method.nouns.mesh_pieces import ExpectedSize
+
 if TYPE_CHECKING:
     from sppm_pipeline.features.surface.numerics.rims import Split
 
@@ -31,60 +33,6 @@ class MeshPiece(NamedTuple):
     kinds: NDArray[np.uint8]
 
 
-class Foreseen(NamedTuple):
-    """What is known for certain of a mesh before there is any of it.
-
-    Attributes
-    ----------
-    vertices, faces : int
-    least, most : (2, 3) float64
-        Low and high corner of the box of its vertices: it reaches as far as the first, and no farther than the second.
-    """
-
-    vertices: int
-    faces: int
-    least: NDArray[np.float64]
-    most: NDArray[np.float64]
-
-    def moved(self, scale: float, origin: NDArray[np.float64]) -> Foreseen:
-        """Of the mesh times a scale, and moved by an origin."""
-        return self._replace(least=self.least * scale + origin, most=self.most * scale + origin)
-
-    @property
-    def reach(self) -> tuple[float, float]:
-        """Between these lies the largest absolute coordinate."""
-        least, most = (max(float(box[1].max()), float(-box[0].min())) for box in (self.least, self.most))
-        return least, most
-
-
-class PieceTaker(Protocol):
-    """Works on the pieces of a mesh while the next ones are made, as whoever writes a file does."""
-
-    def begin(self, foreseen: Foreseen) -> bool:
-        """Whether such a mesh can be taken in pieces; called before anything else, once for each try."""
-
-    def add(self, points: NDArray[np.float64], base: int, known: int, faces: NDArray[np.int32]) -> None:
-        """Take the next piece.
-
-        Parameters
-        ----------
-        points : (n, 3) float64
-            The vertices of the piece before, and of this one; they stay as they are until the call after the next one.
-        base : int
-            The number of the first of them.
-        known : int
-            How many of them are of the piece before.
-        faces : (m, 3) int32
-            Of this piece, all with corners among these points.
-        """
-
-    def finish(self) -> bool:
-        """Whether it has all, and all was as foreseen; if not, nothing of it is used."""
-
-    def drop(self) -> None:
-        """Forget what it has."""
-
-
 class Source(Protocol):
     """What a mesh is extracted from."""
 
@@ -97,7 +45,7 @@ class Source(Protocol):
         """What was removed."""
 
     @property
-    def foresee(self) -> Callable[[], Foreseen] | None:
+    def foresee(self) -> Callable[[], ExpectedSize] | None:
         """Finds out what is certain of the mesh; None if nothing is."""
 
 
@@ -135,7 +83,7 @@ class MeshStream:
         """What was removed."""
         return self._source.findings
 
-    def foreseen(self) -> Foreseen | None:
+    def foreseen(self) -> ExpectedSize | None:
         """What is certain of the mesh beforehand, which takes some time to find out; None if nothing is."""
         return None if self._source.foresee is None else self._source.foresee()
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.connectivity.runs import find_root
 from sppm_pipeline.services.bit_rows import clear_span, fill_span
 from sppm_pipeline.services.jit.compiled import inline_jit, jit
+from sppm_pipeline.services.union_find import find_root
 
 
 @inline_jit

@@ -8,13 +8,14 @@ end.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sppm_pipeline.services.bit_rows import bit_index, pack, set_bits
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.union_find import unite
 
 _ONE = np.uint64(1)
 _TOP_BIT = np.uint64(63)
@@ -153,26 +154,6 @@ def _find_runs(
                 change ^= lowest
         if n < 2 * rows[y + 1]:
             bounds[n] = nx
-
-
-@jit
-def find_root(parent: NDArray[np.signedinteger[Any]], i: int) -> int:
-    """Root of `i` in a union-find forest whose parents never have a larger index; halves the path on its way."""
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@jit
-def unite(parent: NDArray[np.signedinteger[Any]], i: int, j: int) -> None:
-    """Unite the components of two members of such a forest; the smaller root stays."""
-    root_i = find_root(parent, i)
-    root_j = find_root(parent, j)
-    if root_i < root_j:
-        parent[root_j] = root_i
-    elif root_j < root_i:
-        parent[root_i] = root_j
 
 
 @jit

@@ -12,10 +12,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.connectivity.runs import neighbor_reach, unite
+from sppm_pipeline.method.connectivity.runs import neighbor_reach
 from sppm_pipeline.method.connectivity.streaming import resolve
 from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.union_find import unite
 
 
 class SlabUnion:

@@ -28,10 +28,11 @@ from numpy.typing import NDArray
 
 from sppm_pipeline.errors import InputError
 from sppm_pipeline.method.connectivity.layer_ids import clear_runs, layer_ids, list_loose, set_runs, still_loose
-from sppm_pipeline.method.connectivity.runs import Runs, as_bytes, find_root, neighbor_reach, runs_of_bits
+from sppm_pipeline.method.connectivity.runs import Runs, as_bytes, neighbor_reach, runs_of_bits
 from sppm_pipeline.method.connectivity.verdicts import IslandStatistics, SlabLabels, decide
 from sppm_pipeline.services.bit_rows import count, pack, unpack
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.union_find import find_root
 
 _REMEMBERED = 1 << 21
 """Loose runs that are written down in the first pass: 32 MB."""

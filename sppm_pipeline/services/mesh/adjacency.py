@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.connectivity.runs import find_root, unite
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.union_find import find_root, unite
 
 BOUNDARY = -1
 """In place of an opposite half-edge: no other triangle shares the edge."""

@@ -7,9 +7,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.connectivity.runs import find_root, unite
 from sppm_pipeline.services.jit.compiled import jit
 from sppm_pipeline.services.paging import blocks
+from sppm_pipeline.services.union_find import find_root, unite
 
 T = TypeVar("T", bound=np.generic)
 

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from sppm_pipeline.errors import ConfigError
+from sppm_pipeline.features.browser.live.voxel_view import PHASE_COLORS, phase_surface
 from sppm_pipeline.features.browser.stages.write_chart import WriteChart
 from sppm_pipeline.features.browser.stages.write_picture import WritePicture
 from sppm_pipeline.method.nouns.voxels import Voxels
@@ -16,7 +17,6 @@ from sppm_pipeline.method.part.part import Part
 from sppm_pipeline.method.stages.write_graph import WriteGraph
 from sppm_pipeline.nouns.length import Cell
 from sppm_pipeline.nouns.table import Table
-from sppm_pipeline.services.pictures.voxel_view import PHASE_COLORS, phase_surface
 from sppm_pipeline.testing.plain_context import PlainContext
 
 

@@ -257,7 +257,7 @@ def voxel_picture(
 
     Only every second or third voxel of larger images than `MAX_SAMPLES` is looked at; no pixel would show the rest.
     """
-    from sppm_pipeline.services.pictures.voxel_view import phase_surface
+    from sppm_pipeline.features.browser.live.voxel_view import phase_surface
 
     phases = image.solid().view(np.uint8) if image.fractions else np.asarray(image.values, np.uint8)
     step = math.ceil((phases.size / MAX_SAMPLES) ** (1 / 3))

@@ -22,7 +22,7 @@ from sppm_pipeline.nouns.size import Size
 from sppm_pipeline.stage import Context, Stage, option
 
 if TYPE_CHECKING:
-    from sppm_pipeline.features.surface.piece_file import PieceFile
+    from sppm_pipeline.features.files.piece_file import PieceFile
 
 ENCODERS = {
     ".stl": "sppm_pipeline.services.formats.stl",
@@ -87,7 +87,7 @@ class WriteMesh(Stage):
         extension = extension_of(self.path)
         if extension not in IN_PIECES:
             return None
-        from sppm_pipeline.features.surface.piece_file import PieceFile
+        from sppm_pipeline.features.files.piece_file import PieceFile
 
         in_pieces = importlib.import_module(ENCODERS[extension]).in_pieces
         return PieceFile(context.scratch(), in_pieces, context.threads)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sppm_pipeline.built_in import stage_class
 from sppm_pipeline.errors import ConfigError, InputError
 from sppm_pipeline.features.grading.graded import curve_of, recipe_total, trial
 from sppm_pipeline.features.grading.grader import Grader
 from sppm_pipeline.features.grading.grading import Grading
 from sppm_pipeline.features.grading.grading_data import StiffnessLaw
-from sppm_pipeline.features.stiffness.stages.homogenize_voxel import HomogenizeVoxel
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
 from sppm_pipeline.nouns.palette import Palette
@@ -104,8 +104,8 @@ class GradeStiffness(Grader):
         before.law(self.wanted)
         return self._law(context, None)
 
-    def _homogenizer(self) -> HomogenizeVoxel:
-        return HomogenizeVoxel(resolution=self.resolution, poisson=self.poisson)
+    def _homogenizer(self) -> Any:  # its `stiffness_of` is no part of the base class
+        return stage_class("homogenize.voxel")(resolution=self.resolution, poisson=self.poisson)
 
     def _cells_of(self, context: Context, recipe: Recipe) -> NDArray[np.float64]:
         """Porosities and relative moduli (n, 2) of cells of a recipe with more and fewer pores."""

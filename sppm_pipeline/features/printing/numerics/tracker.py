@@ -13,8 +13,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.method.connectivity.runs import Runs, find_root
+from sppm_pipeline.method.connectivity.runs import Runs
 from sppm_pipeline.services.jit.compiled import jit
+from sppm_pipeline.services.union_find import find_root
 
 JOINED, NEVER, AT_PLATE, AT_END = 0, 1, 2, 3
 """How the time ends in which a component is on its own: joined to what is grounded (a cup is vented, an island caught);

@@ -19,10 +19,11 @@ from sppm_pipeline.features.surface.field_surface import (
     voxels_along_edge,
 )
 from sppm_pipeline.features.surface.mesh_store import MeshStore
-from sppm_pipeline.features.surface.mesh_stream import MeshStream, PieceTaker, PieceWindow
+from sppm_pipeline.features.surface.mesh_stream import MeshStream, PieceWindow
 from sppm_pipeline.method.families import options
 from sppm_pipeline.method.fields.scalar_field import ScalarField
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.nouns.mesh_pieces import PieceTaker
 from sppm_pipeline.method.part.part import Part, node_grid
 from sppm_pipeline.nouns.length import Length
 from sppm_pipeline.nouns.palette import Palette

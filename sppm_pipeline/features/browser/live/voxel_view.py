@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.crushing.crushed_view import FACES
+from sppm_pipeline.services.grid import VOXEL_FACES
 
 PHASE_COLORS = np.array(
     [(226, 216, 196), (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0)],
@@ -38,7 +38,7 @@ def phase_surface(
     inner = tuple(slice(1, -1) for _ in range(3))
     nodes = np.array(phases.shape) + 1
     triangles, colors = [], []
-    for beyond, corners in FACES:
+    for beyond, corners in VOXEL_FACES:
         bare = np.argwhere(solid[inner] & ~np.roll(solid, [-step for step in beyond], (0, 1, 2))[inner])
         ends = np.array([[c & 1, c >> 1 & 1, c >> 2] for c in corners])
         quads = np.ravel_multi_index(tuple(np.moveaxis(bare[:, None] + ends, 2, 0)), tuple(nodes))

@@ -14,8 +14,8 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from sppm_pipeline.features.surface.mesh_stream import Foreseen
 from sppm_pipeline.method.families.file_writer import write_all, write_hashed
+from sppm_pipeline.method.nouns.mesh_pieces import ExpectedSize
 from sppm_pipeline.services.formats.encoding import InPieces, largest
 from sppm_pipeline.services.threads import ordered_map
 from sppm_pipeline.stage import Context
@@ -52,7 +52,7 @@ class PieceFile:
         self._pool: ThreadPoolExecutor | None = None
         self.whole = False
 
-    def begin(self, foreseen: Foreseen) -> bool:
+    def begin(self, foreseen: ExpectedSize) -> bool:
         """See `PieceTaker.begin`."""
         pieces = self._in_pieces(foreseen.vertices, foreseen.faces, foreseen.reach)
         if pieces is None:

@@ -14,12 +14,13 @@ from sppm_pipeline.engine.cache.store import Store
 from sppm_pipeline.engine.plan.session import RunRequest, open_session
 from sppm_pipeline.engine.run.runner import run_plan
 from sppm_pipeline.errors import SppmError
+from sppm_pipeline.features.files.piece_file import PieceFile
 from sppm_pipeline.features.files.stages.write_mesh import ENCODERS, IN_PIECES, WriteMesh
 from sppm_pipeline.features.surface.field_surface import FieldSurface
-from sppm_pipeline.features.surface.mesh_stream import Foreseen, PieceWindow
-from sppm_pipeline.features.surface.piece_file import PieceFile
+from sppm_pipeline.features.surface.mesh_stream import PieceWindow
 from sppm_pipeline.features.surface.stages import extract_marching_cubes as marching_cubes
 from sppm_pipeline.method.nouns.mesh import SurfaceMesh
+from sppm_pipeline.method.nouns.mesh_pieces import ExpectedSize
 from sppm_pipeline.method.part.part import node_grid
 from sppm_pipeline.services.mesh.marching_cubes import marching_cubes_slabs
 from sppm_pipeline.testing.plain_context import PlainContext
@@ -58,7 +59,7 @@ def given(file: PieceFile, made: list[tuple[np.ndarray, np.ndarray]], more: int 
     vertices = np.concatenate([v for v, _ in made]) * SCALE + ORIGIN
     faces = np.concatenate([f for _, f in made])
     box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
-    assert file.begin(Foreseen(len(vertices) + more, len(faces), box, box))
+    assert file.begin(ExpectedSize(len(vertices) + more, len(faces), box, box))
     for some, triangles in made:
         points = window.push(some)
         file.add(points, window.base, window.known, triangles)
@@ -125,7 +126,7 @@ def test_pieces_are_looked_at(tmp_path, wrong):
         faces[0, 0] = sum(len(v) for v, _ in made[:3])
     file = PieceFile(tmp_path, importlib.import_module("sppm_pipeline.services.formats.stl").in_pieces, 1)
     window = PieceWindow(SCALE, ORIGIN)
-    file.begin(Foreseen(1, 1, np.zeros((2, 3)), np.ones((2, 3))))
+    file.begin(ExpectedSize(1, 1, np.zeros((2, 3)), np.ones((2, 3))))
 
     def give():
         for some, triangles in made:
