@@ -71,7 +71,8 @@ class GradeStiffness(Grader):
         if recipe is None:
             return Size()
         cells = TRIED * self.trials
-        return self._homogenizer().solving(recipe(Palette(), cells), self.resolution, cells)
+        size: Size = self._homogenizer().solving(recipe(Palette(), cells), self.resolution, cells)
+        return size
 
     def check_options(self) -> None:
         super().check_options()
